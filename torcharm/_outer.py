@@ -1,0 +1,133 @@
+"""Every design against every task, laid out for work in blocks of bounded memory."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from math import prod
+
+import torch
+from torch import Tensor
+
+from torcharm.arm import ArmDesign
+from torcharm.task import Task
+
+
+@dataclass(frozen=True)
+class OuterProduct:
+    """D designs × P shapes × L loads a shape.
+
+    Task dimensions along which only the load varies are load dimensions; all others make shapes,
+    so that what depends on the shape alone is worked out once for all loads on it.
+
+    Attributes:
+        arm: D designs.
+        twists: (P, N, 3).
+        tip_load: (P, L, 3).
+        base_pose: (3,).
+        design_batch, shape_batch, load_batch: what was flattened.
+        task_axes: for each task dimension, its place among shape and load dimensions.
+    """
+
+    arm: ArmDesign
+    twists: Tensor
+    tip_load: Tensor
+    base_pose: Tensor
+    design_batch: tuple[int, ...]
+    shape_batch: tuple[int, ...]
+    load_batch: tuple[int, ...]
+    task_axes: tuple[int, ...]
+
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """(D, P, L)."""
+        return prod(self.design_batch), prod(self.shape_batch), prod(self.load_batch)
+
+    @property
+    def nodes(self) -> int:
+        """N."""
+        return self.twists.shape[-2]
+
+    def unflatten(self, value: Tensor) -> Tensor:
+        """(D, P, L, ...) as (*design batch, *task batch, ...)."""
+        value = value.reshape(*self.design_batch, *self.shape_batch, *self.load_batch, *value.shape[3:])
+        lead, tasks = len(self.design_batch), len(self.task_axes)
+        order = [*range(lead), *(lead + axis for axis in self.task_axes), *range(lead + tasks, value.ndim)]
+        return value.permute(order)
+
+
+def outer_product(arm: ArmDesign, task: Task) -> OuterProduct:
+    """Flatten designs and tasks, telling the dimensions of shapes from those of loads."""
+    batch = task.batch_shape
+    missing = len(batch) - (task.twists.ndim - 2)
+    sizes = (*(1,) * missing, *task.twists.shape[:-2])
+    strides = (*(0,) * missing, *task.twists.stride()[:-2])
+    shared = [size == 1 or stride == 0 for size, stride in zip(sizes, strides, strict=True)]
+    shape_axes = [axis for axis, alike in enumerate(shared) if not alike]
+    load_axes = [axis for axis, alike in enumerate(shared) if alike]
+    order = [*shape_axes, *load_axes]
+
+    twists = task.twists.reshape(*sizes, *task.twists.shape[-2:])
+    for axis in load_axes:
+        twists = twists.narrow(axis, 0, min(1, twists.shape[axis]))
+    shapes = [batch[axis] for axis in shape_axes]
+    loads = [batch[axis] for axis in load_axes]
+    tip_load = task.tip_load.expand(*batch, 3).permute(*order, len(batch))
+    return OuterProduct(
+        arm.flatten(),
+        twists.permute(*order, len(batch), len(batch) + 1).reshape(-1, *task.twists.shape[-2:]),
+        tip_load.reshape(prod(shapes), prod(loads), 3),
+        task.base_pose,
+        tuple(arm.batch_shape),
+        tuple(shapes),
+        tuple(loads),
+        tuple(order.index(axis) for axis in range(len(batch))),
+    )
+
+
+@dataclass(frozen=True)
+class Block:
+    """A part of an outer product: d designs × p shapes × l loads a shape."""
+
+    arm: ArmDesign
+    twists: Tensor
+    tip_load: Tensor
+    base_pose: Tensor
+
+
+def map_blocks(
+    outer: OuterProduct, chunk_size: int, work: Callable[[Block], tuple[Tensor, ...]]
+) -> tuple[Tensor, ...]:
+    """Work on blocks of at most `chunk_size` triples and join what they return.
+
+    Args:
+        outer: of which no size is 0.
+        chunk_size: (design, shape, load) triples in a block.
+        work: from a block to tensors (d, p, l, ...).
+
+    Returns:
+        Tensors (D, P, L, ...).
+    """
+    designs, shapes, loads = outer.sizes
+    per_load = min(loads, chunk_size)
+    per_shape = min(shapes, max(1, chunk_size // per_load))
+    per_design = min(designs, max(1, chunk_size // (per_load * per_shape)))
+
+    def part(d: slice, p: slice, l: slice) -> tuple[Tensor, ...]:
+        return work(Block(outer.arm[d], outer.twists[p], outer.tip_load[p, l], outer.base_pose))
+
+    return _join(
+        [
+            _join([_join([part(d, p, l) for l in _slices(loads, per_load)], 2) for p in _slices(shapes, per_shape)], 1)
+            for d in _slices(designs, per_design)
+        ],
+        0,
+    )
+
+
+def _slices(size: int, step: int) -> Iterator[slice]:
+    return (slice(start, start + step) for start in range(0, size, step))
+
+
+def _join(parts: list[tuple[Tensor, ...]], dim: int) -> tuple[Tensor, ...]:
+    if len(parts) == 1:
+        return parts[0]
+    return tuple(torch.cat(column, dim) for column in zip(*parts, strict=True))

@@ -1,0 +1,7 @@
+"""Force models of fluid-driven actuators."""
+
+from torcharm.actuators.mckibben import McKibben
+from torcharm.actuators.polynomial import Bellows, PolynomialActuator
+from torcharm.actuators.protocol import Actuator, check_actuator, is_linear_in_pressure
+
+__all__ = ["Actuator", "Bellows", "McKibben", "PolynomialActuator", "check_actuator", "is_linear_in_pressure"]

@@ -1,0 +1,104 @@
+"""The contracting McKibben muscle of Olson et al. (2020)."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS
+
+_A1, _A2 = 1.038555666, 0.511454549
+_B1, _B2, _B3 = 1.963398204, -3.169979385, 4.231857967
+_SLACK = (_A1 * _A2**2 / _B1) ** 0.5
+_STRAIN_LIM, _STRAIN_CRIT = -0.274484489, -0.303225592
+_COLLAPSE_RATE = -3.695687763
+_NEVER = 1e30  # a pressure [kPa] that no muscle sees; finite, so that no gradient is 0 · inf
+
+
+def _extension(x: Tensor) -> Tensor:
+    """E(ε): passive force in extension [N]."""
+    return ((89998.04265 * x + 836.5810641) * x + 62.59606786) * x
+
+
+def _compression(x: Tensor) -> Tensor:
+    """C(ε): passive force in contraction [N]."""
+    return (((265.2968218 * x + 320.5906703) * x + 126.11975) * x + 21.92761236) * x
+
+
+def _threshold(x: Tensor) -> Tensor:
+    """Z(ε): pressure [kPa] from which the contracted muscle pulls."""
+    return (((34610.2847 * x + 5991.799518) * x - 1032.874471) * x - 395.9792747) * x
+
+
+def _recovery(x: Tensor) -> Tensor:
+    """S(ε): rise of force with pressure on the way from compression to pull [N/kPa]."""
+    return 0.637225654 * (0.453137516 + x).square()
+
+
+_AT_LIM = torch.tensor(_STRAIN_LIM, dtype=torch.float64)
+_RECOVERY_LIM = _recovery(_AT_LIM).item()
+_RISE_LIM = (_compression(_AT_LIM) / _recovery(_AT_LIM) + _threshold(_AT_LIM)).item()
+_RISE_RATE = _RECOVERY_LIM / (_STRAIN_LIM - _STRAIN_CRIT) ** 2
+
+
+@dataclass(frozen=True)
+class McKibben:
+    """A McKibben muscle: it pulls (force ≤ 0) when pressurised.
+
+    The published piecewise model F is written as one sum whose coefficients depend on strain
+    alone, so that the work per pressure is small and no branch is left unmasked:
+
+        F = [p < Z] (C + k max(0, p - p_0)) + A max(0, p - Z) + B p^x,    f = -F
+
+    in extension (ε ≥ 0) C is E and Z is out of reach; in contraction B is 0. The subgradient at a
+    kink is the one of its passive side (0 for the max).
+
+    Used for strains in [-0.5, 0.05] and pressures up to 100 kPa; monotonic in pressure only for
+    strains above -0.303. Beyond +0.05 the cubic of its passive extension explodes.
+
+    Attributes:
+        strain_range, pressure_range [kPa]: where the model is used.
+        max_pressure: highest pressure in use [kPa].
+        bending_stiffness: K [N·m²] at `max_pressure`.
+        force_scale: a factor on the force: 2.0 stands for two of them side by side.
+    """
+
+    strain_range: tuple[float, float] = (-0.5, 0.05)
+    pressure_range: tuple[float, float] = (0.0, 100.0)
+    max_pressure: float = 100.0
+    bending_stiffness: float = PAPER_BENDING_STIFFNESS
+    force_scale: float = 1.0
+
+    def force(self, strain: Tensor, pressure: Tensor) -> Tensor:
+        """Axial force [N]; strain and pressure [kPa] broadcast."""
+        extended = strain >= 0
+        zero = torch.zeros_like(strain)
+        compression, threshold = _compression(strain), _threshold(strain)
+
+        passive = torch.where(extended, _extension(strain), compression)
+        pull_from = torch.where(extended, torch.full_like(strain, _NEVER), threshold)
+        pull_rate = torch.where(extended, zero, _A1 * (_A2 + strain).square())
+        rise_rate, rise_from = _rise(strain, compression, threshold)
+        gain = torch.where(extended, _B1 * (_B2 * strain + _SLACK).square(), zero)
+        exponent = 1.0 + _B3 * strain.relu()
+
+        below = (pressure < pull_from).to(strain.dtype)
+        recovering = below * (passive + rise_rate * (pressure - rise_from).relu())
+        pulling = pull_rate * (pressure - pull_from).relu()
+        return (recovering + pulling + gain * pressure**exponent) * -self.force_scale
+
+
+def _rise(strain: Tensor, compression: Tensor, threshold: Tensor) -> tuple[Tensor, Tensor]:
+    """Rate [N/kPa] and onset [kPa] of the force's recovery below the threshold Z.
+
+    For ε ≥ ε_lim, `C + max(0, S (p - Z) - C)` is a rise of rate S from `Z + C/S`; below ε_lim the
+    published rate is `k (ε - ε_crit)²` from `p_c`. None in extension.
+    """
+    mild = strain >= _STRAIN_LIM
+    slope = torch.where(mild, _recovery(strain), torch.full_like(strain, _RECOVERY_LIM))
+    onset = torch.where(mild, threshold + compression / slope, torch.full_like(strain, _RISE_LIM))
+    collapsing = torch.where(
+        strain >= _STRAIN_CRIT, torch.full_like(strain, _RISE_RATE), torch.full_like(strain, _COLLAPSE_RATE)
+    )
+    rate = torch.where(mild, slope, collapsing * (strain - _STRAIN_CRIT).square())
+    return torch.where(strain < 0, rate, torch.zeros_like(strain)), onset

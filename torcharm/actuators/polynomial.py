@@ -1,0 +1,98 @@
+"""Force models that are polynomials in strain and pressure, and the paper's bellows among them."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+PAPER_BENDING_STIFFNESS = -1.0 / 3.5
+"""K [N·m²]; the paper estimated one value for bellows and muscles alike."""
+
+Coefficients = tuple[tuple[int, int, float], ...]
+"""Terms `(i, j, c)` of `Σ c ε^i p^j`, p in kPa and the sum in N."""
+
+
+@dataclass(frozen=True)
+class PolynomialActuator:
+    """`f(ε, p) = Σ c_ij ε^i p^j` [N], positive pushing outward.
+
+    Attributes:
+        coefficients: terms `(i, j, c)`, with i and j the powers of strain and pressure [kPa].
+        strain_range, pressure_range [kPa]: where the coefficients were fitted.
+        max_pressure: highest pressure in use [kPa].
+        bending_stiffness: K [N·m²] at `max_pressure`.
+        force_scale: a factor on the force: 2.0 stands for two of them side by side.
+
+    Raises:
+        ValueError: a power is negative or no whole number.
+    """
+
+    coefficients: Coefficients
+    strain_range: tuple[float, float]
+    pressure_range: tuple[float, float]
+    max_pressure: float
+    bending_stiffness: float = PAPER_BENDING_STIFFNESS
+    force_scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        for i, j, _ in self.coefficients:
+            if int(i) != i or int(j) != j or min(i, j) < 0:
+                raise ValueError(f"coefficients: powers must be whole and at least 0, got ({i}, {j})")
+
+    @property
+    def linear_in_pressure(self) -> bool:
+        """Whether no term holds the pressure to a power above one."""
+        return all(j <= 1 or c == 0 for _, j, c in self.coefficients)
+
+    def force(self, strain: Tensor, pressure: Tensor) -> Tensor:
+        """Axial force [N]; strain and pressure [kPa] broadcast."""
+        rows = self._rows()
+        total = _horner(rows[-1], strain)
+        for row in reversed(rows[:-1]):
+            total = total * pressure + _horner(row, strain)
+        return total.expand(torch.broadcast_shapes(strain.shape, pressure.shape))
+
+    def _rows(self) -> list[list[float]]:
+        """`rows[j][i] = c_ij`: for each power of pressure a polynomial in strain."""
+        strain_degree = max((i for i, _, _ in self.coefficients), default=0)
+        pressure_degree = max((j for _, j, _ in self.coefficients), default=0)
+        rows = [[0.0] * (strain_degree + 1) for _ in range(pressure_degree + 1)]
+        for i, j, c in self.coefficients:
+            rows[j][i] += c * self.force_scale
+        return rows
+
+
+def _horner(row: list[float], x: Tensor) -> Tensor:
+    degree = max((i for i, c in enumerate(row) if c != 0), default=0)
+    total = torch.full_like(x, row[degree])
+    for c in reversed(row[:degree]):
+        total = total * x + c
+    return total
+
+
+BELLOWS_COEFFICIENTS: Coefficients = (
+    (1, 0, -10.47),
+    (0, 1, 1.068),
+    (2, 0, 7.344),
+    (1, 1, -0.5504),
+    (0, 2, -0.00205),
+    (3, 0, -19.39),
+    (2, 1, 0.03461),
+    (1, 2, 0.006294),
+    (0, 3, -3.081e-5),
+)
+"""The paper's fit to test-bench data (R² 0.9947), in torcharm's sign: a bellows pushes."""
+
+
+@dataclass(frozen=True)
+class Bellows(PolynomialActuator):
+    """The paper's extending bellows: a cubic in strain and pressure.
+
+    Characterised for strains in [-0.167, 0.668] and pressures up to 92 kPa; used up to 50 kPa, to
+    which it is monotonic in pressure.
+    """
+
+    coefficients: Coefficients = BELLOWS_COEFFICIENTS
+    strain_range: tuple[float, float] = (-0.167, 0.668)
+    pressure_range: tuple[float, float] = (0.0, 92.0)
+    max_pressure: float = 50.0

@@ -1,0 +1,63 @@
+"""What torcharm asks of a force model, and the questions it asks on the model's behalf."""
+
+from typing import Protocol, runtime_checkable
+
+from torch import Tensor
+
+
+@runtime_checkable
+class Actuator(Protocol):
+    """A fluid-driven actuator: its axial force, and what is needed to trust it.
+
+    Any object with these five members is an actuator; nothing needs to be inherited or
+    registered. Make it hashable (a frozen dataclass is) and equal to its copies: actuators that
+    compare equal are evaluated together.
+
+    Two more members are optional. `linear_in_pressure = True` says that the force is an affine
+    function of pressure at every strain, which lets two samples stand for the whole curve.
+    """
+
+    @property
+    def bending_stiffness(self) -> float:
+        """K [N·m²] of the bending moment `τ = K (p / max_pressure) κ/l`; negative resists bending."""
+        ...
+
+    @property
+    def max_pressure(self) -> float:
+        """Highest pressure in use [kPa]: the default limit, and the pressure at which K holds."""
+        ...
+
+    @property
+    def strain_range(self) -> tuple[float, float]:
+        """Strains over which the model was characterised."""
+        ...
+
+    @property
+    def pressure_range(self) -> tuple[float, float]:
+        """Pressures [kPa] over which the model was characterised."""
+        ...
+
+    def force(self, strain: Tensor, pressure: Tensor) -> Tensor:
+        """Axial force [N] at a strain and a pressure [kPa], positive pushing outward.
+
+        Broadcasts its arguments, and is differentiable in both.
+        """
+        ...
+
+
+MEMBERS = ("force", "bending_stiffness", "max_pressure", "strain_range", "pressure_range")
+
+
+def check_actuator(name: str, actuator: object) -> None:
+    """Raise a ValueError unless the object has the five members of an actuator."""
+    missing = [member for member in MEMBERS if not hasattr(actuator, member)]
+    if isinstance(actuator, type) or missing:
+        what = "a class (an instance is needed)" if isinstance(actuator, type) else f"no {', '.join(missing)}"
+        raise ValueError(
+            f"{name}: must be a force model such as Bellows() or McKibben(), got {actuator!r:.60} with {what}"
+        )
+
+
+def is_linear_in_pressure(actuator: Actuator) -> bool:
+    """Whether the model says that its force is affine in pressure."""
+    return bool(getattr(actuator, "linear_in_pressure", False))

@@ -1,0 +1,359 @@
+"""Attainable sets: which wrenches a node's actuators can provide over the pressure box.
+
+For a fixed shape the reaction is a sum of one curve per actuator, `a(p) = Σ_α c_α(p_α)` with
+`c = (f, -r f + τ)`. The convex hull of a sum is the Minkowski sum of the convex hulls, so the exact
+hull costs as many curve samples as there are actuators. The paper samples the edges of the
+pressure box instead: `hull="edges"`, an inner approximation kept for validation.
+
+The same holds for the relative sets, with the curves `c_i - c_1`.
+"""
+
+from dataclasses import dataclass
+from itertools import product
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torcharm._inputs import check_choice, check_count
+from torcharm.actuators import Actuator, is_linear_in_pressure
+from torcharm.arm import ArmDesign
+from torcharm.polygon import Polygons, convex_hull, minkowski_sum
+from torcharm.wrenches import actuator_force, actuator_state, along, reference_pressures
+
+KINDS = ("exact", "edges")
+DEFAULT_SAMPLES = {"exact": 9, "edges": 3}
+MOST_EDGE_ACTUATORS = 12
+
+
+def sample_count(arm: ArmDesign, kind: str, samples: int | None) -> int:
+    """Samples a curve (exact) or an edge (edges), checked; 2 are exact for forces linear in pressure.
+
+    Raises:
+        ValueError: unknown kind, fewer than 2 samples, or too many actuators for edges.
+    """
+    check_choice("hull", kind, KINDS)
+    if kind == "edges" and arm.actuator_count > MOST_EDGE_ACTUATORS:
+        raise ValueError(
+            f"hull: 'edges' samples M 2^(M-1) edges and is for at most {MOST_EDGE_ACTUATORS} actuators, "
+            f"got {arm.actuator_count}; use 'exact'"
+        )
+    if samples is not None:
+        return check_count("samples", samples, 2)
+    if all(is_linear_in_pressure(model) for model in arm.actuators):
+        return 2
+    return DEFAULT_SAMPLES[kind]
+
+
+def slot_count(actuators: int, kind: str, samples: int) -> int:
+    """Slots of the polygons that a hull of this kind has, for sizing blocks of work."""
+    if kind == "exact":
+        return actuators * samples
+    return 2 * (2**actuators + actuators * 2 ** (actuators - 1) * (samples - 2))
+
+
+@dataclass(frozen=True)
+class Sections:
+    """The actuators at B = P·N·D cross-sections: on P shapes, at N nodes, of D designs.
+
+    Everything is actuators first, batch last, and designs last in the batch: the work is then done
+    along whichever dimension is long.
+
+    Attributes:
+        actuators: M force models.
+        shape: (P, N, D).
+        strain: (M, B).
+        bending: (M, B) bending moment at the pressure limit [N·m]; linear in pressure.
+        radii: (M, B) [m].
+        limit: (M, B) pressure limits [kPa].
+    """
+
+    actuators: tuple[Actuator, ...]
+    shape: tuple[int, int, int]
+    strain: Tensor
+    bending: Tensor
+    radii: Tensor
+    limit: Tensor
+
+    def at_first_node(self, value: Tensor) -> Tensor:
+        """(..., B) with each node's entry replaced by that of its arm's node 1."""
+        by_node = value.unflatten(-1, self.shape)
+        return by_node[..., :1, :].expand_as(by_node).flatten(-3)
+
+    def wrench(self, fraction: Tensor, *, relative: bool) -> tuple[Tensor, Tensor]:
+        """Reaction `(f_x, m)`, each (..., B, L), at fractions (..., M, B, L) of the limits."""
+        pressure = fraction * self.limit.unsqueeze(-1)
+        force = actuator_force(self.actuators, self.strain.unsqueeze(-1), pressure, dim=-3)
+        bending = self.bending
+        if relative:
+            first = self.at_first_node(self.strain).unsqueeze(-1)
+            force = force - actuator_force(self.actuators, first, pressure, dim=-3)
+            bending = bending - self.at_first_node(bending)
+        moment = bending.unsqueeze(-1) * fraction - self.radii.unsqueeze(-1) * force
+        return force.sum(-3), moment.sum(-3)
+
+
+def cross_sections(arm: ArmDesign, twists: Float[Tensor, "P N 3"]) -> Sections:
+    """The sections of designs, of batch shape (D,), on P shapes."""
+    radii, neutral, limit = (
+        value.T[:, None, None].contiguous() for value in (arm.radii, arm.length, arm.max_pressure)
+    )
+    length, _, curvature = twists.unsqueeze(-2).unbind(-1)  # (P, N, 1)
+    strain, bending = actuator_state(arm.actuators, length, curvature, radii, neutral, dim=-4)
+    bending = bending * (limit / along(reference_pressures(arm.actuators), limit, -4))
+
+    def flat(value: Tensor) -> Tensor:
+        return value.expand_as(strain).flatten(1)
+
+    shape = (len(twists), twists.shape[-2], len(arm.radii))
+    return Sections(arm.actuators, shape, flat(strain), flat(bending), flat(radii), flat(limit))
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Each actuator's reaction curve at B sections: S forces, and a moment linear in pressure.
+
+    Attributes:
+        grid: (S,) pressure fractions, evenly spaced from 0 to 1.
+        force: (S, M, B) [N].
+        bending: (M, B) bending moment at fraction 1 [N·m].
+        radii: (M, B) [m].
+    """
+
+    grid: Tensor
+    force: Tensor
+    bending: Tensor
+    radii: Tensor
+
+
+def sample_curves(sections: Sections, samples: int) -> Curves:
+    """The curves of absolute reactions."""
+    grid = torch.linspace(0, 1, samples, dtype=sections.strain.dtype, device=sections.strain.device)
+    pressure = grid.view(-1, 1, 1) * sections.limit
+    force = actuator_force(sections.actuators, sections.strain, pressure, dim=-2)
+    return Curves(grid, force, sections.bending, sections.radii)
+
+
+def relative_curves(sections: Sections, curves: Curves) -> Curves:
+    """The curves of differences from node 1."""
+    force = curves.force - sections.at_first_node(curves.force)
+    return Curves(curves.grid, force, curves.bending - sections.at_first_node(curves.bending), curves.radii)
+
+
+@dataclass(frozen=True)
+class ExactHulls:
+    """Minkowski sums of the actuators' curves, each sampled at S pressures.
+
+    Attributes:
+        polygons: V = S·M slots.
+        start: (M, B) pressure fractions of the first vertex.
+        turn: (M, B) 1 or -1: the way round in which steps are taken.
+        step: (S, M or 1, B or 1) change of fraction along each edge, for turn 1.
+        order: (V, B) which edge each slot holds.
+    """
+
+    polygons: Polygons
+    start: Tensor
+    turn: Tensor
+    step: Tensor
+    order: Tensor
+
+    def fractions(self, slot: Tensor) -> Tensor:
+        """Pressure fractions (2, M, B, L) at the two ends of the faces in slots (B, L).
+
+        An edge moves one actuator along its curve, so a vertex's pressures are the first vertex's
+        plus the steps of all edges before it.
+        """
+        rank = torch.empty_like(self.order)
+        slots = torch.arange(len(self.order), device=slot.device).unsqueeze(-1)
+        rank.scatter_(0, self.order, slots.expand_as(self.order))
+        rank = rank.view(-1, *self.turn.shape, 1)
+        step = self.step.unsqueeze(-1)
+        moved = torch.stack([(step * (rank < slot + more)).sum(0) for more in (0, 1)])
+        return self.start.unsqueeze(-1) + self.turn.unsqueeze(-1) * moved
+
+
+@dataclass(frozen=True)
+class EdgeHulls:
+    """Convex hulls of the reactions to pressures sampled on all edges of the pressure box.
+
+    Attributes:
+        polygons: the hulls.
+        source, target: (V, B) the sampled pressures at the ends of each slot's face.
+        table: (samples, M) the sampled pressures, as fractions of the limits.
+    """
+
+    polygons: Polygons
+    source: Tensor
+    target: Tensor
+    table: Tensor
+
+    def fractions(self, slot: Tensor) -> Tensor:
+        """Pressure fractions (2, M, B, L) at the two ends of the faces in slots (B, L)."""
+        ends = torch.stack((self.source.gather(0, slot.T).T, self.target.gather(0, slot.T).T))
+        return self.table[ends].movedim(-1, 1)
+
+
+Hulls = ExactHulls | EdgeHulls
+
+
+def build_hulls(curves: Curves, kind: str, scale: tuple[float, float]) -> Hulls:
+    """The hulls of all sections, with forces and moments multiplied by `scale`."""
+    return _exact_hulls(curves, scale) if kind == "exact" else _edge_hulls(curves, scale)
+
+
+def _exact_hulls(curves: Curves, scale: tuple[float, float]) -> ExactHulls:
+    step, rise, turn = _convex_curves(curves.grid, curves.force)
+    # The graph of force over pressure turns the other way in the (f, m) plane if τ grows with p.
+    turn = turn * (1 - 2 * (curves.bending > 0).to(rise.dtype))
+    edge_force = rise.mul_(scale[0] * turn)
+    edge_moment = ((scale[1] * turn * curves.bending) * step).addcmul_(
+        edge_force, curves.radii, value=-scale[1] / scale[0]
+    )
+    least, start = _leftmost(curves)
+    polygons, order = minkowski_sum(
+        scale[0] * least.sum(0),
+        scale[1] * (curves.bending * start - curves.radii * least).sum(0),
+        edge_force.flatten(0, 1),
+        edge_moment.flatten(0, 1),
+    )
+    return ExactHulls(polygons, start, turn, step, order)
+
+
+def _convex_curves(grid: Tensor, force: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The hull of each actuator's curve, from the graph of its force over pressure.
+
+    Bending is linear in pressure, so `(p, f) → (f, -r f + τ)` is affine and keeps convex hulls: the
+    hull of the graph serves every radius and curvature, K = 0 included.
+
+    Args:
+        grid: (S,) pressure fractions, evenly spaced from 0 to 1.
+        force: (S, M, B).
+
+    Returns:
+        Edges that, multiplied by their turn (M, B) of 1 or -1, go round each hull counter-clockwise
+        in the (p, f) plane: their steps in fraction (S, M or 1, B or 1) and in force (S, M, B).
+        Slots off the hull are zero.
+    """
+    bend = force[2:] + force[:-2]
+    bend.sub_(force[1:-1], alpha=2)
+    if len(grid) <= 3 or not bool(((bend.amin(0) < 0) & (bend.amax(0) > 0)).any()):
+        # Convex or concave: the samples, in order or reversed, already go round.
+        step = (grid.roll(-1) - grid).view(-1, 1, 1)
+        turn = 1 - 2 * (bend < 0).any(0).to(force.dtype)
+        return step, force.roll(-1, 0).sub_(force), turn
+    target = _envelope_targets(grid, force)
+    rise = force.gather(0, target).sub_(force)
+    return grid[target] - grid.view(-1, 1, 1), rise, torch.ones_like(force[0])
+
+
+def _envelope_targets(grid: Tensor, force: Tensor) -> Tensor:
+    """For each sample of a curve with inflections, the next corner round its hull (or itself).
+
+    A sample is on the lower envelope if every slope to its right exceeds every slope to its left;
+    on the upper, the other way round.
+    """
+    count = len(grid)
+    index = torch.arange(count, device=force.device)
+    right = index.view(-1, 1) > index  # [j, k]: sample j lies to the right of sample k
+    gap = (grid.view(-1, 1) - grid).masked_fill(index.view(-1, 1) == index, 1.0)
+    slope = (force.unsqueeze(1) - force.unsqueeze(0)) / gap.view(count, count, 1, 1)
+
+    def extreme(side: Tensor, fill: float) -> Tensor:
+        masked = slope.masked_fill(~side.view(count, count, 1, 1), fill)
+        return masked.amin(0) if fill > 0 else masked.amax(0)
+
+    infinity = float("inf")
+    lower = extreme(right, infinity) > extreme(right.T, -infinity)
+    upper = extreme(right, -infinity) < extreme(right.T, infinity)
+    slot = index.view(-1, 1, 1)
+    after = torch.where(lower, slot, count - 1).flip(0).cummin(0).values.flip(0).roll(-1, 0)
+    before = torch.where(upper, slot, 0).cummax(0).values.roll(1, 0)
+    inner_upper = upper & (slot > 0)
+    inner_lower = lower & (slot < count - 1)
+    return torch.where(inner_lower, after, torch.where(inner_upper, before, slot.expand_as(before)))
+
+
+def _leftmost(curves: Curves) -> tuple[Tensor, Tensor]:
+    """Least force (M, B) of each curve, and the fraction of it where, among ties, τ is largest."""
+    least = curves.force.amin(0)
+    falling = (curves.bending < 0).to(least.dtype)
+    sign = 1 - 2 * falling
+    ranked = torch.addcmul(falling, sign, curves.grid.view(-1, 1, 1)).mul_(curves.force == least)
+    return least, sign * ranked.amax(0) + falling
+
+
+def edge_table(actuators: int, samples: int) -> list[tuple[int, ...]]:
+    """Sample indices (0 to samples - 1) of the pressures on all edges of the pressure box, once each."""
+    last = samples - 1
+    corners = list(product((0, last), repeat=actuators))
+    inner = [
+        (*rest[:free], step, *rest[free:])
+        for free in range(actuators)
+        for rest in product((0, last), repeat=actuators - 1)
+        for step in range(1, last)
+    ]
+    return corners + inner
+
+
+def _edge_hulls(curves: Curves, scale: tuple[float, float]) -> EdgeHulls:
+    samples, actuators, batch = curves.force.shape
+    table = torch.tensor(edge_table(actuators, samples), device=curves.force.device)
+    row = (table * actuators + torch.arange(actuators, device=table.device)).flatten()
+    moment = curves.bending * curves.grid.view(-1, 1, 1) - curves.radii * curves.force
+
+    def total(curve: Tensor) -> Tensor:
+        return curve.flatten(0, 1).index_select(0, row).view(-1, actuators, batch).sum(1)
+
+    polygons, source, target = convex_hull(scale[0] * total(curves.force), scale[1] * total(moment))
+    return EdgeHulls(polygons, source, target, curves.grid[table])
+
+
+@dataclass(frozen=True, eq=False)
+class WrenchHulls:
+    """Attainable sets as polygons, for looking at and for solvers that take vertices.
+
+    Attributes:
+        vertices: (*design batch, *shape batch, N, V, 2) `(f_x, m)` [N, N·m] in counter-clockwise
+            order; polygons of fewer vertices repeat some.
+        pressure: (..., N, V, M) the pressures [kPa] that provide the vertices.
+    """
+
+    vertices: Tensor
+    pressure: Tensor
+
+
+def wrench_hulls(
+    arm: ArmDesign,
+    twists: Float[Tensor, "*shapes N 3"],
+    *,
+    relative: bool = False,
+    hull: str = "exact",
+    samples: int | None = None,
+) -> WrenchHulls:
+    """The attainable set of every node, absolute or relative to node 1.
+
+    Args:
+        arm: designs.
+        twists: shapes [m, m, rad]; every design meets every shape.
+        relative: differences from node 1's reaction, instead of reactions.
+        hull, samples: as for `evaluate`.
+
+    Raises:
+        ValueError: unknown hull, fewer than 2 samples, or too many actuators for edges.
+    """
+    count = sample_count(arm, hull, samples)
+    sections = cross_sections(arm.flatten(), twists.reshape(-1, *twists.shape[-2:]))
+    curves = sample_curves(sections, count)
+    hulls = build_hulls(relative_curves(sections, curves) if relative else curves, hull, (1.0, 1.0))
+    polygons = hulls.polygons
+    slot = torch.arange(len(polygons.x), device=twists.device).expand(polygons.x.shape[1], -1)
+    fraction = hulls.fractions(slot)[0]  # (M, B, V)
+    vertices = torch.stack((polygons.x, polygons.y), -1).movedim(0, 1)
+    pressure = (fraction * sections.limit.unsqueeze(-1)).movedim(0, -1)
+
+    def outer(value: Tensor) -> Tensor:
+        by_design = value.unflatten(0, sections.shape).movedim(2, 0)
+        return by_design.reshape(*arm.batch_shape, *twists.shape[:-1], *value.shape[1:])
+
+    return WrenchHulls(outer(vertices), outer(pressure))

@@ -1,0 +1,84 @@
+"""SE(2), the rigid motions of the plane, as pure functions on vectors.
+
+A pose is `(x, y, θ)` in m, m, rad; a body twist is `(l, γ, κ)` in m, m, rad; a wrench is
+`(f_x, f_y, m)` in N, N, N·m. Angles are not wrapped: a pose remembers its turns. All
+functions are batched over leading dimensions and differentiable, through κ = 0 too.
+"""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+_SERIES_RADIUS = 1.0
+_SERIES_TERMS = 11  # the first term left out is below 1e-22 at the series' radius
+
+
+def _series(square: Tensor, first_factorial: int) -> Tensor:
+    """Σ_k (-x²)^k / (2k + first_factorial)!, by Horner."""
+    total = torch.zeros_like(square)
+    for k in reversed(range(_SERIES_TERMS)):
+        total = total * -square + 1.0 / math.factorial(2 * k + first_factorial)
+    return total
+
+
+def sine_ratio(angle: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
+    """`sin(x)/x`, exact and smooth through zero (torch.sinc has wrong second derivatives there)."""
+    small = angle.abs() < _SERIES_RADIUS
+    safe = torch.where(small, torch.ones_like(angle), angle)
+    near = torch.where(small, angle, torch.zeros_like(angle))
+    return torch.where(small, _series(near.square(), 1), safe.sin() / safe)
+
+
+def cosine_ratio(angle: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
+    """`(1 - cos x)/x`, exact and smooth through zero."""
+    small = angle.abs() < _SERIES_RADIUS
+    safe = torch.where(small, torch.ones_like(angle), angle)
+    near = torch.where(small, angle, torch.zeros_like(angle))
+    return torch.where(small, near * _series(near.square(), 2), 2.0 * (safe / 2).sin().square() / safe)
+
+
+def rotate(angle: Float[Tensor, "..."], vector: Float[Tensor, "... 2"]) -> Float[Tensor, "... 2"]:
+    """The vector turned by the angle [rad], counter-clockwise."""
+    cos, sin = angle.cos(), angle.sin()
+    x, y = vector.unbind(-1)
+    return torch.stack((cos * x - sin * y, sin * x + cos * y), -1)
+
+
+def exp(twist: Float[Tensor, "... 3"]) -> Float[Tensor, "... 3"]:
+    """The pose reached by following a constant body twist for unit time: `V(κ)(l, γ)` and κ."""
+    length, shear, turn = twist.unbind(-1)
+    along, across = sine_ratio(turn), cosine_ratio(turn)
+    return torch.stack((along * length - across * shear, across * length + along * shear, turn), -1)
+
+
+def log(pose: Float[Tensor, "... 3"]) -> Float[Tensor, "... 3"]:
+    """The body twist, of turn within [-π, π], whose exponential is the pose up to whole turns.
+
+    `V(θ)⁻¹ = [[h, θ/2], [-θ/2, h]]` with `h = (θ/2) cot(θ/2)`.
+    """
+    x, y, angle = pose.unbind(-1)
+    turn = angle - 2 * math.pi * (angle.detach() / (2 * math.pi)).round()
+    half = turn / 2
+    cotangent = half.cos() / sine_ratio(half)
+    return torch.stack((cotangent * x + half * y, cotangent * y - half * x, turn), -1)
+
+
+def compose(first: Float[Tensor, "*#a 3"], second: Float[Tensor, "*#a 3"]) -> Float[Tensor, "... 3"]:
+    """The pose `first ∘ second`: `second` read in the frame of `first`."""
+    position = first[..., :2] + rotate(first[..., 2], second[..., :2])
+    return torch.cat((position, (first[..., 2] + second[..., 2]).unsqueeze(-1)), -1)
+
+
+def inverse(pose: Float[Tensor, "... 3"]) -> Float[Tensor, "... 3"]:
+    """The pose g⁻¹ with `g ∘ g⁻¹ = (0, 0, 0)`."""
+    return torch.cat((-rotate(-pose[..., 2], pose[..., :2]), -pose[..., 2:]), -1)
+
+
+def adjoint(pose: Float[Tensor, "... 3"]) -> Float[Tensor, "... 3 3"]:
+    """The matrix Ad_g with `g exp(ξ) g⁻¹ = exp(Ad_g ξ)`, on twists `(l, γ, κ)`."""
+    x, y, angle = pose.unbind(-1)
+    cos, sin, zero = angle.cos(), angle.sin(), torch.zeros_like(x)
+    rows = ((cos, -sin, y), (sin, cos, -x), (zero, zero, torch.ones_like(x)))
+    return torch.stack([torch.stack(row, -1) for row in rows], -2)

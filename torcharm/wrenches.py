@@ -1,0 +1,143 @@
+"""Wrenches along the arm: what a task requires, and what pressures provide.
+
+Planar hull wrenches are `(f_x, m)` in N and N·m, in the frame of their node. Shear is carried by
+the arm's shear stiffness and has no part in them.
+"""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torcharm import rod, se2
+from torcharm._inputs import as_floating, check_at_least, check_finite
+from torcharm.actuators import Actuator
+from torcharm.arm import ArmDesign
+
+PLANAR = (0, 2)
+"""Components of a wrench `(f_x, f_y, m)` that a planar hull holds."""
+
+
+def required_wrench(
+    twists: Float[Tensor, "*#batch N 3"],
+    tip_load: Float[Tensor, "*#batch 3"],
+    base_pose: Float[Tensor, "*#batch 3"] | None = None,
+) -> Float[Tensor, "... N 3"]:
+    """The reaction `w_i = -q_i` that the task asks of each node, `(f_x, f_y, m)` in its frame.
+
+    Plain statics: the force F is `R_iᵀ F` in node i's frame, the moment about node i is
+    `m_tip + (p_tip - p_i) × F`. The same as carrying the load by `Ad^{-T}_{g_i⁻¹ g_tip}`.
+
+    Args:
+        twists: the task's shape [m, m, rad].
+        tip_load: `(f_x, f_y, m)` at the tip in the world frame [N, N, N·m].
+        base_pose: pose of node 1; None hangs the arm.
+    """
+    pose = rod.poses(twists, base_pose)
+    node, tip = pose[..., :-1, :], pose[..., -1:, :]
+    force = tip_load[..., None, :2]
+    local = se2.rotate(-node[..., 2], force.expand(*_joint(node, force), 2))
+    arm = (tip - node)[..., :2]
+    moment = tip_load[..., None, 2] + arm[..., 0] * force[..., 1] - arm[..., 1] * force[..., 0]
+    return -torch.cat((local, moment.unsqueeze(-1)), -1)
+
+
+def _joint(node: Tensor, force: Tensor) -> torch.Size:
+    return torch.broadcast_shapes(node.shape[:-1], force.shape[:-1])
+
+
+def along(values: Sequence[float], like: Tensor, dim: int) -> Tensor:
+    """One number per actuator, shaped to broadcast along dimension `dim` (counted from the end)."""
+    return like.new_tensor(values).view(-1, *(1,) * (-1 - dim))
+
+
+def reference_pressures(actuators: tuple[Actuator, ...]) -> list[float]:
+    """The pressures [kPa] at which the models' bending stiffness holds."""
+    return [model.max_pressure for model in actuators]
+
+
+def actuator_state(
+    actuators: tuple[Actuator, ...],
+    length: Tensor,
+    curvature: Tensor,
+    radius: Tensor,
+    neutral_length: Tensor,
+    dim: int = -1,
+) -> tuple[Tensor, Tensor]:
+    """Strains, and bending moments at full reference pressure [N·m], of M actuators.
+
+    The moment is linear in pressure: at pressure p an actuator bears `p / p_ref` of it, with
+    p_ref the model's own `max_pressure` (a limit set on the arm does not stiffen its material).
+
+    Args:
+        actuators: M force models, along dimension `dim` (counted from the end).
+        length, curvature: of the centreline, l [m] and κ [rad].
+        radius, neutral_length: of the actuators [m].
+    """
+    own_length = rod.offset_length(length, curvature, radius)
+    stiffness = along([model.bending_stiffness for model in actuators], own_length, dim)
+    bending = stiffness * rod.material_curvature(curvature, own_length, neutral_length)
+    return rod.strain(own_length, neutral_length), bending
+
+
+def actuator_force(
+    actuators: tuple[Actuator, ...], strain: Tensor, pressure: Tensor, dim: int = -1
+) -> Tensor:
+    """Axial forces [N] of M actuators along dimension `dim` (counted from the end).
+
+    Equal models are evaluated in one call, so the cost follows the number of kinds.
+    """
+    groups = _alike(actuators)
+    if len(groups) == 1:
+        return actuators[0].force(strain, pressure)
+    force = strain.new_empty(torch.broadcast_shapes(strain.shape, pressure.shape))
+    for model, members in groups:
+        index = (..., members, *(slice(None),) * (-1 - dim))
+        force[index] = model.force(strain[index], pressure[index])
+    return force
+
+
+def _alike(actuators: tuple[Actuator, ...]) -> list[tuple[Actuator, slice | list[int]]]:
+    """Each kind of model, and where it sits: as a slice, which costs no copy, if evenly spaced."""
+    groups: list[tuple[Actuator, list[int]]] = []
+    for index, model in enumerate(actuators):
+        for known, members in groups:
+            if known is model or known == model:
+                members.append(index)
+                break
+        else:
+            groups.append((model, [index]))
+    return [(model, _as_slice(members)) for model, members in groups]
+
+
+def _as_slice(members: list[int]) -> slice | list[int]:
+    step = members[1] - members[0] if len(members) > 1 else 1
+    evenly = slice(members[0], members[-1] + 1, step)
+    return evenly if list(range(members[-1] + 1))[evenly] == members else members
+
+
+def reaction_wrench(
+    arm: ArmDesign, twists: Float[Tensor, "*#batch N 3"], pressure: Float[Tensor, "*#batch M"]
+) -> Float[Tensor, "... N 2"]:
+    """Reaction `(f_x, m)` [N, N·m] of each node to pressures [kPa], in the node's frame.
+
+    `f_x = Σ f_α(ε_α, p_α)` and `m = Σ (-r_α f_α + τ_α)`. The paper prints `+r`; virtual work
+    (`∂l_α/∂κ = -r_α`) asks for the minus.
+
+    Raises:
+        ValueError: a pressure is negative or not finite, or M does not fit.
+    """
+    (pressure,) = as_floating(pressure=pressure)
+    if pressure.shape[-1] != arm.actuator_count:
+        raise ValueError(
+            f"pressure: must have {arm.actuator_count} in its last dimension, got shape {tuple(pressure.shape)}"
+        )
+    check_finite("pressure", pressure)
+    check_at_least("pressure", pressure, 0.0, unit="kPa")
+    length, _, curvature = twists.unsqueeze(-2).unbind(-1)
+    radii, neutral, pressure = arm.radii.unsqueeze(-2), arm.length.unsqueeze(-2), pressure.unsqueeze(-2)
+    strain, bending = actuator_state(arm.actuators, length, curvature, radii, neutral)
+    force = actuator_force(arm.actuators, strain, pressure)
+    share = pressure / along(reference_pressures(arm.actuators), pressure, -1)
+    return torch.stack((force.sum(-1), (bending * share - radii * force).sum(-1)), -1)
