@@ -93,9 +93,7 @@ class Block:
     base_pose: Tensor
 
 
-def map_blocks(
-    outer: OuterProduct, chunk_size: int, work: Callable[[Block], tuple[Tensor, ...]]
-) -> tuple[Tensor, ...]:
+def map_blocks(outer: OuterProduct, chunk_size: int, work: Callable[[Block], tuple[Tensor, ...]]) -> tuple[Tensor, ...]:
     """Work on blocks of at most `chunk_size` triples and join what they return.
 
     Args:

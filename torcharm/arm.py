@@ -142,9 +142,7 @@ def antagonistic_arm(
         outer_radius, inner_radius: (...) offsets [m]; tensors make a batch of designs.
         length: (...) or (..., 4) neutral lengths [m].
     """
-    return ArmDesign(
-        _mirrored(outer_radius, inner_radius), length, (Bellows(), McKibben(), McKibben(), Bellows())
-    )
+    return ArmDesign(_mirrored(outer_radius, inner_radius), length, (Bellows(), McKibben(), McKibben(), Bellows()))
 
 
 def bellows_arm(

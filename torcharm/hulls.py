@@ -95,9 +95,7 @@ class Sections:
 
 def cross_sections(arm: ArmDesign, twists: Float[Tensor, "P N 3"]) -> Sections:
     """The sections of designs, of batch shape (D,), on P shapes."""
-    radii, neutral, limit = (
-        value.T[:, None, None].contiguous() for value in (arm.radii, arm.length, arm.max_pressure)
-    )
+    radii, neutral, limit = (value.T[:, None, None].contiguous() for value in (arm.radii, arm.length, arm.max_pressure))
     length, _, curvature = twists.unsqueeze(-2).unbind(-1)  # (P, N, 1)
     strain, bending = actuator_state(arm.actuators, length, curvature, radii, neutral, dim=-4)
     bending = bending * (limit / along(reference_pressures(arm.actuators), limit, -4))

@@ -39,9 +39,7 @@ def heading_key(edge_x: Tensor, edge_y: Tensor) -> Tensor:
     return (edge_y / size).sub_(1.0).mul_(rightward)
 
 
-def minkowski_sum(
-    start_x: Tensor, start_y: Tensor, edge_x: Tensor, edge_y: Tensor
-) -> tuple[Polygons, Tensor]:
+def minkowski_sum(start_x: Tensor, start_y: Tensor, edge_x: Tensor, edge_y: Tensor) -> tuple[Polygons, Tensor]:
     """The Minkowski sum of convex polygons from all their edges, headed counter-clockwise.
 
     The sum's boundary is the summands' edges in order of heading. Parallel edges follow one

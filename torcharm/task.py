@@ -31,9 +31,7 @@ class Task:
     tip_load: Tensor
     base_pose: Tensor
 
-    def __init__(
-        self, twists: TensorLike, tip_load: TensorLike, base_pose: TensorLike = BASE_POSE
-    ) -> None:
+    def __init__(self, twists: TensorLike, tip_load: TensorLike, base_pose: TensorLike = BASE_POSE) -> None:
         """Check, without expanding: a shape shared by many loads stays shared.
 
         Raises:
@@ -74,9 +72,7 @@ class Task:
         return task
 
 
-def affine_curvature(
-    slope: TensorLike, intercept: TensorLike, length: TensorLike = 0.5, nodes: int = 10
-) -> Tensor:
+def affine_curvature(slope: TensorLike, intercept: TensorLike, length: TensorLike = 0.5, nodes: int = 10) -> Tensor:
     """Twists (..., N, 3) of a shape whose curvature is affine in arc, `κ(s) = slope s + intercept`.
 
     Args:
@@ -99,9 +95,7 @@ def cubic_curvature(
     nodes: int = 10,
 ) -> Tensor:
     """Twists of `κ(s) = cubic s³ + quadratic s² + slope s + intercept`; else as `affine_curvature`."""
-    return _polynomial_curvature(
-        length, nodes, cubic=cubic, quadratic=quadratic, slope=slope, intercept=intercept
-    )
+    return _polynomial_curvature(length, nodes, cubic=cubic, quadratic=quadratic, slope=slope, intercept=intercept)
 
 
 def _polynomial_curvature(length: TensorLike, nodes: int, **coefficients: TensorLike) -> Tensor:

@@ -81,9 +81,7 @@ def actuator_state(
     return rod.strain(own_length, neutral_length), bending
 
 
-def actuator_force(
-    actuators: tuple[Actuator, ...], strain: Tensor, pressure: Tensor, dim: int = -1
-) -> Tensor:
+def actuator_force(actuators: tuple[Actuator, ...], strain: Tensor, pressure: Tensor, dim: int = -1) -> Tensor:
     """Axial forces [N] of M actuators along dimension `dim` (counted from the end).
 
     Equal models are evaluated in one call, so the cost follows the number of kinds.

@@ -1,0 +1,1 @@
+"""Distances from required wrenches to attainable sets."""

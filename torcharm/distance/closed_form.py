@@ -29,9 +29,7 @@ class NearestFaces:
     slot: Int[Tensor, "B L"] | None
 
 
-def nearest_faces(
-    polygons: Polygons, x: Float[Tensor, "B L"], y: Float[Tensor, "B L"], *, slots: bool
-) -> NearestFaces:
+def nearest_faces(polygons: Polygons, x: Float[Tensor, "B L"], y: Float[Tensor, "B L"], *, slots: bool) -> NearestFaces:
     """Project L points on every edge of their polygon, clamp, and keep the nearest.
 
     A point is inside if it is left of every edge. That is asked for, not inferred from a small
@@ -75,9 +73,7 @@ def signed_length(square: Tensor, inside: Tensor, blur: Tensor, *, signed: bool)
     return torch.where(inside, -length, length) if signed else length
 
 
-def face_square(
-    point: tuple[Tensor, Tensor], start: tuple[Tensor, Tensor], end: tuple[Tensor, Tensor]
-) -> Tensor:
+def face_square(point: tuple[Tensor, Tensor], start: tuple[Tensor, Tensor], end: tuple[Tensor, Tensor]) -> Tensor:
     """Squared distance from points to segments, differentiable twice in all three.
 
     Its first derivatives are the envelope's: those of the nearest point are at right angles to

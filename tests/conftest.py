@@ -1,0 +1,12 @@
+"""Shapes in signatures are checked at run time for as long as the tests run."""
+
+from hypothesis import HealthCheck, settings
+from jaxtyping import install_import_hook
+
+_hook = install_import_hook("torcharm", "beartype.beartype")
+_hook.__enter__()
+
+settings.register_profile(
+    "torcharm", deadline=None, derandomize=True, max_examples=50, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("torcharm")
