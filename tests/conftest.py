@@ -3,7 +3,7 @@
 from hypothesis import HealthCheck, settings
 from jaxtyping import install_import_hook
 
-_hook = install_import_hook("torcharm", "beartype.beartype")
+_hook = install_import_hook("torcharm", "typecheck.checked")
 _hook.__enter__()
 
 settings.register_profile(

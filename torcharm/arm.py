@@ -1,6 +1,6 @@
 """Arm designs: actuators in parallel, batched and immutable."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 
 import torch
@@ -90,13 +90,13 @@ class ArmDesign:
         """The same designs as a batch of one dimension."""
         return self._map(lambda value: value.reshape(-1, self.actuator_count))
 
-    def __getitem__(self, index: object) -> "ArmDesign":
+    def __getitem__(self, index: int | slice | Tensor | tuple[int | slice | Tensor, ...]) -> "ArmDesign":
         """The designs at an index into the batch."""
         if not self.batch_shape:
             raise ValueError("index: a single design has no batch to index")
-        return self._map(lambda value: value[index])  # type: ignore[index]
+        return self._map(lambda value: value[index])
 
-    def _map(self, change) -> "ArmDesign":  # type: ignore[no-untyped-def]
+    def _map(self, change: Callable[[Tensor], Tensor]) -> "ArmDesign":
         """The designs with every tensor changed alike; what was checked stays checked."""
         design = object.__new__(type(self))
         for field in fields(self):
