@@ -1,8 +1,11 @@
 """Turning what a person passes into tensors, with errors that name the field."""
 
-from collections.abc import Collection, Sequence
+import operator
+from collections.abc import Collection, Iterator, Sequence
+from functools import reduce
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -16,8 +19,11 @@ def as_floating(**fields: Any) -> list[Tensor]:
     The dtype is the promotion of the floating tensors and arrays among the fields;
     numbers, lists and integers follow it, and are float64 if nothing else decides.
     """
-    arrays = {name: value for name, value in fields.items() if hasattr(value, "dtype")}
-    tensors = {name: _tensor(name, value) for name, value in arrays.items()}
+    tensors = {
+        name: _tensor(name, value)
+        for name, value in fields.items()
+        if hasattr(value, "dtype") or any(True for _ in _leaves(value))
+    }
     dtype: torch.dtype | None = None
     device: torch.device | None = None
     for name, tensor in tensors.items():
@@ -25,7 +31,7 @@ def as_floating(**fields: Any) -> list[Tensor]:
             raise ValueError(f"{name}: must be real, got {tensor.dtype}")
         if tensor.is_floating_point():
             dtype = tensor.dtype if dtype is None else torch.promote_types(dtype, tensor.dtype)
-        if isinstance(arrays[name], Tensor):
+        for _ in _leaves(fields[name]):
             if device is not None and tensor.device != device:
                 raise ValueError(f"{name}: is on {tensor.device}, the other inputs on {device}")
             device = tensor.device
@@ -37,12 +43,44 @@ def as_floating(**fields: Any) -> list[Tensor]:
 
 
 def _tensor(name: str, value: Any, dtype: torch.dtype | None = None) -> Tensor:
+    """A tensor that keeps the gradients of tensors in lists, and shares no memory with numpy."""
     try:
-        if isinstance(value, (list, tuple)) and any(isinstance(item, Tensor) for item in value):
-            return torch.stack([_tensor(name, item, dtype) for item in value])
-        return torch.as_tensor(value, dtype=dtype)
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise ValueError(f"{name}: must be numbers in a regular array, got {value!r:.60} ({error})") from None
+        leaves = list(_leaves(value))
+        if leaves and not isinstance(value, Tensor):
+            given = reduce(torch.promote_types, (leaf.dtype for leaf in leaves))
+            own = given if given.is_floating_point or given.is_complex else torch.float64
+            return torch.stack([_tensor(name, item, dtype or own) for item in value])
+        return torch.as_tensor(value.copy() if isinstance(value, np.ndarray) else value, dtype=dtype)
+    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
+        raise ValueError(
+            f"{name}: must be numbers in a regular array, got {shown(value)} ({' '.join(str(error).split())})"
+        ) from None
+
+
+def _leaves(value: Any) -> Iterator[Tensor]:
+    """The tensors in nested lists, or the tensor itself."""
+    if isinstance(value, Tensor):
+        yield value
+    elif isinstance(value, (list, tuple)):
+        for item in value:
+            yield from _leaves(item)
+
+
+def shown(value: object) -> str:
+    """What was given, on one short line."""
+    return f"{' '.join(repr(value).split()):.60}"
+
+
+def check_tensor(name: str, value: object, *dims: str | int) -> None:
+    """Raise unless `value` is a floating tensor of shape (..., *dims); a word stands for any size but 0."""
+    form = f"(..., {', '.join(map(str, dims))})"
+    if not isinstance(value, Tensor) or not value.is_floating_point():
+        raise ValueError(f"{name}: must be a floating-point tensor of shape {form}, got {shown(value)}")
+    sizes = value.shape[-len(dims) :]
+    if len(sizes) < len(dims) or any(
+        size == 0 if isinstance(dim, str) else size != dim for size, dim in zip(sizes, dims, strict=True)
+    ):
+        raise ValueError(f"{name}: must have shape {form} with no size 0, got {tuple(value.shape)}")
 
 
 def check_finite(name: str, value: Tensor) -> None:
@@ -63,15 +101,19 @@ def check_at_least(name: str, value: Tensor, low: float, *, strict: bool = False
 
 def check_choice(name: str, value: object, allowed: Collection[str]) -> None:
     """Raise unless `value` is one of the allowed words."""
-    if value not in allowed:
-        raise ValueError(f"{name}: must be one of {', '.join(allowed)}, got {value!r}")
+    if not isinstance(value, str) or value not in allowed:
+        raise ValueError(f"{name}: must be one of {', '.join(allowed)}, got {shown(value)}")
 
 
-def check_count(name: str, value: object, low: int) -> int:
-    """An integer of at least `low`."""
-    if isinstance(value, bool) or not isinstance(value, int) or value < low:
-        raise ValueError(f"{name}: must be an integer of at least {low}, got {value!r}")
-    return value
+def check_count(name: str, value: Any, low: int) -> int:
+    """An integer of at least `low`; numpy's integers count."""
+    try:
+        count = operator.index(value)
+    except TypeError:
+        count = low - 1
+    if isinstance(value, bool) or count < low:
+        raise ValueError(f"{name}: must be an integer of at least {low}, got {shown(value)}")
+    return count
 
 
 def broadcast_shapes(**shapes: tuple[int, ...]) -> torch.Size:

@@ -48,7 +48,7 @@ class OuterProduct:
 
     def unflatten(self, value: Tensor) -> Tensor:
         """(D, P, L, ...) as (*design batch, *task batch, ...)."""
-        value = value.reshape(*self.design_batch, *self.shape_batch, *self.load_batch, *value.shape[3:])
+        value = value.reshape((*self.design_batch, *self.shape_batch, *self.load_batch, *value.shape[3:]))
         lead, tasks = len(self.design_batch), len(self.task_axes)
         order = [*range(lead), *(lead + axis for axis in self.task_axes), *range(lead + tasks, value.ndim)]
         return value.permute(order)

@@ -12,6 +12,7 @@ from torcharm._inputs import (
     broadcast_shapes,
     check_at_least,
     check_finite,
+    shown,
 )
 from torcharm.actuators import Actuator, Bellows, McKibben, check_actuator
 
@@ -54,7 +55,7 @@ class ArmDesign:
                 a limit is negative.
         """
         if not isinstance(actuators, Sequence) or isinstance(actuators, str):
-            raise ValueError(f"actuators: must be a list of force models, got {actuators!r:.60}")
+            raise ValueError(f"actuators: must be a list of force models, got {shown(actuators)}")
         models = tuple(actuators)
         if not models:
             raise ValueError("actuators: must hold at least one force model, got none")
@@ -91,10 +92,11 @@ class ArmDesign:
         return self._map(lambda value: value.reshape(-1, self.actuator_count))
 
     def __getitem__(self, index: int | slice | Tensor | tuple[int | slice | Tensor, ...]) -> "ArmDesign":
-        """The designs at an index into the batch."""
+        """The designs at an index into the batch, as a tensor of shape `batch_shape` is indexed."""
         if not self.batch_shape:
             raise ValueError("index: a single design has no batch to index")
-        return self._map(lambda value: value[index])
+        place = index if isinstance(index, tuple) else (index,)
+        return self._map(lambda value: value[(*place, slice(None))])
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> "ArmDesign":
         """The designs with every tensor changed alike; what was checked stays checked."""
@@ -109,7 +111,8 @@ def _check_last(name: str, value: Tensor, count: int, *, ones: bool) -> None:
     allowed = (count, 1) if ones else (count,)
     if value.ndim == 0 or value.shape[-1] not in allowed:
         raise ValueError(
-            f"{name}: the last dimension must be the number of actuators, {count}, got shape {tuple(value.shape)}"
+            f"{name}: the last dimension must be the number of actuators, {count}{' (or 1)' if ones else ''}, "
+            f"got shape {tuple(value.shape)}"
         )
 
 
@@ -166,5 +169,7 @@ def _mirrored(outer_radius: TensorLike, inner_radius: TensorLike) -> Tensor:
     """Radii (-outer, -inner, inner, outer)."""
     outer, inner = as_floating(outer_radius=outer_radius, inner_radius=inner_radius)
     broadcast_shapes(outer_radius=outer.shape, inner_radius=inner.shape)
+    check_finite("outer_radius", outer)
+    check_finite("inner_radius", inner)
     outer, inner = torch.broadcast_tensors(outer, inner)
     return torch.stack((-outer, -inner, inner, outer), -1)

@@ -108,6 +108,8 @@ def evaluate(
         metrics = (metrics,)
     for metric in metrics:
         check_choice("metrics", metric, METRICS)
+    if not metrics:
+        raise ValueError(f"metrics: must name at least one of {', '.join(METRICS)}, got none")
     check_choice("distance", distance, DISTANCES)
     if power not in (1, 2) or isinstance(power, bool):
         raise ValueError(f"power: must be 1 or 2, got {power!r}")

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torcharm import se2
+from torcharm._inputs import broadcast_shapes, check_tensor
 
 BASE_POSE = (0.0, 0.0, -math.pi / 2)
 """The arm hangs: x right, y up, the base pointing down."""
@@ -23,9 +24,15 @@ def poses(
     Args:
         twists: centreline twists `(l, γ, κ)` per unit of normalised arc [m, m, rad].
         base_pose: pose of node 1 [m, m, rad]; None hangs the arm from the origin.
+
+    Raises:
+        ValueError: shapes do not fit.
     """
+    check_tensor("twists", twists, "N", 3)
     segments = twists.shape[-2]
     base = twists.new_tensor(BASE_POSE) if base_pose is None else base_pose
+    check_tensor("base_pose", base, 3)
+    broadcast_shapes(twists=twists.shape[:-2], base_pose=base.shape[:-1])
     step = se2.exp(twists / segments)
     turned = torch.cat((torch.zeros_like(step[..., :1, 2]), step[..., 2].cumsum(-1)), -1)
     heading = base[..., 2:] + turned

@@ -11,6 +11,7 @@ from torcharm._inputs import (
     TensorLike,
     as_floating,
     broadcast_shapes,
+    check_at_least,
     check_count,
     check_finite,
 )
@@ -81,7 +82,8 @@ def affine_curvature(slope: TensorLike, intercept: TensorLike, length: TensorLik
         nodes: N.
 
     Raises:
-        ValueError: shapes do not broadcast, a value is not finite, or N is no positive integer.
+        ValueError: shapes do not broadcast, a value is not finite, a length is not positive, or N is
+            no positive integer.
     """
     return _polynomial_curvature(length, nodes, slope=slope, intercept=intercept)
 
@@ -103,6 +105,7 @@ def _polynomial_curvature(length: TensorLike, nodes: int, **coefficients: Tensor
     tensors = dict(zip((*coefficients, "length"), as_floating(**coefficients, length=length), strict=True))
     for name, value in tensors.items():
         check_finite(name, value)
+    check_at_least("length", tensors["length"], 0.0, strict=True, unit="m")
     shape = broadcast_shapes(**{name: value.shape for name, value in tensors.items()})
     *powers, along = (value.expand(shape).unsqueeze(-1) for value in tensors.values())
     arc = torch.linspace(0, 1, nodes, dtype=along.dtype, device=along.device)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torcharm import rod, se2
-from torcharm._inputs import as_floating, check_at_least, check_finite
+from torcharm._inputs import as_floating, broadcast_shapes, check_at_least, check_finite, check_tensor
 from torcharm.actuators import Actuator
 from torcharm.arm import ArmDesign
 
@@ -33,8 +33,13 @@ def required_wrench(
         twists: the task's shape [m, m, rad].
         tip_load: `(f_x, f_y, m)` at the tip in the world frame [N, N, N·m].
         base_pose: pose of node 1; None hangs the arm.
+
+    Raises:
+        ValueError: shapes do not fit.
     """
     pose = rod.poses(twists, base_pose)
+    check_tensor("tip_load", tip_load, 3)
+    broadcast_shapes(twists=pose.shape[:-2], tip_load=tip_load.shape[:-1])
     node, tip = pose[..., :-1, :], pose[..., -1:, :]
     force = tip_load[..., None, :2]
     local = se2.rotate(-node[..., 2], force.expand(*_joint(node, force), 2))
@@ -89,7 +94,8 @@ def actuator_force(actuators: tuple[Actuator, ...], strain: Tensor, pressure: Te
     groups = _alike(actuators)
     if len(groups) == 1:
         return actuators[0].force(strain, pressure)
-    force = strain.new_empty(torch.broadcast_shapes(strain.shape, pressure.shape))
+    shape = torch.broadcast_shapes(strain.shape, pressure.shape)
+    force = strain.new_empty(shape, dtype=torch.result_type(strain, pressure))
     for model, members in groups:
         index = (..., members, *(slice(None),) * (-1 - dim))
         force[index] = model.force(strain[index], pressure[index])
@@ -124,13 +130,12 @@ def reaction_wrench(
     (`∂l_α/∂κ = -r_α`) asks for the minus.
 
     Raises:
-        ValueError: a pressure is negative or not finite, or M does not fit.
+        ValueError: a pressure is negative or not finite, or shapes do not fit.
     """
-    (pressure,) = as_floating(pressure=pressure)
-    if pressure.shape[-1] != arm.actuator_count:
-        raise ValueError(
-            f"pressure: must have {arm.actuator_count} in its last dimension, got shape {tuple(pressure.shape)}"
-        )
+    check_tensor("twists", twists, "N", 3)
+    pressure, _ = as_floating(pressure=pressure, radii=arm.radii)
+    check_tensor("pressure", pressure, arm.actuator_count)
+    broadcast_shapes(twists=twists.shape[:-2], pressure=pressure.shape[:-1], radii=arm.batch_shape)
     check_finite("pressure", pressure)
     check_at_least("pressure", pressure, 0.0, unit="kPa")
     length, _, curvature = twists.unsqueeze(-2).unbind(-1)

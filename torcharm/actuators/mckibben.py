@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS
+from torcharm.actuators.protocol import check_numbers
 
 _A1, _A2 = 1.038555666, 0.511454549
 _B1, _B2, _B3 = 1.963398204, -3.169979385, 4.231857967
@@ -13,6 +14,7 @@ _SLACK = (_A1 * _A2**2 / _B1) ** 0.5
 _STRAIN_LIM, _STRAIN_CRIT = -0.274484489, -0.303225592
 _COLLAPSE_RATE = -3.695687763
 _NEVER = 1e30  # a pressure [kPa] that no muscle sees; finite, so that no gradient is 0 · inf
+_TRACE = 1e-30  # a pressure [kPa] as good as none
 
 
 def _extension(x: Tensor) -> Tensor:
@@ -45,13 +47,13 @@ _RISE_RATE = _RECOVERY_LIM / (_STRAIN_LIM - _STRAIN_CRIT) ** 2
 class McKibben:
     """A McKibben muscle: it pulls (force ≤ 0) when pressurised.
 
-    The published piecewise model F is written as one sum whose coefficients depend on strain
-    alone, so that the work per pressure is small and no branch is left unmasked:
+    The published piecewise model F is written with coefficients that depend on strain alone, so
+    that the work per pressure is small; both branches are finite everywhere:
 
-        F = [p < Z] (C + k max(0, p - p_0)) + A max(0, p - Z) + B p^x,    f = -F
+        F = (C + k max(0, p - p_0) if p < Z else A (p - Z)) + B p^x,    f = -F
 
-    in extension (ε ≥ 0) C is E and Z is out of reach; in contraction B is 0. The subgradient at a
-    kink is the one of its passive side (0 for the max).
+    in extension (ε ≥ 0) C is E and Z is out of reach; in contraction B is 0. At a kink the gradient
+    is that of the side to which the published model assigns the point (0 for the max).
 
     Used for strains in [-0.5, 0.05] and pressures up to 100 kPa; monotonic in pressure only for
     strains above -0.303. Beyond +0.05 the cubic of its passive extension explodes.
@@ -61,6 +63,9 @@ class McKibben:
         max_pressure: highest pressure in use [kPa].
         bending_stiffness: K [N·m²] at `max_pressure`.
         force_scale: a factor on the force: 2.0 stands for two of them side by side.
+
+    Raises:
+        ValueError: a limit is not positive, a range is none, or a number is not finite.
     """
 
     strain_range: tuple[float, float] = (-0.5, 0.05)
@@ -68,6 +73,9 @@ class McKibben:
     max_pressure: float = 100.0
     bending_stiffness: float = PAPER_BENDING_STIFFNESS
     force_scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
 
     def force(self, strain: Tensor, pressure: Tensor) -> Tensor:
         """Axial force [N]; strain and pressure [kPa] broadcast."""
@@ -80,12 +88,14 @@ class McKibben:
         pull_rate = torch.where(extended, zero, _A1 * (_A2 + strain).square())
         rise_rate, rise_from = _rise(strain, compression, threshold)
         gain = torch.where(extended, _B1 * (_B2 * strain + _SLACK).square(), zero)
-        exponent = 1.0 + _B3 * strain.relu()
+        exponent = _B3 * torch.where(extended, strain, zero)
 
-        below = (pressure < pull_from).to(strain.dtype)
-        recovering = below * (passive + rise_rate * (pressure - rise_from).relu())
-        pulling = pull_rate * (pressure - pull_from).relu()
-        return (recovering + pulling + gain * pressure**exponent) * -self.force_scale
+        recovering = passive + rise_rate * (pressure - rise_from).relu()
+        pulling = pull_rate * (pressure - pull_from)
+        contracted = torch.where(pressure < pull_from, recovering, pulling)
+        # p exp((x - 1) ln p) instead of p^x: its second derivatives are right, and finite at p = 0.
+        power = pressure * (exponent * pressure.clamp(min=_TRACE).log()).exp()
+        return (contracted + gain * power) * -self.force_scale
 
 
 def _rise(strain: Tensor, compression: Tensor, threshold: Tensor) -> tuple[Tensor, Tensor]:

@@ -1,9 +1,13 @@
 """Force models that are polynomials in strain and pressure, and the paper's bellows among them."""
 
+import math
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+
+from torcharm._inputs import shown
+from torcharm.actuators.protocol import check_numbers
 
 PAPER_BENDING_STIFFNESS = -1.0 / 3.5
 """K [N·m²]; the paper estimated one value for bellows and muscles alike."""
@@ -24,7 +28,8 @@ class PolynomialActuator:
         force_scale: a factor on the force: 2.0 stands for two of them side by side.
 
     Raises:
-        ValueError: a power is negative or no whole number.
+        ValueError: a power is negative or no whole number, a limit is not positive, a range is none,
+            or a number is not finite.
     """
 
     coefficients: Coefficients
@@ -35,9 +40,8 @@ class PolynomialActuator:
     force_scale: float = 1.0
 
     def __post_init__(self) -> None:
-        for i, j, _ in self.coefficients:
-            if int(i) != i or int(j) != j or min(i, j) < 0:
-                raise ValueError(f"coefficients: powers must be whole and at least 0, got ({i}, {j})")
+        object.__setattr__(self, "coefficients", _terms(self.coefficients))
+        check_numbers(self)
 
     @property
     def linear_in_pressure(self) -> bool:
@@ -54,16 +58,30 @@ class PolynomialActuator:
 
     def _rows(self) -> list[list[float]]:
         """`rows[j][i] = c_ij`: for each power of pressure a polynomial in strain."""
-        strain_degree = max((i for i, _, _ in self.coefficients), default=0)
-        pressure_degree = max((j for _, j, _ in self.coefficients), default=0)
+        strain_degree = max([0, *(i for i, _, _ in self.coefficients)])
+        pressure_degree = max([0, *(j for _, j, _ in self.coefficients)])
         rows = [[0.0] * (strain_degree + 1) for _ in range(pressure_degree + 1)]
         for i, j, c in self.coefficients:
             rows[j][i] += c * self.force_scale
         return rows
 
 
+def _terms(coefficients: Coefficients) -> Coefficients:
+    """The terms, checked, as a tuple with powers that are integers."""
+    try:
+        terms = [(float(i), float(j), float(c)) for i, j, c in coefficients]
+    except (TypeError, ValueError):
+        raise ValueError(f"coefficients: must be terms (i, j, c) of numbers, got {shown(coefficients)}") from None
+    for i, j, c in terms:
+        if not (i.is_integer() and j.is_integer() and min(i, j) >= 0):
+            raise ValueError(f"coefficients: powers must be whole and at least 0, got ({i:g}, {j:g})")
+        if not math.isfinite(c):
+            raise ValueError(f"coefficients: must be finite, got {c} at powers ({i:g}, {j:g})")
+    return tuple((int(i), int(j), c) for i, j, c in terms)
+
+
 def _horner(row: list[float], x: Tensor) -> Tensor:
-    degree = max((i for i, c in enumerate(row) if c != 0), default=0)
+    degree = max([0, *(i for i, c in enumerate(row) if c != 0)])
     total = torch.full_like(x, row[degree])
     for c in reversed(row[:degree]):
         total = total * x + c

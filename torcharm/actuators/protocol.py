@@ -1,8 +1,11 @@
 """What torcharm asks of a force model, and the questions it asks on the model's behalf."""
 
-from typing import Protocol, runtime_checkable
+import math
+from typing import Any, Protocol, runtime_checkable
 
 from torch import Tensor
+
+from torcharm._inputs import shown
 
 
 @runtime_checkable
@@ -13,7 +16,7 @@ class Actuator(Protocol):
     registered. Make it hashable (a frozen dataclass is) and equal to its copies: actuators that
     compare equal are evaluated together.
 
-    Two more members are optional. `linear_in_pressure = True` says that the force is an affine
+    One more member is optional. `linear_in_pressure = True` says that the force is an affine
     function of pressure at every strain, which lets two samples stand for the whole curve.
     """
 
@@ -49,13 +52,38 @@ MEMBERS = ("force", "bending_stiffness", "max_pressure", "strain_range", "pressu
 
 
 def check_actuator(name: str, actuator: object) -> None:
-    """Raise a ValueError unless the object has the five members of an actuator."""
+    """Raise a ValueError unless the object has the five members of an actuator, with numbers in them."""
     missing = [member for member in MEMBERS if not hasattr(actuator, member)]
     if isinstance(actuator, type) or missing:
         what = "a class (an instance is needed)" if isinstance(actuator, type) else f"no {', '.join(missing)}"
         raise ValueError(
-            f"{name}: must be a force model such as Bellows() or McKibben(), got {actuator!r:.60} with {what}"
+            f"{name}: must be a force model such as Bellows() or McKibben(), got {shown(actuator)} with {what}"
         )
+    check_numbers(actuator, f"{name}.")
+
+
+def check_numbers(actuator: Any, prefix: str = "") -> None:
+    """Raise a ValueError, naming the field, unless the numbers of a force model make sense."""
+    for field, low, allowed in (
+        ("max_pressure", 0.0, "finite and above 0 kPa"),
+        ("bending_stiffness", -math.inf, "a finite number"),
+        ("force_scale", -math.inf, "a finite number"),
+    ):
+        value = getattr(actuator, field, 1.0)
+        if not low < _number(value) < math.inf:
+            raise ValueError(f"{prefix}{field}: must be {allowed}, got {shown(value)}")
+    for field in ("strain_range", "pressure_range"):
+        value = getattr(actuator, field)
+        ends = [_number(end) for end in value] if isinstance(value, (tuple, list)) else []
+        if len(ends) != 2 or not ends[0] <= ends[1]:
+            raise ValueError(f"{prefix}{field}: must be two numbers (lowest, highest), got {shown(value)}")
+
+
+def _number(value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return math.nan
 
 
 def is_linear_in_pressure(actuator: Actuator) -> bool:

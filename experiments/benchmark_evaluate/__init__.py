@@ -1,0 +1,1 @@
+"""How fast the evaluator is, how that grows, and against what."""

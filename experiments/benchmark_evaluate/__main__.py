@@ -1,0 +1,3 @@
+from experiments.benchmark_evaluate.run import main
+
+main()

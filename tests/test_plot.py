@@ -1,0 +1,457 @@
+import dataclasses
+import subprocess
+import sys
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+import torch
+
+import torcharm as ta
+
+mpl.use("Agg")
+from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
+from matplotlib.quiver import Quiver
+
+from torcharm import plot, se2
+
+TWISTS = ta.affine_curvature(-0.5, 0.5, length=0.5, nodes=8)
+LOADS = ta.sample_loads(30, (20, 20, 2))
+TASK = ta.Task(TWISTS, LOADS)
+PLANAR = (0, 2)
+VALUES = {
+    "one": torch.tensor([[0.0, 1.0], [2.0, 30.0]]),
+    "two": torch.tensor([5.0, 7.0, float("nan"), 9.0, float("inf")]),
+}
+
+
+@pytest.fixture(autouse=True)
+def _close():
+    yield
+    plt.close("all")
+
+
+def linear_actuator():
+    return ta.PolynomialActuator(((0, 1, 2.0), (1, 0, -100.0)), (-0.3, 0.3), (0.0, 50.0), 50.0, bending_stiffness=0.0)
+
+
+def mixed_arm():
+    models = [ta.Bellows(), ta.McKibben(), linear_actuator(), ta.McKibben(), ta.Bellows()]
+    return ta.ArmDesign([-0.08, -0.04, 0.0, 0.04, 0.08], 0.5, models)
+
+
+def segment_arm():
+    """One actuator: hulls are segments, and relative hulls points."""
+    return ta.ArmDesign([0.02], 0.5, [linear_actuator()])
+
+
+def point_arm():
+    """No pressure: hulls are points."""
+    return ta.ArmDesign([0.02, -0.02], 0.5, [linear_actuator()] * 2, [0.0, 0.0])
+
+
+def deep_axes():
+    return Figure().add_subplot(projection="3d")
+
+
+def by_gid(axes, prefix):
+    return [line for line in axes.lines if str(line.get_gid()).startswith(prefix)]
+
+
+def points(line):
+    return np.stack(line.get_data_3d(), -1)
+
+
+def sequences(axes, gid, nodes):
+    """The loads' lines (L, N, 3), without the breaks between them."""
+    (line,) = by_gid(axes, gid)
+    path = points(line).reshape(-1, nodes + 1, 3)
+    assert np.isnan(path[:, -1]).all()
+    return path[:, :-1]
+
+
+def legend_text(axes):
+    return " | ".join(text.get_text() for text in axes.get_legend().get_texts())
+
+
+def arrows(axes):
+    return [artist for artist in axes.collections if isinstance(artist, Quiver)]
+
+
+def forces(axes):
+    return np.concatenate([np.stack((quiver.U, quiver.V), -1) for quiver in arrows(axes)])
+
+
+def rows(array):
+    return sorted(map(tuple, np.round(np.asarray(array), 9)))
+
+
+def test_package_loads_no_matplotlib():
+    code = "import sys, torcharm; sys.exit(any(m.split('.')[0] in ('matplotlib', 'mpl_toolkits') for m in sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+class TestArmShape:
+    def test_actuators_lie_at_their_offsets(self):
+        arm = mixed_arm()
+        axes = plot.arm_shape(arm, TWISTS)
+        node = ta.poses(TWISTS)
+        kinds = ["bellows", "muscle", "other", "muscle", "bellows"]
+        curves = [line for line in axes.lines if line.get_gid() in kinds]
+        assert [line.get_gid() for line in curves] == kinds
+        for line, radius in zip(curves, arm.radii, strict=True):
+            offset = torch.stack((0 * radius, radius, 0 * radius)).expand(len(node), 3)
+            expected = se2.compose(node, offset)[:, :2].numpy()
+            np.testing.assert_allclose(line.get_xydata()[:: plot.SMOOTHING], expected, atol=1e-12)
+            assert line.get_color() == plot.KIND_STYLES[line.get_gid()][0]
+
+    def test_centreline_passes_through_the_nodes(self):
+        base = (0.1, 0.2, 0.3)
+        axes = plot.arm_shape(ta.bellows_arm(), TWISTS, base_pose=base)
+        (line,) = [line for line in axes.lines if line.get_label() == "centreline"]
+        expected = ta.poses(TWISTS, torch.tensor(base, dtype=torch.float64))[:, :2]
+        np.testing.assert_allclose(line.get_xydata()[:: plot.SMOOTHING], expected, atol=1e-12)
+
+    def test_base_plate_is_square_to_the_arm_and_spans_it(self):
+        axes = plot.arm_shape(ta.bellows_arm(), TWISTS, base_pose=(0.0, 0.0, 0.0))
+        (plate,) = [line for line in axes.lines if line.get_label() == "base"]
+        assert np.ptp(plate.get_xdata()) == 0.0
+        assert plate.get_ydata().min() < -0.08
+        assert plate.get_ydata().max() > 0.08
+
+    def test_load_is_one_arrow_with_its_size(self):
+        axes = plot.arm_shape(ta.antagonistic_arm(), TWISTS, tip_load=[3.0, -4.0, 0.25])
+        (quiver,) = arrows(axes)
+        np.testing.assert_allclose(quiver.get_offsets(), ta.poses(TWISTS)[-1:, :2], atol=1e-12)
+        assert rows(forces(axes)) == [(3.0, -4.0)]
+        assert "tip load, 5 N, 0.25 N·m" in legend_text(axes)
+        longest = plot.LONGEST_ARROW * 0.5
+        assert 5.0 / quiver.scale == pytest.approx(longest)
+
+    def test_axes_and_legend(self):
+        ax = Figure().add_subplot()
+        assert plot.arm_shape(mixed_arm(), TWISTS, ax=ax) is ax
+        assert not arrows(ax)
+        assert (ax.get_xlabel(), ax.get_ylabel()) == ("x [m]", "y [m]")
+        assert ax.get_aspect() == 1.0
+        assert all(text in legend_text(ax) for text in ("bellows (2)", "muscle (2)", "other (1)", "base", "centreline"))
+
+    def test_makes_axes(self):
+        assert plot.arm_shape(segment_arm(), TWISTS[None]).name == "rectilinear"
+
+    def test_takes_what_requires_gradients(self):
+        radius = torch.tensor(0.08, dtype=torch.float64, requires_grad=True)
+        load = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64, requires_grad=True)
+        plot.arm_shape(ta.antagonistic_arm(radius), TWISTS.clone().requires_grad_(), tip_load=load)
+
+    @pytest.mark.parametrize(
+        ("field", "change"),
+        [
+            ("arm", {"arm": ta.antagonistic_arm(torch.tensor([0.05, 0.08]))}),
+            ("twists", {"twists": TWISTS.expand(3, -1, -1)}),
+            ("tip_load", {"tip_load": LOADS}),
+            ("ax", {"ax": deep_axes()}),
+        ],
+    )
+    def test_errors_name_the_field(self, field, change):
+        given = {"arm": ta.antagonistic_arm(), "twists": TWISTS, **change}
+        with pytest.raises(ValueError, match=f"^{field}: must .*got"):
+            plot.arm_shape(**given)
+
+
+class TestTaskShape:
+    def test_one_arrow_a_load_from_the_tip(self):
+        ax = Figure().add_subplot()
+        assert plot.task_shape(TASK, ax=ax) is ax
+        assert rows(forces(ax)) == rows(LOADS[:, :2])
+        offsets = np.asarray(arrows(ax)[0].get_offsets())
+        np.testing.assert_allclose(offsets, ta.poses(TWISTS)[-1:, :2].expand(30, 2), atol=1e-12)
+
+    def test_legend_gives_the_scale_of_forces(self):
+        axes = plot.task_shape(TASK)
+        longest = LOADS[:, :2].norm(dim=-1).max()
+        assert f"30 tip loads, up to {longest:.3g} N" in legend_text(axes)
+        assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [m]", "y [m]")
+
+    def test_arrows_lie_inside_the_axes(self):
+        axes = plot.task_shape(TASK)
+        (quiver,) = arrows(axes)
+        ends = np.asarray(quiver.get_offsets()) + forces(axes) / quiver.scale
+        (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+        assert left < ends[:, 0].min() < ends[:, 0].max() < right
+        assert bottom < ends[:, 1].min() < ends[:, 1].max() < top
+
+    def test_loads_without_force(self):
+        axes = plot.task_shape(ta.Task(TWISTS, [0.0, 0.0, 1.0]))
+        axes.figure.canvas.draw()
+        assert "tip load, 0 N, 1 N·m" in legend_text(axes)
+
+    def test_same_shape_in_a_batch_is_one_shape(self):
+        assert len(forces(plot.task_shape(ta.Task(TWISTS.expand(5, 1, -1, -1), LOADS)))) == 150
+
+    def test_several_shapes(self):
+        several = ta.Task(ta.affine_curvature([0.0, 1.0], 0.5, nodes=8), LOADS[:2])
+        with pytest.raises(ValueError, match=r"^task: must hold one shape, got 2;"):
+            plot.task_shape(several)
+
+    def test_no_load(self):
+        with pytest.raises(ValueError, match=r"^task: must hold at least one shape and load, got batch shape"):
+            plot.task_shape(ta.Task(TWISTS, torch.zeros(0, 3)))
+
+
+class TestHullsAlongArm:
+    @pytest.mark.parametrize("relative", [False, True])
+    @pytest.mark.parametrize("how", [{}, {"hull": "edges", "samples": 3}])
+    def test_polygons_are_the_hulls(self, relative, how):
+        arm = ta.antagonistic_arm()
+        axes = plot.hulls_along_arm(arm, TASK, relative=relative, **how)
+        vertices = ta.wrench_hulls(arm, TWISTS, relative=relative, **how).vertices
+        outlines = by_gid(axes, "hull")
+        assert [line.get_gid() for line in outlines] == [f"hull {node}" for node in range(1, 9)]
+        for node, (line, polygon) in enumerate(zip(outlines, vertices, strict=True), 1):
+            ring = points(line)
+            assert (ring[:, 0] == node).all()
+            np.testing.assert_allclose(ring[:-1, 1:], polygon)
+            np.testing.assert_allclose(ring[-1], ring[0])
+        assert len(axes.collections) == 8
+
+    @pytest.mark.parametrize("relative", [False, True])
+    def test_lines_are_the_required_wrenches(self, relative):
+        arm = ta.antagonistic_arm()
+        axes = plot.hulls_along_arm(arm, TASK, relative=relative)
+        required = ta.required_wrench(TWISTS, LOADS)[..., PLANAR]
+        if relative:
+            required = required - required[:, :1]
+        found = ta.evaluate(arm, TASK)
+        held = (found.relative if relative else found.absolute) == 0
+        assert 0 < held.sum() < 30  # both kinds are seen
+        for gid, chosen in (("attainable", held), ("not attainable", ~held)):
+            lines = sequences(axes, gid, 8)
+            assert (lines[..., 0] == np.arange(1, 9)).all()
+            np.testing.assert_allclose(lines[..., 1:], required[chosen], atol=1e-12)
+            assert f"required, {gid}: {chosen.sum()} of 30" in legend_text(axes)
+
+    def test_attainable_and_not_differ_in_more_than_colour(self):
+        axes = plot.hulls_along_arm(ta.antagonistic_arm(), TASK)
+        (held,), (missed,) = by_gid(axes, "attainable"), by_gid(axes, "not attainable")
+        assert held.get_color() != missed.get_color()
+        assert held.get_linestyle() != missed.get_linestyle()
+
+    def test_dots_are_the_wrenches_inside(self):
+        arm = ta.antagonistic_arm()
+        (dots,) = by_gid(plot.hulls_along_arm(arm, TASK), "inside")
+        inside = ta.evaluate(arm, TASK).absolute_per_node == 0
+        assert rows(points(dots)[:, 1:]) == rows(ta.required_wrench(TWISTS, LOADS)[..., PLANAR][inside])
+
+    def test_loads_choose(self):
+        axes = plot.hulls_along_arm(ta.antagonistic_arm(), TASK, loads=[7, 2])
+        drawn = np.concatenate([sequences(axes, gid, 8) for gid in ("attainable", "not attainable")])
+        expected = ta.required_wrench(TWISTS, LOADS[[7, 2]])[..., PLANAR]
+        assert rows(drawn[..., 1:].reshape(-1, 2)) == rows(expected.reshape(-1, 2))
+
+    def test_axes_labels_and_limits(self):
+        ax = deep_axes()
+        assert plot.hulls_along_arm(ta.bellows_arm(), TASK, ax=ax) is ax
+        assert "node" in ax.get_xlabel()
+        assert "[N]" in ax.get_ylabel()
+        assert "[N·m]" in ax.get_zlabel()
+        vertices = ta.wrench_hulls(ta.bellows_arm(), TWISTS).vertices
+        assert ax.get_ylim()[0] < vertices[..., 0].min() < vertices[..., 0].max() < ax.get_ylim()[1]
+        assert ax.get_zlim()[0] < vertices[..., 1].min() < vertices[..., 1].max() < ax.get_zlim()[1]
+
+    def test_relative_labels_say_so(self):
+        axes = plot.hulls_along_arm(ta.bellows_arm(), TASK, relative=True)
+        assert "f_{x,1}" in axes.get_ylabel()
+        assert "m_1" in axes.get_zlabel()
+
+    @pytest.mark.parametrize("make", [segment_arm, point_arm, mixed_arm])
+    @pytest.mark.parametrize("relative", [False, True])
+    def test_any_hull_and_a_single_load(self, make, relative):
+        axes = plot.hulls_along_arm(make(), ta.Task(TWISTS, LOADS[0]), relative=relative)
+        axes.figure.canvas.draw()
+        assert len(by_gid(axes, "hull")) == 8
+
+    def test_one_node(self):
+        twists = ta.affine_curvature(0.0, 0.5, nodes=1)
+        plot.hulls_along_arm(ta.bellows_arm(), ta.Task(twists, LOADS)).figure.canvas.draw()
+
+    @pytest.mark.parametrize(
+        ("field", "change"),
+        [
+            ("arm", {"arm": ta.antagonistic_arm(torch.tensor([0.05, 0.08]))}),
+            ("task", {"task": ta.Task(ta.affine_curvature([0.0, 1.0], 0.5, nodes=8), LOADS[:2])}),
+            ("loads", {"loads": [30]}),
+            ("loads", {"loads": []}),
+            ("hull", {"hull": "round"}),
+            ("samples", {"samples": 1}),
+            ("ax", {"ax": Figure().add_subplot()}),
+        ],
+    )
+    def test_errors_name_the_field(self, field, change):
+        given = {"arm": ta.antagonistic_arm(), "task": TASK, **change}
+        with pytest.raises(ValueError, match=f"^{field}: must .*got"):
+            plot.hulls_along_arm(**given)
+
+
+class TestNodeHull:
+    @pytest.mark.parametrize("relative", [False, True])
+    @pytest.mark.parametrize("node", [1, 5, 8])
+    def test_polygon_and_points(self, node, relative):
+        arm, ax = ta.antagonistic_arm(), Figure().add_subplot()
+        assert plot.node_hull(arm, TASK, node, relative=relative, ax=ax) is ax
+        polygon = ta.wrench_hulls(arm, TWISTS, relative=relative).vertices[node - 1]
+        np.testing.assert_allclose(ax.patches[0].get_xy()[: len(polygon)], polygon)
+        required = ta.required_wrench(TWISTS, LOADS)[..., PLANAR]
+        if relative:
+            required = required - required[:, :1]
+        distance = ta.distance_to_hull(required[:, node - 1], polygon)
+        _, inside, outside = ax.lines
+        assert rows(inside.get_xydata()) == rows(required[distance == 0, node - 1])
+        assert rows(outside.get_xydata()) == rows(required[distance > 0, node - 1])
+        assert inside.get_marker() != outside.get_marker()
+        assert f"inside: {(distance == 0).sum()} of 30" in legend_text(ax)
+        assert "[N]" in ax.get_xlabel()
+        assert "[N·m]" in ax.get_ylabel()
+
+    @pytest.mark.parametrize("node", [0, 9, -1, True])
+    def test_node_out_of_range(self, node):
+        with pytest.raises(ValueError, match=r"^node: must be an integer from 1 \(base\) to 8, got"):
+            plot.node_hull(ta.bellows_arm(), TASK, node)
+
+
+class TestHistogram:
+    def test_medians_are_lines_and_in_the_legend(self):
+        ax = Figure().add_subplot()
+        assert plot.unattainability_histogram(VALUES, ax=ax, unit="mN") is ax
+        assert [line.get_xdata()[0] for line in ax.lines] == [1.5, 7.0]
+        assert "one: median 1.5 mN, 1 of 4 attainable" in legend_text(ax)
+        assert "two: median 7 mN, 0 of 5 attainable, 2 not finite" in legend_text(ax)
+        assert ax.get_xlabel() == "unattainability [mN]"
+        assert ax.get_ylabel() == "number of tasks"
+
+    def test_bars_count_over_shared_bins(self):
+        axes = plot.unattainability_histogram(VALUES)
+        first, second = axes.patches[:30], axes.patches[31:61]  # each with its outline after it
+        assert sum(bar.get_height() for bar in first) == 4
+        assert sum(bar.get_height() for bar in second) == 3
+        assert [bar.get_x() for bar in first] == [bar.get_x() for bar in second]
+
+    def test_arms_differ_in_more_than_colour(self):
+        axes = plot.unattainability_histogram(VALUES)
+        assert len({line.get_color() for line in axes.lines}) == 2
+        assert len({line.get_linestyle() for line in axes.lines}) == 2
+
+    def test_all_alike(self):
+        plot.unattainability_histogram({"one": torch.zeros(3)}).figure.canvas.draw()
+
+    @pytest.mark.parametrize("values", [{}, {"one": torch.empty(0)}, {"one": torch.tensor([float("nan")])}])
+    def test_nothing_finite(self, values):
+        with pytest.raises(ValueError, match=r"^values: must hold at least one finite value, got none"):
+            plot.unattainability_histogram(values)
+
+
+class TestStudyFigure:
+    ARMS = (
+        ("antagonistic", ta.antagonistic_arm()),
+        ("five", mixed_arm()),
+        ("single", segment_arm()),
+        ("limp", point_arm()),
+    )
+
+    @staticmethod
+    def draw(arms, task=TASK, **kwargs):
+        results = [ta.evaluate(arm, task) for _, arm in arms]
+        return plot.study_figure(arms, "a task", task, results, **kwargs), results
+
+    @pytest.mark.parametrize("count", [1, 2, 4])
+    def test_a_column_an_arm_and_a_panel_a_metric(self, count, tmp_path):
+        figure, _ = self.draw(self.ARMS[:count])
+        kinds = [axes.name for axes in figure.axes]
+        assert kinds == ["rectilinear", "3d"] * count + ["rectilinear"] * 2
+        figure.savefig(tmp_path / "study.png", dpi=30)
+        assert not plt.get_fignums()
+
+    def test_titles_say_what_was_found(self):
+        figure, (first, second) = self.draw(self.ARMS[:3:2])
+        held = (first.absolute == 0).sum()
+        title = figure.axes[0].get_title()
+        assert f"antagonistic: absolute median {np.median(first.absolute):.3g} N, {held} of 30 attainable" in title
+        assert f"relative median {np.median(first.relative):.3g} N" in title
+        assert "extrapolates" not in title
+        least, most = np.median(first.absolute), np.median(second.absolute)
+        assert least < most
+        ranking = f"antagonistic {least:.3g} N, single {most:.3g} N"
+        assert figure.get_suptitle() == f"a task\nmedian absolute unattainability: {ranking}"
+
+    def test_titles_say_what_lies_outside_the_models(self):
+        bent = ta.Task(ta.affine_curvature(-3.0, 3.0, length=0.5, nodes=8), LOADS)
+        figure, (result,) = self.draw(self.ARMS[:1], bent)
+        excess = f"{result.strain_excess.max():.2g}"
+        assert f"extrapolates: strain {excess} beyond range" in figure.axes[0].get_title()
+        pressed = ta.ArmDesign([-0.05, 0.05], 0.5, [ta.Bellows()] * 2, [100.0, 100.0])
+        figure, _ = self.draw([("pressed", pressed)])
+        assert "extrapolates: pressure limits" in figure.axes[0].get_title()
+
+    def test_loads_are_told_apart_by_what_was_found(self):
+        figure, (result,) = self.draw(self.ARMS[:1])
+        held = result.absolute == 0
+        missed, kept = arrows(figure.axes[0])
+        assert rows(np.stack((kept.U, kept.V), -1)) == rows(LOADS[held, :2])
+        assert rows(np.stack((missed.U, missed.V), -1)) == rows(LOADS[~held, :2])
+        assert len(sequences(figure.axes[1], "attainable", 8)) == held.sum()
+
+    def test_arms_are_drawn_at_one_scale(self):
+        figure, _ = self.draw(self.ARMS[:3])
+        deep = [axes for axes in figure.axes if axes.name == "3d"]
+        assert len({(axes.get_ylim(), axes.get_zlim()) for axes in deep}) == 1
+
+    def test_histograms_hold_the_medians(self):
+        figure, results = self.draw(self.ARMS[:2])
+        for axes, metric in zip(figure.axes[-2:], ("absolute", "relative"), strict=True):
+            medians = [float(np.median(getattr(result, metric))) for result in results]
+            assert [line.get_xdata()[0] for line in axes.lines] == pytest.approx(medians)
+            assert axes.get_xlabel() == f"{metric} unattainability [N]"
+
+    def test_first_of_several_shapes(self):
+        shapes = ta.affine_curvature([-0.5, 0.5], 0.5, length=0.5, nodes=8)
+        figure, (result,) = self.draw(self.ARMS[:1], ta.Task(shapes[:, None], LOADS))
+        assert "drawn: the first of 2 shapes, 30 of 60 tasks; numbers: all tasks" in figure.get_suptitle()
+        assert f"{(result.absolute == 0).sum()} of 60 attainable" in figure.axes[0].get_title()
+        assert len(sequences(figure.axes[1], "attainable", 8)) == (result.absolute[0] == 0).sum()
+        assert rows(forces(figure.axes[0])) == rows(LOADS[:, :2])
+
+    def test_metrics_missing(self, tmp_path):
+        results = [ta.evaluate(arm, TASK) for _, arm in self.ARMS[:2]]
+        results[0] = dataclasses.replace(results[0], absolute=None)
+        figure = plot.study_figure(self.ARMS[:2], "a task", TASK, results)
+        assert figure.axes[0].get_title().startswith("antagonistic: relative median")
+        absolute, relative = figure.axes[-2:]
+        assert (len(absolute.lines), len(relative.lines)) == (1, 2)
+        assert absolute.lines[0].get_color() == relative.lines[1].get_color()  # an arm keeps its colour
+        results = [dataclasses.replace(result, absolute=None, relative=None) for result in results]
+        figure = plot.study_figure(self.ARMS[:2], "a task", TASK, results)
+        assert len(figure.axes) == 4
+        assert figure.axes[0].get_title() == "antagonistic: no metric evaluated"
+        figure.savefig(tmp_path / "study.png", dpi=30)
+
+    def test_nothing_finite(self):
+        result = ta.evaluate(self.ARMS[0][1], TASK)
+        lost = dataclasses.replace(result, absolute=torch.full_like(result.absolute, float("nan")))
+        figure = plot.study_figure(self.ARMS[:1], "a task", TASK, [lost])
+        figure.canvas.draw()
+        assert "median nan N, 0 of 30 attainable, 30 not finite" in figure.axes[0].get_title()
+
+    def test_errors_name_the_field(self):
+        arm = ta.antagonistic_arm()
+        result = ta.evaluate(arm, TASK)
+        with pytest.raises(ValueError, match=r"^results: must be one or more arms of different names, got"):
+            plot.study_figure([("a", arm), ("a", arm)], "a task", TASK, [result] * 2)
+        with pytest.raises(ValueError, match=r"^results: must be one or more arms"):
+            plot.study_figure([], "a task", TASK, [])
+        with pytest.raises(ValueError, match=r"^results\[0\]: must be one design"):
+            plot.study_figure([("a", ta.antagonistic_arm(torch.tensor([0.05, 0.08])))], "a task", TASK, [result])
+        with pytest.raises(ValueError, match=r"^evaluated: must hold one entry for each of the 1 results, got 2"):
+            plot.study_figure([("a", arm)], "a task", TASK, [result] * 2)
+        with pytest.raises(ValueError, match=r"^evaluated\[0\].absolute: must hold one value for each of 5 tasks, got"):
+            plot.study_figure([("a", arm)], "a task", ta.Task(TWISTS, LOADS[:5]), [result])
