@@ -2,7 +2,6 @@ import csv
 import dataclasses
 import inspect
 import os
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import pytest
 import torch
 
 import torcharm as ta
+from torcharm.hulls import DEFAULT_SAMPLES
 from torcharm.study import (
     NamedArm,
     NamedTask,
@@ -90,18 +90,25 @@ def test_example_loads_and_some_of_its_tasks_are_attainable():
     assert any(0 < summary.all_attainable < summary.loads for summary in summaries)
 
 
-def test_examples_commented_values_are_the_defaults():
-    marked = [
-        line.removeprefix("# ") for line in example_text().splitlines() if line.startswith("# ") and " = " in line
-    ]
-    text = example_text().split("[evaluate]")[1].replace("# ", "", 1)
-    for line in marked:
-        if line.split(" = ")[0] in {"hull", "weights", "power", "signed", "distance"}:
-            text += f"\n{line}"
-    options = tomllib.loads("\n".join(line for line in text.splitlines() if not line.startswith("#")))
-    for key, value in options.items():
-        expected = getattr(Settings(), key)
-        assert (tuple(value) if isinstance(value, list) else value) == expected
+def test_examples_commented_lines_are_the_defaults():
+    text = example_text()
+    for key in ("max_pressure", "base_pose", "hull", "samples", "weights", "power", "signed", "distance"):
+        assert f"\n# {key} = " in text
+        text = text.replace(f"\n# {key} = ", f"\n{key} = ")
+    plain, spelt_out = parse_study(example_text()), parse_study(text)
+    assert replace(spelt_out.settings, samples=None) == plain.settings == Settings()
+    assert spelt_out.settings.samples == DEFAULT_SAMPLES["exact"]
+    torch.testing.assert_close(spelt_out.arms[0].design.max_pressure, plain.arms[0].design.max_pressure)
+    torch.testing.assert_close(spelt_out.tasks[1].task.base_pose, plain.tasks[1].task.base_pose, atol=1e-4, rtol=0)
+
+
+def test_examples_alternatives_load():
+    lines = [line.removeprefix("# ") for line in example_text().splitlines()]
+    model = " ".join(line.split("(in the")[0].strip() for line in lines if '{ kind = "poly' in line or "60 }" in line)
+    (twists,) = (line for line in lines if line.startswith("twists = "))
+    study = parse_study(study_text(f"radii = [0]\nlength = 0.5\nactuators = [{model}]", f"{twists}\n{LOADS}"))
+    assert isinstance(study.arms[0].design.actuators[0], ta.PolynomialActuator)
+    assert study.tasks[0].task.nodes == 3
 
 
 def test_defaults_are_those_of_evaluate():
@@ -336,6 +343,13 @@ def test_a_hand_made_study_of_many_shapes(tmp_path):
     with (tmp_path / "results.csv").open() as file:
         found = [float(row["absolute"]) for row in csv.DictReader(file)]
     assert found == result.metric("absolute").flatten().tolist()
+
+
+def test_a_hand_made_study_of_a_single_task(tmp_path):
+    task = NamedTask("one", ta.Task(ta.affine_curvature(-3.0, 3.0), [0.0, 0.0, 0.0]))
+    (result,) = evaluate_study(Study("by hand", "", (NamedArm("arm", ta.bellows_arm()),), (task,), Settings()))
+    assert summarise(result).loads == write_results(tmp_path / "results.csv", [result]) == 1
+    assert summarise(result).median["absolute"] == result.metric("absolute").item()
 
 
 def test_results_of_different_metrics_make_no_table(tmp_path):

@@ -6,10 +6,11 @@ from functools import reduce
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
-TensorLike = Tensor | float | int | Sequence[Any]
+TensorLike = Tensor | npt.NDArray[Any] | float | int | Sequence[Any]
 """Whatever `torch.as_tensor` understands: tensors, numbers, nested lists, numpy arrays."""
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from types import EllipsisType
 
 import torch
 from torch import Tensor
@@ -15,6 +16,8 @@ from torcharm._inputs import (
     shown,
 )
 from torcharm.actuators import Actuator, Bellows, McKibben, check_actuator
+
+Index = int | slice | EllipsisType | Tensor
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -91,7 +94,7 @@ class ArmDesign:
         """The same designs as a batch of one dimension."""
         return self._map(lambda value: value.reshape(-1, self.actuator_count))
 
-    def __getitem__(self, index: int | slice | Tensor | tuple[int | slice | Tensor, ...]) -> "ArmDesign":
+    def __getitem__(self, index: Index | tuple[Index, ...]) -> "ArmDesign":
         """The designs at an index into the batch, as a tensor of shape `batch_shape` is indexed."""
         if not self.batch_shape:
             raise ValueError("index: a single design has no batch to index")

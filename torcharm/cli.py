@@ -27,7 +27,7 @@ _UsageError: type[Exception] = typer.BadParameter.__bases__[0]  # click's own, w
 app = typer.Typer(
     name="torcharm",
     help="Can a soft continuum arm hold these shapes under these loads, and if not, by how much does it miss?",
-    epilog="Example: [bold]torcharm init[/] writes study.toml, [bold]torcharm evaluate study.toml[/] evaluates it.",
+    epilog="Example: torcharm init writes study.toml, torcharm evaluate study.toml evaluates it.",
     rich_markup_mode="rich",
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -41,7 +41,7 @@ def main() -> None:
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
     try:
-        code = app(prog_name="torcharm", standalone_mode=False)
+        code = app(sys.argv[1:] or ["--help"], prog_name="torcharm", standalone_mode=False)
     except _UsageError as error:
         _fail(error.format_message() if hasattr(error, "format_message") else str(error))
     except (typer.Abort, KeyboardInterrupt):
@@ -72,26 +72,25 @@ def _mistakes() -> Iterator[None]:
         _fail(str(error))
 
 
-def _show_version(wanted: bool) -> None:
+def _show_version(wanted: bool) -> bool:
     if wanted:
         from torcharm import __version__
 
         typer.echo(f"torcharm {__version__}")
         raise typer.Exit
+    return wanted
 
 
-@app.callback(invoke_without_command=True)
+@app.callback()
 def _root(
-    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
-    if context.invoked_subcommand is None:
-        context.get_help()  # prints it
+    pass  # holds the options of torcharm itself; `main` shows the help if there are none
 
 
-@app.command(epilog="Example: [bold]torcharm init arms.toml[/]")
+@app.command(epilog="Example: torcharm init arms.toml")
 def init(
     path: Annotated[Path, typer.Argument(help="Where to write it.")] = Path("study.toml"),
     force: Annotated[bool, typer.Option("--force", help="Overwrite the file if there is one.")] = False,
@@ -108,7 +107,7 @@ def init(
         _say(_console(), f"Wrote {path}. Evaluate it with: torcharm evaluate {path}")
 
 
-@app.command(epilog="Example: [bold]torcharm evaluate study.toml --out results.csv --figure picture.png[/]")
+@app.command(epilog="Example: torcharm evaluate study.toml --out results.csv --figure picture.png")
 def evaluate(
     study: Annotated[
         Path | None, typer.Argument(help="A study, as TOML. Without one, the paper's validation.", show_default=False)

@@ -231,7 +231,7 @@ def summarise(result: StudyResult) -> Summary:
         median={name: float(np.median(value.detach().cpu().numpy())) for name, value in values.items()},
         attainable={name: int((value <= 0).sum()) for name, value in values.items()},
         all_attainable=int(result.attainable.sum()),
-        worst_node=None if distance is None else int(_worst_node(distance.flatten(0, -2).mean(0))) or None,
+        worst_node=None if distance is None else int(_worst_node(_mean_over_loads(distance))) or None,
         strain_excess=float(result.attainability.strain_excess.max()),
         limits_in_range=bool((design.max_pressure <= characterised).all()),
     )
@@ -279,6 +279,11 @@ def _rows(result: StudyResult) -> Iterator[list[object]]:
         yield [result.arm.name, result.task.name, index, *load, *metrics, node or "", *truths, excess]
 
 
+def _mean_over_loads(distance: Tensor) -> Tensor:
+    """(N,) from (*task batch, N)."""
+    return distance.reshape(-1, distance.shape[-1]).mean(0)
+
+
 def _worst_node(distance: Tensor) -> Tensor:
     """(...) From 1, the node with the largest of the distances (..., N) or the first NaN; 0 if all are 0."""
     largest, index = distance.max(-1)
@@ -295,12 +300,13 @@ def _refuse(text: str, key: str = "") -> PydanticCustomError:
 
 def _shown(value: object) -> str:
     """A value much as it stands in the file, cut to a readable length."""
-    if isinstance(value, dict):
-        return f"a table with {', '.join(value)}" if value else "an empty table"
     try:
-        text = (
-            json.dumps(value, ensure_ascii=False, default=str) if isinstance(value, str | bool | list) else str(value)
-        )
+        if isinstance(value, dict):
+            text = f"a table with {', '.join(value)}" if value else "an empty table"
+        elif isinstance(value, str | bool | list):
+            text = json.dumps(value, ensure_ascii=False, default=str)
+        else:
+            text = str(value)
     except ValueError:  # Python writes out no integer of more than 4300 digits
         text = "a very large number"
     return text if len(text) <= 60 else f"{text[:57]}..."

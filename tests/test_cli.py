@@ -1,0 +1,370 @@
+import csv
+import os
+import re
+import signal
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import torcharm as ta
+from torcharm import cli, study
+
+STUDY = """
+name = "two tasks"
+[[arm]]
+name = "[red]bellows[/red] ✓"
+kind = "bellows"
+[[arm]]
+name = "an arm with a name that is far too long for a column of a table"
+kind = "antagonistic"
+[[task]]
+name = "straight"
+twists = [[0.5, 0, 0], [0.5, 0, 0]]
+loads = [[0, 0, 0]]
+[[task]]
+name = "bent"
+shape = { kind = "affine", slope = -3, intercept = 3 }
+loads = { count = 4 }
+"""
+
+
+@pytest.fixture
+def study_file(tmp_path: Path) -> Path:
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY, encoding="utf-8")
+    return path
+
+
+def invoke(*args: object) -> str:
+    """Standard output of a command that succeeds, run in this process."""
+    result = CliRunner().invoke(cli.app, [str(arg) for arg in args], env={"COLUMNS": "80"})
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def mistake(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *args: object) -> str:
+    """The one line, less its start, on which `main` ends."""
+    monkeypatch.setattr(sys, "argv", ["torcharm", *map(str, args)])
+    with pytest.raises(SystemExit) as caught:
+        cli.main()
+    output = capsys.readouterr()
+    assert caught.value.code == 2
+    assert output.out == ""
+    assert output.err.startswith("torcharm: ")
+    assert output.err.count("\n") == 1
+    return output.err.removeprefix("torcharm: ").strip()
+
+
+def run(*args: object, **env: str) -> subprocess.CompletedProcess[bytes]:
+    """The command as a process of its own, into a pipe."""
+    clean = {key: value for key, value in os.environ.items() if key not in {"FORCE_COLOR", "COLUMNS"}}
+    command = [sys.executable, "-m", "torcharm.cli", *map(str, args)]
+    return subprocess.run(command, capture_output=True, timeout=120, env=clean | env, check=False)
+
+
+# Evaluate
+
+
+def test_the_papers_table_holds_what_evaluate_found():
+    output = invoke("evaluate")
+    task = ta.Task(ta.affine_curvature(-3.0, 3.0), ta.sample_loads(100))
+    for name, arm in (("antagonistic", ta.antagonistic_arm()), ("bellows-only", ta.bellows_arm())):
+        found = ta.evaluate(arm, task)
+        (row,) = (line.split() for line in output.splitlines() if line.startswith(name))
+        assert float(row[1]) == pytest.approx(found.absolute.quantile(0.5).item(), rel=1e-3)
+        assert float(row[2]) == pytest.approx(found.relative.quantile(0.5).item(), rel=1e-3)
+        assert int(row[3]) == int((found.absolute == 0).sum())
+        assert int(row[4]) == int(((found.absolute == 0) & (found.relative == 0)).sum())
+        assert int(row[5]) == int(found.absolute_per_node.mean(0).argmax()) + 1
+        assert row[6:] == ["yes,", "by", f"{found.strain_excess.max().item():.2g}"]
+    assert "shape (-3, 3), 10 nodes, 100 loads" in output
+    assert "Strains are up to 0.31 out of range: there the force models are extrapolated." in output
+    assert re.search(r"2 arms on 1 task: 200 evaluations in [\d.e-]+ s\.", output)
+
+
+def test_every_line_fits_80_columns(study_file):
+    for output in (invoke("evaluate"), invoke("evaluate", study_file)):
+        assert max(len(line) for line in output.splitlines()) <= 80
+
+
+def test_names_are_text_and_not_markup(study_file):
+    output = invoke("evaluate", study_file)
+    assert "[red]bellow" in output
+    assert "\x1b" not in output
+    assert output.index("straight") < output.index("bent")
+    assert "1 load\n" in output
+    assert "4 loads\n" in output
+
+
+def test_attainable_tasks_have_no_worst_node(study_file):
+    (row,) = (line for line in invoke("evaluate", study_file).split("Task bent")[0].splitlines() if "an arm" in line)
+    assert row.split()[-2:] == ["-", "no"]
+
+
+def test_nothing_is_noted_in_range(tmp_path):
+    (tmp_path / "study.toml").write_text(study.example_text(), encoding="utf-8")
+    output = invoke("evaluate", tmp_path / "study.toml")
+    assert "extrapolated" not in output
+    assert "yes, by" not in output
+
+
+def test_limits_out_of_range_are_noted(tmp_path, study_file):
+    text = STUDY.replace('kind = "bellows"', 'kind = "bellows"\nmax_pressure = 95')
+    study_file.write_text(text, encoding="utf-8")
+    assert "Pressure limits are out of range" in invoke("evaluate", study_file)
+
+
+@pytest.mark.parametrize(("metric", "other"), [("absolute", "relative"), ("relative", "absolute")])
+def test_a_metric_not_asked_for_has_no_column(study_file, metric, other):
+    study_file.write_text(f'{STUDY}\n[evaluate]\nmetrics = ["{metric}"]', encoding="utf-8")
+    output = invoke("evaluate", study_file)
+    assert metric in output
+    assert other not in output
+    assert "both" not in output
+    assert "worst" in output
+
+
+def test_the_legend_tells_the_unit(study_file):
+    assert "N, with 1 N·m counted as 1 N" in invoke("evaluate", study_file)
+    study_file.write_text(f"{STUDY}\n[evaluate]\npower = 2", encoding="utf-8")
+    output = invoke("evaluate", study_file)
+    assert "N², with 1 N·m counted as 1 N" in output
+    assert "squared distance" in output
+    study_file.write_text(f"{STUDY}\n[evaluate]\nweights = [4, 0.5]\nsigned = true", encoding="utf-8")
+    output = invoke("evaluate", study_file)
+    assert "sqrt(4 f² + 0.5 m²)" in output
+    assert "≤ 0" in output
+
+
+def test_out_writes_a_row_for_every_load(tmp_path, study_file):
+    path = tmp_path / "results.csv"
+    assert f"Wrote {path} (200 rows)." in invoke("evaluate", "--out", path)
+    with path.open(encoding="utf-8", newline="") as file:
+        assert len(list(csv.DictReader(file))) == 200
+    assert f"Wrote {path} (10 rows)." in invoke("evaluate", study_file, "--out", path)
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["task"], row["arm"]) for row in rows[:2]] == [
+        ("straight", "[red]bellows[/red] ✓"),
+        ("straight", "an arm with a name that is far too long for a column of a table"),
+    ]
+
+
+def test_figure_draws_each_task(monkeypatch, tmp_path, study_file):
+    drawn, saved = [], []
+
+    def study_figure(*args):
+        drawn.append(args)
+        return types.SimpleNamespace(savefig=saved.append)
+
+    monkeypatch.setitem(sys.modules, "torcharm.plot", types.SimpleNamespace(study_figure=study_figure))
+    output = invoke("evaluate", study_file, "--figure", tmp_path / "figure.PNG")
+    assert saved == [tmp_path / "figure-1.PNG", tmp_path / "figure-2.PNG"]
+    assert f"Wrote {tmp_path / 'figure-2.PNG'} (bent)." in output
+    plan = study.load_study(study_file)
+    for (arms, name, task, evaluated), expected in zip(drawn, plan.tasks, strict=True):
+        assert [arm_name for arm_name, _ in arms] == [arm.name for arm in plan.arms]
+        assert all(isinstance(design, ta.ArmDesign) for _, design in arms)
+        assert name == expected.name
+        assert task.batch_shape == expected.task.batch_shape
+        assert [found.absolute.shape for found in evaluated] == [task.batch_shape] * 2
+
+    assert f"Wrote {tmp_path / 'figure.png'} (shape (-3, 3))." in invoke(
+        "evaluate", "--figure", tmp_path / "figure.png"
+    )
+    assert saved[-1] == tmp_path / "figure.png"
+
+
+def test_figure_is_a_picture(tmp_path):
+    pytest.importorskip("torcharm.plot")
+    path = tmp_path / "figure.png"
+    invoke("evaluate", "--figure", path)
+    assert path.read_bytes().startswith(b"\x89PNG")
+
+
+# Init, version, help
+
+
+def test_init_writes_the_example_and_does_not_overwrite(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    assert "torcharm evaluate study.toml" in invoke("init")
+    path = tmp_path / "study.toml"
+    assert path.read_text(encoding="utf-8") == study.example_text()
+    invoke("evaluate", path)
+
+    path.write_text("mine")
+    assert mistake(monkeypatch, capsys, "init") == "study.toml: is there already; --force overwrites it"
+    assert path.read_text() == "mine"
+    invoke("init", "--force")
+    assert path.read_text(encoding="utf-8") == study.example_text()
+    invoke("init", "other.toml")
+    assert (tmp_path / "other.toml").exists()
+
+
+def test_version():
+    assert invoke("--version") == f"torcharm {ta.__version__}\n"
+
+
+@pytest.mark.parametrize("args", [[], ["--help"]])
+def test_help(monkeypatch, capsys, args):
+    monkeypatch.setattr(sys, "argv", ["torcharm", *args])
+    with pytest.raises(SystemExit) as caught:
+        cli.main()
+    assert caught.value.code == 0
+    output = capsys.readouterr().out
+    for word in ("evaluate", "init", "--version", "Example"):
+        assert word in output
+
+
+@pytest.mark.parametrize(
+    ("command", "example"),
+    [
+        ("evaluate", "torcharm evaluate study.toml --out results.csv --figure picture.png"),
+        ("init", "torcharm init arms.toml"),
+    ],
+)
+def test_help_of_each_command_shows_an_example(command, example):
+    assert f"Example: {example}" in re.sub(r"\x1b\[[\d;]*m", "", invoke(command, "--help"))
+
+
+# Mistakes
+
+
+@pytest.mark.parametrize(
+    ("args", "parts"),
+    [
+        (["evaluate", "missing.toml"], ["missing.toml: ", "No such file"]),
+        (["evaluate", "."], [".: cannot be read"]),
+        (
+            ["evaluate", "bad.toml"],
+            ['bad.toml: arm[1].kind: must be one of antagonistic, bellows, mckibben, got "belows"'],
+        ),
+        (["evaluate", "--out", "."], ["--out: .: is a directory"]),
+        (
+            ["evaluate", "--out", "nowhere/results.csv"],
+            ["--out: nowhere/results.csv: the directory nowhere does not exist"],
+        ),
+        (
+            ["evaluate", "--figure", "figure.docx"],
+            ["--figure: figure.docx: must end in one of .png, .pdf", "got .docx"],
+        ),
+        (["evaluate", "--figure", "figure"], ["--figure: figure: must end in one of .png", "got no ending"]),
+        (["evaluate", "--figure", "nowhere/figure.png"], ["--figure: nowhere/figure.png: the directory"]),
+        (["evaluate", "--out", "a.png", "--figure", "a.png"], ["--figure: a.png: is the file of --out"]),
+        (["evaluate", "bad.toml", "--out", "./bad.toml"], ["--out: bad.toml: is the study itself"]),
+        (["evaluate", "--quick"], ["No such option", "--quick"]),
+        (["evaluate", "--out"], ["--out", "requires an argument"]),
+        (["evaluate", "a.toml", "b.toml"], ["unexpected extra argument", "b.toml"]),
+        (["evalute"], ["No such command 'evalute'"]),
+        (["init", "nowhere/study.toml"], ["nowhere/study.toml: No such file or directory"]),
+        (["init", ".", "--force"], [".: "]),
+    ],
+)
+def test_mistakes_are_one_line(monkeypatch, capsys, tmp_path, args, parts):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bad.toml").write_text('name = "x"\ntask = []\n[[arm]]\nname = "a"\nkind = "belows"')
+    message = mistake(monkeypatch, capsys, *args)
+    for part in parts:
+        assert part in message
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.toml"]
+
+
+def test_outputs_are_checked_before_the_work(monkeypatch, capsys):
+    monkeypatch.setattr(study, "evaluate_study", lambda plan: pytest.fail("the work was done"))
+    mistake(monkeypatch, capsys, "evaluate", "--out", "nowhere/results.csv")
+    mistake(monkeypatch, capsys, "evaluate", "--figure", "figure.txt")
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="permissions do not stop this user")
+def test_outputs_without_permission(monkeypatch, capsys, tmp_path):
+    tmp_path.chmod(0o500)
+    assert "cannot be written, Permission denied" in mistake(
+        monkeypatch, capsys, "evaluate", "--out", tmp_path / "results.csv"
+    )
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [(OSError(28, "No space left on device"), "No space left on device"), (MemoryError(), "not enough memory")],
+)
+def test_failures_on_the_way_are_one_line(monkeypatch, capsys, error, line):
+    def fail(plan):
+        raise error
+
+    monkeypatch.setattr(study, "evaluate_study", fail)
+    assert line in mistake(monkeypatch, capsys, "evaluate")
+
+
+def test_a_defect_keeps_its_traceback(monkeypatch):
+    def fail(plan):
+        raise RuntimeError("a defect")
+
+    monkeypatch.setattr(study, "evaluate_study", fail)
+    monkeypatch.setattr(sys, "argv", ["torcharm", "evaluate"])
+    with pytest.raises(RuntimeError, match="a defect"):
+        cli.main()
+
+
+def test_interruption_is_one_line(monkeypatch, capsys):
+    def interrupt(plan):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(study, "evaluate_study", interrupt)
+    monkeypatch.setattr(sys, "argv", ["torcharm", "evaluate"])
+    with pytest.raises(SystemExit) as caught:
+        cli.main()
+    assert caught.value.code == 130
+    assert capsys.readouterr().err == "torcharm: interrupted\n"
+
+
+# As a process
+
+
+def test_process_writes_plain_text_and_results(tmp_path):
+    path = tmp_path / "results.csv"
+    done = run("evaluate", "--out", path, PYTHONIOENCODING="utf-8")
+    assert (done.returncode, done.stderr) == (0, b"")
+    output = done.stdout.decode()
+    assert "\x1b" not in output
+    assert max(len(line) for line in output.splitlines() if str(path) not in line) <= 80
+    assert len(path.read_text(encoding="utf-8").splitlines()) == 201
+
+
+def test_process_copes_with_a_narrow_encoding(study_file):
+    done = run("evaluate", study_file, PYTHONIOENCODING="ascii")
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"bellow" in done.stdout
+
+
+def test_process_ends_in_one_line_after_a_mistake():
+    done = run("evaluate", "missing.toml")
+    assert (done.returncode, done.stdout) == (2, b"")
+    assert done.stderr.decode().splitlines() == ["torcharm: missing.toml: cannot be read: No such file or directory"]
+
+
+def test_entry_point():
+    script = Path(sys.executable).with_name("torcharm")
+    if not script.exists():
+        pytest.skip("torcharm is not installed beside this Python")
+    done = subprocess.run([script, "--version"], capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stdout) == (0, f"torcharm {ta.__version__}\n")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C is no signal there")
+def test_process_is_interrupted_by_a_signal():
+    slow = (
+        "import sys, time; from torcharm import cli, study;"
+        "study.evaluate_study = lambda plan: (print('working', flush=True), time.sleep(60));"
+        "sys.argv = ['torcharm', 'evaluate']; cli.main()"
+    )
+    with subprocess.Popen([sys.executable, "-c", slow], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"working\n"
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert errors == b"torcharm: interrupted\n"
