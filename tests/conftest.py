@@ -1,5 +1,6 @@
-"""Shapes in signatures are checked at run time for as long as the tests run."""
+"""Shapes in signatures are checked at run time for as long as the tests run; tensors are small, so one thread does."""
 
+import torch
 from hypothesis import HealthCheck, settings
 from jaxtyping import install_import_hook
 
@@ -10,3 +11,5 @@ settings.register_profile(
     "torcharm", deadline=None, derandomize=True, max_examples=50, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("torcharm")
+
+torch.set_num_threads(1)

@@ -6,10 +6,10 @@ It shares nothing with torcharm: scalar arithmetic, matrix exponentials, Qhull, 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 
 import numpy as np
-from scipy.linalg import expm
 from scipy.spatial import ConvexHull, QhullError
 
 HANGING = (0.0, 0.0, -math.pi / 2)
@@ -92,11 +92,21 @@ def pose_matrix(pose) -> np.ndarray:
     return np.array([[cos, -sin, x], [sin, cos, y], [0, 0, 1]])
 
 
+def matrix_exponential(matrix: np.ndarray) -> np.ndarray:
+    """The power series, for matrices of moderate size (scipy's wakes its threads for every call)."""
+    total = term = np.eye(len(matrix))
+    for order in range(1, 40):
+        term = term @ matrix / order
+        total = total + term
+    return total
+
+
 def node_matrices(twists, base_pose=HANGING) -> list[np.ndarray]:
     """N+1 homogeneous matrices, by products of matrix exponentials."""
     nodes = [pose_matrix(base_pose)]
     for length, shear, turn in np.asarray(twists):
-        nodes.append(nodes[-1] @ expm(np.array([[0, -turn, length], [turn, 0, shear], [0, 0, 0]]) / len(twists)))
+        generator = np.array([[0, -turn, length], [turn, 0, shear], [0, 0, 0]])
+        nodes.append(nodes[-1] @ matrix_exponential(generator / len(twists)))
     return nodes
 
 
@@ -153,6 +163,7 @@ def curves(arm: Arm, twist, samples: int) -> np.ndarray:
     )
 
 
+@cache
 def edge_indices(actuators: int, samples: int) -> np.ndarray:
     """(points, M) sample indices of the paper: every edge of the pressure box, `samples` points each."""
     rows = []
@@ -182,17 +193,17 @@ def box_points(table: np.ndarray) -> np.ndarray:
 
 def hull(points) -> np.ndarray:
     """Corners of the convex hull, counter-clockwise: one, two or more of them."""
-    points = np.unique(np.asarray(points, dtype=float), axis=0)
-    if len(points) < 3:
-        return points
+    points = np.asarray(points, dtype=float)
     try:
         return points[ConvexHull(points - points.mean(0)).vertices]
-    except QhullError:
-        return segment(points)
+    except (QhullError, ValueError):  # without area, or fewer than three points
+        return segment(np.unique(points, axis=0))
 
 
 def segment(points: np.ndarray) -> np.ndarray:
-    """The two ends of points on a line."""
+    """The two ends of different points on a line, or the only one."""
+    if len(points) < 3:
+        return points
     away = points - points[0]
     far = away[np.argmax(np.hypot(*away.T))]
     along = away @ far

@@ -1,5 +1,7 @@
 import math
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import oracle
@@ -7,12 +9,32 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from jaxtyping import config
 from torch.autograd import gradcheck, gradgradcheck
 
 import torcharm as ta
 
 every_kind = pytest.mark.parametrize("kind", ["exact", "edges"])
 every_metric = pytest.mark.parametrize("metric", ["absolute", "relative"])
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _one_thread():
+    """Tensors this small are slower on several threads."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+@contextmanager
+def unchecked():
+    """Without the run-time check of signatures, which takes most of the time of many small calls."""
+    config.update("jaxtyping_disable", True)
+    try:
+        yield
+    finally:
+        config.update("jaxtyping_disable", False)
 
 
 def double(values, *, grad=False):
@@ -116,45 +138,40 @@ def random_case(seed):
         oracle.Arm(tuple(radii), tuple(lengths), tuple(limits), twins),
         twists,
         rng.uniform(-1, 1, size=(2, 3)) * [40.0, 40.0, 4.0] * rng.choice([0.02, 0.2, 1.0, 5.0], size=(2, 1)),
-        samples=int(rng.integers(2, 10 if count < 6 else 6)),
+        samples=int(rng.integers(2, 10 if count < 5 else 6 if count < 7 else 4)),
         weights=(1.0, 1.0) if seed % 3 == 0 else (float(rng.uniform(0.1, 3)), float(rng.uniform(0.1, 500))),
         base_pose=oracle.HANGING if seed % 5 else tuple(rng.uniform(-2, 2, 3)),
     )
 
 
 @pytest.mark.parametrize("seed", range(250))
+@unchecked()
 def test_evaluate_agrees_with_the_oracle(seed):
     case = random_case(seed)
-    for kind in ("exact", "edges"):
+    for kind in ("exact", "edges") if seed % 4 < 2 else ("exact",):
         expected = case.expect(kind)
         options = {"rtol": 1e-9, "atol": 1e-12 * max(each.size for each in expected)}
-        signed = case.evaluate(hull=kind, signed=True)
-        unsigned = case.evaluate(hull=kind)
-        squared = case.evaluate(hull=kind, power=2)
-        signed_squared = case.evaluate(hull=kind, power=2, signed=True)
+        signed, power = seed % 8 < 4, 1 + (seed % 16 < 8)
+        result = case.evaluate(hull=kind, signed=signed, power=power)
         for metric in ("absolute", "relative"):
             per_node = np.array([getattr(each, metric) for each in expected])
-            np.testing.assert_allclose(getattr(signed, metric + "_per_node"), per_node, **options)
-            np.testing.assert_allclose(getattr(unsigned, metric + "_per_node"), per_node.clip(min=0), **options)
-            for result, power, sign in (
-                (unsigned, 1, False),
-                (signed, 1, True),
-                (squared, 2, False),
-                (signed_squared, 2, True),
-            ):
-                totals = [oracle.total(nodes, metric, power=power, signed=sign) for nodes in per_node]
-                np.testing.assert_allclose(getattr(result, metric), totals, **options)
+            totals = [oracle.total(nodes, metric, power=power, signed=signed) for nodes in per_node]
+            if not signed:
+                per_node = per_node.clip(min=0)
+            np.testing.assert_allclose(getattr(result, metric + "_per_node"), per_node, **options)
+            np.testing.assert_allclose(getattr(result, metric), totals, **options)
 
 
+@unchecked()
 def test_the_random_cases_cover_what_they_are_meant_to():
-    cases = [random_case(seed) for seed in range(250)]
+    cases = [random_case(seed) for seed in range(100)]
     assert {case.arm.actuator_count for case in cases} == set(range(1, 9))
     assert {len(case.twists) for case in cases} == set(range(1, 7))
     assert {case.samples for case in cases} == set(range(2, 10))
     results = [case.evaluate(signed=True) for case in cases]
-    assert sum((result.absolute < 0).sum() for result in results) > 10
-    assert sum((result.absolute_per_node < 0).sum() for result in results) > 100
-    assert sum((result.relative_per_node < 0).sum() for result in results) > 50
+    assert sum((result.absolute < 0).sum() for result in results) > 5
+    assert sum((result.absolute_per_node < 0).sum() for result in results) > 50
+    assert sum((result.relative_per_node < 0).sum() for result in results) > 20
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -171,6 +188,7 @@ def test_required_wrench_is_both_plain_statics_and_the_adjoints(seed):
 
 
 @pytest.mark.parametrize("seed", range(0, 60, 2))
+@unchecked()
 def test_edges_lie_within_the_exact_hull_of_the_same_samples(seed):
     case = random_case(seed)
     exact, edges = (case.evaluate(hull=kind, signed=True) for kind in ("exact", "edges"))
@@ -180,13 +198,17 @@ def test_edges_lie_within_the_exact_hull_of_the_same_samples(seed):
 
 
 def test_edges_are_a_true_inner_approximation():
-    task = ta.Task(ta.affine_curvature(-3.0, 3.0), ta.sample_loads(50))
-    exact, edges = (ta.evaluate(ta.antagonistic_arm(), task, hull=kind, samples=3) for kind in ("exact", "edges"))
-    assert (edges.absolute > exact.absolute + 1e-3).sum() > 25
+    # Identical curves bulge together, but on an edge of the pressure box only one is between its ends.
+    arched = ta.PolynomialActuator(((0, 1, 4.0), (0, 2, -0.08)), (-0.5, 0.5), (0.0, 40.0), 40.0)
+    arm = ta.ArmDesign([0.02] * 3, 0.5, [arched] * 3)
+    task = ta.Task(ta.affine_curvature(0.0, 0.5, nodes=2), [[0.0, 200.0, 0.0]])
+    exact, edges = (ta.evaluate(arm, task, ("absolute",), hull=kind, samples=9) for kind in ("exact", "edges"))
+    assert edges.absolute > 1.1 * exact.absolute > 0
 
 
 @pytest.mark.parametrize("samples", [3, 5, 9])
 @pytest.mark.parametrize("relative", [False, True])
+@unchecked()
 def test_any_pressure_reacts_within_the_exact_hull_grown_by_the_sampling_error(samples, relative):
     arm, twists = ta.bellows_arm(), ta.affine_curvature(-1.0, 1.2, nodes=4)
     hulls = ta.wrench_hulls(arm, twists, samples=samples, relative=relative)
@@ -207,18 +229,26 @@ def test_any_pressure_reacts_within_the_exact_hull_grown_by_the_sampling_error(s
     assert torch.all(bound < 5.2 * (2 / (samples - 1)) ** 2)
 
 
-@every_metric
-def test_error_falls_fourfold_with_each_doubling_of_the_intervals(metric):
+@pytest.mark.parametrize(
+    ("arm", "metric"),
+    [  # not the relative sets of muscles: at kinks between samples the error falls by halves
+        (ta.bellows_arm(), "absolute"),
+        (ta.bellows_arm(), "relative"),
+        (ta.antagonistic_arm(), "absolute"),
+    ],
+    ids=["bellows, absolute", "bellows, relative", "antagonistic, absolute"],
+)
+@unchecked()
+def test_error_falls_fourfold_with_each_doubling_of_the_intervals(arm, metric):
     task = ta.Task(ta.affine_curvature(-3.0, 3.0), ta.sample_loads(100))
-    arm = ta.antagonistic_arm()
 
     def values(samples):
         return getattr(ta.evaluate(arm, task, (metric,), samples=samples), metric)
 
     finest = values(257)
-    errors = [(values(intervals + 1) - finest).abs().sum().item() for intervals in (4, 8, 16, 32)]
-    for coarse, fine in zip(errors, errors[1:], strict=False):
-        assert 3.4 < coarse / fine < 4.8
+    errors = [(values(intervals + 1) - finest).abs().sum().item() for intervals in (8, 16, 32)]
+    for coarse, fine in pairwise(errors):
+        assert 3.5 < coarse / fine < 4.5
 
 
 @every_kind
@@ -258,7 +288,7 @@ BATCHES = {
     "shapes under one load": ((2,), random_twists(4), random_loads(), (4,)),
     "pairs": ((2,), random_twists(4), random_loads(4), (4,)),
     "shapes by loads": ((2, 3), random_twists(3, 1), random_loads(4), (3, 4)),
-    "loads by shapes": ((2, 3), random_twists(4), random_loads(3, 1), (3, 4)),
+    "loads by shapes": ((2,), random_twists(4), random_loads(3, 1), (3, 4)),
     "loads by shapes, pairwise": ((2,), random_twists(4), random_loads(3, 4), (3, 4)),
     "interleaved": ((2,), random_twists(2, 1, 3), random_loads(4, 1), (2, 4, 3)),
     "interleaved, loads of their own": ((2, 1), random_twists(2, 1, 3), random_loads(2, 4, 3), (2, 4, 3)),
@@ -279,7 +309,8 @@ def looped(arm, twists, loads, batch, **options):
         for task in np.ndindex(*batch):
             one = arm[design] if design else arm
             # a batch of one, so that this does not hinge on the case without any batch
-            results[(*design, *task)] = ta.evaluate(one, ta.Task(twists[task], loads[task][None]), **options)
+            with unchecked():
+                results[(*design, *task)] = ta.evaluate(one, ta.Task(twists[task], loads[task][None]), **options)
     return results
 
 
@@ -292,11 +323,10 @@ FIELDS = ("absolute", "relative", "absolute_per_node", "relative_per_node", "str
 
 
 @every_batch
-@every_kind
-def test_batched_equals_looped(designs, twists, loads, batch, kind):
+def test_batched_equals_looped(designs, twists, loads, batch):
     arm, _ = random_arms(*designs)
-    result = ta.evaluate(arm, ta.Task(twists, loads), hull=kind, signed=True)
-    singles = looped(arm, twists, loads, batch, hull=kind, signed=True)
+    result = ta.evaluate(arm, ta.Task(twists, loads), signed=True)
+    singles = looped(arm, twists, loads, batch, signed=True)
     assert len(singles) == math.prod((*designs, *batch))
     for field in FIELDS:
         nodes = (4,) if "node" in field else ()
@@ -315,7 +345,8 @@ def test_a_single_design_on_a_single_task_gives_scalars():
 
 
 @every_batch
-@pytest.mark.parametrize("chunk_size", [1, 2, 7])
+@pytest.mark.parametrize("chunk_size", [1, 7])
+@unchecked()
 def test_results_do_not_depend_on_the_chunk_size(designs, twists, loads, batch, chunk_size):
     arm, _ = random_arms(*designs)
     whole = ta.evaluate(arm, ta.Task(twists, loads), signed=True)
@@ -325,8 +356,8 @@ def test_results_do_not_depend_on_the_chunk_size(designs, twists, loads, batch, 
 
 
 @every_batch
-@every_kind
-@pytest.mark.parametrize("chunk_size", [1, 7, None])
+@pytest.mark.parametrize(("kind", "chunk_size"), [("exact", None), ("exact", 3), ("edges", None)])
+@unchecked()
 def test_asking_for_gradients_leaves_the_values(designs, twists, loads, batch, kind, chunk_size):
     arm, _ = random_arms(*designs)
     tracked, _ = random_arms(*designs, grad=True)
@@ -337,9 +368,12 @@ def test_asking_for_gradients_leaves_the_values(designs, twists, loads, batch, k
         assert_same(getattr(result, field).detach(), getattr(plain, field))
 
 
-@every_batch
-@pytest.mark.parametrize("chunk_size", [1, 2, 7])
-def test_gradients_do_not_depend_on_the_chunk_size(designs, twists, loads, batch, chunk_size):
+@pytest.mark.parametrize("name", ["nothing", "pairs", "loads by shapes", "interleaved", "shared by stride"])
+@pytest.mark.parametrize("chunk_size", [1, 7])
+@unchecked()
+def test_gradients_do_not_depend_on_the_chunk_size(name, chunk_size):
+    designs, twists, loads, _ = BATCHES[name]
+
     def gradients(chunk_size):
         arm, tensors = random_arms(*designs, grad=True)
         shape, load = twists.detach().requires_grad_(), loads.detach().requires_grad_()
@@ -429,6 +463,7 @@ class Scene:
 
 
 @given(scenes(), numbers(-7, 7), numbers(-9, 9), numbers(-9, 9))
+@unchecked()
 def test_rotating_and_moving_the_world_leaves_the_result(scene, angle, x, y):
     cos, sin = math.cos(angle), math.sin(angle)
     turn = double([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
@@ -438,6 +473,7 @@ def test_rotating_and_moving_the_world_leaves_the_result(scene, angle, x, y):
 
 
 @given(scenes())
+@unchecked()
 def test_the_mirror_image_has_the_same_result(scene):
     # Mirrored about the vertical through the hanging base: x, θ and shear change sign, and so do f_x and m.
     scene.assert_same_distances(
@@ -451,6 +487,7 @@ def test_the_mirror_image_has_the_same_result(scene):
 
 
 @given(scenes(), st.randoms(use_true_random=False))
+@unchecked()
 def test_the_order_of_the_actuators_is_free(scene, random):
     order = random.sample(range(len(scene.models)), len(scene.models))
     scene.assert_same_distances(
@@ -464,6 +501,7 @@ def test_the_order_of_the_actuators_is_free(scene, random):
 
 
 @given(scenes(), numbers(0.1, 10.0))
+@unchecked()
 def test_another_unit_of_length_is_undone_by_the_weights(scene, factor):
     # Forces stay, moments grow with lengths; so does K/length if K grows with their square.
     scaled = replace(
@@ -478,6 +516,7 @@ def test_another_unit_of_length_is_undone_by_the_weights(scene, factor):
 
 
 @given(scenes(), numbers(0.1, 10.0))
+@unchecked()
 def test_scaling_both_weights_scales_distances_by_the_root(scene, factor):
     torch.testing.assert_close(
         scene.distances(weights=(factor, factor)), scene.distances() * factor**0.5, rtol=1e-9, atol=1e-10
@@ -485,6 +524,7 @@ def test_scaling_both_weights_scales_distances_by_the_root(scene, factor):
 
 
 @given(scenes())
+@unchecked()
 def test_an_actuator_without_pressure_or_force_changes_nothing(scene):
     idle = ta.PolynomialActuator((), (-1.0, 1.0), (0.0, 1.0), 1.0, bending_stiffness=0.0)
     scene.assert_same_distances(
@@ -499,6 +539,7 @@ def test_an_actuator_without_pressure_or_force_changes_nothing(scene):
 
 
 @given(scenes(), numbers(1.0, 2.0))
+@unchecked()
 def test_more_pressure_never_makes_a_distance_grow(scene, factor):
     linear = tuple(
         ta.PolynomialActuator(((0, 1, 1.0 + index), (1, 0, -30.0)), (-1.0, 1.0), (0.0, 99.0), 30.0)
@@ -517,14 +558,8 @@ def test_more_pressure_never_makes_a_distance_grow(scene, factor):
 
 def attainable_scene():
     """A bellows arm, and a two-segment shape and load that it holds well inside its limits in both metrics."""
-    arm = ta.bellows_arm()
-    twists = double([[0.55, 0.0, 0.3], [0.56, 0.0, -0.2]])
-    pressure = double([23.0, 30.0, 26.0, 27.0])
-    reaction = ta.reaction_wrench(arm, twists, pressure).numpy()
-    # the required (f, m) of both nodes is linear in the load: the best load in the sense of least squares
-    unit = np.array([oracle.required_wrenches(twists, load)[:, [0, 2]].ravel() for load in np.eye(3)]).T
-    load, *_ = np.linalg.lstsq(unit, reaction.ravel(), rcond=None)
-    return arm, twists, double(load)
+    twists = double([[0.58, 0.0, 0.77], [0.60, 0.0, -0.99]])
+    return ta.bellows_arm(), twists, double([-7.67, 87.22, -2.73])
 
 
 @every_kind
@@ -625,48 +660,46 @@ def test_a_pressure_limit_beyond_the_characterisation_is_out_of_range(limit, in_
 
 
 def gradient_scene(seed, kind):
-    """Leaves, and the sum of a metric as a function of them; muscles are bent away from their kinks."""
+    """Leaves, and a metric summed over loads as a function of them; muscles are bent away from their kinks."""
     rng = np.random.default_rng(seed)
     models = [ta.Bellows(), ta.McKibben(), ta.McKibben(), ta.Bellows()] if kind == "mixed" else [ta.Bellows()] * 4
     leaves = {
-        "radii": double([-0.07, -0.02, 0.015, 0.06] + rng.uniform(-0.005, 0.005, 4), grad=True),
-        "lengths": double(rng.uniform(0.5, 0.53, 4), grad=True),
+        "radii": double(rng.normal([-0.07, -0.02, 0.015, 0.06], 0.003), grad=True),
+        "length": double(rng.uniform(0.5, 0.53, (1, 4)), grad=True),
         "max_pressure": double([40.0, 80.0, 90.0, 45.0], grad=True),
-        "twists": double(rng.uniform([0.47, -0.02, -1.2], [0.5, 0.02, 1.2], (5, 3)), grad=True),
+        "twists": double(rng.uniform([0.47, -0.02, -1.2], [0.5, 0.02, 1.2], (1, 5, 3)), grad=True),
         "tip_load": double(rng.uniform(-1, 1, (3, 3)) * [15.0, 15.0, 3.0], grad=True),
     }
 
-    def total(metric, power=1, **values):
-        values = {name: values.get(name, leaf) for name, leaf in leaves.items()}
-        arm = ta.ArmDesign(values["radii"], values["lengths"][None], models, values["max_pressure"])
+    def total(metric, power, **changed):
+        values = {**leaves, **changed}
+        arm = ta.ArmDesign(values["radii"], values["length"], models, values["max_pressure"])
         result = ta.evaluate(arm, ta.Task(values["twists"], values["tip_load"]), (metric,), power=power)
-        return getattr(result, metric).sum()
+        return getattr(result, metric).sum(-1).squeeze()
 
     return leaves, total
 
 
-STEPS = {"radii": 1e-6, "lengths": 1e-6, "max_pressure": 1e-3, "twists": 1e-6, "tip_load": 1e-4}
+STEPS = {"radii": 1e-6, "length": 1e-6, "max_pressure": 1e-3, "twists": 1e-6, "tip_load": 1e-4}
 
 
 @pytest.mark.parametrize("kind", ["bellows", "mixed"])
 @every_metric
 @pytest.mark.parametrize("power", [1, 2])
 @pytest.mark.parametrize("name", STEPS)
+@unchecked()
 def test_gradients_are_those_of_central_differences(kind, metric, power, name):
     for seed in range(3):
         leaves, total = gradient_scene(seed, kind)
-        (gradient,) = torch.autograd.grad(total(metric, power), leaves[name])
-        with torch.no_grad():
-            found = torch.zeros_like(gradient)
-            for index in np.ndindex(*gradient.shape):
-                ends = []
-                for sign in (1, -1):
-                    moved = leaves[name].detach().clone()
-                    moved[index] += sign * STEPS[name]
-                    ends.append(total(metric, power, **{name: moved}))
-                found[index] = (ends[0] - ends[1]) / (2 * STEPS[name])
+        value = total(metric, power)
+        (gradient,) = torch.autograd.grad(value, leaves[name])
+        leaf, step = leaves[name].detach(), STEPS[name]
+        shifts = step * torch.eye(leaf.numel(), dtype=leaf.dtype).view(-1, *leaf.shape)
+        found = total(metric, power, **{name: leaf + shifts}) - total(metric, power, **{name: leaf - shifts})
+        found = (found.detach() / (2 * step)).view_as(gradient)
+        rounding = 20 * np.finfo(float).eps * value.item() / step
         assert gradient.norm() > 0
-        assert (gradient - found).norm() / gradient.norm() < 1e-6
+        assert (gradient - found).norm() < 1e-6 * gradient.norm() + rounding
 
 
 def smooth_scene():
@@ -687,17 +720,18 @@ def smooth_scene():
     return inputs, totals
 
 
-@pytest.mark.parametrize("chunk_size", [None, 1])
-@every_kind
+@pytest.mark.parametrize(("kind", "chunk_size"), [("exact", None), ("exact", 1), ("edges", None)])
+@unchecked()
 def test_gradcheck(kind, chunk_size):
     inputs, totals = smooth_scene()
     assert gradcheck(lambda *values: totals(*values, hull=kind, chunk_size=chunk_size), inputs)
 
 
 @pytest.mark.parametrize("chunk_size", [None, 1])
+@unchecked()
 def test_second_derivatives(chunk_size):
     inputs, totals = smooth_scene()
-    assert gradgradcheck(lambda *values: totals(*values, chunk_size=chunk_size), inputs)
+    assert gradgradcheck(lambda *values: totals(*values, chunk_size=chunk_size), inputs, fast_mode=True)
 
 
 def test_gradients_inside_are_zero_unless_signed():
@@ -713,6 +747,7 @@ def test_gradients_inside_are_zero_unless_signed():
         assert gradient.norm() > 0
 
 
+@unchecked()
 def test_gradient_of_the_margin_is_that_of_central_differences():
     arm, twists, load = attainable_scene()
 
@@ -735,7 +770,29 @@ def test_values_with_gradients_are_those_without_on_a_straight_arm(turn, kind):
         torch.testing.assert_close(result.relative.detach(), plain.relative, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("turn", [0.0, 1e-9, 0.3])
+def test_values_with_gradients_are_those_without_beside_the_joint_of_parallel_faces(turn):
+    # Equal actuators make parallel faces, end to end; the points stand beside the joints, to within rounding or not.
+    linear = ta.PolynomialActuator(((0, 1, 0.937),), (-1.0, 1.0), (0.0, 10.0), 10.0)
+    arm = ta.ArmDesign([0.0513, 0.0513, 0.0513], 0.5, [linear] * 3)
+    twists = double([[0.5, 0.0, turn]])
+    joints = ta.reaction_wrench(arm, twists, double([[10.0, 0.0, 0.0], [10.0, 10.0, 0.0]]))  # (2, 1, 2)
+    along = (joints[1] - joints[0]) / (joints[1] - joints[0]).norm()
+    across = along.flip(-1) * double([1.0, -1.0])
+    aside = double([sign * 10.0**power for power in np.linspace(-14, -4, 101) for sign in (-1, 1)])[:, None, None, None]
+    away = double([-7.0, -0.3, 0.3, 7.0])[:, None, None, None, None]
+    required = (joints + aside * along + away * across).squeeze(-2).reshape(-1, 2)
+    # which load asks for it? one segment: the wrench is linear in the load
+    unit = double(np.array([oracle.required_wrenches(twists, load)[0, [0, 2]] for load in np.eye(3)]))
+    loads = required @ torch.linalg.pinv(unit)
+    plain = ta.evaluate(arm, ta.Task(twists, loads), ("absolute",))
+    tracked = ta.evaluate(arm, ta.Task(twists, loads.clone().requires_grad_()), ("absolute",))
+    assert (plain.absolute > 0).all()
+    torch.testing.assert_close(tracked.absolute.detach(), plain.absolute, rtol=1e-9, atol=1e-9)
+
+
 @pytest.mark.parametrize("length", [0.37, 0.45, 0.49])
+@unchecked()
 def test_gradients_on_a_straight_arm_are_those_of_central_differences(length):
     models = [ta.Bellows(), ta.McKibben(), ta.McKibben(), ta.Bellows()]
     radii = double([-0.07, -0.02, 0.015, 0.06])
@@ -753,6 +810,7 @@ def test_gradients_on_a_straight_arm_are_those_of_central_differences(length):
 
 @pytest.mark.parametrize("seed", range(1, 60, 2))
 @every_kind
+@unchecked()
 def test_gradients_are_finite_on_degenerate_designs(seed, kind):
     case = random_case(seed)
     leaves = [value.clone().requires_grad_() for value in (case.arm.radii, case.arm.length, case.arm.max_pressure)]
@@ -764,6 +822,7 @@ def test_gradients_are_finite_on_degenerate_designs(seed, kind):
         assert gradient.isfinite().all()
 
 
+@unchecked()
 def test_moving_identical_actuators_together_has_the_sum_of_their_gradients():
     task = ta.Task(ta.affine_curvature(-0.5, 0.4, nodes=3), ta.sample_loads(6))
 
@@ -789,11 +848,8 @@ def test_float32_stays_float32_and_near_float64(kind):
         value = getattr(single, field)
         assert value.dtype == torch.float32
         error = (value.double() - getattr(exact, field)).abs()
-        assert error.max() < FLOAT32_TOLERANCE
+        assert error.max() < 1e-3  # of some 100 N; measured: 2e-4
     assert torch.equal(single.in_range, exact.in_range)
-
-
-FLOAT32_TOLERANCE = 1e-3
 
 
 def test_float32_gradients_are_near_those_of_float64():
@@ -805,7 +861,7 @@ def test_float32_gradients_are_near_those_of_float64():
         gradients.append(torch.autograd.grad((result.absolute + result.relative).sum(), leaves))
     for single, exact in zip(*gradients, strict=True):
         assert single.dtype == torch.float32
-        assert (single.double() - exact).norm() < 1e-3 * exact.norm()
+        assert (single.double() - exact).norm() < 5e-3 * exact.norm()  # measured: 7e-4
 
 
 # --- force models of one's own ---
@@ -841,6 +897,7 @@ def test_a_force_model_of_ones_own_mixes_with_the_librarys(kind):
 
 
 @pytest.mark.parametrize("chunk_size", [None, 1])
+@unchecked()
 def test_gradients_reach_a_force_models_own_parameters(chunk_size):
     def total(area):
         arm = ta.ArmDesign([-0.05, 0.01, 0.04], 0.5, [Piston(area), ta.Bellows(), ta.Bellows()])

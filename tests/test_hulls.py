@@ -93,7 +93,7 @@ both_sets = pytest.mark.parametrize("relative", [False, True], ids=["absolute", 
 @every_shape
 @every_kind
 @both_sets
-@pytest.mark.parametrize("samples", [2, 3, 8])
+@pytest.mark.parametrize("samples", [2, 7])
 def test_hull_is_the_oracles(case, shape, kind, relative, samples):
     arm, twin = designs(case)
     hulls = ta.wrench_hulls(arm, double(SHAPES[shape]), relative=relative, hull=kind, samples=samples)
@@ -252,7 +252,7 @@ def test_one_curved_force_among_linear_ones_needs_more_samples():
 @pytest.mark.parametrize("samples", [1, 0, -3])
 def test_fewer_than_two_samples_are_an_error(kind, samples):
     arm, _ = designs("bellows only")
-    with pytest.raises(ValueError, match="samples.*at least 2"):
+    with pytest.raises(ValueError, match=r"samples.*at least 2"):
         ta.wrench_hulls(arm, double(CURVED), hull=kind, samples=samples)
 
 
@@ -264,5 +264,5 @@ def test_an_unknown_hull_is_an_error_that_names_the_choices():
 
 def test_edges_of_too_many_actuators_are_an_error_that_names_the_way_out():
     arm = ta.ArmDesign(torch.linspace(-0.1, 0.1, 13), 0.5, [ta.Bellows()] * 13)
-    with pytest.raises(ValueError, match="12 actuators, got 13.*exact"):
+    with pytest.raises(ValueError, match=r"12 actuators, got 13.*exact"):
         ta.wrench_hulls(arm, torch.tensor(CURVED), hull="edges")

@@ -11,7 +11,7 @@ from torch.utils.checkpoint import checkpoint
 from torcharm._inputs import check_choice, check_count
 from torcharm._outer import Block, OuterProduct, map_blocks, outer_product
 from torcharm.arm import ArmDesign
-from torcharm.distance.closed_form import NearestFaces, face_square, nearest_faces, signed_length
+from torcharm.distance.closed_form import NearestFaces, face_normals, face_square, nearest_faces, signed_length
 from torcharm.hulls import (
     Sections,
     build_hulls,
@@ -209,8 +209,10 @@ def _nearest_faces(
     for metric in check.metrics:
         relative = metric == "relative"
         hulls = build_hulls(relative_curves(sections, curves) if relative else curves, check.hull, check.scale)
-        faces = nearest_faces(hulls.polygons, *_required(block, check, relative), slots=slots)
-        found.append((faces, None if faces.slot is None else hulls.fractions(faces.slot)))
+        point = _required(block, check, relative)
+        faces = nearest_faces(hulls.polygons, *point, slots=slots)
+        normal = face_normals(hulls.polygons, faces, *point) if slots else None
+        found.append((faces, None if faces.slot is None or normal is None else hulls.fractions(faces.slot, *normal)))
     return found
 
 

@@ -18,7 +18,7 @@ from torch import Tensor
 from torcharm._inputs import check_choice, check_count
 from torcharm.actuators import Actuator, is_linear_in_pressure
 from torcharm.arm import ArmDesign
-from torcharm.polygon import Polygons, convex_hull, minkowski_sum
+from torcharm.polygon import Polygons, all_faces, convex_hull, minkowski_sum
 from torcharm.wrenches import actuator_force, actuator_state, along, reference_pressures
 
 KINDS = ("exact", "edges")
@@ -112,7 +112,7 @@ class Curves:
     """Each actuator's reaction curve at B sections: S forces, and a moment linear in pressure.
 
     Attributes:
-        grid: (S,) pressure fractions, evenly spaced from 0 to 1.
+        grid: (S, 1, 1) pressure fractions, evenly spaced from 0 to 1.
         force: (S, M, B) [N].
         bending: (M, B) bending moment at fraction 1 [N·m].
         radii: (M, B) [m].
@@ -126,9 +126,8 @@ class Curves:
 
 def sample_curves(sections: Sections, samples: int) -> Curves:
     """The curves of absolute reactions."""
-    grid = torch.linspace(0, 1, samples, dtype=sections.strain.dtype, device=sections.strain.device)
-    pressure = grid.view(-1, 1, 1) * sections.limit
-    force = actuator_force(sections.actuators, sections.strain, pressure, dim=-2)
+    grid = torch.linspace(0, 1, samples, dtype=sections.strain.dtype, device=sections.strain.device).view(-1, 1, 1)
+    force = actuator_force(sections.actuators, sections.strain, grid * sections.limit, dim=-2)
     return Curves(grid, force, sections.bending, sections.radii)
 
 
@@ -144,31 +143,34 @@ class ExactHulls:
 
     Attributes:
         polygons: V = S·M slots.
-        start: (M, B) pressure fractions of the first vertex.
-        turn: (M, B) 1 or -1: the way round in which steps are taken.
-        step: (S, M or 1, B or 1) change of fraction along each edge, for turn 1.
-        order: (V, B) which edge each slot holds.
+        curves: whose sums they are.
+        scale: factors on force and moment.
     """
 
     polygons: Polygons
-    start: Tensor
-    turn: Tensor
-    step: Tensor
-    order: Tensor
+    curves: Curves
+    scale: tuple[float, float]
 
-    def fractions(self, slot: Tensor) -> Tensor:
-        """Pressure fractions (2, M, B, L) at the two ends of the faces in slots (B, L).
+    def fractions(self, slot: Tensor, normal_x: Tensor, normal_y: Tensor) -> Tensor:
+        """Pressure fractions (2, M, B, L) at the two ends of faces, from their outward normals (B, L).
 
-        An edge moves one actuator along its curve, so a vertex's pressures are the first vertex's
-        plus the steps of all edges before it.
+        Each actuator sits where it reaches furthest along the normal; where several samples do,
+        to within rounding, at the two that lie furthest apart. So all that is parallel is one face,
+        and the order in which parallel edges were summed does not matter.
         """
-        rank = torch.empty_like(self.order)
-        slots = torch.arange(len(self.order), device=slot.device).unsqueeze(-1)
-        rank.scatter_(0, self.order, slots.expand_as(self.order))
-        rank = rank.view(-1, *self.turn.shape, 1)
-        step = self.step.unsqueeze(-1)
-        moved = torch.stack([(step * (rank < slot + more)).sum(0) for more in (0, 1)])
-        return self.start.unsqueeze(-1) + self.turn.unsqueeze(-1) * moved
+        curves = self.curves
+        scale_x, scale_y = self.scale
+        radii, bending = curves.radii.unsqueeze(-1), curves.bending.unsqueeze(-1)
+        force, grid = curves.force.unsqueeze(-1), curves.grid.unsqueeze(-1)
+        per_force, per_fraction = scale_x * normal_x - scale_y * normal_y * radii, scale_y * normal_y * bending
+        reach = per_force * force + per_fraction * grid
+        weight = (scale_x * normal_x).abs() + (scale_y * normal_y * radii).abs()
+        size = weight * force.abs().amax(0) + per_fraction.abs()
+        furthest = reach >= reach.amax(0) - 32 * torch.finfo(reach.dtype).eps * size
+        aside = (-scale_x * normal_y - scale_y * normal_x * radii) * force + scale_y * normal_x * bending * grid
+        first = aside.masked_fill(~furthest, float("inf")).argmin(0)
+        last = aside.masked_fill(~furthest, -float("inf")).argmax(0)
+        return grid.expand_as(aside).gather(0, torch.stack((first, last)))
 
 
 @dataclass(frozen=True)
@@ -186,7 +188,7 @@ class EdgeHulls:
     target: Tensor
     table: Tensor
 
-    def fractions(self, slot: Tensor) -> Tensor:
+    def fractions(self, slot: Tensor, normal_x: Tensor, normal_y: Tensor) -> Tensor:
         """Pressure fractions (2, M, B, L) at the two ends of the faces in slots (B, L)."""
         ends = torch.stack((self.source.gather(0, slot.T).T, self.target.gather(0, slot.T).T))
         return self.table[ends].movedim(-1, 1)
@@ -209,13 +211,13 @@ def _exact_hulls(curves: Curves, scale: tuple[float, float]) -> ExactHulls:
         edge_force, curves.radii, value=-scale[1] / scale[0]
     )
     least, start = _leftmost(curves)
-    polygons, order = minkowski_sum(
+    polygons = minkowski_sum(
         scale[0] * least.sum(0),
         scale[1] * (curves.bending * start - curves.radii * least).sum(0),
         edge_force.flatten(0, 1),
         edge_moment.flatten(0, 1),
     )
-    return ExactHulls(polygons, start, turn, step, order)
+    return ExactHulls(polygons, curves, scale)
 
 
 def _convex_curves(grid: Tensor, force: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -225,7 +227,7 @@ def _convex_curves(grid: Tensor, force: Tensor) -> tuple[Tensor, Tensor, Tensor]
     hull of the graph serves every radius and curvature, K = 0 included.
 
     Args:
-        grid: (S,) pressure fractions, evenly spaced from 0 to 1.
+        grid: (S, 1, 1) pressure fractions, evenly spaced from 0 to 1.
         force: (S, M, B).
 
     Returns:
@@ -237,34 +239,31 @@ def _convex_curves(grid: Tensor, force: Tensor) -> tuple[Tensor, Tensor, Tensor]
     bend.sub_(force[1:-1], alpha=2)
     if len(grid) <= 3 or not bool(((bend.amin(0) < 0) & (bend.amax(0) > 0)).any()):
         # Convex or concave: the samples, in order or reversed, already go round.
-        step = (grid.roll(-1) - grid).view(-1, 1, 1)
         turn = 1 - 2 * (bend < 0).any(0).to(force.dtype)
-        return step, force.roll(-1, 0).sub_(force), turn
+        return grid.roll(-1, 0) - grid, force.roll(-1, 0).sub_(force), turn
     target = _envelope_targets(grid, force)
-    rise = force.gather(0, target).sub_(force)
-    return grid[target] - grid.view(-1, 1, 1), rise, torch.ones_like(force[0])
+    step = grid.expand_as(force).gather(0, target) - grid
+    return step, force.gather(0, target).sub_(force), torch.ones_like(force[0])
 
 
 def _envelope_targets(grid: Tensor, force: Tensor) -> Tensor:
-    """For each sample of a curve with inflections, the next corner round its hull (or itself).
+    """For each sample of a curve, the next corner round its hull (or itself).
 
     A sample is on the lower envelope if every slope to its right exceeds every slope to its left;
     on the upper, the other way round.
     """
     count = len(grid)
-    index = torch.arange(count, device=force.device)
-    right = index.view(-1, 1) > index  # [j, k]: sample j lies to the right of sample k
-    gap = (grid.view(-1, 1) - grid).masked_fill(index.view(-1, 1) == index, 1.0)
-    slope = (force.unsqueeze(1) - force.unsqueeze(0)) / gap.view(count, count, 1, 1)
+    gap = grid.unsqueeze(1) - grid.unsqueeze(0)  # [j, k]: how far sample j lies to the right of sample k
+    slope = (force.unsqueeze(1) - force.unsqueeze(0)) / torch.where(gap == 0, torch.ones_like(gap), gap)
 
     def extreme(side: Tensor, fill: float) -> Tensor:
-        masked = slope.masked_fill(~side.view(count, count, 1, 1), fill)
+        masked = slope.masked_fill(~side, fill)
         return masked.amin(0) if fill > 0 else masked.amax(0)
 
     infinity = float("inf")
-    lower = extreme(right, infinity) > extreme(right.T, -infinity)
-    upper = extreme(right, -infinity) < extreme(right.T, infinity)
-    slot = index.view(-1, 1, 1)
+    lower = extreme(gap > 0, infinity) > extreme(gap < 0, -infinity)
+    upper = extreme(gap > 0, -infinity) < extreme(gap < 0, infinity)
+    slot = torch.arange(count, device=force.device).view(-1, 1, 1)
     after = torch.where(lower, slot, count - 1).flip(0).cummin(0).values.flip(0).roll(-1, 0)
     before = torch.where(upper, slot, 0).cummax(0).values.roll(1, 0)
     inner_upper = upper & (slot > 0)
@@ -277,7 +276,7 @@ def _leftmost(curves: Curves) -> tuple[Tensor, Tensor]:
     least = curves.force.amin(0)
     falling = (curves.bending < 0).to(least.dtype)
     sign = 1 - 2 * falling
-    ranked = torch.addcmul(falling, sign, curves.grid.view(-1, 1, 1)).mul_(curves.force == least)
+    ranked = torch.addcmul(falling, sign, curves.grid).mul_(curves.force == least)
     return least, sign * ranked.amax(0) + falling
 
 
@@ -298,13 +297,13 @@ def _edge_hulls(curves: Curves, scale: tuple[float, float]) -> EdgeHulls:
     samples, actuators, batch = curves.force.shape
     table = torch.tensor(edge_table(actuators, samples), device=curves.force.device)
     row = (table * actuators + torch.arange(actuators, device=table.device)).flatten()
-    moment = curves.bending * curves.grid.view(-1, 1, 1) - curves.radii * curves.force
+    moment = curves.bending * curves.grid - curves.radii * curves.force
 
     def total(curve: Tensor) -> Tensor:
         return curve.flatten(0, 1).index_select(0, row).view(-1, actuators, batch).sum(1)
 
     polygons, source, target = convex_hull(scale[0] * total(curves.force), scale[1] * total(moment))
-    return EdgeHulls(polygons, source, target, curves.grid[table])
+    return EdgeHulls(polygons, source, target, curves.grid.view(-1)[table])
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,10 +343,9 @@ def wrench_hulls(
     sections = cross_sections(arm.flatten(), twists.reshape(-1, *twists.shape[-2:]))
     curves = sample_curves(sections, count)
     hulls = build_hulls(relative_curves(sections, curves) if relative else curves, hull, (1.0, 1.0))
-    polygons = hulls.polygons
-    slot = torch.arange(len(polygons.x), device=twists.device).expand(polygons.x.shape[1], -1)
-    fraction = hulls.fractions(slot)[0]  # (M, B, V)
-    vertices = torch.stack((polygons.x, polygons.y), -1).movedim(0, 1)
+    slot, normal_x, normal_y = all_faces(hulls.polygons)
+    fraction = hulls.fractions(slot, normal_x, normal_y)[0]  # (M, B, V)
+    vertices = torch.stack(sections.wrench(fraction, relative=relative), -1)
     pressure = (fraction * sections.limit.unsqueeze(-1)).movedim(0, -1)
 
     def outer(value: Tensor) -> Tensor:

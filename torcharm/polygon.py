@@ -39,7 +39,7 @@ def heading_key(edge_x: Tensor, edge_y: Tensor) -> Tensor:
     return (edge_y / size).sub_(1.0).mul_(rightward)
 
 
-def minkowski_sum(start_x: Tensor, start_y: Tensor, edge_x: Tensor, edge_y: Tensor) -> tuple[Polygons, Tensor]:
+def minkowski_sum(start_x: Tensor, start_y: Tensor, edge_x: Tensor, edge_y: Tensor) -> Polygons:
     """The Minkowski sum of convex polygons from all their edges, headed counter-clockwise.
 
     The sum's boundary is the summands' edges in order of heading. Parallel edges follow one
@@ -48,15 +48,30 @@ def minkowski_sum(start_x: Tensor, start_y: Tensor, edge_x: Tensor, edge_y: Tens
     Args:
         start_x, start_y: (B) the sum's vertex of least x and, among those, of most y.
         edge_x, edge_y: (V, B) the summands' edges, in any order.
-
-    Returns:
-        The polygons, and (V, B) which edge each slot holds.
     """
     order = heading_key(edge_x, edge_y).argsort(0)
     edge_x, edge_y = edge_x.gather(0, order), edge_y.gather(0, order)
     x = edge_x.cumsum(0).sub_(edge_x).add_(start_x)
     y = edge_y.cumsum(0).sub_(edge_y).add_(start_y)
-    return Polygons(x, y, edge_x, edge_y), order
+    return Polygons(x, y, edge_x, edge_y)
+
+
+def all_faces(polygons: Polygons) -> tuple[Tensor, Tensor, Tensor]:
+    """Every slot (B, V) and its face's outward normal, idle slots standing for the face before them.
+
+    A polygon that is a point has no faces; its normals are `(1, 0)`.
+    """
+    size = torch.hypot(polygons.edge_x, polygons.edge_y)
+    own = torch.arange(len(size), device=size.device).unsqueeze(-1)
+    latest = torch.where(size > 0, own, -1).cummax(0).values
+    last = latest[-1:].clamp(min=0)
+    slot = torch.where(latest < 0, last, latest)
+    length = size.gather(0, slot)
+    point = length == 0
+    safe = torch.where(point, torch.ones_like(length), length)
+    normal_x = torch.where(point, torch.ones_like(length), polygons.edge_y.gather(0, slot) / safe)
+    normal_y = -polygons.edge_x.gather(0, slot) / safe
+    return slot.T, normal_x.T, normal_y.T
 
 
 def convex_hull(x: Tensor, y: Tensor) -> tuple[Polygons, Tensor, Tensor]:

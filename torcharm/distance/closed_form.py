@@ -62,6 +62,35 @@ def nearest_faces(polygons: Polygons, x: Float[Tensor, "B L"], y: Float[Tensor, 
     return NearestFaces(square.amin(0), inside, blur, None)
 
 
+def face_normals(
+    polygons: Polygons, faces: NearestFaces, x: Float[Tensor, "B L"], y: Float[Tensor, "B L"]
+) -> tuple[Float[Tensor, "B L"], Float[Tensor, "B L"]]:
+    """Outward unit normals of the nearest faces; at a corner, the direction to the point.
+
+    Off the corners the two are the same, and the longer of the edge and the gap between point and
+    face says it with less rounding.
+    """
+    assert faces.slot is not None
+    slot = faces.slot.T
+    corner_x, corner_y, edge_x, edge_y = (
+        value.gather(0, slot).T for value in (polygons.x, polygons.y, polygons.edge_x, polygons.edge_y)
+    )
+    tiny = torch.finfo(x.dtype).tiny
+    span = edge_x.square() + edge_y.square()
+    from_x, from_y = x - corner_x, y - corner_y
+    along = (from_x * edge_x + from_y * edge_y) / (span + tiny)
+    between = (along > 0) & (along < 1)
+    along = along.clamp(0, 1)
+    outward = 1 - 2 * faces.inside.to(x.dtype)
+    off_x, off_y = outward * (from_x - along * edge_x), outward * (from_y - along * edge_y)
+    by_edge = between & (span > off_x.square() + off_y.square())
+    # Of a hull without area either side may be the nearest face; the point is outside both.
+    facing = torch.where(~faces.inside & (edge_y * off_x < edge_x * off_y), -1.0, 1.0).to(x.dtype)
+    normal_x, normal_y = torch.where(by_edge, facing * edge_y, off_x), torch.where(by_edge, -facing * edge_x, off_y)
+    length = torch.hypot(normal_x, normal_y).clamp(min=tiny)
+    return normal_x / length, normal_y / length
+
+
 def signed_length(square: Tensor, inside: Tensor, blur: Tensor, *, signed: bool) -> Tensor:
     """The distance: positive outside, zero touching, and inside zero or (signed) minus the margin.
 

@@ -11,7 +11,6 @@ from typing import Any
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from torcharm._inputs import broadcast_shapes
 from torcharm.distance.closed_form import BOUNDARY_ULPS
@@ -201,7 +200,7 @@ def solve_hulls(
     if columns is None or len(finite) < len(flat):
         columns = _placed(columns, finite, flat)
     dtype = torch.promote_types(point.dtype, vertices.dtype)
-    shaped = (column.reshape(*batch, *column.shape[1:]) for column in columns)
+    shaped = (column.reshape((*batch, *column.shape[1:])) for column in columns)
     return HullDistance(*(column if column.dtype == torch.bool else column.to(dtype) for column in shaped))
 
 
@@ -279,18 +278,30 @@ def _power_of_two(size: Tensor) -> Tensor:
 class _Once(torch.autograd.Function):
     """The identity, which refuses a second derivative instead of giving a wrong one.
 
-    With the weights held (and in qpth's backward) second derivatives miss how the nearest point
+    With the weights held (and in qpth's backward pass) second derivatives miss how the nearest point
     moves along its face.
     """
 
     @staticmethod
     def forward(ctx: Any, value: Tensor) -> Tensor:
+        ctx.save_for_backward(value)
         return value.view_as(value)
 
     @staticmethod
-    @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> Tensor:
-        return gradient
+        return _Refused.apply(gradient, *ctx.saved_tensors) if torch.is_grad_enabled() else gradient
+
+
+class _Refused(torch.autograd.Function):
+    """A gradient that depends on `value`, one does not say how."""
+
+    @staticmethod
+    def forward(ctx: Any, gradient: Tensor, value: Tensor) -> Tensor:
+        return gradient.view_as(gradient)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> Tensor:
+        raise RuntimeError("distance: this solver has no second derivatives; use 'closed_form'")
 
 
 def _once(value: Tensor) -> Tensor:

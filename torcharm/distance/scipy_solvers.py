@@ -47,7 +47,8 @@ def slsqp_distance(point: Float[Tensor, "*#batch D"], vertices: Float[Tensor, "*
 
     It stands in for the paper's fmincon, for timing: a general solver on the paper's problem
     `min_s ½‖Hᵀ s - w‖², s ≥ 0, 1ᵀs = 1`, started from equal weights, with H - w scaled as for `nnls_distance`.
-    It ends some 1e-8 of max|H - w| from the solution: inside a hull the value is seldom exactly 0.
+    Its distances are mostly good to 1e-8 of max|H - w|, at worst to some 1e-5 (`converged` is then False);
+    inside a hull they are seldom exactly 0.
 
     Args:
         point: where from.
