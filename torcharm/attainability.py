@@ -11,7 +11,7 @@ from torch.utils.checkpoint import checkpoint
 from torcharm._inputs import check_choice, check_count
 from torcharm._outer import Block, OuterProduct, map_blocks, outer_product
 from torcharm.arm import ArmDesign
-from torcharm.distance.closed_form import NearestFaces, face_normals, face_square, nearest_faces, signed_length
+from torcharm.distance.closed_form import NearestFaces, face_normals, nearest_faces, signed_length
 from torcharm.hulls import (
     Sections,
     build_hulls,
@@ -21,6 +21,7 @@ from torcharm.hulls import (
     sample_curves,
     slot_count,
 )
+from torcharm.polygon import face_square
 from torcharm.task import Task
 from torcharm.wrenches import PLANAR, actuator_force, along, required_wrench
 
@@ -211,8 +212,11 @@ def _nearest_faces(
         hulls = build_hulls(relative_curves(sections, curves) if relative else curves, check.hull, check.scale)
         point = _required(block, check, relative)
         faces = nearest_faces(hulls.polygons, *point, slots=slots)
-        normal = face_normals(hulls.polygons, faces, *point) if slots else None
-        found.append((faces, None if faces.slot is None or normal is None else hulls.fractions(faces.slot, *normal)))
+        fraction = None
+        if faces.slot is not None:
+            normal = face_normals(hulls.polygons, faces, *point)
+            fraction = hulls.fractions(faces.slot, normal, point, faces.square)
+        found.append((faces, fraction))
     return found
 
 

@@ -18,12 +18,16 @@ from torch import Tensor
 from torcharm._inputs import check_choice, check_count
 from torcharm.actuators import Actuator, is_linear_in_pressure
 from torcharm.arm import ArmDesign
-from torcharm.polygon import Polygons, all_faces, convex_hull, minkowski_sum
+from torcharm.polygon import Polygons, all_faces, convex_hull, face_square, minkowski_sum
 from torcharm.wrenches import actuator_force, actuator_state, along, reference_pressures
 
 KINDS = ("exact", "edges")
 DEFAULT_SAMPLES = {"exact": 9, "edges": 3}
 MOST_EDGE_ACTUATORS = 12
+ROUNDINGS = (32.0, 3e4, 3e7)
+"""Multiples of the rounding error within which samples may count as equally far along a normal."""
+
+Pair = tuple[Tensor, Tensor]
 
 
 def sample_count(arm: ArmDesign, kind: str, samples: int | None) -> int:
@@ -151,26 +155,52 @@ class ExactHulls:
     curves: Curves
     scale: tuple[float, float]
 
-    def fractions(self, slot: Tensor, normal_x: Tensor, normal_y: Tensor) -> Tensor:
-        """Pressure fractions (2, M, B, L) at the two ends of faces, from their outward normals (B, L).
+    def fractions(self, slot: Tensor, normal: Pair, point: Pair, square: Tensor) -> Tensor:
+        """Pressure fractions (2, M, B, L) at the two ends of faces.
 
-        Each actuator sits where it reaches furthest along the normal; where several samples do,
-        to within rounding, at the two that lie furthest apart. So all that is parallel is one face,
-        and the order in which parallel edges were summed does not matter.
+        Each actuator sits where it reaches furthest along the face's normal; where several samples
+        do, to within rounding, at the two that lie furthest apart. So all that is parallel is one
+        face, and the order in which parallel edges were summed does not matter. How much rounding
+        to allow for is not known beforehand: of several answers the one is taken that lies where
+        the polygon's face does.
+
+        Args:
+            slot: (B, L) the faces' slots.
+            normal: (B, L) their outward normals.
+            point: (B, L) points to which they are nearest.
+            square: (B, L) squared distances of these.
         """
-        curves = self.curves
-        scale_x, scale_y = self.scale
+        ends = [self._ends(normal, allowed) for allowed in ROUNDINGS]
+        misses = [(self._square(index, point).sqrt() - square.sqrt()).abs() for index in ends]
+        best = torch.stack(misses).argmin(0)
+        index = torch.stack(ends).gather(0, best.expand(1, *ends[0].shape))[0]
+        grid = self.curves.grid.unsqueeze(-1)
+        return grid.expand(-1, *index.shape[1:]).gather(0, index)
+
+    def _ends(self, normal: Pair, allowed: float) -> Tensor:
+        """Samples (2, M, B, L) that reach furthest along the normal, to within so many roundings."""
+        curves, (scale_x, scale_y) = self.curves, self.scale
         radii, bending = curves.radii.unsqueeze(-1), curves.bending.unsqueeze(-1)
         force, grid = curves.force.unsqueeze(-1), curves.grid.unsqueeze(-1)
-        per_force, per_fraction = scale_x * normal_x - scale_y * normal_y * radii, scale_y * normal_y * bending
+        per_force = scale_x * normal[0] - scale_y * normal[1] * radii
+        per_fraction = scale_y * normal[1] * bending
         reach = per_force * force + per_fraction * grid
-        weight = (scale_x * normal_x).abs() + (scale_y * normal_y * radii).abs()
+        weight = (scale_x * normal[0]).abs() + (scale_y * normal[1] * radii).abs()
         size = weight * force.abs().amax(0) + per_fraction.abs()
-        furthest = reach >= reach.amax(0) - 32 * torch.finfo(reach.dtype).eps * size
-        aside = (-scale_x * normal_y - scale_y * normal_x * radii) * force + scale_y * normal_x * bending * grid
+        furthest = reach >= reach.amax(0) - allowed * torch.finfo(reach.dtype).eps * size
+        aside = (-scale_x * normal[1] - scale_y * normal[0] * radii) * force + scale_y * normal[0] * bending * grid
         first = aside.masked_fill(~furthest, float("inf")).argmin(0)
         last = aside.masked_fill(~furthest, -float("inf")).argmax(0)
-        return grid.expand_as(aside).gather(0, torch.stack((first, last)))
+        return torch.stack((first, last))
+
+    def _square(self, index: Tensor, point: Pair) -> Tensor:
+        """Squared distance (B, L) from points to the faces between sums of samples (2, M, B, L)."""
+        curves = self.curves
+        force = curves.force.unsqueeze(-1).expand(-1, *index.shape[1:]).gather(0, index)
+        fraction = curves.grid.unsqueeze(-1).expand(-1, *index.shape[1:]).gather(0, index)
+        moment = curves.bending.unsqueeze(-1) * fraction - curves.radii.unsqueeze(-1) * force
+        x, y = self.scale[0] * force.sum(1), self.scale[1] * moment.sum(1)
+        return face_square(point, (x[0], y[0]), (x[1], y[1]))
 
 
 @dataclass(frozen=True)
@@ -188,8 +218,8 @@ class EdgeHulls:
     target: Tensor
     table: Tensor
 
-    def fractions(self, slot: Tensor, normal_x: Tensor, normal_y: Tensor) -> Tensor:
-        """Pressure fractions (2, M, B, L) at the two ends of the faces in slots (B, L)."""
+    def fractions(self, slot: Tensor, normal: Pair, point: Pair, square: Tensor) -> Tensor:
+        """Pressure fractions (2, M, B, L) at the two ends of faces; arguments as for `ExactHulls`."""
         ends = torch.stack((self.source.gather(0, slot.T).T, self.target.gather(0, slot.T).T))
         return self.table[ends].movedim(-1, 1)
 
@@ -343,8 +373,10 @@ def wrench_hulls(
     sections = cross_sections(arm.flatten(), twists.reshape(-1, *twists.shape[-2:]))
     curves = sample_curves(sections, count)
     hulls = build_hulls(relative_curves(sections, curves) if relative else curves, hull, (1.0, 1.0))
-    slot, normal_x, normal_y = all_faces(hulls.polygons)
-    fraction = hulls.fractions(slot, normal_x, normal_y)[0]  # (M, B, V)
+    polygons = hulls.polygons
+    slot, *normal = all_faces(polygons)
+    corner = polygons.x.gather(0, slot.T).T, polygons.y.gather(0, slot.T).T
+    fraction = hulls.fractions(slot, (normal[0], normal[1]), corner, torch.zeros_like(corner[0]))[0]  # (M, B, V)
     vertices = torch.stack(sections.wrench(fraction, relative=relative), -1)
     pressure = (fraction * sections.limit.unsqueeze(-1)).movedim(0, -1)
 

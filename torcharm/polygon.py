@@ -56,22 +56,64 @@ def minkowski_sum(start_x: Tensor, start_y: Tensor, edge_x: Tensor, edge_y: Tens
     return Polygons(x, y, edge_x, edge_y)
 
 
+def face_square(point: tuple[Tensor, Tensor], start: tuple[Tensor, Tensor], end: tuple[Tensor, Tensor]) -> Tensor:
+    """Squared distance from points to segments, differentiable twice in all three.
+
+    Its first derivatives are the envelope's: those of the nearest point are at right angles to
+    the residual or at a clamp, and drop out.
+    """
+    edge_x, edge_y = end[0] - start[0], end[1] - start[1]
+    from_x, from_y = point[0] - start[0], point[1] - start[1]
+    span = edge_x.square() + edge_y.square()
+    idle = span <= torch.finfo(span.dtype).tiny
+    along = (from_x * edge_x + from_y * edge_y) / torch.where(idle, torch.ones_like(span), span)
+    along = torch.where(idle, torch.zeros_like(along), along.clamp(0, 1))
+    return (from_x - along * edge_x).square() + (from_y - along * edge_y).square()
+
+
+def face_directions(polygons: Polygons) -> tuple[Tensor, Tensor]:
+    """Unit vectors (V, B) along the edges; of idle slots, zero."""
+    length = torch.hypot(polygons.edge_x, polygons.edge_y)
+    safe = torch.where(length > 0, length, torch.ones_like(length))
+    return polygons.edge_x / safe, polygons.edge_y / safe
+
+
+def corner_normals(polygons: Polygons) -> tuple[Tensor, Tensor]:
+    """Outward directions (V, B), not of unit length, at the vertices: between their faces' normals.
+
+    Where parallel edges join, that is the normal of both; at the end of a polygon without area, the
+    way out; of a point, `(1, 0)`.
+    """
+    along_x, along_y = face_directions(polygons)
+    count = len(along_x)
+    slot = torch.arange(count, device=along_x.device).unsqueeze(-1)
+    busy = (along_x != 0) | (along_y != 0)
+    latest = torch.where(busy, slot, -1).cummax(0).values
+    before = latest.roll(1, 0)
+    before[0] = -1
+    before = torch.where(before < 0, latest[-1:], before).clamp(min=0)
+    first = torch.where(busy, slot, count).flip(0).cummin(0).values.flip(0)
+    after = torch.where(first == count, first[:1], first).clamp(max=count - 1)
+    into_x, into_y = along_x.gather(0, before), along_y.gather(0, before)
+    from_x, from_y = along_x.gather(0, after), along_y.gather(0, after)
+    normal_x, normal_y = into_y + from_y, -into_x - from_x
+    turned_back = normal_x.abs() + normal_y.abs() < 1e-3
+    normal_x, normal_y = torch.where(turned_back, into_x, normal_x), torch.where(turned_back, into_y, normal_y)
+    return torch.where(busy.any(0), normal_x, torch.ones_like(normal_x)), normal_y
+
+
 def all_faces(polygons: Polygons) -> tuple[Tensor, Tensor, Tensor]:
     """Every slot (B, V) and its face's outward normal, idle slots standing for the face before them.
 
     A polygon that is a point has no faces; its normals are `(1, 0)`.
     """
-    size = torch.hypot(polygons.edge_x, polygons.edge_y)
-    own = torch.arange(len(size), device=size.device).unsqueeze(-1)
-    latest = torch.where(size > 0, own, -1).cummax(0).values
-    last = latest[-1:].clamp(min=0)
-    slot = torch.where(latest < 0, last, latest)
-    length = size.gather(0, slot)
-    point = length == 0
-    safe = torch.where(point, torch.ones_like(length), length)
-    normal_x = torch.where(point, torch.ones_like(length), polygons.edge_y.gather(0, slot) / safe)
-    normal_y = -polygons.edge_x.gather(0, slot) / safe
-    return slot.T, normal_x.T, normal_y.T
+    along_x, along_y = face_directions(polygons)
+    busy = (along_x != 0) | (along_y != 0)
+    own = torch.arange(len(busy), device=busy.device).unsqueeze(-1)
+    latest = torch.where(busy, own, -1).cummax(0).values
+    slot = torch.where(latest < 0, latest[-1:].clamp(min=0), latest)
+    normal_x = torch.where(busy.any(0), along_y.gather(0, slot), torch.ones_like(along_y))
+    return slot.T, normal_x.T, -along_x.gather(0, slot).T
 
 
 def convex_hull(x: Tensor, y: Tensor) -> tuple[Polygons, Tensor, Tensor]:

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torcharm.polygon import Polygons, convex_hull
+from torcharm.polygon import Polygons, convex_hull, corner_normals, face_square
 
 BOUNDARY_ULPS = 8
 """Within so many roundings of the boundary a point counts as on it: its distance is 0."""
@@ -65,10 +65,10 @@ def nearest_faces(polygons: Polygons, x: Float[Tensor, "B L"], y: Float[Tensor, 
 def face_normals(
     polygons: Polygons, faces: NearestFaces, x: Float[Tensor, "B L"], y: Float[Tensor, "B L"]
 ) -> tuple[Float[Tensor, "B L"], Float[Tensor, "B L"]]:
-    """Outward unit normals of the nearest faces; at a corner, the direction to the point.
+    """Outward unit normals of the nearest faces; at a corner, a direction between its faces' normals.
 
-    Off the corners the two are the same, and the longer of the edge and the gap between point and
-    face says it with less rounding.
+    Between corners, edge and gap to the point give the same normal; the longer of them gives it
+    with less rounding.
     """
     assert faces.slot is not None
     slot = faces.slot.T
@@ -79,14 +79,17 @@ def face_normals(
     span = edge_x.square() + edge_y.square()
     from_x, from_y = x - corner_x, y - corner_y
     along = (from_x * edge_x + from_y * edge_y) / (span + tiny)
-    between = (along > 0) & (along < 1)
-    along = along.clamp(0, 1)
     outward = 1 - 2 * faces.inside.to(x.dtype)
     off_x, off_y = outward * (from_x - along * edge_x), outward * (from_y - along * edge_y)
-    by_edge = between & (span > off_x.square() + off_y.square())
+    by_edge = span > off_x.square() + off_y.square()
     # Of a hull without area either side may be the nearest face; the point is outside both.
     facing = torch.where(~faces.inside & (edge_y * off_x < edge_x * off_y), -1.0, 1.0).to(x.dtype)
-    normal_x, normal_y = torch.where(by_edge, facing * edge_y, off_x), torch.where(by_edge, -facing * edge_x, off_y)
+    face_x, face_y = torch.where(by_edge, facing * edge_y, off_x), torch.where(by_edge, -facing * edge_x, off_y)
+
+    ends = torch.where(along.T >= 1, (slot + 1) % len(polygons.x), slot)
+    at_corner = (along <= 0) | (along >= 1)
+    turn_x, turn_y = (value.gather(0, ends).T for value in corner_normals(polygons))
+    normal_x, normal_y = torch.where(at_corner, turn_x, face_x), torch.where(at_corner, turn_y, face_y)
     length = torch.hypot(normal_x, normal_y).clamp(min=tiny)
     return normal_x / length, normal_y / length
 
@@ -100,21 +103,6 @@ def signed_length(square: Tensor, inside: Tensor, blur: Tensor, *, signed: bool)
     root = torch.where(kept, square, torch.ones_like(square)).sqrt()
     length = torch.where(kept, root, torch.zeros_like(root))
     return torch.where(inside, -length, length) if signed else length
-
-
-def face_square(point: tuple[Tensor, Tensor], start: tuple[Tensor, Tensor], end: tuple[Tensor, Tensor]) -> Tensor:
-    """Squared distance from points to segments, differentiable twice in all three.
-
-    Its first derivatives are the envelope's: those of the nearest point are at right angles to
-    the residual or at a clamp, and drop out.
-    """
-    edge_x, edge_y = end[0] - start[0], end[1] - start[1]
-    from_x, from_y = point[0] - start[0], point[1] - start[1]
-    span = edge_x.square() + edge_y.square()
-    idle = span <= torch.finfo(span.dtype).tiny
-    along = (from_x * edge_x + from_y * edge_y) / torch.where(idle, torch.ones_like(span), span)
-    along = torch.where(idle, torch.zeros_like(along), along.clamp(0, 1))
-    return (from_x - along * edge_x).square() + (from_y - along * edge_y).square()
 
 
 def distance_to_hull(
