@@ -31,6 +31,23 @@ def polynomial(*terms, **changes):
 
 # What is tried: (the field that the message names, what the message must say was given).
 CASES = {
+    # evaluate: kinds of arguments
+    "ta.evaluate(arm, twists)": ("task", "tensor("),
+    "ta.evaluate(task, arm)": ("arm", "Task("),
+    "ta.evaluate(None, task)": ("arm", "None"),
+    "ta.evaluate(arm, task, metrics=None)": ("metrics", "None"),
+    "ta.evaluate(arm, task, metrics=3)": ("metrics", "3"),
+    "ta.evaluate(arm, task, metrics=())": ("metrics", "()"),
+    "ta.evaluate(arm, task, power=torch.tensor([1, 2]))": ("power", "tensor([1, 2])"),
+    "ta.evaluate(arm, task, signed='yes')": ("signed", "'yes'"),
+    "ta.evaluate(arm, task, weights=torch.ones(2, 2))": ("weights", "tensor([[1., 1.]"),
+    # hulls and distances
+    "ta.wrench_hulls(arm, [[0.5, 0.0, 1.0]])": ("twists", "[[0.5, 0.0, 1.0]]"),
+    "ta.wrench_hulls(arm, zeros[:3])": ("twists", "(3,)"),
+    "ta.distance_to_hull(zeros[:3], torch.zeros(3, 2))": ("point", "(3,)"),
+    "ta.distance_to_hull(zeros[:2], zeros[:2])": ("vertices", "(2,)"),
+    "ta.distance_to_hull([0.0, 1.0], torch.zeros(3, 2))": ("point", "[0.0, 1.0]"),
+    "ta.distance_to_hull(torch.zeros(2, 2), torch.zeros(3, 4, 2))": ("point, vertices", "(3,)"),
     # arms: lengths
     "ta.antagonistic_arm(length=-0.5)": ("length", "-0.5"),
     "ta.bellows_arm(length=0)": ("length", "0"),

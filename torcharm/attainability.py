@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from torcharm._inputs import check_choice, check_count
+from torcharm._inputs import check_choice, check_count, shown
 from torcharm._outer import Block, OuterProduct, map_blocks, outer_product
 from torcharm.arm import ArmDesign
 from torcharm.distance.closed_form import NearestFaces, face_normals, nearest_faces, signed_length
@@ -105,17 +105,9 @@ def evaluate(
     Raises:
         ValueError: an argument is none of those allowed, or arm and task differ in dtype or device.
     """
-    if isinstance(metrics, str):
-        metrics = (metrics,)
-    for metric in metrics:
-        check_choice("metrics", metric, METRICS)
-    if not metrics:
-        raise ValueError(f"metrics: must name at least one of {', '.join(METRICS)}, got none")
+    _check_arguments(arm, task, power, signed)
     check_choice("distance", distance, DISTANCES)
-    if power not in (1, 2) or isinstance(power, bool):
-        raise ValueError(f"power: must be 1 or 2, got {power!r}")
-    _check_same_kind(arm, task)
-    check = _Check(tuple(dict.fromkeys(metrics)), hull, sample_count(arm, hull, samples), _scale(weights), signed)
+    check = _Check(_metrics(metrics), hull, sample_count(arm, hull, samples), _scale(weights), signed)
     outer = outer_product(arm, task)
     per_node, excess = _per_node(outer, check, chunk_size)
     found = {metric: per_node[..., index, :] for index, metric in enumerate(check.metrics)}
@@ -130,7 +122,12 @@ def evaluate(
     )
 
 
-def _check_same_kind(arm: ArmDesign, task: Task) -> None:
+def _check_arguments(arm: ArmDesign, task: Task, power: int, signed: bool) -> None:
+    for name, value, kind in (("arm", arm, ArmDesign), ("task", task, Task), ("signed", signed, bool)):
+        if not isinstance(value, kind):
+            raise ValueError(f"{name}: must be of type {kind.__name__}, got {shown(value)}")
+    if isinstance(power, bool) or not isinstance(power, int) or power not in (1, 2):
+        raise ValueError(f"power: must be 1 or 2, got {shown(power)}")
     ours, theirs = arm.radii, task.twists
     if ours.dtype != theirs.dtype or ours.device != theirs.device:
         raise ValueError(
@@ -139,11 +136,21 @@ def _check_same_kind(arm: ArmDesign, task: Task) -> None:
         )
 
 
+def _metrics(metrics: Sequence[str]) -> tuple[str, ...]:
+    """The metrics asked for, once each."""
+    names = (metrics,) if isinstance(metrics, str) else metrics
+    if not isinstance(names, (list, tuple, set, frozenset)) or not names:
+        raise ValueError(f"metrics: must name at least one of {', '.join(METRICS)}, got {shown(metrics)}")
+    for name in names:
+        check_choice("metrics", name, METRICS)
+    return tuple(dict.fromkeys(names))
+
+
 def _scale(weights: tuple[float, float]) -> tuple[float, float]:
     try:
         force, moment = (float(weight) for weight in weights)
-    except (TypeError, ValueError):
-        raise ValueError(f"weights: must be two numbers (k_f, k_m), got {weights!r}") from None
+    except (TypeError, ValueError, RuntimeError):
+        raise ValueError(f"weights: must be two numbers (k_f, k_m), got {shown(weights)}") from None
     if not (0 < force < float("inf") and 0 < moment < float("inf")):
         raise ValueError(f"weights: must be finite and above 0, got {(force, moment)}")
     return force**0.5, moment**0.5

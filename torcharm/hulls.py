@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torcharm._inputs import check_choice, check_count
+from torcharm._inputs import check_choice, check_count, check_tensor
 from torcharm.actuators import Actuator, is_linear_in_pressure
 from torcharm.arm import ArmDesign
 from torcharm.polygon import Polygons, all_faces, convex_hull, face_square, minkowski_sum
@@ -367,8 +367,9 @@ def wrench_hulls(
         hull, samples: as for `evaluate`.
 
     Raises:
-        ValueError: unknown hull, fewer than 2 samples, or too many actuators for edges.
+        ValueError: unknown hull, fewer than 2 samples, too many actuators for edges, or no twists.
     """
+    check_tensor("twists", twists, "N", 3)
     count = sample_count(arm, hull, samples)
     sections = cross_sections(arm.flatten(), twists.reshape(-1, *twists.shape[-2:]))
     curves = sample_curves(sections, count)

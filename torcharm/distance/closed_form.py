@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torcharm._inputs import broadcast_shapes, check_tensor
 from torcharm.polygon import Polygons, convex_hull, corner_normals, face_square
 
 BOUNDARY_ULPS = 8
@@ -119,11 +120,13 @@ def distance_to_hull(
         signed: whether points inside get minus their distance to the boundary.
 
     Raises:
-        ValueError: there is no vertex.
+        ValueError: shapes do not fit, or there is no vertex.
     """
-    if vertices.shape[-2] == 0:
+    check_tensor("point", point, 2)
+    if isinstance(vertices, Tensor) and vertices.ndim > 1 and vertices.shape[-2] == 0:
         raise ValueError("vertices: must hold at least one point, got none")
-    batch = torch.broadcast_shapes(point.shape[:-1], vertices.shape[:-2])
+    check_tensor("vertices", vertices, "V", 2)
+    batch = broadcast_shapes(point=point.shape[:-1], vertices=vertices.shape[:-2])
     flat_point = point.expand(*batch, 2).reshape(-1, 2)
     flat = vertices.expand(*batch, *vertices.shape[-2:]).reshape(-1, *vertices.shape[-2:])
     with torch.no_grad():
