@@ -170,10 +170,15 @@ class ExactHulls:
             point: (B, L) points to which they are nearest.
             square: (B, L) squared distances of these.
         """
-        ends = [self._ends(normal, allowed) for allowed in ROUNDINGS]
-        misses = [(self._square(index, point).sqrt() - square.sqrt()).abs() for index in ends]
-        best = torch.stack(misses).argmin(0)
-        index = torch.stack(ends).gather(0, best.expand(1, *ends[0].shape))[0]
+        index = self._ends(normal, ROUNDINGS[0])
+        miss = self._miss(index, point, square)
+        for allowed in ROUNDINGS[1:]:
+            if not bool((miss > 1e3 * torch.finfo(miss.dtype).eps * (point[0].abs() + point[1].abs() + 1)).any()):
+                break
+            wider = self._ends(normal, allowed)
+            wider_miss = self._miss(wider, point, square)
+            index = torch.where(wider_miss < miss, wider, index)
+            miss = torch.minimum(miss, wider_miss)
         grid = self.curves.grid.unsqueeze(-1)
         return grid.expand(-1, *index.shape[1:]).gather(0, index)
 
@@ -189,18 +194,19 @@ class ExactHulls:
         size = weight * force.abs().amax(0) + per_fraction.abs()
         furthest = reach >= reach.amax(0) - allowed * torch.finfo(reach.dtype).eps * size
         aside = (-scale_x * normal[1] - scale_y * normal[0] * radii) * force + scale_y * normal[0] * bending * grid
-        first = aside.masked_fill(~furthest, float("inf")).argmin(0)
-        last = aside.masked_fill(~furthest, -float("inf")).argmax(0)
+        # min and max with indices are many times faster than argmin and argmax along the first dimension
+        first = aside.masked_fill(~furthest, float("inf")).min(0).indices
+        last = aside.masked_fill(~furthest, -float("inf")).max(0).indices
         return torch.stack((first, last))
 
-    def _square(self, index: Tensor, point: Pair) -> Tensor:
-        """Squared distance (B, L) from points to the faces between sums of samples (2, M, B, L)."""
+    def _miss(self, index: Tensor, point: Pair, square: Tensor) -> Tensor:
+        """By how much (B, L) points are off in distance from the faces between sums of samples (2, M, B, L)."""
         curves = self.curves
         force = curves.force.unsqueeze(-1).expand(-1, *index.shape[1:]).gather(0, index)
         fraction = curves.grid.unsqueeze(-1).expand(-1, *index.shape[1:]).gather(0, index)
         moment = curves.bending.unsqueeze(-1) * fraction - curves.radii.unsqueeze(-1) * force
         x, y = self.scale[0] * force.sum(1), self.scale[1] * moment.sum(1)
-        return face_square(point, (x[0], y[0]), (x[1], y[1]))
+        return (face_square(point, (x[0], y[0]), (x[1], y[1])).sqrt() - square.sqrt()).abs()
 
 
 @dataclass(frozen=True)
