@@ -253,7 +253,7 @@ def _metrics(names: list[str], evaluated: Sequence[Attainability], tasks: int) -
 def _ranking(metrics: dict[str, dict[str, Array]], unit: str) -> list[str]:
     """Which arm misses least, so that the message needs no caption."""
     for metric, found in metrics.items():
-        ranked = sorted(found, key=lambda name: np.nan_to_num(_median(found[name]), nan=np.inf))
+        ranked = sorted(found, key=lambda name: (np.isnan(_median(found[name])), _median(found[name])))
         return [f"median {metric} unattainability: " + ", ".join(f"{n} {_median(found[n]):.3g} {unit}" for n in ranked)]
     return []
 
