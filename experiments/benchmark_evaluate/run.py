@@ -47,8 +47,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a smoke run: small sizes, no file written")
     parser.add_argument("--compile", action="store_true", help="also torch.compile (several minutes)")
+    parser.add_argument("--threads", type=int, default=2, help="threads for torch (default 2)")
     options = parser.parse_args()
-    torch.set_num_threads(2)
+    torch.set_num_threads(options.threads)
     console = Console()
     rows: list[Row] = []
     for part in (validation, sweep, stages, memory, compiled, growth):
@@ -224,7 +225,7 @@ def stages(quick: bool) -> Iterator[Row]:
 def memory(quick: bool) -> Iterator[Row]:
     """Peak memory of a process that evaluates many designs × 10 nodes × 1 load, torch included."""
     for count in (10_000,) if quick else (1, 1_000_000):
-        code = f"from experiments.benchmark_evaluate import run; run.print_peak({count})"
+        code = f"from experiments.benchmark_evaluate import run; run.print_peak({count}, {torch.get_num_threads()})"
         root = HERE.parents[1]
         printed = subprocess.run([sys.executable, "-c", code], cwd=root, check=True, capture_output=True, text=True)
         peak, elapsed = map(float, printed.stdout.split())
@@ -233,8 +234,8 @@ def memory(quick: bool) -> Iterator[Row]:
         yield Row(part, f"{count:,} designs", "time", elapsed, "s")
 
 
-def print_peak(count: int) -> None:
-    torch.set_num_threads(2)
+def print_peak(count: int, threads: int) -> None:
+    torch.set_num_threads(threads)
     radius, length = random_parameters(count)
     start = time.perf_counter()
     ta.evaluate(ta.antagonistic_arm(radius, 0.015, length), ta.Task(SHAPE, [3.0, -2.0, 0.5]))
