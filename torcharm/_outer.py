@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import chain, product
 from math import prod
 
 import torch
@@ -110,16 +111,30 @@ def map_blocks(outer: OuterProduct, chunk_size: int, work: Callable[[Block], tup
     per_shape = min(shapes, max(1, chunk_size // per_load))
     per_design = min(designs, max(1, chunk_size // (per_load * per_shape)))
 
-    def part(d: slice, p: slice, l: slice) -> tuple[Tensor, ...]:
-        return work(Block(outer.arm[d], outer.twists[p], outer.tip_load[p, l], outer.base_pose))
+    limits = (per_design, per_shape, per_load)
+    steps = [list(_slices(size, step)) for size, step in zip(outer.sizes, limits, strict=True)]
+    places = list(product(*steps))
+    blocks = (Block(outer.arm[d], outer.twists[p], outer.tip_load[p, l], outer.base_pose) for d, p, l in places)
+    first = work(next(blocks))
+    if len(places) == 1:
+        return first
+    if any(column.requires_grad for column in first):
+        return _joined([first, *map(work, blocks)], [len(step) for step in steps])
+    # Copied to their place at once: results kept until the end would lie scattered among the freed
+    # memory of the work, and keep much of it from being used again.
+    whole = tuple(column.new_empty(*outer.sizes, *column.shape[3:]) for column in first)
+    for place, part in zip(places, chain([first], map(work, blocks)), strict=True):
+        for column, own in zip(whole, part, strict=True):
+            column[place] = own
+    return whole
 
-    return _join(
-        [
-            _join([_join([part(d, p, l) for l in _slices(loads, per_load)], 2) for p in _slices(shapes, per_shape)], 1)
-            for d in _slices(designs, per_design)
-        ],
-        0,
-    )
+
+def _joined(parts: list[tuple[Tensor, ...]], counts: list[int]) -> tuple[Tensor, ...]:
+    """Blocks joined along loads, then shapes, then designs, of each of which there are so many."""
+    for dim in (2, 1, 0):
+        groups = [parts[start : start + counts[dim]] for start in range(0, len(parts), counts[dim])]
+        parts = [tuple(torch.cat(column, dim) for column in zip(*group, strict=True)) for group in groups]
+    return parts[0]
 
 
 def _keep_freed_memory() -> None:
@@ -134,9 +149,3 @@ def _keep_freed_memory() -> None:
 
 def _slices(size: int, step: int) -> Iterator[slice]:
     return (slice(start, start + step) for start in range(0, size, step))
-
-
-def _join(parts: list[tuple[Tensor, ...]], dim: int) -> tuple[Tensor, ...]:
-    if len(parts) == 1:
-        return parts[0]
-    return tuple(torch.cat(column, dim) for column in zip(*parts, strict=True))

@@ -13,6 +13,7 @@ from torcharm._outer import Block, OuterProduct, map_blocks, outer_product
 from torcharm.arm import ArmDesign
 from torcharm.distance.closed_form import NearestFaces, face_normals, nearest_faces, signed_length
 from torcharm.hulls import (
+    Curves,
     Sections,
     build_hulls,
     cross_sections,
@@ -23,7 +24,7 @@ from torcharm.hulls import (
 )
 from torcharm.polygon import face_square
 from torcharm.task import Task
-from torcharm.wrenches import PLANAR, actuator_force, along, required_wrench
+from torcharm.wrenches import PLANAR, along, required_wrench
 
 METRICS = ("absolute", "relative")
 DISTANCES = ("closed_form",)
@@ -177,11 +178,14 @@ def _distances(block: Block, check: _Check, recompute: bool) -> tuple[Tensor, Te
     ends of each nearest face are evaluated once more with them: a graph of two pressures a
     node, not of whole hulls, and one that is rebuilt when it is needed if there are many blocks.
     """
+    recording = torch.is_grad_enabled()
+    followed = recording and _inputs_want_gradient(block)
     with torch.no_grad():
         sections = cross_sections(block.arm, block.twists)
-    replayed = _wants_gradient(block, sections)
-    with torch.no_grad():
-        found = _nearest_faces(block, sections, check, slots=replayed)
+        with torch.set_grad_enabled(recording and not followed):
+            curves = sample_curves(sections, check.samples)
+        replayed = followed or curves.force.requires_grad  # a force model may hold what is asked about
+        found = _nearest_faces(block, sections, curves, check, slots=replayed)
     if not replayed:
         squares = [faces.square for faces, _ in found]
         excess = _strain_excess(sections)
@@ -196,23 +200,17 @@ def _distances(block: Block, check: _Check, recompute: bool) -> tuple[Tensor, Te
     return per_node.permute(3, 1, 4, 0, 2), excess.T.unsqueeze(-1).expand(-1, -1, per_node.shape[-1])
 
 
-def _wants_gradient(block: Block, sections: Sections) -> bool:
-    """Whether autograd records anything that the distances depend on, a force model included."""
-    if not torch.is_grad_enabled():
-        return False
-    inputs = (block.arm.radii, block.arm.length, block.arm.max_pressure, block.twists, block.tip_load, block.base_pose)
-    if any(value.requires_grad for value in inputs):
-        return True
-    strain = sections.strain[:, :1]
-    return actuator_force(sections.actuators, strain, sections.limit[:, :1], dim=-2).requires_grad
+def _inputs_want_gradient(block: Block) -> bool:
+    arm = block.arm
+    inputs = (arm.radii, arm.length, arm.max_pressure, block.twists, block.tip_load, block.base_pose)
+    return any(value.requires_grad for value in inputs)
 
 
 def _nearest_faces(
-    block: Block, sections: Sections, check: _Check, *, slots: bool
+    block: Block, sections: Sections, curves: Curves, check: _Check, *, slots: bool
 ) -> list[tuple[NearestFaces, Tensor | None]]:
     """For each metric, where the required wrenches stand to the hulls, and (with slots) the
     pressure fractions (2, M, B, l) of the nearest faces."""
-    curves = sample_curves(sections, check.samples)
     found = []
     for metric in check.metrics:
         relative = metric == "relative"

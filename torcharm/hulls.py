@@ -192,11 +192,11 @@ class ExactHulls:
         reach = per_force * force + per_fraction * grid
         weight = (scale_x * normal[0]).abs() + (scale_y * normal[1] * radii).abs()
         size = weight * force.abs().amax(0) + per_fraction.abs()
-        furthest = reach >= reach.amax(0) - allowed * torch.finfo(reach.dtype).eps * size
+        behind = (reach < reach.amax(0) - allowed * torch.finfo(reach.dtype).eps * size).to(reach.dtype)
         aside = (-scale_x * normal[1] - scale_y * normal[0] * radii) * force + scale_y * normal[0] * bending * grid
+        out = behind.mul_(torch.finfo(reach.dtype).max / 4)
         # min and max with indices are many times faster than argmin and argmax along the first dimension
-        first = aside.masked_fill(~furthest, float("inf")).min(0).indices
-        last = aside.masked_fill(~furthest, -float("inf")).max(0).indices
+        first, last = (aside + out).min(0).indices, (aside - out).max(0).indices
         return torch.stack((first, last))
 
     def _miss(self, index: Tensor, point: Pair, square: Tensor) -> Tensor:
@@ -277,34 +277,40 @@ def _convex_curves(grid: Tensor, force: Tensor) -> tuple[Tensor, Tensor, Tensor]
         # Convex or concave: the samples, in order or reversed, already go round.
         turn = 1 - 2 * (bend < 0).any(0).to(force.dtype)
         return grid.roll(-1, 0) - grid, force.roll(-1, 0).sub_(force), turn
-    target = _envelope_targets(grid, force)
+    target = _envelope_targets(force)
     step = grid.expand_as(force).gather(0, target) - grid
     return step, force.gather(0, target).sub_(force), torch.ones_like(force[0])
 
 
-def _envelope_targets(grid: Tensor, force: Tensor) -> Tensor:
-    """For each sample of a curve, the next corner round its hull (or itself).
+def _envelope_targets(force: Tensor) -> Tensor:
+    """For each sample (S, M, B) of a curve, evenly spaced, the next corner round its hull (or itself).
 
     A sample is on the lower envelope if every slope to its right exceeds every slope to its left;
-    on the upper, the other way round.
+    on the upper, the other way round. The lower is walked rightwards, the upper back.
     """
-    count = len(grid)
-    gap = grid.unsqueeze(1) - grid.unsqueeze(0)  # [j, k]: how far sample j lies to the right of sample k
-    slope = (force.unsqueeze(1) - force.unsqueeze(0)) / torch.where(gap == 0, torch.ones_like(gap), gap)
+    count = len(force)
+    left_max, right_max = force.new_full((2, *force.shape), -torch.inf)
+    left_min, right_min = force.new_full((2, *force.shape), torch.inf)
+    for gap in range(1, count):
+        slope = (force[gap:] - force[:-gap]).mul_(1 / gap)
+        torch.maximum(left_max[gap:], slope, out=left_max[gap:])
+        torch.minimum(left_min[gap:], slope, out=left_min[gap:])
+        torch.maximum(right_max[:-gap], slope, out=right_max[:-gap])
+        torch.minimum(right_min[:-gap], slope, out=right_min[:-gap])
+    lower, upper = (right_min > left_max).to(force.dtype), (right_max < left_min).to(force.dtype)
 
-    def extreme(side: Tensor, fill: float) -> Tensor:
-        masked = slope.masked_fill(~side, fill)
-        return masked.amin(0) if fill > 0 else masked.amax(0)
-
-    infinity = float("inf")
-    lower = extreme(gap > 0, infinity) > extreme(gap < 0, -infinity)
-    upper = extreme(gap > 0, -infinity) < extreme(gap < 0, infinity)
-    slot = torch.arange(count, device=force.device).view(-1, 1, 1)
-    after = torch.where(lower, slot, count - 1).flip(0).cummin(0).values.flip(0).roll(-1, 0)
-    before = torch.where(upper, slot, 0).cummax(0).values.roll(1, 0)
-    inner_upper = upper & (slot > 0)
-    inner_lower = lower & (slot < count - 1)
-    return torch.where(inner_lower, after, torch.where(inner_upper, before, slot.expand_as(before)))
+    target = torch.arange(count, dtype=force.dtype, device=force.device).view(-1, 1, 1).expand_as(force).clone()
+    after, before = torch.full_like(force[0], count - 1), torch.zeros_like(force[0])
+    places = target[:, :1, :1].clone()
+    for slot in range(1, count):  # the upper envelope
+        reached = torch.lerp(before, places[slot], upper[slot])
+        target[slot].lerp_(before, upper[slot])
+        before = reached
+    for slot in range(count - 2, -1, -1):  # the lower one, which goes first where both hold
+        reached = torch.lerp(after, places[slot], lower[slot])
+        target[slot].lerp_(after, lower[slot])
+        after = reached
+    return target.long()
 
 
 def _leftmost(curves: Curves) -> tuple[Tensor, Tensor]:

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torcharm._select import select
+
 
 @dataclass(frozen=True)
 class Polygons:
@@ -65,41 +67,40 @@ def face_square(point: tuple[Tensor, Tensor], start: tuple[Tensor, Tensor], end:
     edge_x, edge_y = end[0] - start[0], end[1] - start[1]
     from_x, from_y = point[0] - start[0], point[1] - start[1]
     span = edge_x.square() + edge_y.square()
-    idle = span <= torch.finfo(span.dtype).tiny
-    along = (from_x * edge_x + from_y * edge_y) / torch.where(idle, torch.ones_like(span), span)
-    along = torch.where(idle, torch.zeros_like(along), along.clamp(0, 1))
+    idle = (span <= torch.finfo(span.dtype).tiny).to(span.dtype)
+    along = ((from_x * edge_x + from_y * edge_y) / (span + idle)).clamp(0, 1) * (1 - idle)
     return (from_x - along * edge_x).square() + (from_y - along * edge_y).square()
 
 
-def face_directions(polygons: Polygons) -> tuple[Tensor, Tensor]:
-    """Unit vectors (V, B) along the edges; of idle slots, zero."""
-    length = torch.hypot(polygons.edge_x, polygons.edge_y)
-    safe = torch.where(length > 0, length, torch.ones_like(length))
-    return polygons.edge_x / safe, polygons.edge_y / safe
+def corner_normals(polygons: Polygons, slot: Tensor) -> tuple[Tensor, Tensor]:
+    """Outward directions (K, B), not of unit length, at the vertices of slots (K, B).
 
-
-def corner_normals(polygons: Polygons) -> tuple[Tensor, Tensor]:
-    """Outward directions (V, B), not of unit length, at the vertices: between their faces' normals.
-
-    Where parallel edges join, that is the normal of both; at the end of a polygon without area, the
-    way out; of a point, `(1, 0)`.
+    Between the normals of the two faces that meet there. Where parallel edges join, that is the
+    normal of both; at the end of a polygon without area, the way out; of a point, `(1, 0)`.
     """
-    along_x, along_y = face_directions(polygons)
-    count = len(along_x)
-    slot = torch.arange(count, device=along_x.device).unsqueeze(-1)
-    busy = (along_x != 0) | (along_y != 0)
-    latest = torch.where(busy, slot, -1).cummax(0).values
-    before = latest.roll(1, 0)
-    before[0] = -1
-    before = torch.where(before < 0, latest[-1:], before).clamp(min=0)
-    first = torch.where(busy, slot, count).flip(0).cummin(0).values.flip(0)
-    after = torch.where(first == count, first[:1], first).clamp(max=count - 1)
-    into_x, into_y = along_x.gather(0, before), along_y.gather(0, before)
-    from_x, from_y = along_x.gather(0, after), along_y.gather(0, after)
+    into_x, into_y = _direction_from(polygons, (slot - 1) % len(polygons.x), -1)
+    from_x, from_y = _direction_from(polygons, slot, 1)
     normal_x, normal_y = into_y + from_y, -into_x - from_x
     turned_back = normal_x.abs() + normal_y.abs() < 1e-3
-    normal_x, normal_y = torch.where(turned_back, into_x, normal_x), torch.where(turned_back, into_y, normal_y)
-    return torch.where(busy.any(0), normal_x, torch.ones_like(normal_x)), normal_y
+    normal_x, normal_y = select(turned_back, into_x, normal_x), select(turned_back, into_y, normal_y)
+    return normal_x + ((into_x == 0) & (into_y == 0)).to(normal_x.dtype), normal_y
+
+
+def _direction_from(polygons: Polygons, slot: Tensor, step: int) -> tuple[Tensor, Tensor]:
+    """Unit vectors (K, B) along the first edges that are not idle, from slots on by steps of 1 or -1.
+
+    Zero if all edges are idle.
+    """
+    edge_x, edge_y = polygons.edge_x.gather(0, slot), polygons.edge_y.gather(0, slot)
+    for _ in range(1, len(polygons.x)):
+        row, column = ((edge_x == 0) & (edge_y == 0)).nonzero(as_tuple=True)
+        if len(row) == 0:
+            break
+        slot = slot.index_put((row, column), (slot[row, column] + step) % len(polygons.x))
+        ahead = slot[row, column], column
+        edge_x[row, column], edge_y[row, column] = polygons.edge_x[ahead], polygons.edge_y[ahead]
+    length = torch.hypot(edge_x, edge_y).clamp_(min=torch.finfo(edge_x.dtype).tiny)
+    return edge_x / length, edge_y / length
 
 
 def all_faces(polygons: Polygons) -> tuple[Tensor, Tensor, Tensor]:
@@ -107,7 +108,8 @@ def all_faces(polygons: Polygons) -> tuple[Tensor, Tensor, Tensor]:
 
     A polygon that is a point has no faces; its normals are `(1, 0)`.
     """
-    along_x, along_y = face_directions(polygons)
+    length = torch.hypot(polygons.edge_x, polygons.edge_y).clamp(min=torch.finfo(polygons.x.dtype).tiny)
+    along_x, along_y = polygons.edge_x / length, polygons.edge_y / length
     busy = (along_x != 0) | (along_y != 0)
     own = torch.arange(len(busy), device=busy.device).unsqueeze(-1)
     latest = torch.where(busy, own, -1).cummax(0).values

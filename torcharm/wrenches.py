@@ -92,9 +92,9 @@ def actuator_force(actuators: tuple[Actuator, ...], strain: Tensor, pressure: Te
     Equal models are evaluated in one call, so the cost follows the number of kinds.
     """
     groups = _alike(actuators)
-    if len(groups) == 1:
-        return actuators[0].force(strain, pressure)
     shape = torch.broadcast_shapes(strain.shape, pressure.shape)
+    if len(groups) == 1:  # which may not depend on pressure
+        return actuators[0].force(strain, pressure).expand(shape)
     force = strain.new_empty(shape, dtype=torch.result_type(strain, pressure))
     for model, members in groups:
         index = (..., members, *(slice(None),) * (-1 - dim))

@@ -52,7 +52,7 @@ def main() -> None:
     torch.set_num_threads(options.threads)
     console = Console()
     rows: list[Row] = []
-    for part in (validation, sweep, stages, memory, compiled, growth):
+    for part in (machine, validation, sweep, stages, memory, compiled, growth):
         if part is compiled and not options.compile:
             continue
         found = list(part(options.quick))
@@ -85,6 +85,20 @@ def seconds(work: Callable[[], object], repeats: int = 9) -> float:
         work()
         times.append(time.perf_counter() - start)
     return statistics.median(times)
+
+
+# ---- the machine -------------------------------------------------------------------------
+
+
+def machine(quick: bool) -> Iterator[Row]:
+    """What the machine does at present: other times mean little without it on a shared one."""
+    a, b = torch.rand(2, 100_000, dtype=torch.float64)
+    out = torch.empty_like(a)
+    big = seconds(lambda: torch.mul(a, b, out=out), 201) / len(a)
+    small = seconds(lambda: a[:4] * 2.0, 2001)
+    part = f"this machine, {torch.get_num_threads()} thread(s)"
+    yield Row(part, "product of 100,000 doubles", "time", big * 1e9, "ns an element")
+    yield Row(part, "slice and product of 4", "time", small * 1e6, "µs")
 
 
 # ---- the validation study -------------------------------------------------------------

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torcharm._select import select
 from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS
 from torcharm.actuators.protocol import check_numbers
 
@@ -80,19 +81,20 @@ class McKibben:
     def force(self, strain: Tensor, pressure: Tensor) -> Tensor:
         """Axial force [N]; strain and pressure [kPa] broadcast."""
         extended = strain >= 0
-        zero = torch.zeros_like(strain)
+        extends = extended.to(strain.dtype)
+        contracts = 1 - extends
         compression, threshold = _compression(strain), _threshold(strain)
 
-        passive = torch.where(extended, _extension(strain), compression)
-        pull_from = torch.where(extended, torch.full_like(strain, _NEVER), threshold)
-        pull_rate = torch.where(extended, zero, _A1 * (_A2 + strain).square())
+        passive = select(extended, _extension(strain), compression)
+        pull_from = select(extended, strain.new_tensor(_NEVER), threshold)
+        pull_rate = contracts * (_A1 * (_A2 + strain).square())
         rise_rate, rise_from = _rise(strain, compression, threshold)
-        gain = torch.where(extended, _B1 * (_B2 * strain + _SLACK).square(), zero)
-        exponent = _B3 * torch.where(extended, strain, zero)
+        gain = extends * (_B1 * (_B2 * strain + _SLACK).square())
+        exponent = _B3 * extends * strain
 
-        recovering = passive + rise_rate * (pressure - rise_from).relu()
+        recovering = passive + (contracts * rise_rate) * (pressure - rise_from).relu()
         pulling = pull_rate * (pressure - pull_from)
-        contracted = torch.where(pressure < pull_from, recovering, pulling)
+        contracted = select(pressure < pull_from, recovering, pulling)
         # p exp((x - 1) ln p) instead of p^x: its second derivatives are right, and finite at p = 0.
         power = pressure * (exponent * pressure.clamp(min=_TRACE).log()).exp()
         return (contracted + gain * power) * -self.force_scale
@@ -102,13 +104,10 @@ def _rise(strain: Tensor, compression: Tensor, threshold: Tensor) -> tuple[Tenso
     """Rate [N/kPa] and onset [kPa] of the force's recovery below the threshold Z.
 
     For ε ≥ ε_lim, `C + max(0, S (p - Z) - C)` is a rise of rate S from `Z + C/S`; below ε_lim the
-    published rate is `k (ε - ε_crit)²` from `p_c`. None in extension.
+    published rate is `k (ε - ε_crit)²` from `p_c`. Of use in contraction only.
     """
     mild = strain >= _STRAIN_LIM
-    slope = torch.where(mild, _recovery(strain), torch.full_like(strain, _RECOVERY_LIM))
-    onset = torch.where(mild, threshold + compression / slope, torch.full_like(strain, _RISE_LIM))
-    collapsing = torch.where(
-        strain >= _STRAIN_CRIT, torch.full_like(strain, _RISE_RATE), torch.full_like(strain, _COLLAPSE_RATE)
-    )
-    rate = torch.where(mild, slope, collapsing * (strain - _STRAIN_CRIT).square())
-    return torch.where(strain < 0, rate, torch.zeros_like(strain)), onset
+    slope = select(mild, _recovery(strain), strain.new_tensor(_RECOVERY_LIM))
+    onset = select(mild, threshold + compression / slope, strain.new_tensor(_RISE_LIM))
+    collapsing = select(strain >= _STRAIN_CRIT, strain.new_tensor(_RISE_RATE), strain.new_tensor(_COLLAPSE_RATE))
+    return select(mild, slope, collapsing * (strain - _STRAIN_CRIT).square()), onset

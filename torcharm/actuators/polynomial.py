@@ -54,7 +54,7 @@ class PolynomialActuator:
         total = _horner(rows[-1], strain)
         for row in reversed(rows[:-1]):
             total = total * pressure + _horner(row, strain)
-        return total.expand(torch.broadcast_shapes(strain.shape, pressure.shape))
+        return total if len(rows) > 1 else total.expand(torch.broadcast_shapes(strain.shape, pressure.shape))
 
     def _rows(self) -> list[list[float]]:
         """`rows[j][i] = c_ij`: for each power of pressure a polynomial in strain."""

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torcharm._inputs import broadcast_shapes, check_tensor
+from torcharm._select import select
 from torcharm.polygon import Polygons, convex_hull, corner_normals, face_square
 
 BOUNDARY_ULPS = 8
@@ -84,13 +85,12 @@ def face_normals(
     off_x, off_y = outward * (from_x - along * edge_x), outward * (from_y - along * edge_y)
     by_edge = span > off_x.square() + off_y.square()
     # Of a hull without area either side may be the nearest face; the point is outside both.
-    facing = torch.where(~faces.inside & (edge_y * off_x < edge_x * off_y), -1.0, 1.0).to(x.dtype)
-    face_x, face_y = torch.where(by_edge, facing * edge_y, off_x), torch.where(by_edge, -facing * edge_x, off_y)
+    facing = 1 - 2 * (~faces.inside & (edge_y * off_x < edge_x * off_y)).to(x.dtype)
+    face_x, face_y = select(by_edge, facing * edge_y, off_x), select(by_edge, -facing * edge_x, off_y)
 
-    ends = torch.where(along.T >= 1, (slot + 1) % len(polygons.x), slot)
+    turn_x, turn_y = (value.T for value in corner_normals(polygons, (slot + (along.T >= 1)) % len(polygons.x)))
     at_corner = (along <= 0) | (along >= 1)
-    turn_x, turn_y = (value.gather(0, ends).T for value in corner_normals(polygons))
-    normal_x, normal_y = torch.where(at_corner, turn_x, face_x), torch.where(at_corner, turn_y, face_y)
+    normal_x, normal_y = select(at_corner, turn_x, face_x), select(at_corner, turn_y, face_y)
     length = torch.hypot(normal_x, normal_y).clamp(min=tiny)
     return normal_x / length, normal_y / length
 
@@ -100,10 +100,10 @@ def signed_length(square: Tensor, inside: Tensor, blur: Tensor, *, signed: bool)
 
     Differentiable in `square` where the distance is not zero; there the gradient is zero.
     """
-    kept = ~(inside if not signed else torch.zeros_like(inside)) & ~(square <= blur.square())
-    root = torch.where(kept, square, torch.ones_like(square)).sqrt()
-    length = torch.where(kept, root, torch.zeros_like(root))
-    return torch.where(inside, -length, length) if signed else length
+    dropped = square <= blur.square()  # and not a NaN
+    kept = 1 - (dropped if signed else dropped | inside).to(square.dtype)
+    length = kept * (kept * square + (1 - kept)).sqrt()
+    return length * (1 - 2 * inside.to(square.dtype)) if signed else length
 
 
 def distance_to_hull(
