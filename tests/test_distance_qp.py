@@ -188,7 +188,7 @@ def raise_error(terms):
     ids=["raises", "None", "junk"],
 )
 def test_an_element_that_ends_the_batch_is_found_and_answered_exactly(monkeypatch, failure):
-    layer = qp._qpth()
+    layer = qp.require_qpth()
     calls = []
 
     def fragile(*terms):
@@ -196,7 +196,7 @@ def test_an_element_that_ends_the_batch_is_found_and_answered_exactly(monkeypatc
         marked = (terms[0].diagonal(dim1=-2, dim2=-1)[:, :4] > 1.99).all(-1)  # four offsets of (±1, ±1)
         return failure(terms) if marked.any() else layer(*terms)
 
-    monkeypatch.setattr(qp, "_qpth", lambda: fragile)
+    monkeypatch.setattr(qp, "require_qpth", lambda: fragile)
     points, vertices = random_problems(40, 5)
     points[7], vertices[7] = double([0.0, 0.0]), double([[1, 1], [1, 1], [1, -1], [1, -1], [1, 0.2]])
     points.requires_grad_()
@@ -210,7 +210,7 @@ def test_an_element_that_ends_the_batch_is_found_and_answered_exactly(monkeypatc
 
 @needs_qpth
 def test_a_solver_that_always_lies_is_not_believed(monkeypatch):
-    monkeypatch.setattr(qp, "_qpth", lambda: lambda *terms: torch.full_like(terms[1], 0.125))
+    monkeypatch.setattr(qp, "require_qpth", lambda: lambda *terms: torch.full_like(terms[1], 0.125))
     points, vertices = random_problems(30, grad=True)
     found, exact = qp_distance(points, vertices), distance_to_hull(points, vertices)
     assert found.resolved.all()
@@ -224,13 +224,13 @@ def test_a_solver_that_always_lies_is_not_believed(monkeypatch):
 
 @needs_qpth
 def test_where_the_second_solve_fails_the_gradient_is_the_envelope_s(monkeypatch):
-    layer = qp._qpth()
+    layer = qp.require_qpth()
 
     def failing(*terms):
         second = terms[1].any(-1, keepdim=True)  # only the proximal step has a linear term
         return torch.where(second & (torch.arange(len(second)) % 3 == 0).unsqueeze(-1), math.nan, 1.0) * layer(*terms)
 
-    monkeypatch.setattr(qp, "_qpth", lambda: failing)
+    monkeypatch.setattr(qp, "require_qpth", lambda: failing)
     points, vertices = random_problems(12, 5, grad=True)
     found, exact = qp_distance(points, vertices), distance_to_hull(points, vertices)
     assert not found.resolved.any()

@@ -1,5 +1,8 @@
 """torcharm: can a soft continuum arm do the job? Attainability from a model, with gradients."""
 
+from typing import TYPE_CHECKING, Any
+
+from torcharm._node_distances import Residuals
 from torcharm.actuators import Actuator, Bellows, McKibben, PolynomialActuator
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
 from torcharm.attainability import Attainability, evaluate
@@ -9,6 +12,12 @@ from torcharm.rod import poses
 from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
 from torcharm.wrenches import reaction_wrench, required_wrench
 
+if TYPE_CHECKING:
+    from torcharm.distance.planar import planar_distance
+    from torcharm.distance.qp import qp_distance
+    from torcharm.distance.result import HullDistance, kkt_residuals
+    from torcharm.distance.scipy_solvers import nnls_distance, slsqp_distance
+
 __version__ = "0.1.0"
 
 __all__ = [
@@ -16,8 +25,10 @@ __all__ = [
     "ArmDesign",
     "Attainability",
     "Bellows",
+    "HullDistance",
     "McKibben",
     "PolynomialActuator",
+    "Residuals",
     "Task",
     "WrenchHulls",
     "affine_curvature",
@@ -26,10 +37,33 @@ __all__ = [
     "cubic_curvature",
     "distance_to_hull",
     "evaluate",
+    "kkt_residuals",
     "mckibben_arm",
+    "nnls_distance",
+    "planar_distance",
     "poses",
+    "qp_distance",
     "reaction_wrench",
     "required_wrench",
     "sample_loads",
+    "slsqp_distance",
     "wrench_hulls",
 ]
+
+_LATER = {
+    "HullDistance": "result",
+    "kkt_residuals": "result",
+    "nnls_distance": "scipy_solvers",
+    "planar_distance": "planar",
+    "qp_distance": "qp",
+    "slsqp_distance": "scipy_solvers",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """The distance solvers, which load when they are first used."""
+    if name not in _LATER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(f"torcharm.distance.{_LATER[name]}"), name)

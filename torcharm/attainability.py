@@ -6,30 +6,21 @@ from math import prod
 
 import torch
 from torch import Tensor
-from torch.utils.checkpoint import checkpoint
 
 from torcharm._inputs import check_choice, check_count, shown
-from torcharm._outer import Block, OuterProduct, map_blocks, outer_product
+from torcharm._node_distances import Check, Residuals, node_distances
+from torcharm._outer import OuterProduct, map_blocks, outer_product
 from torcharm.arm import ArmDesign
-from torcharm.distance.closed_form import NearestFaces, face_normals, nearest_faces, signed_length
-from torcharm.hulls import (
-    Curves,
-    Sections,
-    build_hulls,
-    cross_sections,
-    relative_curves,
-    sample_count,
-    sample_curves,
-    slot_count,
-)
-from torcharm.polygon import face_square
+from torcharm.distance import DistanceFunction, find_solver
+from torcharm.hulls import sample_count, slot_count
 from torcharm.task import Task
-from torcharm.wrenches import PLANAR, along, required_wrench
+from torcharm.wrenches import along
 
 METRICS = ("absolute", "relative")
-DISTANCES = ("closed_form",)
 BLOCK_ELEMENTS = 300_000
 """Hull slots × points in one block: a tensor of them is 2.4 MB, small enough for the caches."""
+SOLVER_ELEMENTS = 3_000_000
+"""Hull slots² × points in one block of a solver, which holds matrices over the vertices."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +36,9 @@ class Attainability:
         absolute_per_node, relative_per_node: each node's distance to its hull, not raised to a power.
         strain_excess: largest strain beyond its actuator's characterised range, 0 if none is.
         in_range: whether every strain, and every pressure limit, lies in the characterised range.
+        converged: whether every distance is a number and, where residuals were asked for or a
+            solver was, each node's answer passed its check.
+        residuals: for each metric, those of every node's distance, if they were asked for.
     """
 
     absolute: Tensor | None
@@ -53,17 +47,8 @@ class Attainability:
     relative_per_node: Tensor | None
     strain_excess: Tensor
     in_range: Tensor
-
-
-@dataclass(frozen=True)
-class _Check:
-    """What to measure, and how."""
-
-    metrics: tuple[str, ...]
-    hull: str
-    samples: int
-    scale: tuple[float, float]
-    signed: bool
+    converged: Tensor
+    residuals: dict[str, Residuals] | None
 
 
 def evaluate(
@@ -73,10 +58,11 @@ def evaluate(
     *,
     hull: str = "exact",
     samples: int | None = None,
-    distance: str = "closed_form",
+    distance: str | DistanceFunction = "closed_form",
     weights: tuple[float, float] = (1.0, 1.0),
     power: int = 1,
     signed: bool = False,
+    residuals: bool = False,
     chunk_size: int | None = None,
 ) -> Attainability:
     """Unattainability of every design on every task.
@@ -86,7 +72,11 @@ def evaluate(
     pressures can provide, summed over the nodes; *relative* unattainability is the same for
     differences from node 1. Both zero: as far as hulls can tell, the arm can hold the shape.
 
-    Differentiable with respect to radii, lengths, pressure limits, twists and loads.
+    Differentiable with respect to radii, lengths, pressure limits, twists and loads: twice with
+    the closed form, once through solvers. Where the distance has a kink, the gradient is one of its
+    one-sided derivatives: inside a hull and on its boundary that of the inside, 0 (signed: that of the
+    nearest face); between two faces equally near, that of either; where a force model has a kink, that
+    of the side on which the model puts the point. At a corner of the hull there is no kink outside.
 
     Args:
         arm: designs, of any batch shape.
@@ -95,24 +85,37 @@ def evaluate(
         hull: "exact", or "edges" as the paper samples.
         samples: points on each actuator's curve (exact) or on each edge of the pressure box
             (edges; the paper's 3); None chooses.
-        distance: "closed_form".
+        distance: "closed_form"; "qpth", the differentiable QP layer; "scipy", the slow reference; or a
+            function of points and vertices such as `partial(qp_distance, form="halfspaces")`.
         weights: k_f [1/N²] and k_m [1/(N·m)²] of the distance `sqrt(k_f f² + k_m m²)`.
         power: 1 sums distances (the paper's text), 2 their squares (the paper's table).
         signed: gives attainable tasks a negative value: where every node is inside its hull, minus
             the smallest margin along the arm (to the power). Node 1 has no part in the relative
-            margin.
+            margin. Needs the closed form.
+        residuals: whether to report each node's optimality residuals.
         chunk_size: (design, shape, load) triples worked on at once; None chooses. Bounds memory.
 
     Raises:
         ValueError: an argument is none of those allowed, or arm and task differ in dtype or device.
     """
     _check_arguments(arm, task, power, signed)
-    check_choice("distance", distance, DISTANCES)
-    check = _Check(_metrics(metrics), hull, sample_count(arm, hull, samples), _scale(weights), signed)
+    solver = None if distance == "closed_form" else find_solver(distance)
+    if signed and solver is not None:
+        raise ValueError("signed: True needs distance='closed_form'; solvers know no distance inside a hull")
+    auditor = solver or (find_solver("closed_form") if residuals else None)
+    samples = sample_count(arm, hull, samples)
+    check = Check(_metrics(metrics), hull, samples, _scale(weights), signed, solver, auditor)
     outer = outer_product(arm, task)
-    per_node, excess = _per_node(outer, check, chunk_size)
+    excess, per_node, *audit = _per_node(outer, check, chunk_size)
     found = {metric: per_node[..., index, :] for index, metric in enumerate(check.metrics)}
     total = {metric: _over_nodes(value, metric, power, signed) for metric, value in found.items()}
+    audits = {
+        metric: Residuals(*(column[..., index, :] for column in audit))
+        for index, metric in enumerate(check.metrics if audit else ())
+    }
+    converged = per_node.isfinite().flatten(-2).all(-1)
+    for checked in audits.values():
+        converged = converged & checked.converged.all(-1)
     return Attainability(
         absolute=total.get("absolute"),
         relative=total.get("relative"),
@@ -120,6 +123,8 @@ def evaluate(
         relative_per_node=found.get("relative"),
         strain_excess=excess,
         in_range=(excess <= 16 * torch.finfo(excess.dtype).eps) & _limits_in_range(outer),
+        converged=converged,
+        residuals=audits if residuals else None,
     )
 
 
@@ -157,111 +162,23 @@ def _scale(weights: tuple[float, float]) -> tuple[float, float]:
     return force**0.5, moment**0.5
 
 
-def _per_node(outer: OuterProduct, check: _Check, chunk_size: int | None) -> tuple[Tensor, Tensor]:
-    """Distances (*design batch, *task batch, K, N) of the K metrics, and the strain excess."""
+def _per_node(outer: OuterProduct, check: Check, chunk_size: int | None) -> tuple[Tensor, ...]:
+    """The strain excess (*design batch, *task batch), distances (..., K, N) of the K metrics, and residuals."""
     if chunk_size is None:
         slots = slot_count(outer.arm.actuator_count, check.hull, check.samples)
-        chunk_size = max(1, BLOCK_ELEMENTS // (slots * outer.nodes))
+        elements = SOLVER_ELEMENTS // slots if check.solver is not None else BLOCK_ELEMENTS
+        chunk_size = max(1, elements // (slots * outer.nodes))
     check_count("chunk_size", chunk_size, 1)
     if 0 in outer.sizes:
-        empty = outer.arm.radii.new_zeros(*outer.sizes, len(check.metrics), outer.nodes)
-        return outer.unflatten(empty), outer.unflatten(empty.new_zeros(outer.sizes))
-    recompute = prod(outer.sizes) > chunk_size
-    blocks = map_blocks(outer, chunk_size, lambda block: _distances(block, check, recompute))
-    return outer.unflatten(blocks[0]), outer.unflatten(blocks[1])
-
-
-def _distances(block: Block, check: _Check, recompute: bool) -> tuple[Tensor, Tensor]:
-    """Distances (d, p, l, K, N) to the hulls, and the strain excess (d, p, l).
-
-    The hulls are searched without gradients. Where gradients are wanted, the reactions at the two
-    ends of each nearest face are evaluated once more with them: a graph of two pressures a
-    node, not of whole hulls, and one that is rebuilt when it is needed if there are many blocks.
-    """
-    recording = torch.is_grad_enabled()
-    followed = recording and _inputs_want_gradient(block)
-    with torch.no_grad():
-        sections = cross_sections(block.arm, block.twists)
-        with torch.set_grad_enabled(recording and not followed):
-            curves = sample_curves(sections, check.samples)
-        replayed = followed or curves.force.requires_grad  # a force model may hold what is asked about
-        found = _nearest_faces(block, sections, curves, check, slots=replayed)
-    if not replayed:
-        squares = [faces.square for faces, _ in found]
-        excess = _strain_excess(sections)
+        sizes = (*outer.sizes, len(check.metrics), outer.nodes)
+        real = outer.arm.radii.new_zeros(sizes)
+        flag = torch.zeros(sizes, dtype=torch.bool, device=real.device)
+        audit = [] if check.auditor is None else [real, real, real, flag, flag]
+        blocks: tuple[Tensor, ...] = (real.new_zeros(outer.sizes), real, *audit)
     else:
-        replay = _Replay(block, check, [fraction for _, fraction in found])
-        *squares, excess = checkpoint(replay, use_reentrant=False) if recompute else replay()
-    lengths = [
-        signed_length(square, faces.inside, faces.blur, signed=check.signed)
-        for square, (faces, _) in zip(squares, found, strict=True)
-    ]
-    per_node = torch.stack(lengths).unflatten(1, sections.shape)  # (K, p, N, d, l)
-    return per_node.permute(3, 1, 4, 0, 2), excess.T.unsqueeze(-1).expand(-1, -1, per_node.shape[-1])
-
-
-def _inputs_want_gradient(block: Block) -> bool:
-    arm = block.arm
-    inputs = (arm.radii, arm.length, arm.max_pressure, block.twists, block.tip_load, block.base_pose)
-    return any(value.requires_grad for value in inputs)
-
-
-def _nearest_faces(
-    block: Block, sections: Sections, curves: Curves, check: _Check, *, slots: bool
-) -> list[tuple[NearestFaces, Tensor | None]]:
-    """For each metric, where the required wrenches stand to the hulls, and (with slots) the
-    pressure fractions (2, M, B, l) of the nearest faces."""
-    found = []
-    for metric in check.metrics:
-        relative = metric == "relative"
-        hulls = build_hulls(relative_curves(sections, curves) if relative else curves, check.hull, check.scale)
-        point = _required(block, check, relative)
-        faces = nearest_faces(hulls.polygons, *point, slots=slots)
-        fraction = None
-        if faces.slot is not None:
-            normal = face_normals(hulls.polygons, faces, *point)
-            fraction = hulls.fractions(faces.slot, normal, point, faces.square)
-        found.append((faces, fraction))
-    return found
-
-
-@dataclass(frozen=True)
-class _Replay:
-    """Squared distances to faces already found, and the strain excess, with gradients."""
-
-    block: Block
-    check: _Check
-    fractions: list[Tensor | None]
-
-    def __call__(self) -> tuple[Tensor, ...]:
-        sections = cross_sections(self.block.arm, self.block.twists)
-        squares = []
-        for metric, fraction in zip(self.check.metrics, self.fractions, strict=True):
-            assert fraction is not None
-            relative = metric == "relative"
-            force, moment = sections.wrench(fraction, relative=relative)
-            x, y = self.check.scale[0] * force, self.check.scale[1] * moment
-            point = _required(self.block, self.check, relative)
-            squares.append(face_square(point, (x[0], y[0]), (x[1], y[1])))
-        return *squares, _strain_excess(sections)
-
-
-def _required(block: Block, check: _Check, relative: bool) -> tuple[Tensor, Tensor]:
-    """Required wrenches, scaled, as two tensors (B, l)."""
-    wrench = required_wrench(block.twists[:, None], block.tip_load, block.base_pose)[..., PLANAR]
-    if relative:
-        wrench = wrench - wrench[..., :1, :]
-    by_node = wrench.movedim(1, -2).unsqueeze(2)  # (p, N, 1, l, 2)
-    by_section = by_node.expand(-1, -1, len(block.arm.radii), -1, -1).flatten(0, 2)
-    return check.scale[0] * by_section[..., 0], check.scale[1] * by_section[..., 1]
-
-
-def _strain_excess(sections: Sections) -> Tensor:
-    """Largest strain (p, d) beyond its actuator's characterised range, 0 if none is."""
-    low, high = zip(*(model.strain_range for model in sections.actuators), strict=True)
-    strain = sections.strain
-    beyond = torch.maximum(strain - along(high, strain, -2), along(low, strain, -2) - strain)
-    return beyond.amax(0).view(sections.shape).amax(1).clamp(min=0)
+        recompute = prod(outer.sizes) > chunk_size
+        blocks = map_blocks(outer, chunk_size, lambda block: node_distances(block, check, recompute))
+    return tuple(outer.unflatten(block) for block in blocks)
 
 
 def _limits_in_range(outer: OuterProduct) -> Tensor:

@@ -348,6 +348,14 @@ def _edge_hulls(curves: Curves, scale: tuple[float, float]) -> EdgeHulls:
     return EdgeHulls(polygons, source, target, curves.grid.view(-1)[table])
 
 
+def corner_fractions(hulls: Hulls) -> Tensor:
+    """Pressure fractions (M, B, V) of the hulls' vertices, in counter-clockwise order; some repeat others."""
+    polygons = hulls.polygons
+    slot, *normal = all_faces(polygons)
+    corner = polygons.x.gather(0, slot.T).T, polygons.y.gather(0, slot.T).T
+    return hulls.fractions(slot, (normal[0], normal[1]), corner, torch.zeros_like(corner[0]))[0]
+
+
 @dataclass(frozen=True, eq=False)
 class WrenchHulls:
     """Attainable sets as polygons, for looking at and for solvers that take vertices.
@@ -386,10 +394,7 @@ def wrench_hulls(
     sections = cross_sections(arm.flatten(), twists.reshape(-1, *twists.shape[-2:]))
     curves = sample_curves(sections, count)
     hulls = build_hulls(relative_curves(sections, curves) if relative else curves, hull, (1.0, 1.0))
-    polygons = hulls.polygons
-    slot, *normal = all_faces(polygons)
-    corner = polygons.x.gather(0, slot.T).T, polygons.y.gather(0, slot.T).T
-    fraction = hulls.fractions(slot, (normal[0], normal[1]), corner, torch.zeros_like(corner[0]))[0]  # (M, B, V)
+    fraction = corner_fractions(hulls)
     vertices = torch.stack(sections.wrench(fraction, relative=relative), -1)
     pressure = (fraction * sections.limit.unsqueeze(-1)).movedim(0, -1)
 

@@ -17,9 +17,10 @@ _SERIES_TERMS = 11  # the first term left out is below 1e-22 at the series' radi
 
 def _series(square: Tensor, first_factorial: int) -> Tensor:
     """Σ_k (-x²)^k / (2k + first_factorial)!, by Horner."""
-    total = torch.zeros_like(square)
-    for k in reversed(range(_SERIES_TERMS)):
-        total = total * -square + 1.0 / math.factorial(2 * k + first_factorial)
+    terms = [(-1) ** k / math.factorial(2 * k + first_factorial) for k in range(_SERIES_TERMS)]
+    total = torch.full_like(square, terms[-1])
+    for term in reversed(terms[:-1]):
+        total = total * square + term
     return total
 
 

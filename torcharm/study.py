@@ -30,7 +30,8 @@ from torch import Tensor
 
 from torcharm.actuators import Actuator, Bellows, McKibben, PolynomialActuator
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
-from torcharm.attainability import DISTANCES, METRICS, Attainability, evaluate
+from torcharm.attainability import METRICS, Attainability, evaluate
+from torcharm.distance import DISTANCES
 from torcharm.hulls import KINDS, sample_count, slot_count
 from torcharm.rod import BASE_POSE
 from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads

@@ -1,0 +1,235 @@
+"""From a block of designs and tasks to each node's distance from what is required to what is attainable."""
+
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+from torch.utils.checkpoint import checkpoint
+
+from torcharm._outer import Block
+from torcharm.distance import DistanceFunction
+from torcharm.distance.closed_form import NearestFaces, face_normals, nearest_faces, signed_length
+from torcharm.hulls import (
+    Curves,
+    Hulls,
+    Sections,
+    build_hulls,
+    corner_fractions,
+    cross_sections,
+    relative_curves,
+    sample_curves,
+)
+from torcharm.polygon import face_square
+from torcharm.wrenches import PLANAR, along, required_wrench
+
+
+@dataclass(frozen=True)
+class Check:
+    """What to measure, and how.
+
+    Attributes:
+        metrics: of "absolute" and "relative".
+        hull, samples: how attainable sets are sampled.
+        scale: factors on force and moment.
+        signed: whether inside counts as negative.
+        solver: what answers distances to sets of vertices; None for the closed form.
+        auditor: what answers for the residuals: the solver or, if they are asked for, another.
+    """
+
+    metrics: tuple[str, ...]
+    hull: str
+    samples: int
+    scale: tuple[float, float]
+    signed: bool
+    solver: DistanceFunction | None
+    auditor: DistanceFunction | None
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """How far to trust each node's distance, from its nearest point as a mix of the hull's vertices.
+
+    `primal`, `dual` and `gap` are relative, and as of `kkt_residuals`.
+
+    Attributes:
+        primal: how far the weights of the mix are from convex.
+        dual: how far a vertex lies beyond the supporting line.
+        gap: primal minus dual objective.
+        converged: whether primal residual and error of the distance are within tolerance.
+        resolved: whether an exact method answered, because the solver asked for had failed.
+    """
+
+    primal: Tensor
+    dual: Tensor
+    gap: Tensor
+    converged: Tensor
+    resolved: Tensor
+
+
+COLUMNS = tuple(field.name for field in fields(Residuals))
+Columns = tuple[Tensor, ...]
+
+
+def node_distances(block: Block, check: Check, recompute: bool) -> Columns:
+    """The strain excess (d, p, l), distances (d, p, l, K, N) to the hulls and, with an auditor, their residuals.
+
+    Args:
+        recompute: whether to rebuild graphs when they are needed instead of keeping them.
+    """
+    if check.solver is None:
+        answers, excess, shape = _by_closed_form(block, check, recompute)
+    else:
+        answers, excess, shape = _by_solver(block, check, check.solver, recompute)
+    by_column = [torch.stack(column).unflatten(1, shape) for column in zip(*answers, strict=True)]  # (K, p, N, d, l)
+    columns = [column.permute(3, 1, 4, 0, 2) for column in by_column]
+    return excess.T.unsqueeze(-1).expand(columns[0].shape[:3]), *columns
+
+
+def _by_closed_form(block: Block, check: Check, recompute: bool) -> tuple[list[Columns], Tensor, tuple[int, int, int]]:
+    """For each metric distances (B, l) and residuals; the strain excess (p, d); and (p, N, d).
+
+    The hulls are searched without gradients. Where gradients are wanted, the reactions at the two
+    ends of each nearest face are evaluated once more with them: a graph of two pressures a
+    node, not of whole hulls.
+    """
+    recording = torch.is_grad_enabled()
+    followed = recording and _inputs_want_gradient(block)
+    with torch.no_grad():
+        sections = cross_sections(block.arm, block.twists)
+        with torch.set_grad_enabled(recording and not followed):
+            curves = sample_curves(sections, check.samples)
+        replayed = followed or curves.force.requires_grad  # a force model may hold what is asked about
+        found = [_nearest_face(block, sections, curves, check, metric, slots=replayed) for metric in check.metrics]
+    if replayed:
+        replay = _Replay(block, check, [one.fraction for one in found])
+        *squares, excess = checkpoint(replay, use_reentrant=False) if recompute else replay()
+    else:
+        squares = [one.faces.square for one in found]
+        excess = _strain_excess(sections)
+    answers = [
+        (signed_length(square, one.faces.inside, one.faces.blur, signed=check.signed), *one.residuals)
+        for square, one in zip(squares, found, strict=True)
+    ]
+    return answers, excess, sections.shape
+
+
+def _inputs_want_gradient(block: Block) -> bool:
+    arm = block.arm
+    inputs = (arm.radii, arm.length, arm.max_pressure, block.twists, block.tip_load, block.base_pose)
+    return any(value.requires_grad for value in inputs)
+
+
+@dataclass(frozen=True)
+class _Nearest:
+    """Where the required wrenches (B, l) stand to the hulls of one metric.
+
+    Attributes:
+        faces: the nearest ones.
+        fraction: (2, M, B, l) pressure fractions at their ends, if asked for.
+        residuals: (B, l) each, if asked for.
+    """
+
+    faces: NearestFaces
+    fraction: Tensor | None
+    residuals: Columns
+
+
+def _nearest_face(
+    block: Block, sections: Sections, curves: Curves, check: Check, metric: str, *, slots: bool
+) -> _Nearest:
+    relative = metric == "relative"
+    hulls = _hulls(sections, curves, check, relative)
+    point = _required(block, check, relative)
+    faces = nearest_faces(hulls.polygons, *point, slots=slots)
+    fraction = None
+    if faces.slot is not None:
+        normal = face_normals(hulls.polygons, faces, *point)
+        fraction = hulls.fractions(faces.slot, normal, point, faces.square)
+    auditor = check.auditor
+    residuals = () if auditor is None else _solve(sections, hulls, point, check, relative, auditor)[1:]
+    return _Nearest(faces, fraction, residuals)
+
+
+def _hulls(sections: Sections, curves: Curves, check: Check, relative: bool) -> Hulls:
+    return build_hulls(relative_curves(sections, curves) if relative else curves, check.hull, check.scale)
+
+
+@dataclass(frozen=True)
+class _Replay:
+    """Squared distances to faces already found, and the strain excess, with gradients."""
+
+    block: Block
+    check: Check
+    fractions: list[Tensor | None]
+
+    def __call__(self) -> Columns:
+        sections = cross_sections(self.block.arm, self.block.twists)
+        squares = []
+        for metric, fraction in zip(self.check.metrics, self.fractions, strict=True):
+            assert fraction is not None
+            relative = metric == "relative"
+            x, y = _scaled(sections.wrench(fraction, relative=relative), self.check)
+            squares.append(face_square(_required(self.block, self.check, relative), (x[0], y[0]), (x[1], y[1])))
+        return *squares, _strain_excess(sections)
+
+
+def _by_solver(
+    block: Block, check: Check, solver: DistanceFunction, recompute: bool
+) -> tuple[list[Columns], Tensor, tuple[int, int, int]]:
+    """As `_by_closed_form`, through a solver that is given the hulls' vertices, with their gradients."""
+
+    def work() -> Columns:
+        sections = cross_sections(block.arm, block.twists)
+        columns: list[Tensor] = []
+        with torch.no_grad():
+            curves = sample_curves(sections, check.samples)
+        for metric in check.metrics:
+            relative = metric == "relative"
+            with torch.no_grad():
+                hulls = _hulls(sections, curves, check, relative)
+            found = _solve(sections, hulls, _required(block, check, relative), check, relative, solver)
+            columns += found
+        return *columns, _strain_excess(sections)
+
+    *columns, excess = checkpoint(work, use_reentrant=False) if recompute and torch.is_grad_enabled() else work()
+    each = 1 + len(COLUMNS)
+    answers = [tuple(columns[start : start + each]) for start in range(0, len(columns), each)]
+    return answers, excess, (len(block.twists), block.twists.shape[-2], len(block.arm.radii))
+
+
+def _solve(
+    sections: Sections,
+    hulls: Hulls,
+    point: tuple[Tensor, Tensor],
+    check: Check,
+    relative: bool,
+    solver: DistanceFunction,
+) -> Columns:
+    """Distances (B, l) by a solver that takes vertices, and its residuals."""
+    with torch.no_grad():
+        fraction = corner_fractions(hulls)
+    vertices = torch.stack(_scaled(sections.wrench(fraction, relative=relative), check), -1)
+    found = solver(torch.stack(point, -1), vertices.unsqueeze(1))
+    return found.value, *(getattr(found, name) for name in COLUMNS)
+
+
+def _scaled(wrench: tuple[Tensor, Tensor], check: Check) -> tuple[Tensor, Tensor]:
+    return check.scale[0] * wrench[0], check.scale[1] * wrench[1]
+
+
+def _required(block: Block, check: Check, relative: bool) -> tuple[Tensor, Tensor]:
+    """Required wrenches, scaled, as two tensors (B, l)."""
+    wrench = required_wrench(block.twists[:, None], block.tip_load, block.base_pose)[..., PLANAR]
+    if relative:
+        wrench = wrench - wrench[..., :1, :]
+    by_node = wrench.movedim(1, -2).unsqueeze(2)  # (p, N, 1, l, 2)
+    by_section = by_node.expand(-1, -1, len(block.arm.radii), -1, -1).flatten(0, 2)
+    return _scaled((by_section[..., 0], by_section[..., 1]), check)
+
+
+def _strain_excess(sections: Sections) -> Tensor:
+    """Largest strain (p, d) beyond its actuator's characterised range, 0 if none is."""
+    low, high = zip(*(model.strain_range for model in sections.actuators), strict=True)
+    strain = sections.strain
+    beyond = torch.maximum(strain - along(high, strain, -2), along(low, strain, -2) - strain)
+    return beyond.amax(0).view(sections.shape).amax(1).clamp(min=0)
