@@ -4,55 +4,19 @@ import numpy as np
 import oracle
 import pytest
 import torch
+from hull_cases import VERTEX_SETS, double, points_about, size_of
 from torch.autograd import gradcheck, gradgradcheck
 
 from torcharm import distance_to_hull
 
-RNG = np.random.default_rng(11)
-LINE = np.array([0.6, -0.8])
+RNG = np.random.default_rng(12)
 SQUARE = np.array([[0, 0], [2, 0], [2, 2], [0, 2.0]])
 PENTAGON = np.array([[math.cos(a), math.sin(a)] for a in 2 * math.pi * np.arange(5) / 5 + 0.1])
-
-VERTEX_SETS = {
-    "random": RNG.normal(size=(10, 2)),
-    "many": RNG.normal(size=(200, 2)),
-    "far from the origin": RNG.normal(size=(10, 2)) + 50.0,
-    "flat": RNG.normal(size=(10, 2)) * [1.0, 1e-6],
-    "triangle": RNG.normal(size=(3, 2)),
-    "duplicates": np.repeat(RNG.normal(size=(6, 2)), 4, axis=0),
-    "near duplicates": np.repeat(RNG.normal(size=(6, 2)), 4, axis=0) + RNG.uniform(-1e-14, 1e-14, size=(24, 2)),
-    "two points": RNG.normal(size=(2, 2)),
-    "near-duplicate pair": np.array([[0.3, 0.4], [0.3, 0.4 + 1e-14]]),
-    "collinear": np.outer([0.0, 4.0, -2.0, 1.0, 8.0], [1.0, -0.5]),
-    "nearly collinear": np.outer(RNG.normal(size=8), LINE) + RNG.uniform(-1e-14, 1e-14, size=(8, 2)),
-    "vertical": np.array([[1.0, y] for y in (2.0, -1.0, 0.5, 2.0)]),
-    "horizontal": np.array([[x, 1.0] for x in (2.0, -1.0, 0.5, 2.0)]),
-    "one point": np.array([[0.7, -0.2]]),
-    "the same point": np.full((4, 2), 0.25),
-    "square with its edge points": np.array([[x, y] for x in (0, 1, 2) for y in (0, 1, 2.0)]),
-}
-
-
-def points_about(vertices, count=60):
-    """Points far and near, and inside where there is an inside."""
-    rng = np.random.default_rng(5)
-    middle, spread = vertices.mean(0), np.ptp(vertices, axis=0).max() + 0.1
-    mixtures = rng.dirichlet(np.ones(len(vertices)), size=count // 3) @ vertices
-    around = middle + rng.normal(size=(count, 2)) * spread
-    return np.concatenate((around, mixtures, vertices + rng.normal(size=vertices.shape) * 1e-3))
 
 
 def expected_distances(points, vertices, *, signed):
     corners = oracle.hull(vertices)
     return np.array([oracle.distance(point, corners, signed=signed) for point in points])
-
-
-def size_of(points, vertices):
-    return np.abs(points).max() + np.abs(vertices).max()
-
-
-def double(values, *, grad=False):
-    return torch.tensor(np.asarray(values, dtype=float), requires_grad=grad)
 
 
 @pytest.mark.parametrize("signed", [False, True])

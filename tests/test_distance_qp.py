@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 import torch
-from test_distance_closed_form import VERTEX_SETS, double, points_about
+from hull_cases import VERTEX_SETS, double, points_about
 
 from torcharm import distance_to_hull
 from torcharm.distance import qp

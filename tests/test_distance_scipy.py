@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from test_distance_closed_form import VERTEX_SETS, double, points_about, size_of
+from hull_cases import VERTEX_SETS, double, points_about, size_of
 
 from torcharm import distance_to_hull
 from torcharm.distance.result import kkt_residuals

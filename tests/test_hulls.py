@@ -266,3 +266,18 @@ def test_edges_of_too_many_actuators_are_an_error_that_names_the_way_out():
     arm = ta.ArmDesign(torch.linspace(-0.1, 0.1, 13), 0.5, [ta.Bellows()] * 13)
     with pytest.raises(ValueError, match=r"12 actuators, got 13.*exact"):
         ta.wrench_hulls(arm, torch.tensor(CURVED), hull="edges")
+
+
+@pytest.mark.parametrize("relative", [False, True])
+def test_vertices_are_differentiable(relative):
+    radius = torch.tensor(0.08, dtype=torch.float64, requires_grad=True)
+    twists = ta.affine_curvature(-3.0, 3.0, length=0.5, nodes=4)
+
+    def width(outer):
+        vertices = ta.wrench_hulls(ta.antagonistic_arm(outer, 0.015, 0.5), twists, relative=relative).vertices
+        return vertices[..., 1].amax() - vertices[..., 1].amin()
+
+    (found,) = torch.autograd.grad(width(radius), radius)
+    with torch.no_grad():
+        wanted = (width(radius + 1e-6) - width(radius - 1e-6)) / 2e-6
+    torch.testing.assert_close(found, wanted, rtol=1e-6, atol=0)

@@ -9,6 +9,7 @@ from torch.utils.checkpoint import checkpoint
 from torcharm._outer import Block
 from torcharm.distance import DistanceFunction
 from torcharm.distance.closed_form import NearestFaces, face_normals, nearest_faces, signed_length
+from torcharm.distance.support import Polished, polish
 from torcharm.hulls import (
     Curves,
     Hulls,
@@ -19,6 +20,7 @@ from torcharm.hulls import (
     relative_curves,
     sample_curves,
 )
+from torcharm.pieces import follow_kinks
 from torcharm.polygon import face_square
 from torcharm.wrenches import PLANAR, along, required_wrench
 
@@ -32,6 +34,7 @@ class Check:
         hull, samples: how attainable sets are sampled.
         scale: factors on force and moment.
         signed: whether inside counts as negative.
+        polish: whether to go on from the sampled sets to the sets themselves.
         solver: what answers distances to sets of vertices; None for the closed form.
         auditor: what answers for the residuals: the solver or, if they are asked for, another.
     """
@@ -41,6 +44,7 @@ class Check:
     samples: int
     scale: tuple[float, float]
     signed: bool
+    polish: bool
     solver: DistanceFunction | None
     auditor: DistanceFunction | None
 
@@ -66,12 +70,15 @@ class Residuals:
     resolved: Tensor
 
 
+AGREEMENT = 1e4
+"""Blurs by which a distance may differ from itself when its face is evaluated again with gradients."""
 COLUMNS = tuple(field.name for field in fields(Residuals))
 Columns = tuple[Tensor, ...]
 
 
 def node_distances(block: Block, check: Check, recompute: bool) -> Columns:
-    """The strain excess (d, p, l), distances (d, p, l, K, N) to the hulls and, with an auditor, their residuals.
+    """The strain excess (d, p, l), distances (d, p, l, K, N) to the hulls, whether they
+    converged and, with an auditor, their residuals.
 
     Args:
         recompute: whether to rebuild graphs when they are needed instead of keeping them.
@@ -86,7 +93,7 @@ def node_distances(block: Block, check: Check, recompute: bool) -> Columns:
 
 
 def _by_closed_form(block: Block, check: Check, recompute: bool) -> tuple[list[Columns], Tensor, tuple[int, int, int]]:
-    """For each metric distances (B, l) and residuals; the strain excess (p, d); and (p, N, d).
+    """For each metric distances (B, l), flags and residuals; the strain excess (p, d); and (p, N, d).
 
     The hulls are searched without gradients. Where gradients are wanted, the reactions at the two
     ends of each nearest face are evaluated once more with them: a graph of two pressures a
@@ -102,15 +109,30 @@ def _by_closed_form(block: Block, check: Check, recompute: bool) -> tuple[list[C
         found = [_nearest_face(block, sections, curves, check, metric, slots=replayed) for metric in check.metrics]
     if replayed:
         replay = _Replay(block, check, [one.fraction for one in found])
-        *squares, excess = checkpoint(replay, use_reentrant=False) if recompute else replay()
+        *again, excess = checkpoint(replay, use_reentrant=False) if recompute else replay()
+        replays = [_agreeing(square, one.faces) for square, one in zip(again, found, strict=True)]
     else:
-        squares = [one.faces.square for one in found]
+        replays = [(one.faces.square, torch.ones_like(one.converged)) for one in found]
         excess = _strain_excess(sections)
     answers = [
-        (signed_length(square, one.faces.inside, one.faces.blur, signed=check.signed), *one.residuals)
-        for square, one in zip(squares, found, strict=True)
+        (
+            signed_length(square, one.faces.inside, one.faces.blur, signed=check.signed),
+            one.converged & agrees,
+            *one.residuals,
+        )
+        for (square, agrees), one in zip(replays, found, strict=True)
     ]
     return answers, excess, sections.shape
+
+
+def _agreeing(square: Tensor, faces: NearestFaces) -> tuple[Tensor, Tensor]:
+    """Squares (B, l) with gradients, where they are those that were found; and whether (B, l) they are.
+
+    Of hulls that are slivers at the edge of what numbers can hold, faces may be lost in rounding.
+    """
+    off = (square.detach().sqrt() - faces.square.sqrt()).abs()
+    agrees = off <= AGREEMENT * faces.blur
+    return square if bool(agrees.all()) else torch.where(agrees, square, faces.square), agrees
 
 
 def _inputs_want_gradient(block: Block) -> bool:
@@ -126,11 +148,13 @@ class _Nearest:
     Attributes:
         faces: the nearest ones.
         fraction: (2, M, B, l) pressure fractions at their ends, if asked for.
+        converged: (B, l) whether they are what was asked for.
         residuals: (B, l) each, if asked for.
     """
 
     faces: NearestFaces
     fraction: Tensor | None
+    converged: Tensor
     residuals: Columns
 
 
@@ -140,14 +164,28 @@ def _nearest_face(
     relative = metric == "relative"
     hulls = _hulls(sections, curves, check, relative)
     point = _required(block, check, relative)
-    faces = nearest_faces(hulls.polygons, *point, slots=slots)
+    faces = nearest_faces(hulls.polygons, *point, slots=slots or check.polish)
+    polished = None
+    if check.polish:
+        polished = polish(sections, hulls.polygons, faces, point, check.scale, relative=relative, signed=check.signed)
     fraction = None
-    if faces.slot is not None:
-        normal = face_normals(hulls.polygons, faces, *point)
-        fraction = hulls.fractions(faces.slot, normal, point, faces.square)
+    if slots:
+        fraction = _fractions(hulls, faces, point, polished)
+    if polished is not None:
+        faces = polished.faces
+    converged = torch.ones_like(faces.inside) if polished is None else polished.converged
     auditor = check.auditor
-    residuals = () if auditor is None else _solve(sections, hulls, point, check, relative, auditor)[1:]
-    return _Nearest(faces, fraction, residuals)
+    residuals = () if auditor is None else _solve(sections, hulls, point, check, relative, auditor)[2:]
+    return _Nearest(faces, fraction, converged, residuals)
+
+
+def _fractions(hulls: Hulls, faces: NearestFaces, point: tuple[Tensor, Tensor], polished: Polished | None) -> Tensor:
+    """Pressure fractions (2, M, B, l) at the ends of the nearest faces, polished where that converged."""
+    if polished is not None and bool(polished.converged.all()):
+        return polished.fraction
+    assert faces.slot is not None
+    sampled = hulls.fractions(faces.slot, face_normals(hulls.polygons, faces, *point), point, faces.square)
+    return sampled if polished is None else torch.where(polished.converged, polished.fraction, sampled)
 
 
 def _hulls(sections: Sections, curves: Curves, check: Check, relative: bool) -> Hulls:
@@ -168,6 +206,8 @@ class _Replay:
         for metric, fraction in zip(self.check.metrics, self.fractions, strict=True):
             assert fraction is not None
             relative = metric == "relative"
+            if self.check.polish:
+                fraction = follow_kinks(sections, fraction, relative=relative)
             x, y = _scaled(sections.wrench(fraction, relative=relative), self.check)
             squares.append(face_square(_required(self.block, self.check, relative), (x[0], y[0]), (x[1], y[1])))
         return *squares, _strain_excess(sections)
@@ -192,7 +232,7 @@ def _by_solver(
         return *columns, _strain_excess(sections)
 
     *columns, excess = checkpoint(work, use_reentrant=False) if recompute and torch.is_grad_enabled() else work()
-    each = 1 + len(COLUMNS)
+    each = 2 + len(COLUMNS)
     answers = [tuple(columns[start : start + each]) for start in range(0, len(columns), each)]
     return answers, excess, (len(block.twists), block.twists.shape[-2], len(block.arm.radii))
 
@@ -210,7 +250,7 @@ def _solve(
         fraction = corner_fractions(hulls)
     vertices = torch.stack(_scaled(sections.wrench(fraction, relative=relative), check), -1)
     found = solver(torch.stack(point, -1), vertices.unsqueeze(1))
-    return found.value, *(getattr(found, name) for name in COLUMNS)
+    return found.value, found.converged, *(getattr(found, name) for name in COLUMNS)
 
 
 def _scaled(wrench: tuple[Tensor, Tensor], check: Check) -> tuple[Tensor, Tensor]:

@@ -380,6 +380,8 @@ def wrench_hulls(
 ) -> WrenchHulls:
     """The attainable set of every node, absolute or relative to node 1.
 
+    The vertices are differentiable, with the pressures held.
+
     Args:
         arm: designs.
         twists: shapes [m, m, rad]; every design meets every shape.
@@ -392,9 +394,10 @@ def wrench_hulls(
     check_tensor("twists", twists, "N", 3)
     count = sample_count(arm, hull, samples)
     sections = cross_sections(arm.flatten(), twists.reshape(-1, *twists.shape[-2:]))
-    curves = sample_curves(sections, count)
-    hulls = build_hulls(relative_curves(sections, curves) if relative else curves, hull, (1.0, 1.0))
-    fraction = corner_fractions(hulls)
+    with torch.no_grad():
+        curves = sample_curves(sections, count)
+        hulls = build_hulls(relative_curves(sections, curves) if relative else curves, hull, (1.0, 1.0))
+        fraction = corner_fractions(hulls)
     vertices = torch.stack(sections.wrench(fraction, relative=relative), -1)
     pressure = (fraction * sections.limit.unsqueeze(-1)).movedim(0, -1)
 

@@ -91,7 +91,7 @@ def actuator_force(actuators: tuple[Actuator, ...], strain: Tensor, pressure: Te
 
     Equal models are evaluated in one call, so the cost follows the number of kinds.
     """
-    groups = _alike(actuators)
+    groups = group_alike(actuators)
     shape = torch.broadcast_shapes(strain.shape, pressure.shape)
     if len(groups) == 1:  # which may not depend on pressure
         return actuators[0].force(strain, pressure).expand(shape)
@@ -102,7 +102,7 @@ def actuator_force(actuators: tuple[Actuator, ...], strain: Tensor, pressure: Te
     return force
 
 
-def _alike(actuators: tuple[Actuator, ...]) -> list[tuple[Actuator, slice | list[int]]]:
+def group_alike(actuators: tuple[Actuator, ...]) -> list[tuple[Actuator, slice | list[int]]]:
     """Each kind of model, and where it sits: as a slice, which costs no copy, if evenly spaced."""
     groups: list[tuple[Actuator, list[int]]] = []
     for index, model in enumerate(actuators):

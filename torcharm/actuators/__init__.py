@@ -2,6 +2,21 @@
 
 from torcharm.actuators.mckibben import McKibben
 from torcharm.actuators.polynomial import Bellows, PolynomialActuator
-from torcharm.actuators.protocol import Actuator, check_actuator, is_linear_in_pressure
+from torcharm.actuators.protocol import (
+    Actuator,
+    check_actuator,
+    is_linear_in_pressure,
+    pressure_degree,
+    pressure_knots,
+)
 
-__all__ = ["Actuator", "Bellows", "McKibben", "PolynomialActuator", "check_actuator", "is_linear_in_pressure"]
+__all__ = [
+    "Actuator",
+    "Bellows",
+    "McKibben",
+    "PolynomialActuator",
+    "check_actuator",
+    "is_linear_in_pressure",
+    "pressure_degree",
+    "pressure_knots",
+]

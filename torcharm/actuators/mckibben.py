@@ -99,6 +99,16 @@ class McKibben:
         power = pressure * (exponent * pressure.clamp(min=_TRACE).log()).exp()
         return (contracted + gain * power) * -self.force_scale
 
+    def pressure_knots(self, strain: Tensor) -> Tensor:
+        """Pressures (2, *strain.shape) [kPa] of the kinks in contraction: the onset of recovery, and Z.
+
+        In extension there is none; there they divide a power of pressure that is steepest near 0.
+        """
+        compression, threshold = _compression(strain), _threshold(strain)
+        kinks = torch.stack((_rise(strain, compression, threshold)[1], threshold))
+        ladder = strain.new_tensor((self.max_pressure / 64, self.max_pressure / 8)).view(-1, *[1] * strain.ndim)
+        return select(strain >= 0, ladder.expand_as(kinks), kinks)
+
 
 def _rise(strain: Tensor, compression: Tensor, threshold: Tensor) -> tuple[Tensor, Tensor]:
     """Rate [N/kPa] and onset [kPa] of the force's recovery below the threshold Z.

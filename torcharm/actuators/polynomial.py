@@ -44,9 +44,9 @@ class PolynomialActuator:
         check_numbers(self)
 
     @property
-    def linear_in_pressure(self) -> bool:
-        """Whether no term holds the pressure to a power above one."""
-        return all(j <= 1 or c == 0 for _, j, c in self.coefficients)
+    def pressure_degree(self) -> int:
+        """The highest power of pressure that acts."""
+        return max([0, *(j for _, j, c in self.coefficients if c != 0)])
 
     def force(self, strain: Tensor, pressure: Tensor) -> Tensor:
         """Axial force [N]; strain and pressure [kPa] broadcast."""

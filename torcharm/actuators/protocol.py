@@ -16,8 +16,10 @@ class Actuator(Protocol):
     registered. Make it hashable (a frozen dataclass is) and equal to its copies: actuators that
     compare equal are evaluated together.
 
-    One more member is optional. `linear_in_pressure = True` says that the force is an affine
-    function of pressure at every strain, which lets two samples stand for the whole curve.
+    Two more members are optional, and let torcharm be exact where it would else be accurate.
+    `pressure_knots(strain)` returns pressures (k, *strain.shape) [kPa], in any order, at which the force has
+    a kink. `pressure_degree = 3` says that between them it is a polynomial in pressure of that degree;
+    at degree 1 without knots two samples stand for the whole curve.
     """
 
     @property
@@ -86,6 +88,21 @@ def _number(value: Any) -> float:
         return math.nan
 
 
+def pressure_degree(actuator: Actuator) -> int | None:
+    """The degree in pressure of the force between its kinks, if the model says so."""
+    degree: int | None = getattr(actuator, "pressure_degree", None)
+    return degree
+
+
+def pressure_knots(actuator: Actuator, strain: Tensor) -> Tensor:
+    """Pressures (k, *strain.shape) [kPa] at which the model says its force has a kink; k may be 0."""
+    if not hasattr(actuator, "pressure_knots"):
+        return strain.new_empty(0, *strain.shape)
+    knots: Tensor = actuator.pressure_knots(strain)
+    return knots
+
+
 def is_linear_in_pressure(actuator: Actuator) -> bool:
     """Whether the model says that its force is affine in pressure."""
-    return bool(getattr(actuator, "linear_in_pressure", False))
+    degree = pressure_degree(actuator)
+    return degree is not None and degree <= 1 and not hasattr(actuator, "pressure_knots")

@@ -14,6 +14,12 @@ BOUNDARY_ULPS = 8
 """Within so many roundings of the boundary a point counts as on it: its distance is 0."""
 
 
+INSIDE_ULPS = 2
+"""Roundings by which a point must be left of an edge to be on its inner side."""
+CLOSE = 1e6
+"""Within so many blurs of the boundary a point's direction from it is not to be trusted."""
+
+
 @dataclass(frozen=True)
 class NearestFaces:
     """Where points (B, L) stand to B polygons.
@@ -50,13 +56,16 @@ def nearest_faces(polygons: Polygons, x: Float[Tensor, "B L"], y: Float[Tensor, 
 
     from_x, from_y = x - polygons.x.unsqueeze(-1), y - polygons.y.unsqueeze(-1)
     along = (from_x * edge_x).addcmul_(from_y, edge_y).mul_(inverse).clamp_(0, 1)
-    innermost = (edge_x * from_y).addcmul_(edge_y, from_x, value=-1).add_(never).amin(0)
+    width = (span.sum(0) * len(span)).sqrt()  # at least the polygon's own
+    size = width + (polygons.x[0].abs() + polygons.y[0].abs()).unsqueeze(-1) + x.abs() + y.abs()
+    # Left of every edge by more than the product's rounding: in line with a flat polygon is not inside it.
+    extent = edge_x.abs() + edge_y.abs()
+    innermost = (edge_x * from_y).addcmul_(edge_y, from_x, value=-1)
+    innermost = innermost.addcmul_(extent, size, value=-INSIDE_ULPS * real.eps).add_(never).amin(0)
     inside = (innermost > 0) & (innermost < real.max / 8)
     off_x, off_y = from_x.addcmul_(along, edge_x, value=-1), from_y.addcmul_(along, edge_y, value=-1)
     square = off_x.square_().addcmul_(off_y, off_y)
 
-    width = (span.sum(0) * len(span)).sqrt()  # at least the polygon's own
-    size = width + (polygons.x[0].abs() + polygons.y[0].abs()).unsqueeze(-1) + x.abs() + y.abs()
     blur = BOUNDARY_ULPS * real.eps * size
     if slots:
         nearest, slot = square.min(0)
@@ -95,14 +104,39 @@ def face_normals(
     return normal_x / length, normal_y / length
 
 
+def start_normals(
+    polygons: Polygons, faces: NearestFaces, x: Float[Tensor, "B L"], y: Float[Tensor, "B L"]
+) -> tuple[Float[Tensor, "B L"], Float[Tensor, "B L"]]:
+    """Unit vectors from the polygons' nearest points to the points (inside, the other way).
+
+    Where the two almost touch, the face's normal.
+    """
+    assert faces.slot is not None
+    slot = faces.slot.T
+    corner_x, corner_y, edge_x, edge_y = (
+        value.gather(0, slot).T for value in (polygons.x, polygons.y, polygons.edge_x, polygons.edge_y)
+    )
+    tiny = torch.finfo(x.dtype).tiny
+    span = edge_x.square() + edge_y.square()
+    from_x, from_y = x - corner_x, y - corner_y
+    along = ((from_x * edge_x + from_y * edge_y) / (span + tiny)).clamp(0, 1)
+    outward = 1 - 2 * faces.inside.to(x.dtype)
+    off_x, off_y = outward * (from_x - along * edge_x), outward * (from_y - along * edge_y)
+    apart = faces.square > (CLOSE * faces.blur).square()
+    normal_x, normal_y = select(apart, off_x, edge_y), select(apart, off_y, -edge_x)
+    length = torch.hypot(normal_x, normal_y)
+    nowhere = (length <= tiny).to(x.dtype)
+    return (normal_x + nowhere) / (length + nowhere), normal_y / (length + nowhere)
+
+
 def signed_length(square: Tensor, inside: Tensor, blur: Tensor, *, signed: bool) -> Tensor:
     """The distance: positive outside, zero touching, and inside zero or (signed) minus the margin.
 
     Differentiable in `square` where the distance is not zero; there the gradient is zero.
     """
     dropped = square <= blur.square()  # and not a NaN
-    kept = 1 - (dropped if signed else dropped | inside).to(square.dtype)
-    length = kept * (kept * square + (1 - kept)).sqrt()
+    dropped = dropped if signed else dropped | inside
+    length = (1 - dropped.to(square.dtype)) * torch.where(dropped, 1.0, square).sqrt()
     return length * (1 - 2 * inside.to(square.dtype)) if signed else length
 
 

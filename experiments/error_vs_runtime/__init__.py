@@ -1,0 +1,1 @@
+"""What accuracy costs: ways to sample attainable sets, and solvers for distances to them."""

@@ -1,0 +1,3 @@
+from experiments.stability.run import main
+
+main()

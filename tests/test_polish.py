@@ -1,0 +1,128 @@
+"""Polished distances against converged ones that are found without polygons, and against certificates."""
+
+import numpy as np
+import pytest
+import torch
+
+import torcharm as ta
+from experiments.reference import converged_distance
+from torcharm import hulls
+from torcharm.pieces import fit_pieces
+
+ARMS = {"antagonistic": ta.antagonistic_arm, "bellows": ta.bellows_arm, "McKibben": ta.mckibben_arm}
+SHAPES = [(-3.0, 3.0), (1.0, 1.5), (6.0, -1.5)]
+
+
+def affine(start, end, nodes=10):
+    return ta.affine_curvature(start, end, length=0.5, nodes=nodes)
+
+
+def polished(arm, twists, loads, *, relative, signed=False):
+    metric = "relative" if relative else "absolute"
+    found = ta.evaluate(arm, ta.Task(twists, loads), (metric,), samples=3, polish=True, signed=signed)
+    return getattr(found, f"{metric}_per_node"), found.converged
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("relative", [False, True])
+@pytest.mark.parametrize("signed", [False, True])
+def test_paper_scenes_are_exact(name, shape, relative, signed):
+    arm, twists, load = ARMS[name](), affine(*shape), ta.sample_loads(4)[3]
+    value, converged = polished(arm, twists, load, relative=relative, signed=signed)
+    wanted = converged_distance(arm, twists, load, relative=relative, signed=signed)
+    assert converged.all()
+    np.testing.assert_allclose(value.numpy(), wanted, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("relative", [False, True])
+def test_random_designs_within_the_characterised_range_are_exact_or_flagged(seed, relative):
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(1, 7))
+    models = tuple(ta.Bellows() if rng.random() < 0.5 else ta.McKibben() for _ in range(count))
+    arm = ta.ArmDesign(torch.tensor(rng.uniform(-0.03, 0.03, count)), 0.5, models)
+    twists = affine(*rng.uniform(-1.2, 1.2, 2), nodes=5)
+    load = torch.tensor(rng.normal(0, (5, 5, 0.5)))
+    value, converged = polished(arm, twists, load, relative=relative)
+    wanted = converged_distance(arm, twists, load, relative=relative)
+    assert converged.all()
+    np.testing.assert_allclose(value.numpy(), wanted, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("relative", [False, True])
+def test_polishing_never_lengthens_a_distance_and_is_near_it(relative):
+    arm = ta.antagonistic_arm(torch.linspace(0.04, 0.09, 20, dtype=torch.float64), 0.015, 0.5)
+    loads = ta.sample_loads(10)
+    value, _ = polished(arm, affine(-3.0, 3.0), loads, relative=relative)
+    metric = "relative" if relative else "absolute"
+    task = ta.Task(affine(-3.0, 3.0), loads)
+    sampled = getattr(ta.evaluate(arm, task, (metric,), samples=33), f"{metric}_per_node")
+    assert (value <= sampled + 1e-9).all()
+    assert (sampled - value).max() < 0.02
+
+
+@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("metric", ["absolute", "relative"])
+def test_gradients_are_those_of_the_exact_sets(name, metric):
+    twists, loads = affine(-3.0, 3.0), ta.sample_loads(3)
+
+    def total(scale):
+        arm = ARMS[name]()
+        arm = ta.ArmDesign(arm.radii * scale[0], arm.length * scale[1], arm.actuators)
+        return getattr(ta.evaluate(arm, ta.Task(twists, loads), (metric,), samples=3, polish=True), metric).sum()
+
+    at = torch.tensor([1.01, 1.002], dtype=torch.float64, requires_grad=True)
+    (found,) = torch.autograd.grad(total(at), at)
+    for index in range(2):
+        step = torch.zeros(2, dtype=torch.float64)
+        step[index] = 1e-5
+        with torch.no_grad():
+            far = (total(at + 2 * step) - total(at - 2 * step)) / 4e-5
+            near = (total(at + step) - total(at - step)) / 2e-5
+        assert found[index].item() == pytest.approx(((4 * near - far) / 3).item(), rel=1e-6, abs=1e-5)
+
+
+def test_pieces_of_cubic_forces_are_the_forces():
+    arm = ta.bellows_arm()
+    sections = hulls.cross_sections(arm.flatten(), affine(6.0, -1.5)[None])
+    pieces = fit_pieces(sections, relative=True)
+    assert len(pieces.start) == 1
+    assert not pieces.rough.any()
+    fraction = torch.tensor([0.0, 0.3, 1.0], dtype=torch.float64).view(3, 1, 1)
+    wanted = hulls.relative_curves(
+        sections,
+        hulls.Curves(
+            fraction,
+            arm.actuators[0].force(sections.strain, fraction * sections.limit),
+            sections.bending,
+            sections.radii,
+        ),
+    ).force
+    c0, c1, c2, c3 = pieces.coefficients[:, 0]
+    torch.testing.assert_close(((c3 * fraction + c2) * fraction + c1) * fraction + c0, wanted, rtol=0, atol=1e-11)
+
+
+def test_a_model_that_says_nothing_of_itself_is_polished_too():
+    class Saturating:
+        max_pressure, bending_stiffness = 50.0, -0.28
+        strain_range, pressure_range = (-1.0, 1.0), (0.0, 50.0)
+
+        def force(self, strain, pressure):
+            return 40 * torch.tanh(pressure / 25) * (1 - 0.5 * strain) - 20 * strain
+
+    arm = ta.ArmDesign(torch.tensor([0.06, -0.05, 0.02], dtype=torch.float64), 0.5, (Saturating(),) * 3)
+    twists, load = affine(-2.0, 2.5), torch.tensor([4.0, -6.0, 0.4], dtype=torch.float64)
+    for relative in (False, True):
+        value, converged = polished(arm, twists, load, relative=relative)
+        assert converged.all()
+        np.testing.assert_allclose(
+            value.numpy(), converged_distance(arm, twists, load, relative=relative), rtol=0, atol=1e-8
+        )
+
+
+def test_polish_is_refused_where_it_means_nothing():
+    task = ta.Task(affine(1.0, 1.0), torch.zeros(3, dtype=torch.float64))
+    for settings in ({"hull": "edges"}, {"distance": "scipy"}):
+        with pytest.raises(ValueError, match=r"^polish: "):
+            ta.evaluate(ta.bellows_arm(), task, **{"polish": True, **settings})
