@@ -41,17 +41,18 @@ Jobs = Iterator[tuple[Key, Callable[[], Row]]]
 class Method:
     name: str
     hull: str
-    samples: int | None
+    samples: int
+    polish: bool = False
 
     @property
     def setting(self) -> str:
-        return "default" if self.samples is None else f"{self.samples} points"
+        return f"{self.samples} points"
 
 
 METHODS = (
     *(Method("edges", "edges", samples) for samples in SAMPLES),
     *(Method("exact, sampled", "exact", samples) for samples in SAMPLES),
-    Method("exact, polished", "exact", None),
+    Method("exact, polished", "exact", 3, polish=True),
 )
 
 
@@ -139,7 +140,13 @@ def row(arm: str, metric: str, method: Method, dtype: str, batch: int) -> Row:
 
     def call(values: Tensor, what: ta.Task, **more: Any) -> ta.Attainability:
         return ta.evaluate(
-            ARMS[arm](*values.to(kind)), what, (metric,), hull=method.hull, samples=method.samples, **more
+            ARMS[arm](*values.to(kind)),
+            what,
+            (metric,),
+            hull=method.hull,
+            samples=method.samples,
+            polish=method.polish,
+            **more,
         )
 
     def forward(_: int) -> None:

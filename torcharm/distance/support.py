@@ -23,6 +23,8 @@ ROUNDS = 40
 WIDEN = 8.0
 """Factor on the turn of a direction that has not yet found the other side."""
 FIRST_TURN = 1e-3
+STRAIGHT = 256.0
+"""Roundings of the slope by which a curve may bend and count as straight: its peak would be anywhere."""
 WINDOW, NARROW, LEAST, REFITS = 0.1, 0.2, 0.003, 8
 """A force that is no cubic is fitted again, about where it was touched, on this share of its piece; then on
 shares smaller by this factor, down to this one; so many times at most."""
@@ -54,7 +56,9 @@ class CurveSum:
         along_fraction = self.scale[1] * y * self.bending
         start, width, (c0, c1, c2, c3) = self.pieces.start, self.pieces.width, self.pieces.coefficients
 
-        peak = _peak(along_force * c1 + along_fraction * width, 2 * along_force * c2, 3 * along_force * c3)
+        by_force, by_bending = along_force * c1, along_fraction * width
+        least = STRAIGHT * torch.finfo(x.dtype).eps * (by_force.abs() + by_bending.abs())
+        peak = _peak(by_force + by_bending, 2 * along_force * c2, 3 * along_force * c3, least)
         at_start = along_force * c0 + along_fraction * start
         at_peak = along_force * (((c3 * peak + c2) * peak + c1) * peak) + along_fraction * width * peak + at_start
         at_end = along_force * (c3 + c2 + c1) + along_fraction * width + at_start
@@ -86,15 +90,15 @@ class CurveSum:
         )
 
 
-def _peak(slope: Tensor, bend: Tensor, twist: Tensor) -> Tensor:
+def _peak(slope: Tensor, bend: Tensor, twist: Tensor, least: Tensor) -> Tensor:
     """Where in [0, 1] a cubic with derivative `slope + bend t + twist t²` has its local maximum.
 
-    Without one, the end to which it rises.
+    Without one, and if it bends less than `least`, the end to which it rises.
     """
     discriminant = bend.square() - 4 * twist * slope
     root = 2 * slope / (discriminant.clamp(min=0).sqrt() - bend)
-    rises = (slope > 0).to(slope.dtype)
-    return torch.where((discriminant >= 0) & ~root.isnan(), root, rises).clamp(0, 1)
+    curved = (discriminant >= 0) & ~root.isnan() & (bend.abs() + twist.abs() > least)
+    return torch.where(curved, root, (slope > 0).to(slope.dtype)).clamp(0, 1)
 
 
 @dataclass(frozen=True)
@@ -367,8 +371,8 @@ def polish(
     sampled = faces.square[section, load]
     # The polygon lies inside the set: its distance bounds the set's, from above outside and from below inside.
     kept_inside = faces.inside[section, load] & found.inside
-    bound = torch.where(kept_inside, square - sampled, sampled - square)
-    better = found.converged & (bound >= -1e-9 * sampled)
+    gain = sampled.sqrt() - square.sqrt()
+    better = found.converged & (torch.where(kept_inside, -gain, gain) >= -16 * blur)
     fraction = x.new_zeros(2, len(bending), *faces.inside.shape)
     fraction[:, :, section, load] = ends.fraction
     section, load = section[better], load[better]
