@@ -23,6 +23,8 @@ ROUNDS = 40
 WIDEN = 8.0
 """Factor on the turn of a direction that has not yet found the other side."""
 FIRST_TURN = 1e-3
+CLOSING = 0.25
+"""Factor by which a step must bring the touched point nearer to straight ahead."""
 STRAIGHT = 256.0
 """Roundings of the slope by which a curve may bend and count as straight: its peak would be anywhere."""
 WINDOW, NARROW, LEAST, REFITS = 0.1, 0.2, 0.003, 8
@@ -121,6 +123,10 @@ class Touch:
     span: Tensor
     rough: Tensor
 
+    def of(self, index: Tensor) -> "Touch":
+        """Those of the sums in `index`."""
+        return Touch(*(value[..., index] for value in vars(self).values()))
+
 
 @dataclass(frozen=True)
 class Ends:
@@ -138,6 +144,10 @@ class Ends:
     begin: Tensor
     span: Tensor
     rough: Tensor
+
+    def corner(self, side: int, index: Tensor) -> tuple[Tensor, Tensor]:
+        """One end (0 or 1) of the faces in `index`."""
+        return self.x[side, index], self.y[side, index]
 
     def copy(self, index: Tensor, side: Tensor) -> None:
         """Put the other end, for the sums in `index`, in place of the end that `side` says."""
@@ -181,15 +191,12 @@ class NearestPoints:
     Attributes:
         ends: of the nearest faces; the same point twice where the boundary is curved or a corner.
         normal: (2, Q) outward unit normals there.
-        beyond: (Q) by how much the point lies beyond the line that touches the set with this
-            normal: a bound from below on the distance, negative inside.
         inside: (Q) whether the point is strictly inside.
         converged: (Q).
     """
 
     ends: Ends
     normal: Tensor
-    beyond: Tensor
     inside: Tensor
     converged: Tensor
 
@@ -197,7 +204,7 @@ class NearestPoints:
         """Replace those in `index` by others, found on stretches of the same pieces."""
         for name in ("x", "y", "fraction", "rough"):
             getattr(self.ends, name)[..., index] = getattr(other.ends, name)
-        for name in ("normal", "beyond", "inside", "converged"):
+        for name in ("normal", "inside", "converged"):
             getattr(self, name)[..., index] = getattr(other, name)
 
 
@@ -212,96 +219,152 @@ def nearest_points(
         normal: unit vectors to start from.
         tolerance: (Q) what counts as nothing, as a length.
     """
-    count, actuators = len(x), len(sums.radii)
-    blank = x.new_zeros(2, count)
-    several = x.new_zeros(2, actuators, count)
-    ends = Ends(
-        blank, blank.clone(), several, several.clone(), several.clone(), torch.zeros_like(several, dtype=torch.bool)
-    )
-    n = torch.stack(normal)
-    limits = torch.stack((n, n))  # directions at the clockwise and counter-clockwise ends
-    known = torch.zeros(2, count, dtype=torch.bool, device=x.device)
-    turn = torch.full_like(x, FIRST_TURN)
-    last = torch.full_like(x, torch.inf)
-    chord = torch.zeros_like(known[0])
-    beyond = torch.full_like(x, -torch.inf)
-    inside, done = torch.zeros_like(chord), torch.zeros_like(chord)
-    index = torch.arange(count, device=x.device)
-
-    own = sums
+    search = _Search.begin(x, y, torch.stack(normal), tolerance, len(sums.radii))
+    index = torch.arange(len(x), device=x.device)
     for _ in range(ROUNDS):
-        nx, ny = n[:, index]
-        touch = own.touch(nx, ny)
-        off_x, off_y = x[index] - touch.x, y[index] - touch.y
-        over, aside = nx * off_x + ny * off_y, nx * off_y - ny * off_x
-        slack = tolerance[index]
+        touch = sums.touch(*search.normal[:, index])
+        finished = search.settle(index, touch)
+        index, sums = _left(index, finished, sums)
+        if not len(index):
+            break
+        search.turn_on(index, touch, ~finished)
+    return NearestPoints(search.ends, search.normal, search.inside, search.done)
 
-        # A chord that nothing overtakes is a face; if the point is past its end, the end takes its place.
-        a, b = _corner(ends, 0, index), _corner(ends, 1, index)
-        reach = nx * (touch.x - a[0]) + ny * (touch.y - a[1])
-        face = chord[index] & (reach <= slack)
-        foot = _share(x[index] - a[0], y[index] - a[1], b[0] - a[0], b[1] - a[1])
-        finished = (face & (foot >= 0) & (foot <= 1)) | (~face & (aside.abs() <= slack))
+
+def _left(index: Tensor, finished: Tensor, sums: CurveSum) -> tuple[Tensor, CurveSum]:
+    if not bool(finished.any()):
+        return index, sums
+    going = (~finished).nonzero().squeeze(-1)
+    return index[going], sums.of(going)
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Where Q searches stand.
+
+    Attributes:
+        x, y, tolerance: (Q) as given.
+        normal: (2, Q) present directions.
+        ends: what was touched clockwise and counter-clockwise of the nearest points.
+        limits: (2, 2, Q) the directions in which that was.
+        known: (2, Q) whether it was.
+        chord: (Q) whether the present direction is the normal of the chord between the ends.
+        aside: (Q) by how much the last touched point was off to a side.
+        turn: (Q) the next turn where Newton's step makes no sense [rad].
+        inside, done: (Q).
+    """
+
+    x: Tensor
+    y: Tensor
+    tolerance: Tensor
+    normal: Tensor
+    ends: Ends
+    limits: Tensor
+    known: Tensor
+    chord: Tensor
+    aside: Tensor
+    turn: Tensor
+    inside: Tensor
+    done: Tensor
+
+    @classmethod
+    def begin(cls, x: Tensor, y: Tensor, normal: Tensor, tolerance: Tensor, actuators: int) -> "_Search":
+        count = len(x)
+        flags = torch.zeros(5, count, dtype=torch.bool, device=x.device)
+        real = x.new_zeros(3, 2, actuators, count)
+        place, rough = x.new_zeros(2, 2, count), torch.zeros_like(real[0], dtype=torch.bool)
+        ends = Ends(place[0], place[1], real[0], real[1], real[2], rough)
+        return cls(
+            x,
+            y,
+            tolerance,
+            normal.clone(),
+            ends,
+            torch.stack((normal, normal)),
+            flags[:2],
+            flags[2],
+            torch.full_like(x, torch.inf),
+            torch.full_like(x, FIRST_TURN),
+            flags[3],
+            flags[4],
+        )
+
+    def settle(self, index: Tensor, touch: Touch) -> Tensor:
+        """Take in what searches in `index` touched; which of them (q) are finished.
+
+        A chord that nothing overtakes is a face. If the point is past its end, that end takes the
+        other's place. Any other touched point replaces the end on its side, or, straight ahead, both.
+        """
+        nx, ny = self.normal[:, index]
+        over, aside = _along(nx, ny, self.x[index] - touch.x, self.y[index] - touch.y)
+        slack = self.tolerance[index]
+        (ax, ay), (bx, by) = self.ends.corner(0, index), self.ends.corner(1, index)
+        face = self.chord[index] & (nx * (touch.x - ax) + ny * (touch.y - ay) <= slack)
+        foot = _share(self.x[index] - ax, self.y[index] - ay, bx - ax, by - ay)
+        ahead = ~face & (aside.abs() <= slack)
+        finished = (face & (foot >= 0) & (foot <= 1)) | ahead
         side = torch.where(face, foot < 0, aside <= 0).long()
-        past = (face & ~finished).nonzero().squeeze(-1)
-        ends.copy(index[past], side[past])
-        fresh = (~face).nonzero().squeeze(-1)
-        ends.put(index[fresh], side[fresh], _pick(touch, fresh))
-        point = (finished & ~face).nonzero().squeeze(-1)
-        ends.put(index[point], 1 - side[point], _pick(touch, point))
-        moved = (~(face & finished)).nonzero().squeeze(-1)
-        limits[side[moved], :, index[moved]] = n[:, index[moved]].T
-        known[side[moved], index[moved]] = True
-        beyond[index] = over
-        inside[index] = finished & (over < 0)
-        done[index] = finished
 
-        # where to look next
-        (ax, ay), (bx, by) = _corner(ends, 0, index), _corner(ends, 1, index)
-        dx, dy = bx - ax, by - ay
-        span = dx.square() + dy.square()
-        share = _share(x[index] - ax, y[index] - ay, dx, dy)
+        past = (face & ~finished).nonzero().squeeze(-1)
+        self.ends.copy(index[past], side[past])
+        fresh = (~face).nonzero().squeeze(-1)
+        self.ends.put(index[fresh], side[fresh], touch.of(fresh))
+        both = ahead.nonzero().squeeze(-1)
+        self.ends.put(index[both], 1 - side[both], touch.of(both))
+        moved = (~(face & finished)).nonzero().squeeze(-1)
+        self.limits[side[moved], :, index[moved]] = self.normal[:, index[moved]].T
+        self.known[side[moved], index[moved]] = True
+        self.inside[index] = finished & (over < 0)
+        self.done[index] = finished
+        return finished
+
+    def turn_on(self, index: Tensor, touch: Touch, going: Tensor) -> None:
+        """Choose where searches in `index`, those `going` of the touched, look next.
+
+        By Newton's step, as long as it stays between the ends and closes in; else along the normal of the
+        chord between them or, from outside and past its end, straight away from that end. Newton's
+        step sees the boundary as a circle, and makes no sense from inside it beyond its centre.
+        """
+        touch = touch.of(going.nonzero().squeeze(-1))
+        nx, ny = self.normal[:, index]
+        x, y = self.x[index], self.y[index]
+        over, aside = _along(nx, ny, x - touch.x, y - touch.y)
         steep = over + touch.radius
         newton = steep > aside.abs()
-        angle = turn[index] * aside.sign()
-        ahead_x = torch.where(newton, steep * nx - aside * ny, nx - angle * ny)
-        ahead_y = torch.where(newton, steep * ny + aside * nx, ny + angle * nx)
-        pinched = known[:, index].all(0)
-        (lo_x, lo_y), (hi_x, hi_y) = limits[0][:, index], limits[1][:, index]
-        within = (lo_x * ahead_y - lo_y * ahead_x > 0) & (ahead_x * hi_y - ahead_y * hi_x > 0)
-        closing = aside.abs() < 0.25 * last[index]
-        across = pinched & ~(within & closing)
-        outside = (over > 0) & (dy * (x[index] - ax) - dx * (y[index] - ay) >= 0)
-        at_end = across & outside & ((share <= 0) | (share >= 1) | (span == 0))
-        flat = across & ~at_end & (span > 0)
-        end_x, end_y = torch.where(share <= 0, ax, bx), torch.where(share <= 0, ay, by)
-        ahead_x = torch.where(flat, dy, torch.where(at_end, x[index] - end_x, ahead_x))
-        ahead_y = torch.where(flat, -dx, torch.where(at_end, y[index] - end_y, ahead_y))
-        ahead = torch.stack((ahead_x, ahead_y)) / torch.hypot(ahead_x, ahead_y)
-        n[:, index] = torch.where(finished, n[:, index], ahead)
-        chord[index] = flat
-        last[index] = torch.where(flat, torch.inf, aside.abs())
-        turn[index] = torch.where(newton, FIRST_TURN, turn[index] * WIDEN)
-        going = (~finished).nonzero().squeeze(-1)
-        if not len(going):
-            break
-        if len(going) < len(index):
-            index, own = index[going], own.of(going)
-    return NearestPoints(ends, n, beyond, inside, done)
+        angle = self.turn[index] * aside.sign()
+        next_x = torch.where(newton, steep * nx - aside * ny, nx - angle * ny)
+        next_y = torch.where(newton, steep * ny + aside * nx, ny + angle * nx)
+
+        (low_x, low_y), (high_x, high_y) = self.limits[0][:, index], self.limits[1][:, index]
+        within = (low_x * next_y - low_y * next_x > 0) & (next_x * high_y - next_y * high_x > 0)
+        closing = aside.abs() < CLOSING * self.aside[index]
+        across = self.known[:, index].all(0) & ~(within & closing)
+        (ax, ay), (bx, by) = self.ends.corner(0, index), self.ends.corner(1, index)
+        dx, dy = bx - ax, by - ay
+        share = _share(x - ax, y - ay, dx, dy)
+        point = (dx == 0) & (dy == 0)
+        outside = (over > 0) & (dy * (x - ax) - dx * (y - ay) >= 0)
+        at_end = across & outside & ((share <= 0) | (share >= 1) | point)
+        chord = across & ~at_end & ~point
+        first = share <= 0
+        next_x = torch.where(chord, dy, torch.where(at_end, x - torch.where(first, ax, bx), next_x))
+        next_y = torch.where(chord, -dx, torch.where(at_end, y - torch.where(first, ay, by), next_y))
+
+        self.normal[:, index] = torch.stack((next_x, next_y)) / torch.hypot(next_x, next_y)
+        self.chord[index] = chord
+        self.aside[index] = torch.where(chord, torch.inf, aside.abs())
+        self.turn[index] = torch.where(newton, FIRST_TURN, self.turn[index] * WIDEN)
 
 
-def _corner(ends: Ends, side: int, index: Tensor) -> tuple[Tensor, Tensor]:
-    return ends.x[side, index], ends.y[side, index]
+def _along(nx: Tensor, ny: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    """Vectors (x, y) along a direction, and to the left of it."""
+    return nx * x + ny * y, nx * y - ny * x
 
 
 def _share(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor) -> Tensor:
     """Where along a chord (dx, dy) the foot of (x, y), from its start, lies: 0 at its start, 1 at its end."""
     span = dx.square() + dy.square()
     return (x * dx + y * dy) / (span + (span == 0).to(span.dtype))
-
-
-def _pick(touch: Touch, index: Tensor) -> Touch:
-    return Touch(*(value[..., index] for value in vars(touch).values()))
 
 
 @dataclass(frozen=True)
