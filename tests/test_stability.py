@@ -25,8 +25,6 @@ HAS_QPTH = importlib.util.find_spec("qpth") is not None
 needs_qpth = pytest.mark.skipif(not HAS_QPTH, reason="qpth is not installed")
 BACKENDS = {backend.name: backend for backend in run.backends()}
 SOLVERS = ("scipy", "qpth", "qpth, half-spaces")
-LOST = ("radii of 1 m, κ = 3", "an arm of 0.5 m at 2 m")
-"""Slivers some 1e29 N long, far out of range: what is lost in their rounding must be flagged."""
 
 
 def each_scene(chosen):
@@ -49,8 +47,8 @@ SOME = [scene for scene in SCENES if scene.name != "N = 2000"][::3]  # solvers t
 @each_scene(SCENES)
 def test_the_closed_form_is_right(scene):
     for row in rows_of(scene, "closed form"):
-        assert row.converged == (scene.name not in LOST), row
-        assert row.error <= 1e-13 or not row.converged, row
+        assert row.converged, row
+        assert row.error <= 1e-13, row
 
 
 @each_scene(SOME)
@@ -63,7 +61,9 @@ def test_solvers_are_right(scene):
 @each_scene(SCENES[1::2])
 def test_float32_is_right_to_its_rounding(scene):
     for row in rows_of(scene, "closed form, float32"):
-        assert row.error <= 5e-6 or (scene.name in LOST and not row.converged), row
+        # the square of 1e29 N is beyond float32: no number, and a flag
+        overflows = scene.name == "radii of 1 m, κ = 3"
+        assert (not row.finite and not row.converged) if overflows else row.error <= 5e-6, row
 
 
 @each_scene(SCENES[::6])

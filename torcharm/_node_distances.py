@@ -8,7 +8,7 @@ from torch.utils.checkpoint import checkpoint
 
 from torcharm._outer import Block
 from torcharm.distance import DistanceFunction
-from torcharm.distance.closed_form import NearestFaces, face_normals, nearest_faces, signed_length
+from torcharm.distance.closed_form import BOUNDARY_ULPS, NearestFaces, face_normals, nearest_faces, signed_length
 from torcharm.distance.support import Polished, polish
 from torcharm.hulls import (
     Curves,
@@ -70,8 +70,8 @@ class Residuals:
     resolved: Tensor
 
 
-AGREEMENT = 1e4
-"""Blurs by which a distance may differ from itself when its face is evaluated again with gradients."""
+AGREEMENT = 1e-8
+"""By how much of the polygon's size a distance may differ when its face is evaluated again with gradients."""
 COLUMNS = tuple(field.name for field in fields(Residuals))
 Columns = tuple[Tensor, ...]
 
@@ -110,7 +110,7 @@ def _by_closed_form(block: Block, check: Check, recompute: bool) -> tuple[list[C
     if replayed:
         replay = _Replay(block, check, [one.fraction for one in found])
         *again, excess = checkpoint(replay, use_reentrant=False) if recompute else replay()
-        replays = [_agreeing(square, one.faces) for square, one in zip(again, found, strict=True)]
+        replays = [_agreeing(square, one.faces, check.signed) for square, one in zip(again, found, strict=True)]
     else:
         replays = [(one.faces.square, torch.ones_like(one.converged)) for one in found]
         excess = _strain_excess(sections)
@@ -125,14 +125,18 @@ def _by_closed_form(block: Block, check: Check, recompute: bool) -> tuple[list[C
     return answers, excess, sections.shape
 
 
-def _agreeing(square: Tensor, faces: NearestFaces) -> tuple[Tensor, Tensor]:
+def _agreeing(square: Tensor, faces: NearestFaces, signed: bool) -> tuple[Tensor, Tensor]:
     """Squares (B, l) with gradients, where they are those that were found; and whether (B, l) they are.
 
-    Of hulls that are slivers at the edge of what numbers can hold, faces may be lost in rounding.
+    Of hulls that are slivers at the edge of what numbers can hold, faces may be lost in rounding. Where the
+    distance is 0 there is nothing to agree on.
     """
     off = (square.detach().sqrt() - faces.square.sqrt()).abs()
-    agrees = off <= AGREEMENT * faces.blur
-    return square if bool(agrees.all()) else torch.where(agrees, square, faces.square), agrees
+    blurs = max(AGREEMENT / (BOUNDARY_ULPS * torch.finfo(off.dtype).eps), 1e4)
+    close = off <= blurs * faces.blur
+    touching = faces.square <= faces.blur.square()
+    settled = touching if signed else touching | faces.inside
+    return square if bool(close.all()) else torch.where(close, square, faces.square), close | settled
 
 
 def _inputs_want_gradient(block: Block) -> bool:

@@ -39,7 +39,7 @@ class Backend:
     Attributes:
         name: as in the tables.
         distance: as for `evaluate`.
-        samples: points on each curve; None for the library's default, against whole curves.
+        samples: points on each curve; None to polish, against whole curves.
         dtype: of the inputs.
     """
 
@@ -225,7 +225,10 @@ def arm_answers(scene: ArmScene, backend: Backend) -> dict[str, Answer]:
     arm, task = arm_inputs(scene, backend.dtype)
     factors = torch.ones(2, dtype=backend.dtype, requires_grad=True)
     scaled = ta.ArmDesign(arm.radii * factors[0], arm.length * factors[1], arm.actuators, arm.max_pressure)
-    found = ta.evaluate(scaled, task, samples=backend.samples, distance=backend.distance, residuals=True)
+    whole = backend.samples is None
+    found = ta.evaluate(
+        scaled, task, samples=backend.samples or 3, distance=backend.distance, polish=whole, residuals=True
+    )
     assert found.residuals is not None
     answers = {}
     for metric in METRICS:
