@@ -1,5 +1,4 @@
 import math
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -7,9 +6,9 @@ import numpy as np
 import oracle
 import pytest
 import torch
+from hull_cases import double, unchecked
 from hypothesis import given
 from hypothesis import strategies as st
-from jaxtyping import config
 from torch.autograd import gradcheck, gradgradcheck
 
 import torcharm as ta
@@ -25,20 +24,6 @@ def _one_thread():
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(threads)
-
-
-@contextmanager
-def unchecked():
-    """Without the run-time check of signatures, which takes most of the time of many small calls."""
-    config.update("jaxtyping_disable", True)
-    try:
-        yield
-    finally:
-        config.update("jaxtyping_disable", False)
-
-
-def double(values, *, grad=False):
-    return torch.tensor(np.asarray(values, dtype=float), requires_grad=grad)
 
 
 # --- published values ---

@@ -73,6 +73,18 @@ def nearest_faces(polygons: Polygons, x: Float[Tensor, "B L"], y: Float[Tensor, 
     return NearestFaces(square.amin(0), inside, blur, None)
 
 
+def _nearest_edges(polygons: Polygons, faces: NearestFaces, x: Tensor, y: Tensor) -> tuple[Tensor, ...]:
+    """Of the edges nearest to points (B, L): both components, the points from their starts, and where along them."""
+    assert faces.slot is not None
+    slot = faces.slot.T
+    corner_x, corner_y, edge_x, edge_y = (
+        value.gather(0, slot).T for value in (polygons.x, polygons.y, polygons.edge_x, polygons.edge_y)
+    )
+    from_x, from_y = x - corner_x, y - corner_y
+    span = edge_x.square() + edge_y.square()
+    return edge_x, edge_y, from_x, from_y, (from_x * edge_x + from_y * edge_y) / (span + torch.finfo(x.dtype).tiny)
+
+
 def face_normals(
     polygons: Polygons, faces: NearestFaces, x: Float[Tensor, "B L"], y: Float[Tensor, "B L"]
 ) -> tuple[Float[Tensor, "B L"], Float[Tensor, "B L"]]:
@@ -81,26 +93,20 @@ def face_normals(
     Between corners, edge and gap to the point give the same normal; the longer of them gives it
     with less rounding.
     """
-    assert faces.slot is not None
-    slot = faces.slot.T
-    corner_x, corner_y, edge_x, edge_y = (
-        value.gather(0, slot).T for value in (polygons.x, polygons.y, polygons.edge_x, polygons.edge_y)
-    )
-    tiny = torch.finfo(x.dtype).tiny
-    span = edge_x.square() + edge_y.square()
-    from_x, from_y = x - corner_x, y - corner_y
-    along = (from_x * edge_x + from_y * edge_y) / (span + tiny)
+    edge_x, edge_y, from_x, from_y, along = _nearest_edges(polygons, faces, x, y)
     outward = 1 - 2 * faces.inside.to(x.dtype)
     off_x, off_y = outward * (from_x - along * edge_x), outward * (from_y - along * edge_y)
-    by_edge = span > off_x.square() + off_y.square()
+    by_edge = edge_x.square() + edge_y.square() > off_x.square() + off_y.square()
     # Of a hull without area either side may be the nearest face; the point is outside both.
     facing = 1 - 2 * (~faces.inside & (edge_y * off_x < edge_x * off_y)).to(x.dtype)
     face_x, face_y = select(by_edge, facing * edge_y, off_x), select(by_edge, -facing * edge_x, off_y)
 
+    assert faces.slot is not None
+    slot = faces.slot.T
     turn_x, turn_y = (value.T for value in corner_normals(polygons, (slot + (along.T >= 1)) % len(polygons.x)))
     at_corner = (along <= 0) | (along >= 1)
     normal_x, normal_y = select(at_corner, turn_x, face_x), select(at_corner, turn_y, face_y)
-    length = torch.hypot(normal_x, normal_y).clamp(min=tiny)
+    length = torch.hypot(normal_x, normal_y).clamp(min=torch.finfo(x.dtype).tiny)
     return normal_x / length, normal_y / length
 
 
@@ -111,21 +117,14 @@ def start_normals(
 
     Where the two almost touch, the face's normal.
     """
-    assert faces.slot is not None
-    slot = faces.slot.T
-    corner_x, corner_y, edge_x, edge_y = (
-        value.gather(0, slot).T for value in (polygons.x, polygons.y, polygons.edge_x, polygons.edge_y)
-    )
-    tiny = torch.finfo(x.dtype).tiny
-    span = edge_x.square() + edge_y.square()
-    from_x, from_y = x - corner_x, y - corner_y
-    along = ((from_x * edge_x + from_y * edge_y) / (span + tiny)).clamp(0, 1)
+    edge_x, edge_y, from_x, from_y, along = _nearest_edges(polygons, faces, x, y)
+    along = along.clamp(0, 1)
     outward = 1 - 2 * faces.inside.to(x.dtype)
     off_x, off_y = outward * (from_x - along * edge_x), outward * (from_y - along * edge_y)
     apart = faces.square > (CLOSE * faces.blur).square()
     normal_x, normal_y = select(apart, off_x, edge_y), select(apart, off_y, -edge_x)
     length = torch.hypot(normal_x, normal_y)
-    nowhere = (length <= tiny).to(x.dtype)
+    nowhere = (length <= torch.finfo(x.dtype).tiny).to(x.dtype)
     return (normal_x + nowhere) / (length + nowhere), normal_y / (length + nowhere)
 
 
