@@ -52,7 +52,9 @@ def _panel(axes: Any, rows: Sequence[Row]) -> None:
             continue
         if "envelope" not in row.setting:
             curves[row.method, row.dtype][row.setting].append(row)
-    for (method, dtype), settings in curves.items():
+    cases = len({row.case for row in rows if row.family == "sets"}) or 1
+    for (method, dtype), every in curves.items():
+        settings = {name: own for name, own in every.items() if len(own) >= cases}  # else the worst case may be missing
         colour, marker = STYLES[method]
         exact = dtype == "float64"
         x = [np.exp(np.mean([np.log(row.forward_us_a_problem) for row in own])) for own in settings.values()]
