@@ -9,7 +9,6 @@ from torch.utils.checkpoint import checkpoint
 from torcharm._outer import Block
 from torcharm.distance import DistanceFunction
 from torcharm.distance.closed_form import BOUNDARY_ULPS, NearestFaces, face_normals, nearest_faces, signed_length
-from torcharm.distance.support import Polished, polish
 from torcharm.hulls import (
     Curves,
     Hulls,
@@ -20,7 +19,6 @@ from torcharm.hulls import (
     relative_curves,
     sample_curves,
 )
-from torcharm.pieces import follow_kinks
 from torcharm.polygon import face_square
 from torcharm.wrenches import PLANAR, along, required_wrench
 
@@ -36,7 +34,7 @@ class Check:
         signed: whether inside counts as negative.
         polish: whether to go on from the sampled sets to the sets themselves.
         solver: what answers distances to sets of vertices; None for the closed form.
-        auditor: what answers for the residuals: the solver or, if they are asked for, another.
+        auditor: what answers for the residuals; None if they are not asked for.
     """
 
     metrics: tuple[str, ...]
@@ -169,27 +167,25 @@ def _nearest_face(
     hulls = _hulls(sections, curves, check, relative)
     point = _required(block, check, relative)
     faces = nearest_faces(hulls.polygons, *point, slots=slots or check.polish)
-    polished = None
-    if check.polish:
-        polished = polish(sections, hulls.polygons, faces, point, check.scale, relative=relative, signed=check.signed)
-    fraction = None
-    if slots:
-        fraction = _fractions(hulls, faces, point, polished)
-    if polished is not None:
-        faces = polished.faces
-    converged = torch.ones_like(faces.inside) if polished is None else polished.converged
     auditor = check.auditor
     residuals = () if auditor is None else _solve(sections, hulls, point, check, relative, auditor)[2:]
-    return _Nearest(faces, fraction, converged, residuals)
+    if not check.polish:
+        fraction = _fractions(hulls, faces, point) if slots else None
+        return _Nearest(faces, fraction, torch.ones_like(faces.inside), residuals)
+
+    from torcharm.distance.support import polish  # loads when it is first asked for
+
+    polished = polish(sections, hulls.polygons, faces, point, check.scale, relative=relative, signed=check.signed)
+    fraction = polished.fraction
+    if slots and not bool(polished.converged.all()):
+        fraction = torch.where(polished.converged, fraction, _fractions(hulls, faces, point))
+    return _Nearest(polished.faces, fraction, polished.converged, residuals)
 
 
-def _fractions(hulls: Hulls, faces: NearestFaces, point: tuple[Tensor, Tensor], polished: Polished | None) -> Tensor:
-    """Pressure fractions (2, M, B, l) at the ends of the nearest faces, polished where that converged."""
-    if polished is not None and bool(polished.converged.all()):
-        return polished.fraction
+def _fractions(hulls: Hulls, faces: NearestFaces, point: tuple[Tensor, Tensor]) -> Tensor:
+    """Pressure fractions (2, M, B, l) at the ends of the nearest faces."""
     assert faces.slot is not None
-    sampled = hulls.fractions(faces.slot, face_normals(hulls.polygons, faces, *point), point, faces.square)
-    return sampled if polished is None else torch.where(polished.converged, polished.fraction, sampled)
+    return hulls.fractions(faces.slot, face_normals(hulls.polygons, faces, *point), point, faces.square)
 
 
 def _hulls(sections: Sections, curves: Curves, check: Check, relative: bool) -> Hulls:
@@ -211,6 +207,8 @@ class _Replay:
             assert fraction is not None
             relative = metric == "relative"
             if self.check.polish:
+                from torcharm.pieces import follow_kinks
+
                 fraction = follow_kinks(sections, fraction, relative=relative)
             x, y = _scaled(sections.wrench(fraction, relative=relative), self.check)
             squares.append(face_square(_required(self.block, self.check, relative), (x[0], y[0]), (x[1], y[1])))
@@ -221,6 +219,7 @@ def _by_solver(
     block: Block, check: Check, solver: DistanceFunction, recompute: bool
 ) -> tuple[list[Columns], Tensor, tuple[int, int, int]]:
     """As `_by_closed_form`, through a solver that is given the hulls' vertices, with their gradients."""
+    each = 2 if check.auditor is None else 2 + len(COLUMNS)
 
     def work() -> Columns:
         sections = cross_sections(block.arm, block.twists)
@@ -232,11 +231,10 @@ def _by_solver(
             with torch.no_grad():
                 hulls = _hulls(sections, curves, check, relative)
             found = _solve(sections, hulls, _required(block, check, relative), check, relative, solver)
-            columns += found
+            columns += found[:each]
         return *columns, _strain_excess(sections)
 
     *columns, excess = checkpoint(work, use_reentrant=False) if recompute and torch.is_grad_enabled() else work()
-    each = 2 + len(COLUMNS)
     answers = [tuple(columns[start : start + each]) for start in range(0, len(columns), each)]
     return answers, excess, (len(block.twists), block.twists.shape[-2], len(block.arm.radii))
 

@@ -113,7 +113,7 @@ def evaluate(
         raise ValueError(
             f"polish: must be True or False, and True needs hull='exact' and the closed form, got {polish}"
         )
-    auditor = solver or (find_solver("closed_form") if residuals else None)
+    auditor = (solver or find_solver("closed_form")) if residuals else None
     samples = sample_count(arm, hull, samples)
     check = Check(_metrics(metrics), hull, samples, _scale(weights), signed, polish, solver, auditor)
     outer = outer_product(arm, task)
@@ -122,7 +122,7 @@ def evaluate(
     total = {metric: _over_nodes(value, metric, power, signed) for metric, value in found.items()}
     audits = {
         metric: Residuals(*(column[..., index, :] for column in audit))
-        for index, metric in enumerate(check.metrics if audit else ())
+        for index, metric in enumerate(check.metrics if residuals else ())
     }
     converged = (per_node.isfinite() & solved).flatten(-2).all(-1)
     return Attainability(

@@ -101,22 +101,16 @@ def _fit(
     """Cubics on stretches (K, m, B); of one model that stands for all m, or of m."""
     nodes = start.new_tensor((*_NODES, _CHECKED)).view(-1, 1, 1, 1)
     pressure = (start + width * nodes) * limit
-    force = _force(actuators, strain, pressure)
+    force = actuator_force(actuators, strain, pressure, dim=-2)
     if first is not None:
-        force = force - _force(actuators, first, pressure)
-    coefficients = through_nodes(force[:4])
+        force = force - actuator_force(actuators, first, pressure, dim=-2)
+    coefficients = _through_nodes(force[:4])
     c0, c1, c2, c3 = coefficients
     missed = (((c3 * _CHECKED + c2) * _CHECKED + c1) * _CHECKED + c0 - force[4]).abs()
     return Pieces(start, width, coefficients, missed > ROUGH * torch.finfo(force.dtype).eps * force.abs().amax((0, 1)))
 
 
-def _force(actuators: tuple[Actuator, ...], strain: Tensor, pressure: Tensor) -> Tensor:
-    if len(actuators) > 1:
-        return actuator_force(actuators, strain, pressure, dim=-2)
-    return actuators[0].force(strain, pressure).expand(pressure.shape)
-
-
-def through_nodes(force: Tensor) -> Tensor:
+def _through_nodes(force: Tensor) -> Tensor:
     """Coefficients (4, ...) of the cubics with forces (4, ...) at the four nodes of a piece."""
     fit = _FIT.to(force.dtype).to(force.device)
     return (fit @ force.reshape(4, -1)).view(force.shape)

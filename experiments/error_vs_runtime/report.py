@@ -9,6 +9,8 @@ from experiments.error_vs_runtime.rows import HERE, Row
 
 README = HERE / "README.md"
 START, END = "<!-- tables: written by the script -->", "<!-- end of tables -->"
+MEASURED = ("µs a problem", "with gradient", "p50", "p99", "max", "≤ 1e-6", "≤ 1e-9", "MiB")
+"""Headings of what `_numbers` says."""
 
 
 def update(rows: Sequence[Row]) -> None:
@@ -25,19 +27,7 @@ def tables(rows: Sequence[Row]) -> str:
         "Attainable sets, batch of 2,000, and in brackets the ten problems of one scene; times are means over the six",
         "cases, errors the largest of them:",
         "",
-        *_head(
-            "method",
-            "setting",
-            "dtype",
-            "µs a problem",
-            "with gradient",
-            "p50",
-            "p99",
-            "max",
-            "≤ 1e-6",
-            "≤ 1e-9",
-            "MiB",
-        ),
+        *_head("method", "setting", "dtype", *MEASURED),
     ]
     for method in sets:
         own = [row for row in rows if row.family == "sets" and row.method == method]
@@ -53,19 +43,7 @@ def tables(rows: Sequence[Row]) -> str:
             f"Solvers, {case}; in brackets one problem a call:",
             "",
             *_head(
-                *(
-                    "method",
-                    "setting",
-                    "dtype",
-                    "batch",
-                    "µs a problem",
-                    "with gradient",
-                    "p50",
-                    "p99",
-                    "max",
-                    "≤ 1e-6",
-                ),
-                *("≤ 1e-9", "MiB", "primal", "dual", "gap", "resolved", "∇ p50", "∇ max"),
+                "method", "setting", "dtype", "batch", *MEASURED, "primal", "dual", "gap", "resolved", "∇ p50", "∇ max"
             ),
         ]
         for row in own:

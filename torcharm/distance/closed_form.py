@@ -12,8 +12,6 @@ from torcharm.polygon import Polygons, convex_hull, corner_normals, face_square
 
 BOUNDARY_ULPS = 8
 """Within so many roundings of the boundary a point counts as on it: its distance is 0."""
-
-
 INSIDE_ULPS = 2
 """Roundings by which a point must be left of an edge to be on its inner side."""
 CLOSE = 1e6

@@ -36,6 +36,8 @@ SHARPNESS = 1e-2
 """Largest error of a nearest point over its distance: larger, and the gradient's direction suffers."""
 FAR = 100
 """Distances of fewer blurs than this are left to the exact method, which knows where the boundary is."""
+ANSWERED = 1e-3
+"""Duality gap over ε within which the programme with ε counts as solved."""
 RETRY_SHARE = 0.1
 """If more of a group fails, one of its members may have ended the others' iterations: try again, apart."""
 
@@ -146,6 +148,11 @@ class VertexForm:
         weights = self._weights(_gram(offsets), self.regularisation, None)
         return weights, torch.zeros_like(offsets[:, 0, 0])
 
+    def answered(self, offsets: Tensor, weights: Tensor) -> Tensor:
+        """Whether weights (B, V) solve the programme with ε, however far that is from the one without."""
+        slope = (offsets * mix(weights, offsets).unsqueeze(-2)).sum(-1) + self.regularisation * weights
+        return (weights * slope).sum(-1) - slope.amin(-1) <= ANSWERED * self.regularisation
+
     def length(self, offsets: Tensor, weights: Tensor) -> Tensor:
         """Distances (B) whose gradient is qpth's."""
         moved = self._weights(_gram(offsets), PROXIMITY, weights)
@@ -200,6 +207,10 @@ class HalfspaceForm:
         weights = edges.weights(offsets, found)
         return weights, torch.linalg.vector_norm(found - mix(weights, offsets), dim=-1)
 
+    def answered(self, offsets: Tensor, weights: Tensor) -> Tensor:
+        """Whether the programme's answer is another than the distance's (B): never."""
+        return torch.zeros_like(weights[:, 0], dtype=torch.bool)
+
     def length(self, offsets: Tensor, weights: Tensor) -> Tensor:
         """Distances (B) whose gradient is qpth's."""
         with torch.no_grad():
@@ -242,7 +253,8 @@ def _solve_apart(form: VertexForm | HalfspaceForm, offsets: Tensor) -> tuple[Ten
     """Weights (B, V) and slacks (B), NaN where qpth fails.
 
     One element whose factorisation is singular ends the iterations of its whole batch, and nothing
-    says which. So where many fail, they are tried again without the others, or in halves.
+    says which. So where many fail, they are tried again without the others, or in halves; not those whose ε was
+    too large, for which qpth has done what it was asked.
     """
     weights, slack = torch.full_like(offsets[..., 0], float("nan")), torch.full_like(offsets[:, 0, 0], float("nan"))
     groups = [form.solvable(offsets).nonzero().squeeze(-1)]
@@ -251,7 +263,8 @@ def _solve_apart(form: VertexForm | HalfspaceForm, offsets: Tensor) -> tuple[Ten
         if not len(group):
             continue
         weights[group], slack[group] = form.solve(offsets[group])
-        failed = group[~_sound(offsets[group], weights[group], slack[group])]
+        own, found = offsets[group], weights[group]
+        failed = group[~_sound(own, found, slack[group]) & ~form.answered(own, found)]
         if len(group) > 1 and len(failed) > RETRY_SHARE * len(group):
             groups += failed.tensor_split(2) if len(failed) == len(group) else [failed]
     return weights, slack

@@ -8,7 +8,9 @@ nearest point: Newton's steps close in where the boundary is curved, and the nor
 the answer where it is flat.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -145,7 +147,7 @@ class Ends:
     span: Tensor
     rough: Tensor
 
-    def corner(self, side: int, index: Tensor) -> tuple[Tensor, Tensor]:
+    def corner(self, side: int, index: Tensor | slice = slice(None)) -> tuple[Tensor, Tensor]:
         """One end (0 or 1) of the faces in `index`."""
         return self.x[side, index], self.y[side, index]
 
@@ -414,30 +416,16 @@ def polish(
     pieces = fit_pieces(sections, relative=relative)
     sums = CurveSum(pieces.of(section), bending[:, section], sections.radii[:, section], scale)
     found = nearest_points(sums, x, y, (nx, ny), 4 * blur)
-    loose = found.ends.rough.flatten(0, 1).any(0).nonzero().squeeze(-1)
-    share = torch.full_like(x[loose], WINDOW)
-    index = torch.arange(len(loose), device=x.device)
-    for _ in range(REFITS if len(loose) else 0):
-        own = loose[index]
-        begin, width = found.ends.window(own, share[index])
-        near = replace(sums.of(own), pieces=refit_pieces(sections, section[own], begin, width, relative=relative))
-        normal = found.normal[0, own], found.normal[1, own]
-        found.put(own, nearest_points(near, x[own], y[own], normal, 4 * blur[own]))
-        held = found.ends.held(own, begin, width).flatten(0, 1).any(0)
-        found.converged[own] &= ~held
-        share[index] = torch.where(held, share[index], share[index] * NARROW)
-        index = index[share[index] >= LEAST]
-        if not len(index):
-            break
-    ends = found.ends
-    square = face_square((x, y), (ends.x[0], ends.y[0]), (ends.x[1], ends.y[1]))
+    _refit(found, sums, x, y, 4 * blur, partial(refit_pieces, sections, relative=relative), section)
+
+    square = face_square((x, y), found.ends.corner(0), found.ends.corner(1))
     sampled = faces.square[section, load]
     # The polygon lies inside the set: its distance bounds the set's, from above outside and from below inside.
     kept_inside = faces.inside[section, load] & found.inside
     gain = sampled.sqrt() - square.sqrt()
     better = found.converged & (torch.where(kept_inside, -gain, gain) >= -16 * blur)
     fraction = x.new_zeros(2, len(bending), *faces.inside.shape)
-    fraction[:, :, section, load] = ends.fraction
+    fraction[:, :, section, load] = found.ends.fraction
     section, load = section[better], load[better]
     whole = replace(
         faces,
@@ -446,3 +434,37 @@ def polish(
     )
     converged = (~open_ones).index_put((section, load), better[better])
     return Polished(whole, fraction, converged)
+
+
+def _refit(
+    found: NearestPoints,
+    sums: CurveSum,
+    x: Tensor,
+    y: Tensor,
+    tolerance: Tensor,
+    fit: Callable[[Tensor, Tensor, Tensor], Pieces],
+    section: Tensor,
+) -> None:
+    """Search again, on ever shorter stretches, where a piece that was touched is only near its force.
+
+    Args:
+        found: what is improved.
+        sums, x, y, tolerance: as for `nearest_points`.
+        fit: from sections (q), starts and widths (K, M, q) to pieces.
+        section: (Q) of the sums.
+    """
+    loose = found.ends.rough.flatten(0, 1).any(0).nonzero().squeeze(-1)
+    share = torch.full_like(x[loose], WINDOW)
+    index = torch.arange(len(loose), device=x.device)
+    for _ in range(REFITS if len(loose) else 0):
+        own = loose[index]
+        begin, width = found.ends.window(own, share[index])
+        near = replace(sums.of(own), pieces=fit(section[own], begin, width))
+        normal = found.normal[0, own], found.normal[1, own]
+        found.put(own, nearest_points(near, x[own], y[own], normal, tolerance[own]))
+        held = found.ends.held(own, begin, width).flatten(0, 1).any(0)
+        found.converged[own] &= ~held
+        share[index] = torch.where(held, share[index], share[index] * NARROW)
+        index = index[share[index] >= LEAST]
+        if not len(index):
+            break
