@@ -3,7 +3,15 @@
 from typing import TYPE_CHECKING, Any
 
 from torcharm._node_distances import Residuals
-from torcharm.actuators import Actuator, Bellows, McKibben, PolynomialActuator
+from torcharm.actuators import (
+    Actuator,
+    Bellows,
+    BendingFunction,
+    ConstantBending,
+    LinearBending,
+    McKibben,
+    PolynomialActuator,
+)
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
 from torcharm.attainability import Attainability, evaluate
 from torcharm.distance.closed_form import distance_to_hull
@@ -25,7 +33,10 @@ __all__ = [
     "ArmDesign",
     "Attainability",
     "Bellows",
+    "BendingFunction",
+    "ConstantBending",
     "HullDistance",
+    "LinearBending",
     "McKibben",
     "PolynomialActuator",
     "Residuals",

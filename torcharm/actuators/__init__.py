@@ -1,5 +1,6 @@
 """Force models of fluid-driven actuators."""
 
+from torcharm.actuators.bending import Bending, BendingFunction, ConstantBending, LinearBending
 from torcharm.actuators.mckibben import McKibben
 from torcharm.actuators.polynomial import Bellows, PolynomialActuator
 from torcharm.actuators.protocol import (
@@ -13,6 +14,10 @@ from torcharm.actuators.protocol import (
 __all__ = [
     "Actuator",
     "Bellows",
+    "Bending",
+    "BendingFunction",
+    "ConstantBending",
+    "LinearBending",
     "McKibben",
     "PolynomialActuator",
     "check_actuator",
