@@ -162,7 +162,10 @@ def test_a_function_of_curvature_alone_is_allowed():
 @pytest.mark.parametrize(
     ("function", "message"),
     [
-        (lambda k, p: -0.2 * k * p**2, "^function: must be affine in pressure, got a moment .* at 12.5 kPa and -30 rad"),
+        (
+            lambda k, p: -0.2 * k * p**2,
+            "^function: must be affine in pressure, got a moment .* at 12.5 kPa and -30 rad",
+        ),
         (lambda k, p: -0.2 * k * p.sqrt(), "^function: must be affine in pressure"),
         (lambda k, p: -0.2 * k / p, "^function: must be finite"),
         (lambda k: -0.2 * k, "^function: must take tensors of curvature and pressure"),

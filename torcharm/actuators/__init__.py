@@ -2,6 +2,7 @@
 
 from torcharm.actuators.bending import Bending, BendingFunction, ConstantBending, LinearBending
 from torcharm.actuators.mckibben import McKibben
+from torcharm.actuators.monotonicity import Monotonicity, monotonicity
 from torcharm.actuators.polynomial import Bellows, PolynomialActuator
 from torcharm.actuators.protocol import (
     Actuator,
@@ -19,9 +20,11 @@ __all__ = [
     "ConstantBending",
     "LinearBending",
     "McKibben",
+    "Monotonicity",
     "PolynomialActuator",
     "check_actuator",
     "is_linear_in_pressure",
+    "monotonicity",
     "pressure_degree",
     "pressure_knots",
 ]
