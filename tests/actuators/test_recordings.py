@@ -214,9 +214,9 @@ def test_no_overlap():
     ("setting", "message"),
     [
         ({"actuators": 0}, "actuators: must be an integer of at least 1, got 0"),
-        ({"smoothing": -1.0}, "smoothing: must be finite and at least 0"),
-        ({"offset": np.nan}, "offset: must be a finite number of ms"),
-        ({"max_gap": -5.0}, "max_gap: must be finite and at least 0"),
+        ({"smoothing": -1.0}, "smoothing: must be a finite number and at least 0"),
+        ({"offset": np.nan}, "offset: must be a finite number"),
+        ({"max_gap": -5.0}, "max_gap: must be a finite number and at least 0"),
     ],
 )
 def test_bad_settings(setting, message):

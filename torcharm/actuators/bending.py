@@ -7,7 +7,6 @@ torcharm's attainable sets are exact because the moment is *affine in pressure*,
 with any functions τ_0 and τ_1 of curvature. A moment that is not affine in pressure is refused.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
@@ -15,7 +14,7 @@ from typing import Any, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from torcharm._inputs import shown
+from torcharm._inputs import check_number, shown
 
 CHECKED_CURVATURES = (-30.0, -10.0, -1.0, 0.0, 1.0, 10.0, 30.0)
 """Curvatures [rad/m] at which a user's function is checked."""
@@ -122,6 +121,8 @@ class BendingFunction:
 
     def __post_init__(self) -> None:
         _check(self)
+        if not callable(self.function):
+            raise ValueError(f"function: must be a function of curvature and pressure, got {shown(self.function)}")
         curvature = torch.tensor(CHECKED_CURVATURES, dtype=torch.float64)
         try:
             rest, full = self.passive(curvature), self._at(curvature, self.reference_pressure)
@@ -156,19 +157,10 @@ class BendingFunction:
 
 
 def _check(model: Any) -> None:
-    for field, low, allowed in (
-        ("stiffness", -math.inf, "a finite number"),
-        ("reference_pressure", 0.0, "above 0 kPa"),
-    ):
-        value = getattr(model, field, None)
-        if value is None and (field == "reference_pressure" or not hasattr(model, field)):
-            continue
-        try:
-            number = float(value)  # type: ignore[arg-type]
-        except (TypeError, ValueError):
-            number = math.nan
-        if not low < number < math.inf:
-            raise ValueError(f"{field}: must be {allowed}, got {shown(value)}")
+    if hasattr(model, "stiffness"):
+        check_number("stiffness", model.stiffness)
+    if model.reference_pressure is not None:
+        check_number("reference_pressure", model.reference_pressure, 0.0, strict=True, unit="kPa")
 
 
 def bending_model(stiffness: "float | Bending") -> Bending | None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm._inputs import TensorLike, check_choice, check_count, shown
+from torcharm._inputs import TensorLike, check_choice, check_count, check_number, shown
 from torcharm.actuators.bending import Bending
 from torcharm.actuators.fitting import (
     LOSSES,
@@ -249,8 +249,8 @@ def _check_options(
         raise ValueError(f"degree: must be at most {HIGHEST_DEGREE}, got {degree}")
     check_choice("loss", loss, LOSSES)
     for name, value in (("loss_scale", loss_scale), ("max_pressure", max_pressure)):
-        if value is not None and not 0 < value < np.inf:
-            raise ValueError(f"{name}: must be finite and above 0, got {shown(value)}")
+        if value is not None:
+            check_number(name, value, 0.0, strict=True)
     if correlated is not None:
         check_count("correlated", correlated, 1)
     return int(degree)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm._inputs import TensorLike, shown
+from torcharm._inputs import TensorLike, check_number, shown
 from torcharm.actuators.bending import Bending
 from torcharm.actuators.fitting import Array
 from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS
@@ -160,8 +160,7 @@ def fit_gridded_model(
     from torcharm.actuators.characterisation import checked_samples
 
     x, y, f = checked_samples(strain, pressure, force)
-    if not 0 < smoothness < np.inf:
-        raise ValueError(f"smoothness: must be finite and above 0, got {shown(smoothness)}")
+    check_number("smoothness", smoothness, 0.0, strict=True)
     axes = _axis("strains", strains), _axis("pressures", pressures)
     bases = [
         CubicSpline(axis, np.eye(len(axis)))(np.clip(value, axis[0], axis[-1]))

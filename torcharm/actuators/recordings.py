@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from torcharm._inputs import check_choice, check_count, shown
+from torcharm._inputs import check_choice, check_count, check_number
 
 Array = NDArray[np.float64]
 if TYPE_CHECKING:
@@ -314,10 +314,9 @@ def align(
     """
     count = check_count("actuators", actuators, 1)
     for name, value in (("smoothing", smoothing), ("max_gap", max_gap)):
-        if value is not None and not 0 <= value < np.inf:
-            raise ValueError(f"{name}: must be finite and at least 0, got {shown(value)}")
-    if not np.isfinite(offset):
-        raise ValueError(f"offset: must be a finite number of ms, got {shown(offset)}")
+        if value is not None:
+            check_number(name, value, 0.0)
+    check_number("offset", offset)
     return _aligned(tester, log, smooth(log.pressure, smoothing), count, smoothing, offset, max_gap)
 
 
@@ -410,8 +409,7 @@ def estimate_offset(
     from torcharm.actuators.fitting import exponents, least_squares_loss
 
     check_count("degree", degree, 1)
-    if not 0 < search < np.inf:
-        raise ValueError(f"search: must be finite and above 0 ms, got {shown(search)}")
+    check_number("search", search, 0.0, strict=True, unit="ms")
     align(tester, log, smoothing=smoothing)  # for its errors
     smoothed, powers = smooth(log.pressure, smoothing), exponents(degree)
     # Everything is compared on the stamps that all offsets have.
