@@ -434,3 +434,23 @@ def estimate_offset(
         )
     bounds = grid[max(best - 1, 0)], grid[min(best + 1, 40)]
     return float(minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 0.1}).x)
+
+
+def held_strains(recording: Recording, *, steady: float = 1e-4, apart: float = 0.01) -> list[NDArray[np.int64]]:
+    """Samples of the strains at which the tester held still, one array of indices for each, from least to most.
+
+    Args:
+        recording: one run, or several pooled: holds at equal strains go together.
+        steady: from one sample to the next, strain may move by so much.
+        apart: strains further apart than this are different holds.
+    """
+    still = np.zeros(len(recording.strain), bool)
+    still[1:] = (np.abs(np.diff(recording.strain)) <= steady) & (np.diff(recording.run) == 0)
+    # A ramp is a chain of small steps: what holds stays put over the samples around it, too.
+    reach = 25
+    ahead, behind = np.roll(recording.strain, -reach), np.roll(recording.strain, reach)
+    still &= (np.abs(ahead - recording.strain) <= steady) & (np.abs(behind - recording.strain) <= steady)
+    index = np.flatnonzero(still)
+    index = index[np.argsort(recording.strain[index], kind="stable")]
+    cuts = np.flatnonzero(np.diff(recording.strain[index]) > apart) + 1
+    return [np.sort(part) for part in np.split(index, cuts) if len(part) > 2 * reach]
