@@ -284,8 +284,8 @@ def uncertainty(spread: Any) -> list[Row]:
 def check_gradient(model: ta.FittedActuator, spread: Any, quick: bool) -> list[Row]:
     part, rows = "the same deviations by drawing coefficients", []
     loads, draws = (3, 20) if quick else (20, 200)
+    drawn = drawn_deviation(model, loads, draws)
     for key, found in spread.items():
-        drawn = drawn_deviation(model, key, loads, draws)
-        ratio = found.deviation[:loads] / drawn
+        ratio = found.deviation[:loads] / drawn[key]
         rows.append(Row(part, ", ".join(key), "gradient / drawn, median over loads", float(ratio.median()), "times"))
     return rows

@@ -45,11 +45,11 @@ def uncertain_validation(model: ta.FittedActuator, loads: int = 100) -> dict[tup
     }
 
 
-def drawn_deviation(model: ta.FittedActuator, key: tuple[str, str], loads: int, draws: int) -> Tensor:
+def drawn_deviation(model: ta.FittedActuator, loads: int, draws: int) -> dict[tuple[str, str], Tensor]:
     """The same deviations (loads) by drawing coefficients: what the gradient is checked against."""
     assert model.quality is not None
     random = np.random.default_rng(0)
     own = np.array([c for *_, c in model.coefficients])
     drawn = random.multivariate_normal(own, np.array(model.quality.covariance), draws, method="cholesky")
-    values = [validation(ta.TensorPolynomial(model, torch.from_numpy(c)), loads)[key] for c in drawn]
-    return torch.stack(values).std(0)
+    answers = [validation(ta.TensorPolynomial(model, torch.from_numpy(c)), loads) for c in drawn]
+    return {key: torch.stack([answer[key] for answer in answers]).std(0) for key in answers[0]}

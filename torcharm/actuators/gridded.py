@@ -72,7 +72,9 @@ class GriddedActuator:
         """Axial force [N]; strain and pressure [kPa] broadcast."""
         table, anchors = self._spline
         edges = strain.new_tensor(self.strains), strain.new_tensor(self.pressures)
-        row, column = (torch.bucketize(value, edge) for value, edge in ((strain, edges[0]), (pressure, edges[1])))
+        row, column = (
+            torch.bucketize(value.contiguous(), edge) for value, edge in ((strain, edges[0]), (pressure, edges[1]))
+        )
         x = strain - strain.new_tensor(anchors[0])[row]
         y = pressure - strain.new_tensor(anchors[1])[column]
         cell = row * (len(self.pressures) + 1) + column
