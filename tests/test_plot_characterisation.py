@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 import torcharm as ta
 from torcharm import plot_characterisation as pc
-from torcharm.actuators.recordings import held_strains
+from torcharm.actuators.alignment import held_strains
 
 LEVELS = (-0.1, 0.2, 0.5)
 

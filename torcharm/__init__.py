@@ -23,17 +23,11 @@ from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
 from torcharm.wrenches import reaction_wrench, required_wrench
 
 if TYPE_CHECKING:
+    from torcharm.actuators.alignment import Recording, align, estimate_offset, pool
     from torcharm.actuators.characterisation import FitQuality, FittedActuator, fit_force_model, fit_recording
     from torcharm.actuators.gridded import GriddedActuator, fit_gridded_model
     from torcharm.actuators.model_file import load_actuator, save_actuator
-    from torcharm.actuators.recordings import (
-        Recording,
-        align,
-        estimate_offset,
-        pool,
-        read_pressure,
-        read_tester,
-    )
+    from torcharm.actuators.recordings import read_pressure, read_tester
     from torcharm.actuators.uncertainty import TensorPolynomial, coefficient_tensor, standard_deviation
     from torcharm.distance.planar import planar_distance
     from torcharm.distance.qp import qp_distance
@@ -99,11 +93,11 @@ _LATER = {
     "FittedActuator": "actuators.characterisation",
     "GriddedActuator": "actuators.gridded",
     "HullDistance": "distance.result",
-    "Recording": "actuators.recordings",
+    "Recording": "actuators.alignment",
     "TensorPolynomial": "actuators.uncertainty",
-    "align": "actuators.recordings",
+    "align": "actuators.alignment",
     "coefficient_tensor": "actuators.uncertainty",
-    "estimate_offset": "actuators.recordings",
+    "estimate_offset": "actuators.alignment",
     "fit_force_model": "actuators.characterisation",
     "fit_gridded_model": "actuators.gridded",
     "fit_recording": "actuators.characterisation",
@@ -111,7 +105,7 @@ _LATER = {
     "load_actuator": "actuators.model_file",
     "nnls_distance": "distance.scipy_solvers",
     "planar_distance": "distance.planar",
-    "pool": "actuators.recordings",
+    "pool": "actuators.alignment",
     "qp_distance": "distance.qp",
     "read_pressure": "actuators.recordings",
     "read_tester": "actuators.recordings",

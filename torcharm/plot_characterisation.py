@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from torcharm.actuators import Actuator
+from torcharm.actuators.alignment import Recording, held_strains
 from torcharm.actuators.characterisation import FittedActuator
 from torcharm.actuators.monotonicity import monotonicity
-from torcharm.actuators.recordings import Recording, held_strains
 
 Array = NDArray[np.float64]
 

@@ -9,15 +9,18 @@ from torch import Tensor
 import torcharm as ta
 
 SHAPE = ta.affine_curvature(-3.0, 3.0, length=0.5, nodes=10)
+"""The validation study's; it squeezes an outer bellows by 48 %, characterised to 17 %."""
+MILD = ta.affine_curvature(-1.0, 1.0, length=0.5, nodes=10)
+"""A shape that strains every actuator within its characterised range."""
 METRICS = ("absolute", "relative")
 ARMS = ("antagonistic", "bellows-only")
 
 
-def validation(model: ta.Actuator, loads: int = 100) -> dict[tuple[str, str], Tensor]:
-    """Unattainability (loads) of both arms by both metrics, with this model for their bellows."""
+def validation(model: ta.Actuator, loads: int = 100, shape: Tensor = SHAPE) -> dict[tuple[str, str], Tensor]:
+    """Unattainability (loads) of both arms on a shape by both metrics, with this model for their bellows."""
     muscle = ta.McKibben()
     kinds = {"antagonistic": (model, muscle, muscle, model), "bellows-only": (model,) * 4}
-    task = ta.Task(SHAPE, ta.sample_loads(100)[:loads])
+    task = ta.Task(shape, ta.sample_loads(100)[:loads])
     found = {}
     for name in ARMS:
         result = ta.evaluate(ta.ArmDesign([-0.08, -0.015, 0.015, 0.08], 0.5, kinds[name]), task, METRICS)

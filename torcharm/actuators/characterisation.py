@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torcharm._inputs import TensorLike, check_choice, check_count, check_number, shown
+from torcharm.actuators.alignment import Recording
 from torcharm.actuators.bending import Bending
 from torcharm.actuators.fitting import (
     LOSSES,
@@ -29,7 +30,6 @@ from torcharm.actuators.fitting import (
 )
 from torcharm.actuators.monotonicity import Monotonicity, monotonicity
 from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS, PolynomialActuator
-from torcharm.actuators.recordings import Recording
 
 HIGHEST_DEGREE = 9
 MARGIN = 1e-4

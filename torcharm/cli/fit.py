@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from torcharm.actuators.alignment import Recording
     from torcharm.actuators.characterisation import FittedActuator
-    from torcharm.actuators.recordings import Recording
 
 
 def fit(
@@ -58,9 +58,10 @@ def fit(
     with mistakes(), _warnings_on_stderr():
         check_outputs(None, out, figure)
         offsets = _check_runs(instron, pressure, out, offset, find_offset)
+        from torcharm.actuators.alignment import align, estimate_offset, pool
         from torcharm.actuators.characterisation import fit_recording
         from torcharm.actuators.model_file import save_actuator
-        from torcharm.actuators.recordings import align, estimate_offset, pool, read_pressure, read_tester
+        from torcharm.actuators.recordings import read_pressure, read_tester
 
         runs = []
         for csv, log, shift in zip(instron, pressure, offsets, strict=True):
