@@ -172,6 +172,9 @@ class ExactHulls:
     polygons: Polygons
     curves: Curves
     scale: tuple[float, float]
+    order: Tensor
+    step: Tensor
+    turn: Tensor
 
     def fractions(self, slot: Tensor, normal: Pair, point: Pair, square: Tensor) -> Tensor:
         """Pressure fractions (2, M, B, L) at the two ends of faces.
@@ -199,6 +202,11 @@ class ExactHulls:
             miss = torch.minimum(miss, wider_miss)
         grid = self.curves.grid.unsqueeze(-1)
         return grid.expand(-1, *index.shape[1:]).gather(0, index)
+
+    def lowered(self, y: Tensor, section: Tensor) -> Tensor:
+        """Scaled moments (Q) required of sections (Q), less what is borne at no pressure: for curves without it."""
+        resting = self.curves.resting
+        return y if resting is None else y - self.scale[1] * resting[section]
 
     def _ends(self, normal: Pair, allowed: float) -> Tensor:
         """Samples (2, M, B, L) that reach furthest along the normal, to within so many roundings."""
@@ -266,13 +274,13 @@ def _exact_hulls(curves: Curves, scale: tuple[float, float]) -> ExactHulls:
         edge_force, curves.radii, value=-scale[1] / scale[0]
     )
     least, start = _leftmost(curves)
-    polygons = minkowski_sum(
+    polygons, order = minkowski_sum(
         scale[0] * least.sum(0),
         scale[1] * curves.lifted((curves.bending * start - curves.radii * least).sum(0)),
         edge_force.flatten(0, 1),
         edge_moment.flatten(0, 1),
     )
-    return ExactHulls(polygons, curves, scale)
+    return ExactHulls(polygons, curves, scale, order, step, turn)
 
 
 def _convex_curves(grid: Tensor, force: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -290,19 +298,23 @@ def _convex_curves(grid: Tensor, force: Tensor) -> tuple[Tensor, Tensor, Tensor]
         in the (p, f) plane: their steps in fraction (S, M or 1, B or 1) and in force (S, M, B).
         Slots off the hull are zero.
     """
-    bend = force[2:] + force[:-2]
-    bend.sub_(force[1:-1], alpha=2)
+    if grid.shape[1:] == (1, 1):
+        bend = force[2:] + force[:-2]
+        bend.sub_(force[1:-1], alpha=2)
+    else:
+        rise, step = force.diff(dim=0), grid.diff(dim=0)
+        bend = (rise[1:] * step[:-1]).addcmul_(rise[:-1], step[1:], value=-1)
     if len(grid) <= 3 or not bool(((bend.amin(0) < 0) & (bend.amax(0) > 0)).any()):
         # Convex or concave: the samples, in order or reversed, already go round.
         turn = 1 - 2 * (bend < 0).any(0).to(force.dtype)
         return grid.roll(-1, 0) - grid, force.roll(-1, 0).sub_(force), turn
-    target = _envelope_targets(force)
+    target = _envelope_targets(grid, force)
     step = grid.expand_as(force).gather(0, target) - grid
     return step, force.gather(0, target).sub_(force), torch.ones_like(force[0])
 
 
-def _envelope_targets(force: Tensor) -> Tensor:
-    """For each sample (S, M, B) of a curve, evenly spaced, the next corner round its hull (or itself).
+def _envelope_targets(grid: Tensor, force: Tensor) -> Tensor:
+    """For each sample (S, M, B) of a curve the next corner round its hull (or itself).
 
     A sample is on the lower envelope if every slope to its right exceeds every slope to its left;
     on the upper, the other way round. The lower is walked rightwards, the upper back.
@@ -311,11 +323,11 @@ def _envelope_targets(force: Tensor) -> Tensor:
     left_max, right_max = force.new_full((2, *force.shape), -torch.inf)
     left_min, right_min = force.new_full((2, *force.shape), torch.inf)
     for gap in range(1, count):
-        slope = (force[gap:] - force[:-gap]).mul_(1 / gap)
-        torch.maximum(left_max[gap:], slope, out=left_max[gap:])
-        torch.minimum(left_min[gap:], slope, out=left_min[gap:])
-        torch.maximum(right_max[:-gap], slope, out=right_max[:-gap])
-        torch.minimum(right_min[:-gap], slope, out=right_min[:-gap])
+        slope = (force[gap:] - force[:-gap]).div_(grid[gap:] - grid[:-gap])  # of twins not a number: passed over
+        torch.fmax(left_max[gap:], slope, out=left_max[gap:])
+        torch.fmin(left_min[gap:], slope, out=left_min[gap:])
+        torch.fmax(right_max[:-gap], slope, out=right_max[:-gap])
+        torch.fmin(right_min[:-gap], slope, out=right_min[:-gap])
     lower, upper = (right_min > left_max).to(force.dtype), (right_max < left_min).to(force.dtype)
 
     target = torch.arange(count, dtype=force.dtype, device=force.device).view(-1, 1, 1).expand_as(force).clone()

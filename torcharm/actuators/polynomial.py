@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torcharm._inputs import shown
 from torcharm.actuators.bending import Bending
-from torcharm.actuators.protocol import check_numbers
+from torcharm.actuators.protocol import PressureLaw, check_numbers
 
 PAPER_BENDING_STIFFNESS = -1.0 / 3.5
 """K [N·m²]; the paper estimated one value for bellows and muscles alike."""
@@ -56,6 +56,11 @@ class PolynomialActuator:
         for row in reversed(rows[:-1]):
             total = total * pressure + _horner(row, strain)
         return total if len(rows) > 1 else total.expand(torch.broadcast_shapes(strain.shape, pressure.shape))
+
+    def pressure_law(self, strain: Tensor) -> PressureLaw | None:
+        """The same force as a function of pressure, up to a cubic."""
+        rows = self._rows()
+        return PressureLaw(tuple(_horner(row, strain) for row in rows)) if self.pressure_degree <= 3 else None
 
     def _rows(self) -> list[list[float]]:
         """`rows[j][i] = c_ij`: for each power of pressure a polynomial in strain."""
