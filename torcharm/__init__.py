@@ -13,6 +13,7 @@ from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
 from torcharm.wrenches import reaction_wrench, required_wrench
 
 if TYPE_CHECKING:
+    from torcharm.capacity import LoadCapacity, load_capacity
     from torcharm.distance.planar import planar_distance
     from torcharm.distance.qp import qp_distance
     from torcharm.distance.result import HullDistance, kkt_residuals
@@ -26,6 +27,7 @@ __all__ = [
     "Attainability",
     "Bellows",
     "HullDistance",
+    "LoadCapacity",
     "McKibben",
     "PolynomialActuator",
     "Residuals",
@@ -38,6 +40,7 @@ __all__ = [
     "distance_to_hull",
     "evaluate",
     "kkt_residuals",
+    "load_capacity",
     "mckibben_arm",
     "nnls_distance",
     "planar_distance",
@@ -51,19 +54,21 @@ __all__ = [
 ]
 
 _LATER = {
-    "HullDistance": "result",
-    "kkt_residuals": "result",
-    "nnls_distance": "scipy_solvers",
-    "planar_distance": "planar",
-    "qp_distance": "qp",
-    "slsqp_distance": "scipy_solvers",
+    "HullDistance": "distance.result",
+    "LoadCapacity": "capacity",
+    "kkt_residuals": "distance.result",
+    "load_capacity": "capacity",
+    "nnls_distance": "distance.scipy_solvers",
+    "planar_distance": "distance.planar",
+    "qp_distance": "distance.qp",
+    "slsqp_distance": "distance.scipy_solvers",
 }
 
 
 def __getattr__(name: str) -> Any:
-    """The distance solvers, which load when they are first used."""
+    """What loads when it is first used."""
     if name not in _LATER:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    return getattr(import_module(f"torcharm.distance.{_LATER[name]}"), name)
+    return getattr(import_module(f"torcharm.{_LATER[name]}"), name)
