@@ -64,6 +64,18 @@ def test_distances_against_trying_all_pressures(name):
     assert brute_distance(sums, found.convex.point, 1500) == pytest.approx(found.convex.size, abs=2e-2)
 
 
+@pytest.mark.parametrize(("name", "shape", "node"), [("muscle-only", 2, 2), ("antagonistic", 0, 2)])
+def test_no_reaction_of_many_is_nearer_than_the_search_says(name, shape, node):
+    """Descents alone end in the muscles' kinks, and take a point in the midst of the set for one far from it."""
+    case = next(case for case in scenes.CASES if case.name == f"M = 4: {name} (paper)")
+    sums = search.curve_sums(case.build(), scenes.twists(scenes.SHAPES[shape]).numpy(), relative=False)[node - 1]
+    found = search.convexity(sums, search.hull_ring(search.extreme_points(sums)[0]))
+    drawn = np.random.default_rng(2).beta(0.3, 0.3, (300_000, 4))
+    nearest = np.linalg.norm(sums.at(drawn) - found.point, axis=-1).min()
+    assert 0 < found.size <= nearest
+    assert nearest < found.size + 0.2
+
+
 def test_curve_sums_are_the_reactions():
     import torch
 

@@ -92,7 +92,7 @@ def _along_arm(axes: Any, hulls: Array, reaction: Array, relative: bool) -> None
 
 
 def draw_violations(rows: Sequence[Row], path: Path) -> None:
-    """Left, the worst of each case and claim; right, for each claim the worst of the paper's arms within their ranges."""
+    """Left, the worst of each case and claim; right, for each claim the worst of the paper's arms in their ranges."""
     figure = Figure(figsize=(17, 10), layout="constrained")
     panels: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1))
     left, right = panels

@@ -13,7 +13,6 @@ from itertools import product
 from pathlib import Path
 from typing import IO, Any
 
-import numpy as np
 import torch
 from rich.console import Console
 from rich.progress import track
@@ -207,7 +206,3 @@ def _parsed(file: IO[str]) -> Iterator[Row]:
             kind = kinds[name]
             values[name] = text == "True" if kind is bool else kind(text)  # type: ignore[operator]
         yield Row(**values)
-
-
-def spread(rows: Sequence[Row], claim: str) -> np.ndarray[Any, np.dtype[np.float64]]:
-    return np.array([getattr(row, claim) for row in rows])

@@ -4,8 +4,8 @@ For one node the reactions are the sums of one curve an actuator. Three claims, 
 
 - *convex*: the largest distance from a point of the convex hull to the set. Candidates lie on the hull's boundary,
   where a curve that bends inwards leaves a gap, and inside; each candidate's distance is a minimum over pressures:
-  a scan of all combinations, descents from the best places, and for the worst candidates
-  `scipy.optimize.least_squares` from more places.
+  a coarse scan and descents from its best places say which candidates are worst; those are confirmed by trying
+  millions of combinations and `scipy.optimize.least_squares` from the best of these.
 - *boundary*: the largest distance from a boundary point of the set to the image of the pressure box's boundary.
   Boundary points are those that lie furthest in some direction; if all their pressures are inside the box, no
   other pressure reaches them.
@@ -39,8 +39,13 @@ EDGES = 129
 """Pressures on each edge of the box."""
 STARTS, STEPS = 4, 40
 """Places of the scan from which every candidate's distance is brought down, and damped Gauss–Newton steps from each."""
-CONFIRMED, CONFIRMING = 4, 12
-"""Candidates, the worst, whose distance scipy confirms, and places that it starts from."""
+CONFIRMED, CONFIRMING = 40, 8
+"""Candidates, the worst first, whose distance is confirmed, and places of all combinations to go on from."""
+SOLVED = 2
+"""Of these places, those from which scipy goes on."""
+HALF = {1: 1025, 2: 193}
+OTHER_HALF = {0: 1, 1: 257, 2: 65}
+"""Pressures of each actuator when all combinations of one half of them meet all of the other half."""
 TIE = 1e-9
 """Share of a curve's extent by which an end of it may fall short and still count as the furthest."""
 
@@ -199,21 +204,56 @@ def furthest(sums: CurveSum, candidates: Array, boxes: Sequence[Sequence[Array]]
     pressure = np.concatenate([np.stack(np.meshgrid(*box, indexing="ij"), -1).reshape(-1, len(box)) for box in boxes])
     owner = np.repeat(np.arange(len(boxes)), [int(np.prod([len(grid) for grid in box])) for box in boxes])
     image = sums.at(pressure)
-    _, place = cKDTree(image, balanced_tree=False).query(candidates, k=min(CONFIRMING, len(image)))
-    place = place.reshape(len(candidates), -1)
-    movable = np.array([[len(grid) > 1 for grid in box] for box in boxes])[owner]
-    starts = place[:, :STARTS]
+    _, place = cKDTree(image, balanced_tree=False).query(candidates, k=min(STARTS, len(image)))
+    starts = place.reshape(len(candidates), -1)
+    movable = np.array([[len(grid) > 1 for grid in box] for box in boxes])
     target = np.repeat(candidates, starts.shape[1], axis=0)
-    lowest = descend(sums, target, pressure[starts.ravel()], movable[starts.ravel()]).reshape(starts.shape).min(1)
+    lowest = descend(sums, target, pressure[starts.ravel()], movable[owner[starts.ravel()]])
+    lowest = lowest.reshape(starts.shape).min(1)
+    halves = [Halves(sums, box) for box in boxes]
     worst = Violation(0.0, candidates[0], candidates[0])
     for index in np.argsort(-lowest)[:CONFIRMED]:
-        if lowest[index] <= worst.size:
+        if lowest[index] <= worst.size:  # a distance that was brought down from few places is never too small
             break
-        found = [confirm(sums, candidates[index], pressure[start], movable[start]) for start in place[index]]
+        near = [half.nearest(candidates[index]) for half in halves]
+        start, own = np.concatenate(near), np.repeat(movable, [len(places) for places in near], axis=0)
+        reached = descend(sums, np.broadcast_to(candidates[index], (len(start), 2)), start, own)
+        best = np.argsort(reached)[:SOLVED]
+        found = [confirm(sums, candidates[index], start[place], own[place]) for place in best]
         size, at = min(found, key=lambda pair: pair[0])
+        size = min(size, float(reached[best[0]]), float(lowest[index]))
         if size > worst.size:
-            worst = Violation(min(size, float(lowest[index])), candidates[index], at)
+            worst = Violation(size, candidates[index], at)
     return worst
+
+
+class Halves:
+    """All combinations of one half of the actuators' pressures against all of the other half's: many without a list."""
+
+    def __init__(self, sums: CurveSum, box: Sequence[Array]):
+        count = (sums.actuators + 1) // 2
+        parts = []
+        for members, sizes in ((range(count), HALF), (range(count, sums.actuators), OTHER_HALF)):
+            free = sum(len(box[index]) > 1 for index in members)
+            along = np.linspace(0, 1, sizes.get(free, 1)) if free else np.zeros(1)
+            grids = [along if len(box[index]) > 1 else box[index] for index in members]
+            pressure = np.array(list(product(*grids))) if grids else np.zeros((1, 0))
+            own = CurveSum(sums.curves[list(members)], True, True)
+            parts.append((pressure, own.at(pressure) if grids else np.zeros((1, 2))))
+        (self.first, image), (self.second, self.offset) = parts
+        _, kept = np.unique(np.round(image, 6), axis=0, return_index=True)  # repeats would slow the tree down
+        self.first, image = self.first[kept], image[kept]
+        self.tree = cKDTree(image, balanced_tree=False)
+
+    def nearest(self, target: Array) -> Array:
+        """Pressures (K, M) of the nearest reactions, of different pressures of the second half."""
+        if len(self.offset) == 1:
+            _, place = self.tree.query(target - self.offset[0], k=min(CONFIRMING, len(self.first)))
+            place = np.atleast_1d(place)
+            return np.hstack((self.first[place], np.repeat(self.second, len(place), axis=0)))
+        distance, place = self.tree.query(target - self.offset)
+        best = np.argsort(distance)[:CONFIRMING]
+        return np.hstack((self.first[place[best]], self.second[best]))
 
 
 def descend(sums: CurveSum, target: Array, fraction: Array, movable: Array) -> Array:
@@ -252,7 +292,7 @@ def confirm(sums: CurveSum, target: Array, fraction: Array, movable: NDArray[np.
 
     off = sums.at(fraction[None])[0] - target
     if len(free):
-        off = gap(least_squares(gap, fraction[free], slopes, bounds=(0.0, 1.0)).x)
+        off = gap(least_squares(gap, fraction[free], slopes, bounds=(0.0, 1.0), max_nfev=50).x)
     return float(np.hypot(*off)), target + off
 
 
