@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from torcharm.actuators.model_file import load_actuator, save_actuator
     from torcharm.actuators.recordings import read_pressure, read_tester
     from torcharm.actuators.uncertainty import TensorPolynomial, coefficient_tensor, standard_deviation
+    from torcharm.capacity import LoadCapacity, load_capacity
     from torcharm.distance.planar import planar_distance
     from torcharm.distance.qp import qp_distance
     from torcharm.distance.result import HullDistance, kkt_residuals
@@ -48,6 +49,7 @@ __all__ = [
     "GriddedActuator",
     "HullDistance",
     "LinearBending",
+    "LoadCapacity",
     "McKibben",
     "Monotonicity",
     "PolynomialActuator",
@@ -70,6 +72,7 @@ __all__ = [
     "fit_recording",
     "kkt_residuals",
     "load_actuator",
+    "load_capacity",
     "mckibben_arm",
     "monotonicity",
     "nnls_distance",
@@ -93,6 +96,7 @@ _LATER = {
     "FittedActuator": "actuators.characterisation",
     "GriddedActuator": "actuators.gridded",
     "HullDistance": "distance.result",
+    "LoadCapacity": "capacity",
     "Recording": "actuators.alignment",
     "TensorPolynomial": "actuators.uncertainty",
     "align": "actuators.alignment",
@@ -103,6 +107,7 @@ _LATER = {
     "fit_recording": "actuators.characterisation",
     "kkt_residuals": "distance.result",
     "load_actuator": "actuators.model_file",
+    "load_capacity": "capacity",
     "nnls_distance": "distance.scipy_solvers",
     "planar_distance": "distance.planar",
     "pool": "actuators.alignment",

@@ -103,7 +103,7 @@ def _by_closed_form(block: Block, check: Check, recompute: bool) -> tuple[list[C
     node, not of whole hulls.
     """
     recording = torch.is_grad_enabled()
-    followed = recording and _inputs_want_gradient(block)
+    followed = recording and inputs_want_gradient(block)
     with torch.no_grad():
         sections = cross_sections(block.arm, block.twists)
         with torch.set_grad_enabled(recording and not followed):
@@ -116,7 +116,7 @@ def _by_closed_form(block: Block, check: Check, recompute: bool) -> tuple[list[C
         replays = [_agreeing(square, one.faces, check.signed) for square, one in zip(again, found, strict=True)]
     else:
         replays = [(one.faces.square, torch.ones_like(one.converged)) for one in found]
-        excess = _strain_excess(sections)
+        excess = strain_excess(sections)
     answers = [
         (
             signed_length(square, one.faces.inside, one.faces.blur, signed=check.signed),
@@ -142,7 +142,7 @@ def _agreeing(square: Tensor, faces: NearestFaces, signed: bool) -> tuple[Tensor
     return square if bool(close.all()) else torch.where(close, square, faces.square), close | settled
 
 
-def _inputs_want_gradient(block: Block) -> bool:
+def inputs_want_gradient(block: Block) -> bool:
     arm = block.arm
     inputs = (arm.radii, arm.length, arm.max_pressure, block.twists, block.tip_load, block.base_pose)
     return any(value.requires_grad for value in inputs)
@@ -209,7 +209,7 @@ def _nearest_face(
     relative = metric == "relative"
     curves, laws = sampled.metric(sections, check.samples, relative)
     hulls = build_hulls(curves, check.hull, check.scale)
-    point = _required(block, check, relative)
+    point = required_points(block, check.scale, relative)
     faces = nearest_faces(hulls.polygons, *point, slots=slots or check.polish)
     auditor = check.auditor
     residuals = () if auditor is None else _solve(sections, hulls, point, check, relative, auditor)[2:]
@@ -257,8 +257,10 @@ class _Replay:
 
                 fraction = follow_kinks(sections, fraction, relative=relative)
             x, y = _scaled(sections.wrench(fraction, relative=relative), self.check)
-            squares.append(face_square(_required(self.block, self.check, relative), (x[0], y[0]), (x[1], y[1])))
-        return *squares, _strain_excess(sections)
+            squares.append(
+                face_square(required_points(self.block, self.check.scale, relative), (x[0], y[0]), (x[1], y[1]))
+            )
+        return *squares, strain_excess(sections)
 
 
 def _by_solver(
@@ -276,9 +278,9 @@ def _by_solver(
             relative = metric == "relative"
             with torch.no_grad():
                 hulls = _hulls(sections, curves, check, relative)
-            found = _solve(sections, hulls, _required(block, check, relative), check, relative, solver)
+            found = _solve(sections, hulls, required_points(block, check.scale, relative), check, relative, solver)
             columns += found[:each]
-        return *columns, _strain_excess(sections)
+        return *columns, strain_excess(sections)
 
     *columns, excess = checkpoint(work, use_reentrant=False) if recompute and torch.is_grad_enabled() else work()
     answers = [tuple(columns[start : start + each]) for start in range(0, len(columns), each)]
@@ -305,17 +307,17 @@ def _scaled(wrench: tuple[Tensor, Tensor], check: Check) -> tuple[Tensor, Tensor
     return check.scale[0] * wrench[0], check.scale[1] * wrench[1]
 
 
-def _required(block: Block, check: Check, relative: bool) -> tuple[Tensor, Tensor]:
+def required_points(block: Block, scale: tuple[float, float], relative: bool) -> tuple[Tensor, Tensor]:
     """Required wrenches, scaled, as two tensors (B, l)."""
     wrench = required_wrench(block.twists[:, None], block.tip_load, block.base_pose)[..., PLANAR]
     if relative:
         wrench = wrench - wrench[..., :1, :]
     by_node = wrench.movedim(1, -2).unsqueeze(2)  # (p, N, 1, l, 2)
     by_section = by_node.expand(-1, -1, len(block.arm.radii), -1, -1).flatten(0, 2)
-    return _scaled((by_section[..., 0], by_section[..., 1]), check)
+    return scale[0] * by_section[..., 0], scale[1] * by_section[..., 1]
 
 
-def _strain_excess(sections: Sections) -> Tensor:
+def strain_excess(sections: Sections) -> Tensor:
     """Largest strain (p, d) beyond its actuator's characterised range, 0 if none is."""
     low, high = zip(*(model.strain_range for model in sections.actuators), strict=True)
     strain = sections.strain

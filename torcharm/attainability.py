@@ -134,18 +134,25 @@ def evaluate(
         absolute_per_node=found.get("absolute"),
         relative_per_node=found.get("relative"),
         strain_excess=excess,
-        in_range=(excess <= 16 * torch.finfo(excess.dtype).eps) & _limits_in_range(outer),
+        in_range=(excess <= 16 * torch.finfo(excess.dtype).eps) & limits_in_range(outer),
         converged=converged,
         residuals=audits if residuals else None,
     )
 
 
 def _check_arguments(arm: ArmDesign, task: Task, power: int, signed: bool) -> None:
-    for name, value, kind in (("arm", arm, ArmDesign), ("task", task, Task), ("signed", signed, bool)):
-        if not isinstance(value, kind):
-            raise ValueError(f"{name}: must be of type {kind.__name__}, got {shown(value)}")
+    check_arm_and_task(arm, task)
+    if not isinstance(signed, bool):
+        raise ValueError(f"signed: must be of type bool, got {shown(signed)}")
     if isinstance(power, bool) or not isinstance(power, int) or power not in (1, 2):
         raise ValueError(f"power: must be 1 or 2, got {shown(power)}")
+
+
+def check_arm_and_task(arm: ArmDesign, task: Task) -> None:
+    """Raise unless they are a design and a task, of one dtype and on one device."""
+    for name, value, kind in (("arm", arm, ArmDesign), ("task", task, Task)):
+        if not isinstance(value, kind):
+            raise ValueError(f"{name}: must be of type {kind.__name__}, got {shown(value)}")
     ours, theirs = arm.radii, task.twists
     if ours.dtype != theirs.dtype or ours.device != theirs.device:
         raise ValueError(
@@ -194,7 +201,7 @@ def _per_node(outer: OuterProduct, check: Check, chunk_size: int | None) -> tupl
     return tuple(outer.unflatten(block) for block in blocks)
 
 
-def _limits_in_range(outer: OuterProduct) -> Tensor:
+def limits_in_range(outer: OuterProduct) -> Tensor:
     """Whether every pressure limit lies in its model's characterised range."""
     highest = along([model.pressure_range[1] for model in outer.arm.actuators], outer.arm.radii, -1)
     inside = (outer.arm.max_pressure <= highest).all(-1)

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 import torcharm as ta
-from torcharm import plot_characterisation
+from torcharm.plot import characterisation
 
 BLACK, BLUE, ORANGE, GREY = "#000000", "#0072B2", "#D55E00", "#999999"
 Answers = dict[tuple[str, str], Tensor]
@@ -17,14 +17,14 @@ Answers = dict[tuple[str, str], Tensor]
 def held_strains(model: ta.FittedActuator, recording: ta.Recording, path: Path) -> None:
     """The SI's figure: force against pressure at the strains that were held."""
     figure = Figure(figsize=(8.0, 5.6), layout="constrained")
-    axes = plot_characterisation.force_at_held_strains(model, recording, ax=figure.add_subplot())
+    axes = characterisation.force_at_held_strains(model, recording, ax=figure.add_subplot())
     assert model.quality is not None
     axes.set_title(f"One cubic describes the bellows at all strains: R² {model.quality.r_squared:.4f}")
     figure.savefig(path, dpi=130)
 
 
 def whole_fit(model: ta.FittedActuator, recording: ta.Recording, path: Path) -> None:
-    plot_characterisation.characterisation_figure(model, recording).savefig(path, dpi=100)
+    characterisation.characterisation_figure(model, recording).savefig(path, dpi=100)
 
 
 def sensitivity(base: Answers, spread: Any, variants: dict[str, Answers], path: Path) -> None:

@@ -81,7 +81,7 @@ def fit(
         _report(console, model, recording)
         say(console, f'Wrote {out}. In a study: actuators = [{{ kind = "file", path = "{out}" }}, ...]')
         if figure is not None:
-            from torcharm.plot_characterisation import characterisation_figure
+            from torcharm.plot.characterisation import characterisation_figure
 
             characterisation_figure(model, recording).savefig(figure)
             say(console, f"Wrote {figure}.")

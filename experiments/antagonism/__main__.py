@@ -1,0 +1,3 @@
+from experiments.antagonism.run import main
+
+main()

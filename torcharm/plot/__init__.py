@@ -1,0 +1,41 @@
+"""Pictures of arms, tasks, attainable sets and results.
+
+`import torcharm` loads no matplotlib; `from torcharm import plot` does. Except for `study_figure`, every function
+draws into the axes it is given, or makes some, and returns them. Nothing is shown, and no setting is changed.
+Colour is never the only cue: the attainable is black and solid or a dot, the rest vermillion and dashed or a cross.
+"""
+
+from torcharm.plot._common import (
+    ARM_COLOURS,
+    ARM_LINES,
+    ATTAINABLE,
+    KIND_STYLES,
+    LONGEST_ARROW,
+    SMOOTHING,
+    UNATTAINABLE,
+)
+from torcharm.plot.arms import arm_shape, task_shape
+from torcharm.plot.histograms import unattainability_histogram
+from torcharm.plot.hulls import hulls_along_arm, node_hull
+from torcharm.plot.loads import attainable_load_map, load_grid, load_map, polar_load_grid
+from torcharm.plot.study import study_figure
+
+__all__ = [
+    "ARM_COLOURS",
+    "ARM_LINES",
+    "ATTAINABLE",
+    "KIND_STYLES",
+    "LONGEST_ARROW",
+    "SMOOTHING",
+    "UNATTAINABLE",
+    "arm_shape",
+    "attainable_load_map",
+    "hulls_along_arm",
+    "load_grid",
+    "load_map",
+    "node_hull",
+    "polar_load_grid",
+    "study_figure",
+    "task_shape",
+    "unattainability_histogram",
+]

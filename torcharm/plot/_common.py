@@ -1,0 +1,81 @@
+"""What the pictures share: styles, axes, and the choice of one design and one shape."""
+
+from collections.abc import Sequence
+from math import prod
+from typing import Any
+
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torcharm import rod
+from torcharm.arm import ArmDesign
+from torcharm.task import Task
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+ARM_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#F0E442")
+ARM_LINES = ("-", "--", ":", "-.")
+ATTAINABLE, UNATTAINABLE = "#000000", "#D55E00"
+KIND_STYLES = {"bellows": ("#56B4E9", 4.5), "muscle": ("#882255", 2.5), "other": ("#999999", 3.5)}  # colour, width
+SMOOTHING = 8  # points drawn on each segment, so that a segment of constant curvature is seen to be an arc
+LONGEST_ARROW = 0.3  # of the largest force, as a share of the centreline's length
+
+
+def array(value: Tensor) -> Array:
+    """A tensor as numpy, without its gradients."""
+    return np.asarray(value.detach().double().cpu())
+
+
+def fine_poses(task: Task) -> Array:
+    """Poses (SMOOTHING·N + 1, 3) along one shape; every SMOOTHING-th is a node's."""
+    return array(rod.poses(task.twists.repeat_interleave(SMOOTHING, 0), task.base_pose))
+
+
+def one_design(field: str, arm: ArmDesign) -> ArmDesign:
+    """The only design of a batch."""
+    if prod(arm.batch_shape) != 1:
+        raise ValueError(f"{field}: must be one design, as arm[0] of a batch, got batch shape {tuple(arm.batch_shape)}")
+    return arm.flatten()[0]
+
+
+def first_shape(task: Task) -> tuple[Task, Mask, int]:
+    """The task's first shape with the loads on it, which of the flattened tasks these are, and how many shapes."""
+    if 0 in task.batch_shape:
+        raise ValueError(f"task: must hold at least one shape and load, got batch shape {tuple(task.batch_shape)}")
+    twists = task.twists.detach().expand(*task.batch_shape, -1, -1).reshape(-1, task.nodes, 3)
+    tip_load = task.tip_load.detach().expand(*task.batch_shape, 3).reshape(-1, 3)
+    same = (twists == twists[0]).flatten(1).all(1)
+    shapes = 1 if bool(same.all()) else len(torch.unique(twists, dim=0))
+    return Task(twists[0], tip_load[same], task.base_pose), same.cpu().numpy(), shapes
+
+
+def one_shape(task: Task) -> Task:
+    """A task of one shape, with its loads along one dimension."""
+    first, _, shapes = first_shape(task)
+    if shapes > 1:
+        raise ValueError(f"task: must hold one shape, got {shapes}; give the twists of one, (N, 3)")
+    return first
+
+
+def choose(task: Task, loads: Sequence[int] | None) -> Task:
+    """The loads of these numbers."""
+    count = len(task.tip_load)
+    chosen = list(range(count) if loads is None else loads)
+    if not chosen or not set(chosen) <= set(range(count)):
+        raise ValueError(f"loads: must be one or more integers from 0 to {count - 1}, got {chosen!r:.60}")
+    return Task(task.twists, task.tip_load[chosen], task.base_pose)
+
+
+def axes_or_new(ax: Axes | None, projection: str = "rectilinear") -> Any:
+    """The axes given, if they have the projection, or new ones."""
+    if ax is None:
+        from matplotlib import pyplot  # here alone: what pyplot makes, it also keeps
+
+        return pyplot.subplots(figsize=(8.0, 6.0), layout="constrained", subplot_kw={"projection": projection})[1]
+    if ax.name != projection:
+        raise ValueError(f"ax: must have the projection {projection!r}, got {ax.name!r}")
+    return ax
