@@ -404,3 +404,17 @@ def solve(
     answer, info = torch.linalg.solve_ex(flat, right.reshape(*right.shape[:-3], size * count, right.shape[-1]))
     answer = torch.where((info == 0)[..., None, None], answer, answer.new_tensor(float("nan")))
     return answer.unflatten(-2, (size, count))
+
+
+def solve_signed(
+    stiffness: Float[Tensor, "*batch C N C N"], right: Float[Tensor, "*batch C N K"]
+) -> tuple[Float[Tensor, "*batch C N K"], Float[Tensor, "*batch"]]:
+    """`J⁻¹ B` as by `solve`, and the sign of det J, by one factorisation."""
+    size, count = stiffness.shape[-4:-2]
+    flat = stiffness.reshape(*stiffness.shape[:-4], size * count, size * count)
+    factors, pivots, info = torch.linalg.lu_factor_ex(flat)
+    answer = torch.linalg.lu_solve(factors, pivots, right.reshape(*right.shape[:-3], size * count, right.shape[-1]))
+    answer = torch.where((info == 0)[..., None, None], answer, answer.new_tensor(float("nan")))
+    swaps = pivots != torch.arange(1, size * count + 1, dtype=pivots.dtype, device=pivots.device)
+    negative = (factors.diagonal(dim1=-2, dim2=-1) < 0).logical_xor(swaps).sum(-1)
+    return answer.unflatten(-2, (size, count)), 1.0 - 2.0 * (negative % 2).to(flat.dtype)
