@@ -7,6 +7,7 @@ from torcharm.actuators import Actuator, Bellows, McKibben, PolynomialActuator
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
 from torcharm.attainability import Attainability, evaluate
 from torcharm.distance.closed_form import distance_to_hull
+from torcharm.equilibrium import Equilibrium, NotConvergedError, solve_equilibrium
 from torcharm.hulls import WrenchHulls, wrench_hulls
 from torcharm.rod import poses
 from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
@@ -25,8 +26,10 @@ __all__ = [
     "ArmDesign",
     "Attainability",
     "Bellows",
+    "Equilibrium",
     "HullDistance",
     "McKibben",
+    "NotConvergedError",
     "PolynomialActuator",
     "Residuals",
     "Task",
@@ -47,6 +50,7 @@ __all__ = [
     "required_wrench",
     "sample_loads",
     "slsqp_distance",
+    "solve_equilibrium",
     "wrench_hulls",
 ]
 

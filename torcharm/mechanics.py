@@ -398,7 +398,11 @@ def balance(
         own = actuator_part(
             arm, unknowns, pressure, shear_stiffness, pressure_slope=pressure_slope, create_graph=create_graph
         )
-        stiffness = assemble(load.stiffness, own.stiffness)
+        stiffness = load.stiffness
+        if create_graph or stiffness.shape[:-4] != own.stiffness.shape[:-3]:
+            stiffness = assemble(stiffness, own.stiffness)
+        else:
+            stiffness.diagonal(dim1=-3, dim2=-1).add_(own.stiffness)
         return Balance(load.wrench + own.wrench, stiffness, own.by_pressure, motion)
 
 
