@@ -31,7 +31,7 @@ CORRECTIONS = 8
 """Newton steps in a step along the path."""
 LOOKS = 600
 """Evaluations of the balance along a path, at most."""
-SETTLING_STEPS = 300
+SETTLING_STEPS = 150
 
 
 @dataclass(frozen=True)
@@ -95,9 +95,7 @@ class Problem:
 
     def balance(self, unknowns: Tensor) -> mechanics.Balance:
         """R and its derivatives, detached."""
-        return mechanics.balance(
-            self.arm, unknowns, self.pressure, self.tip_load, self.base_pose, self.shear_stiffness
-        )
+        return mechanics.balance(self.arm, unknowns, self.pressure, self.tip_load, self.base_pose, self.shear_stiffness)
 
     def residual(self, unknowns: Tensor) -> Tensor:
         """R (B, C, N), with its graph."""

@@ -135,7 +135,7 @@ def solve_equilibrium(
     designs = arm._map(flat)
     inputs = (flat(pressure), flat(load), flat(base), None if start is None else flat(start, 2))
     found = _in_blocks(designs, *inputs, nodes, shear_stiffness, tolerance, chunk_size)
-    result = Equilibrium(*(value.reshape(*batch, *value.shape[1:]) for value in found))
+    result = Equilibrium(*(value.reshape((*batch, *value.shape[1:])) for value in found))
     failed = count - int(result.converged.sum())
     if raise_on_failure and failed:
         worst = float(result.residual[~result.converged].nan_to_num(nan=float("inf")).max())
