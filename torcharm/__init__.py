@@ -9,7 +9,9 @@ from torcharm.attainability import Attainability, evaluate
 from torcharm.distance.closed_form import distance_to_hull
 from torcharm.equilibrium import Equilibrium, NotConvergedError, solve_equilibrium
 from torcharm.hulls import WrenchHulls, wrench_hulls
+from torcharm.pressure_fit import PressureFit, fit_pressure
 from torcharm.rod import poses
+from torcharm.search import PressureSearch, search_pressure
 from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
 from torcharm.wrenches import reaction_wrench, required_wrench
 
@@ -31,6 +33,8 @@ __all__ = [
     "McKibben",
     "NotConvergedError",
     "PolynomialActuator",
+    "PressureFit",
+    "PressureSearch",
     "Residuals",
     "Task",
     "WrenchHulls",
@@ -40,6 +44,7 @@ __all__ = [
     "cubic_curvature",
     "distance_to_hull",
     "evaluate",
+    "fit_pressure",
     "kkt_residuals",
     "mckibben_arm",
     "nnls_distance",
@@ -49,6 +54,7 @@ __all__ = [
     "reaction_wrench",
     "required_wrench",
     "sample_loads",
+    "search_pressure",
     "slsqp_distance",
     "solve_equilibrium",
     "wrench_hulls",

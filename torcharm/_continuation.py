@@ -129,12 +129,12 @@ class Traced(NamedTuple):
     arrived: Tensor
 
 
-def unloaded(problem: Problem) -> Traced:
+def unloaded(problem: Problem, looks: int = LOOKS) -> Traced:
     """The arm without load, one segment for all, continued from zero pressure; there, settled from straight."""
     idle = replace(problem, pressure=torch.zeros_like(problem.pressure), tip_load=torch.zeros_like(problem.tip_load))
     rest = settle(idle, problem.straight())
     filled = replace(idle, pressure=problem.pressure)
-    path = trace(Path(filled, pressure=idle.pressure), rest.unknowns, first_step=1.0)
+    path = trace(Path(filled, pressure=idle.pressure), rest.unknowns, first_step=1.0, looks=looks)
     left = ~(path.arrived & rest.arrived)
     if bool(left.any()):  # where a force model jumps, say
         still = settle(filled[left], path.unknowns[left])
@@ -142,9 +142,9 @@ def unloaded(problem: Problem) -> Traced:
     return path
 
 
-def loaded(problem: Problem, start: Tensor) -> Traced:
+def loaded(problem: Problem, start: Tensor, looks: int = LOOKS) -> Traced:
     """The equilibrium of `start` (B, C, N), which bears no load, continued to the full load."""
-    return trace(Path(problem, tip_load=torch.zeros_like(problem.tip_load)), start)
+    return trace(Path(problem, tip_load=torch.zeros_like(problem.tip_load)), start, looks=looks)
 
 
 @dataclass(frozen=True)
@@ -227,7 +227,8 @@ class _Walk(NamedTuple):
     ratio: Tensor
     moved: Tensor
 
-    def __getitem__(self, index: Tensor) -> "_Walk":  # type: ignore[override]
+    def at(self, index: Tensor) -> "_Walk":
+        """These elements."""
         return _Walk(*(value[index] for value in self))
 
 
@@ -259,7 +260,7 @@ def trace(path: Path, start: Tensor, first_step: float = FIRST_SHARE, looks: int
         out.arrived[ended] = walk.share[left] >= 1
         if not bool(under_way.any()):
             return out
-        walk, own = walk[under_way], own[under_way]
+        walk, own = walk.at(under_way), own[under_way]
     out.unknowns[walk.element] = walk.base
     return out
 

@@ -4,7 +4,6 @@ The balance `a_i + q_i = 0` at every node, solved for the twists: see `mechanics
 `_continuation` for the method.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -125,13 +124,12 @@ def solve_equilibrium(
     shapes = {"arm": arm.batch_shape, "pressure": pressure.shape[:-1], "tip_load": load.shape[:-1]}
     shapes |= {"base_pose": base.shape[:-1]} | ({} if start is None else {"start": start.shape[:-2]})
     batch = broadcast_shapes(**shapes)
+    count = batch.numel()
 
     def flat(value: Tensor, data: int = 1) -> Tensor:
-        return value.to(pressure).expand(*batch, *value.shape[value.ndim - data :]).flatten(0, len(batch) - 1)
+        shape = value.shape[value.ndim - data :]
+        return value.to(pressure).expand(*batch, *shape).reshape(count, *shape)
 
-    if not batch:
-        flat = _single(pressure)
-    count = batch.numel()
     designs = arm._map(flat)
     inputs = (flat(pressure), flat(load), flat(base), None if start is None else flat(start, 2))
     found = _in_blocks(designs, *inputs, nodes, shear_stiffness, tolerance, chunk_size)
@@ -141,10 +139,6 @@ def solve_equilibrium(
         worst = float(result.residual[~result.converged].nan_to_num(nan=float("inf")).max())
         raise NotConvergedError(f"{failed} of {count} equilibria did not converge, the largest residual is {worst:.1e}")
     return result
-
-
-def _single(like: Tensor) -> Callable[..., Tensor]:
-    return lambda value, data=1: value.to(like).unsqueeze(0)
 
 
 def _check_inputs(
@@ -192,7 +186,7 @@ def _in_blocks(
     for first in range(0, max(1, count), chunk):
         here = slice(first, first + chunk)
         problem = Problem.of(
-            arm._map(lambda value, here=here: value[here]),
+            arm[here],
             pressure[here],
             load[here],
             base[here],

@@ -268,8 +268,8 @@ def actuator_part(
     """a_i with its local derivatives by twist and pressure.
 
     Force models are differentiated by autograd, all nodes and actuators in one sweep (forces are element-wise);
-    all else is closed form. Without pressure_slope, by_pressure is of no actuators: (..., C, N, 0). With create_graph the derivatives can be differentiated again, else they
-    come detached.
+    all else is closed form. Without pressure_slope, by_pressure is of no actuators: (..., C, N, 0). With
+    create_graph the derivatives can be differentiated again, else they come detached.
     """
     with torch.set_grad_enabled(create_graph):
         section = _Section.of(arm, unknowns, pressure)

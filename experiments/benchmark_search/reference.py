@@ -145,7 +145,7 @@ def shoot(arm: Arm, pressure: Array, load: Array, near: Array) -> Array | None:
             moment = load[2] + u - (pose[0] * load[1] - pose[1] * load[0])
 
             def miss(z: Array, axial: float = axial, moment: float = moment) -> Array:
-                return np.array(reaction(arm, z[0], z[1], pressure)) + (axial, moment)
+                return np.add(reaction(arm, z[0], z[1], pressure), (axial, moment))
 
             answer = root(miss, local, options={"xtol": 1e-14})
             if np.abs(miss(answer.x)).max() > 1e-8:
