@@ -17,6 +17,15 @@ MIXED = ta.ArmDesign(
     [[0.5, 0.45, 0.52, 0.48, 0.55]],
     [ta.Bellows(), ta.McKibben(), ta.McKibben(bending_stiffness=0.0), ta.Bellows(force_scale=0.5), ta.McKibben()],
 )
+BENDING = ta.ArmDesign(
+    [[-0.06, 0.0, 0.05]],
+    [[0.5, 0.5, 0.48]],
+    [
+        ta.Bellows(bending_stiffness=ta.ConstantBending(-0.2)),
+        ta.McKibben(bending_stiffness=ta.LinearBending(-0.1, 60.0)),
+        ta.Bellows(bending_stiffness=ta.BendingFunction(lambda k, p: -0.1 * k.tanh() - 0.02 * p * k**3, 40.0)),
+    ],
+)
 
 
 def scene(arm, *, batch=3, nodes=6, shear=False, seed=0):
@@ -64,13 +73,14 @@ def test_residual_is_reaction_plus_load_written_independently(stiffness):
 
 @pytest.mark.parametrize("stiffness", [None, 250.0])
 @pytest.mark.parametrize("nodes", [1, 2, 7])
-def test_stiffness_and_pressure_slope_are_those_of_the_residual(stiffness, nodes):
-    unknowns, pressure, load = scene(MIXED, nodes=nodes, shear=stiffness is not None)
-    found = mechanics.balance(MIXED, unknowns, pressure, load, BASE, stiffness)
+@pytest.mark.parametrize("arm", [MIXED, BENDING], ids=["mixed", "bending models"])
+def test_stiffness_and_pressure_slope_are_those_of_the_residual(arm, stiffness, nodes):
+    unknowns, pressure, load = scene(arm, nodes=nodes, shear=stiffness is not None)
+    found = mechanics.balance(arm, unknowns, pressure, load, BASE, stiffness)
     for row in range(len(unknowns)):
 
         def residual(z, p, row=row):
-            return mechanics.balance_residual(MIXED[0], z, p, load[row], BASE, stiffness)
+            return mechanics.balance_residual(arm[0], z, p, load[row], BASE, stiffness)
 
         by_z, by_p = torch.autograd.functional.jacobian(residual, (unknowns[row], pressure[row]))
         torch.testing.assert_close(found.stiffness[row], by_z, rtol=1e-11, atol=1e-10)
@@ -101,13 +111,22 @@ def test_pose_jacobian_and_error_slope_against_autograd(shear):
         torch.testing.assert_close(slope[row], torch.einsum("iajb,ij->iab", expected, torch.eye(6).double()))
 
 
-def test_derivatives_can_be_differentiated_again():
-    unknowns, pressure, load = scene(MIXED, batch=1, nodes=3)
-    inputs = (MIXED.radii.clone().requires_grad_(), unknowns.requires_grad_(), pressure.requires_grad_())
+@pytest.mark.parametrize("arm", [MIXED, BENDING], ids=["mixed", "bending models"])
+def test_reaction_is_that_of_the_wrenches(arm):
+    unknowns, pressure, _ = scene(arm)
+    expected = ta.reaction_wrench(arm, mechanics.to_twists(unknowns), pressure).mT
+    torch.testing.assert_close(mechanics.actuator_wrench(arm, unknowns, pressure), expected)
+    torch.testing.assert_close(mechanics.actuator_part(arm, unknowns, pressure).wrench, expected)
+
+
+@pytest.mark.parametrize("arm", [MIXED, BENDING], ids=["mixed", "bending models"])
+def test_derivatives_can_be_differentiated_again(arm):
+    unknowns, pressure, load = scene(arm, batch=1, nodes=3)
+    inputs = (arm.radii.clone().requires_grad_(), unknowns.requires_grad_(), pressure.requires_grad_())
 
     def derivatives(radii, z, p):
-        arm = ta.ArmDesign(radii, MIXED.length, MIXED.actuators)
-        found = mechanics.balance(arm, z, p, load, BASE, create_graph=True)
+        design = ta.ArmDesign(radii, arm.length, arm.actuators)
+        found = mechanics.balance(design, z, p, load, BASE, create_graph=True)
         return found.residual, found.stiffness, found.by_pressure
 
     assert torch.autograd.gradcheck(derivatives, inputs, atol=1e-4)

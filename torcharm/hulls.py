@@ -19,7 +19,7 @@ from torcharm._inputs import check_choice, check_count, check_tensor
 from torcharm.actuators import Actuator, is_linear_in_pressure
 from torcharm.arm import ArmDesign
 from torcharm.polygon import Polygons, all_faces, convex_hull, face_square, minkowski_sum
-from torcharm.wrenches import actuator_force, actuator_state, along, reference_pressures
+from torcharm.wrenches import actuator_force, actuator_state, along, reference_pressures, resting_moment
 
 KINDS = ("exact", "edges")
 DEFAULT_SAMPLES = {"exact": 9, "edges": 3}
@@ -70,6 +70,7 @@ class Sections:
         bending: (M, B) bending moment at the pressure limit [N·m]; linear in pressure.
         radii: (M, B) [m].
         limit: (M, B) pressure limits [kPa].
+        resting: (B) bending moment at no pressure, of all actuators [N·m]; None is none.
     """
 
     actuators: tuple[Actuator, ...]
@@ -78,6 +79,7 @@ class Sections:
     bending: Tensor
     radii: Tensor
     limit: Tensor
+    resting: Tensor | None = None
 
     def at_first_node(self, value: Tensor) -> Tensor:
         """(..., B) with each node's entry replaced by that of its arm's node 1."""
@@ -94,7 +96,14 @@ class Sections:
             force = force - actuator_force(self.actuators, first, pressure, dim=-3)
             bending = bending - self.at_first_node(bending)
         moment = bending.unsqueeze(-1) * fraction - self.radii.unsqueeze(-1) * force
-        return force.sum(-3), moment.sum(-3)
+        resting = self.resting_moment(relative=relative)
+        return force.sum(-3), moment.sum(-3) if resting is None else moment.sum(-3) + resting.unsqueeze(-1)
+
+    def resting_moment(self, *, relative: bool) -> Tensor | None:
+        """The moment (B) that no pressure changes [N·m]; relative: its difference from node 1's."""
+        if self.resting is None or not relative:
+            return self.resting
+        return self.resting - self.at_first_node(self.resting)
 
 
 def cross_sections(arm: ArmDesign, twists: Float[Tensor, "P N 3"]) -> Sections:
@@ -108,7 +117,9 @@ def cross_sections(arm: ArmDesign, twists: Float[Tensor, "P N 3"]) -> Sections:
         return value.expand_as(strain).flatten(1)
 
     shape = (len(twists), twists.shape[-2], len(arm.radii))
-    return Sections(arm.actuators, shape, flat(strain), flat(bending), flat(radii), flat(limit))
+    resting = resting_moment(arm.actuators, length, curvature, radii, neutral, dim=-4)
+    resting = None if resting is None else resting.flatten()
+    return Sections(arm.actuators, shape, flat(strain), flat(bending), flat(radii), flat(limit), resting)
 
 
 @dataclass(frozen=True)
@@ -120,25 +131,32 @@ class Curves:
         force: (S, M, B) [N].
         bending: (M, B) bending moment at fraction 1 [N·m].
         radii: (M, B) [m].
+        resting: (B) moment at no pressure, of all actuators [N·m]; None is none.
     """
 
     grid: Tensor
     force: Tensor
     bending: Tensor
     radii: Tensor
+    resting: Tensor | None = None
+
+    def lifted(self, moment: Tensor) -> Tensor:
+        """Sums of moments (..., B) over the actuators, with what they bear at no pressure."""
+        return moment if self.resting is None else moment + self.resting
 
 
 def sample_curves(sections: Sections, samples: int) -> Curves:
     """The curves of absolute reactions."""
     grid = torch.linspace(0, 1, samples, dtype=sections.strain.dtype, device=sections.strain.device).view(-1, 1, 1)
     force = actuator_force(sections.actuators, sections.strain, grid * sections.limit, dim=-2)
-    return Curves(grid, force, sections.bending, sections.radii)
+    return Curves(grid, force, sections.bending, sections.radii, sections.resting)
 
 
 def relative_curves(sections: Sections, curves: Curves) -> Curves:
     """The curves of differences from node 1."""
     force = curves.force - sections.at_first_node(curves.force)
-    return Curves(curves.grid, force, curves.bending - sections.at_first_node(curves.bending), curves.radii)
+    bending = curves.bending - sections.at_first_node(curves.bending)
+    return Curves(curves.grid, force, bending, curves.radii, sections.resting_moment(relative=True))
 
 
 @dataclass(frozen=True)
@@ -205,7 +223,8 @@ class ExactHulls:
         force = curves.force.unsqueeze(-1).expand(-1, *index.shape[1:]).gather(0, index)
         fraction = curves.grid.unsqueeze(-1).expand(-1, *index.shape[1:]).gather(0, index)
         moment = curves.bending.unsqueeze(-1) * fraction - curves.radii.unsqueeze(-1) * force
-        x, y = self.scale[0] * force.sum(1), self.scale[1] * moment.sum(1)
+        total = moment.sum(1) if curves.resting is None else moment.sum(1) + curves.resting.unsqueeze(-1)
+        x, y = self.scale[0] * force.sum(1), self.scale[1] * total
         return (face_square(point, (x[0], y[0]), (x[1], y[1])).sqrt() - square.sqrt()).abs()
 
 
@@ -249,7 +268,7 @@ def _exact_hulls(curves: Curves, scale: tuple[float, float]) -> ExactHulls:
     least, start = _leftmost(curves)
     polygons = minkowski_sum(
         scale[0] * least.sum(0),
-        scale[1] * (curves.bending * start - curves.radii * least).sum(0),
+        scale[1] * curves.lifted((curves.bending * start - curves.radii * least).sum(0)),
         edge_force.flatten(0, 1),
         edge_moment.flatten(0, 1),
     )
@@ -344,7 +363,7 @@ def _edge_hulls(curves: Curves, scale: tuple[float, float]) -> EdgeHulls:
     def total(curve: Tensor) -> Tensor:
         return curve.flatten(0, 1).index_select(0, row).view(-1, actuators, batch).sum(1)
 
-    polygons, source, target = convex_hull(scale[0] * total(curves.force), scale[1] * total(moment))
+    polygons, source, target = convex_hull(scale[0] * total(curves.force), scale[1] * curves.lifted(total(moment)))
     return EdgeHulls(polygons, source, target, curves.grid.view(-1)[table])
 
 

@@ -201,7 +201,7 @@ def extremes(quick: bool, _: figures.Pictures) -> Iterator[Row]:
     for level in (10.0, 30.0, 100.0):
         scenes[f"loads to {level:g} N"] = (arm, usual, loads * level / 10, {})
     for factor in (1e-3, 1e-1, 10.0, 1e3):
-        models = [replace(model, bending_stiffness=factor * model.bending_stiffness) for model in arm.actuators]  # type: ignore[type-var]
+        models = [replace(model, bending_stiffness=factor * float(model.bending_stiffness)) for model in arm.actuators]  # type: ignore[type-var, arg-type]
         scenes[f"bending stiffness × {factor:g}"] = (ta.ArmDesign(arm.radii, arm.length, models), usual, loads, {})
     for stiffness in (1e3, 1e5, 1e7, 1e9):
         scenes[f"finite shear {stiffness:g} N/m"] = (arm, usual, loads, {"shear_stiffness": stiffness})

@@ -1,6 +1,8 @@
 """Force models of fluid-driven actuators."""
 
+from torcharm.actuators.bending import Bending, BendingFunction, ConstantBending, LinearBending
 from torcharm.actuators.mckibben import McKibben
+from torcharm.actuators.monotonicity import Monotonicity, monotonicity
 from torcharm.actuators.polynomial import Bellows, PolynomialActuator
 from torcharm.actuators.protocol import (
     Actuator,
@@ -13,10 +15,16 @@ from torcharm.actuators.protocol import (
 __all__ = [
     "Actuator",
     "Bellows",
+    "Bending",
+    "BendingFunction",
+    "ConstantBending",
+    "LinearBending",
     "McKibben",
+    "Monotonicity",
     "PolynomialActuator",
     "check_actuator",
     "is_linear_in_pressure",
+    "monotonicity",
     "pressure_degree",
     "pressure_knots",
 ]

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from torcharm._select import select
+from torcharm.actuators.bending import Bending
 from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS
 from torcharm.actuators.protocol import check_numbers
 
@@ -62,7 +63,7 @@ class McKibben:
     Attributes:
         strain_range, pressure_range [kPa]: where the model is used.
         max_pressure: highest pressure in use [kPa].
-        bending_stiffness: K [N·m²] at `max_pressure`.
+        bending_stiffness: K [N·m²] at `max_pressure`, or a bending model.
         force_scale: a factor on the force: 2.0 stands for two of them side by side.
 
     Raises:
@@ -72,7 +73,7 @@ class McKibben:
     strain_range: tuple[float, float] = (-0.5, 0.05)
     pressure_range: tuple[float, float] = (0.0, 100.0)
     max_pressure: float = 100.0
-    bending_stiffness: float = PAPER_BENDING_STIFFNESS
+    bending_stiffness: float | Bending = PAPER_BENDING_STIFFNESS
     force_scale: float = 1.0
 
     def __post_init__(self) -> None:

@@ -6,6 +6,7 @@ from typing import Any, Protocol, runtime_checkable
 from torch import Tensor
 
 from torcharm._inputs import shown
+from torcharm.actuators.bending import Bending, bending_model
 
 
 @runtime_checkable
@@ -23,13 +24,16 @@ class Actuator(Protocol):
     """
 
     @property
-    def bending_stiffness(self) -> float:
-        """K [N·m²] of the bending moment `τ = K (p / max_pressure) κ/l`; negative resists bending."""
+    def bending_stiffness(self) -> float | Bending:
+        """K [N·m²] of the bending moment `τ = K (p / max_pressure) κ/l`; negative resists bending.
+
+        Or a model of it: `LinearBending`, `ConstantBending`, `BendingFunction` or one's own.
+        """
         ...
 
     @property
     def max_pressure(self) -> float:
-        """Highest pressure in use [kPa]: the default limit, and the pressure at which K holds."""
+        """Highest pressure in use [kPa]: the default limit, and the pressure at which K holds by default."""
         ...
 
     @property
@@ -68,10 +72,12 @@ def check_numbers(actuator: Any, prefix: str = "") -> None:
     """Raise a ValueError, naming the field, unless the numbers of a force model make sense."""
     for field, low, allowed in (
         ("max_pressure", 0.0, "finite and above 0 kPa"),
-        ("bending_stiffness", -math.inf, "a finite number"),
+        ("bending_stiffness", -math.inf, "a finite number or a bending model"),
         ("force_scale", -math.inf, "a finite number"),
     ):
         value = getattr(actuator, field, 1.0)
+        if field == "bending_stiffness" and bending_model(value) is not None and isinstance(value, Bending):
+            continue
         if not low < _number(value) < math.inf:
             raise ValueError(f"{prefix}{field}: must be {allowed}, got {shown(value)}")
     for field in ("strain_range", "pressure_range"):

@@ -412,6 +412,9 @@ def polish(
     section, load = open_ones.nonzero(as_tuple=True)
     start = start_normals(polygons, faces, *point)
     x, y, nx, ny, blur = (value[section, load] for value in (*point, *start, faces.blur))
+    resting = sections.resting_moment(relative=relative)
+    if resting is not None:  # what no pressure changes moves the set: here, the points the other way
+        y = y - scale[1] * resting[section]
     bending = sections.bending - sections.at_first_node(sections.bending) if relative else sections.bending
     pieces = fit_pieces(sections, relative=relative)
     sums = CurveSum(pieces.of(section), bending[:, section], sections.radii[:, section], scale)
