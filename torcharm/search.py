@@ -50,6 +50,7 @@ class PressureSearch:
             shares of their limits. At a kink of a force model it does not vanish.
         start_cost: (*batch, S) what each start came to; infinite where it failed.
         in_range: (*batch) as of `solve_equilibrium`.
+        tip_error: (*batch) distance of the tip from the task's [m].
     """
 
     pressure: Tensor
@@ -61,6 +62,7 @@ class PressureSearch:
     optimality: Tensor
     start_cost: Tensor
     in_range: Tensor
+    tip_error: Tensor
 
     @property
     def spread(self) -> Tensor:
@@ -143,6 +145,8 @@ def search_pressure(
             parts = [_search_block(problem[at], goal[at], shape[at], count, hops, seed) for at in index if total]
         found = tuple(torch.cat(column) for column in zip(*parts, strict=True))
         found = found or empty_result(problem, outer.nodes, count * (1 + hops))
+    tip = rod.poses(found[2], problem.base_pose)[:, -1, :2]
+    found = (*found, (tip - goal.target[:, -1, :2]).norm(dim=-1))
     result = PressureSearch(*(outer.unflatten(value.reshape(*outer.sizes, *value.shape[1:])) for value in found))
     failed = total - int(result.converged.sum())
     if raise_on_failure and failed:
