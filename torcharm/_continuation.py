@@ -29,7 +29,7 @@ PATH_TOLERANCE = 1e-4
 """Of the load scale, on the way to the full load."""
 CORRECTIONS = 8
 """Newton steps in a step along the path."""
-LOOKS = 600
+LOOKS = 200
 """Evaluations of the balance along a path, at most."""
 SETTLING_STEPS = 150
 

@@ -5,7 +5,7 @@ The balance `a_i + q_i = 0` at every node, solved for the twists: see `mechanics
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from torcharm import mechanics, rod
-from torcharm._continuation import Problem, loaded, settle, unloaded
+from torcharm._continuation import LOOKS, Problem, loaded, settle, unloaded
 from torcharm._inputs import (
     TensorLike,
     as_floating,
@@ -193,42 +193,59 @@ def _in_blocks(
             shear_stiffness,
             tolerance,
         )
-        blocks.append(_solve_block(problem, nodes, None if start is None else start[here], recompute=count > chunk))
+        blocks.append(
+            _solve_block(problem, nodes, None if start is None else start[here].detach(), recompute=count > chunk)
+        )
     return [torch.cat(column) for column in zip(*blocks, strict=True)]
 
 
 def _solve_block(problem: Problem, nodes: int, start: Tensor | None, *, recompute: bool) -> tuple[Tensor, ...]:
-    plain = detached(problem)
     with torch.no_grad():
-        unknowns, continued = _find(plain, nodes, start)
-        residual = plain.imbalance(plain.residual(unknowns))
-        converged = residual <= plain.tolerance  # false for a NaN
-        excess, in_range = _strain_excess(plain, unknowns)
-    unknowns = with_gradients(problem, unknowns, converged, recompute=recompute)
-    twists = mechanics.to_twists(unknowns)
-    return twists, problem.base_pose, residual, converged, continued & converged, excess, in_range
+        found = solved(detached(problem), nodes, start)
+    unknowns = with_gradients(problem, found.unknowns, found.converged, recompute=recompute)
+    return mechanics.to_twists(unknowns), problem.base_pose, *found[1:]
 
 
-def _find(problem: Problem, nodes: int, start: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Unknowns (B, C, N), and whether they were continued from zero load."""
+class Solved(NamedTuple):
+    """Equilibria (B, C, N), and the other fields of `Equilibrium`, (B,)."""
+
+    unknowns: Tensor
+    residual: Tensor
+    converged: Tensor
+    continued: Tensor
+    strain_excess: Tensor
+    in_range: Tensor
+
+
+def solved(problem: Problem, nodes: int, start: Tensor | None = None, looks: int = LOOKS) -> Solved:
+    """The equilibria of a problem without graph: a warm start, then continuation, then letting go.
+
+    Args:
+        problem: B of them.
+        nodes: N.
+        start: (B, N, 3) twists of a warm start.
+        looks: evaluations of the balance along a path, at most.
+    """
     shape = (len(problem.pressure), problem.components, nodes)
     unknowns = problem.pressure.new_zeros(shape)
     continued = torch.ones(shape[0], dtype=torch.bool, device=unknowns.device)
     left = continued.nonzero().squeeze(-1)
     if start is not None:
-        guess = mechanics.to_unknowns(start.detach(), shear=problem.components == 3)
+        guess = mechanics.to_unknowns(start, shear=problem.components == 3)
         warm = settle(problem, guess, WARM_DAMPING)
         unknowns, continued = warm.unknowns, ~warm.arrived
         left = continued.nonzero().squeeze(-1)
     if len(left):
         part = problem if len(left) == shape[0] else problem[left]
-        rest = unloaded(part)
-        path = loaded(part, rest.unknowns.expand(-1, -1, nodes).contiguous())
+        rest = unloaded(part, looks)
+        path = loaded(part, rest.unknowns.expand(-1, -1, nodes).contiguous(), looks)
         unknowns[left], continued[left] = path.unknowns, rest.arrived & path.arrived
         snapped = left[~path.arrived]
         if len(snapped):
             unknowns[snapped] = settle(problem[snapped], unknowns[snapped]).unknowns
-    return unknowns, continued
+    residual = problem.imbalance(problem.residual(unknowns))
+    converged = residual <= problem.tolerance  # false for a NaN
+    return Solved(unknowns, residual, converged, continued & converged, *_strain_excess(problem, unknowns))
 
 
 def detached(problem: Problem) -> Problem:

@@ -10,12 +10,12 @@ from torch import Tensor
 
 from torcharm import mechanics, rod
 from torcharm._box import spread_points
-from torcharm._continuation import Problem, loaded, unloaded
+from torcharm._continuation import LOOKS, Problem, loaded, unloaded
 from torcharm._descent import Descended, Goal, descend
 from torcharm._inputs import as_floating, check_at_least, check_choice, check_count, check_finite, shown
 from torcharm._outer import OuterProduct, outer_product
 from torcharm.arm import ArmDesign
-from torcharm.equilibrium import TOLERANCES, NotConvergedError, default_chunk, solve_equilibrium
+from torcharm.equilibrium import TOLERANCES, NotConvergedError, default_chunk, solved
 from torcharm.task import Task
 
 METHODS = ("batched", "scipy")
@@ -23,11 +23,11 @@ NODE_WEIGHTS = ("ramp", "uniform", "tip")
 STARTS = {"batched": 8, "scipy": 1}
 CANDIDATES = 16
 """Pressures that compete for each start."""
-ROUGH_GAIN, ROUGH_LOOKS = 1e-4, 40
+ROUGH_GAIN, ROUGH_LOOKS = 1e-3, 30
 """Of the descents from all starts: relative decrease at which they end, and evaluations of the balance."""
-START_LOOKS = 60
+START_LOOKS = 40
 """Evaluations of the balance on the way to a start."""
-FINE_GAIN, FINE_LOOKS = 1e-12, 120
+FINE_GAIN, FINE_LOOKS = 1e-12, 80
 """The same, of the descent from the best of them."""
 REPAIRS = 2
 """Times that a descent which left the branch is begun anew from the branch."""
@@ -320,7 +320,7 @@ def _best(problem: Problem, goal: Goal, found: Descended) -> tuple[Tensor, ...]:
             break
         if turn == 0:
             rows, each = lost.repeat_interleave(starts), torch.arange(starts, device=row.device).repeat(len(lost))
-            true = _check(problem, goal, found, rows, each)
+            true = _check(problem, goal, found, rows, each, START_LOOKS)
             found.unknowns[rows, each], found.cost[rows, each] = true.unknowns, true.cost
             found.ended[rows, each] &= true.same
             best = found.cost[lost].argmin(-1)
@@ -383,25 +383,19 @@ class _Checked(NamedTuple):
     optimality: Tensor
 
 
-def _check(problem: Problem, goal: Goal, found: Descended, row: Tensor, start: Tensor) -> _Checked:
+def _check(problem: Problem, goal: Goal, found: Descended, row: Tensor, start: Tensor, looks: int = LOOKS) -> _Checked:
     """Solve for the equilibria at some of the pressures, from zero load."""
     at = (row, start)
     part = problem[row]
     place, unknowns = found.place[at], found.unknowns[at]
-    settled = solve_equilibrium(
-        part.arm,
-        place * part.arm.max_pressure,
-        part.tip_load,
-        unknowns.shape[-1],
-        base_pose=part.base_pose,
-        shear_stiffness=part.shear_stiffness,
-    )
-    true = mechanics.to_unknowns(settled.twists, shear=part.shear_stiffness is not None)
-    same = settled.converged & ((true - unknowns).abs().flatten(1).amax(-1) < SAME_SHAPE)
-    cost = torch.where(settled.converged, goal[row].cost(settled.poses), float("inf"))
+    part = replace(part, pressure=place * part.arm.max_pressure)
+    settled = solved(part, unknowns.shape[-1], looks=looks)
+    same = settled.converged & ((settled.unknowns - unknowns).abs().flatten(1).amax(-1) < SAME_SHAPE)
+    pose = mechanics.kinematics(settled.unknowns, part.base_pose).pose
+    cost = torch.where(settled.converged, goal[row].cost(pose), float("inf"))
     return _Checked(
         place,
-        true,
+        settled.unknowns,
         cost,
         settled.residual,
         settled.continued,

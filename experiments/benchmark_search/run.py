@@ -50,7 +50,7 @@ def main() -> None:
     console = Console()
     rows: list[Row] = []
     pictures = figures.Pictures()
-    for part in (hard_points, speed, extremes, searches, starts, correlations):
+    for part in (hard_points, speed, extremes, searches, large, starts, correlations):
         found = list(part(options.quick, pictures))
         console.print(as_table(found))
         rows += found
@@ -269,6 +269,30 @@ def searches(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
             yield Row(part, case, "batched no worse (+1e-9)", float((ours <= theirs.cost + 1e-9).sum()), f"of {some}")
             yield Row(part, case, "batched better by over 1 %", float((ours < theirs.cost / 1.01).sum()), f"of {some}")
             yield Row(part, case, "largest excess of batched", float((ours - theirs.cost).max()), "m²")
+
+
+def large(quick: bool, _: figures.Pictures) -> Iterator[Row]:
+    """Many searches at once: what a call costs whatever its size is shared."""
+    count = 4 if quick else 1000
+    part = f"search of {count:,} tasks at once, against scipy SLSQP in the same run"
+    for name, arm in ARMS.items():
+        task = ta.Task(SHAPE, ta.sample_loads(count, seed=7))
+        sub = ta.Task(SHAPE, task.tip_load[: 1 if quick else 10])
+        begun = time.perf_counter()
+        theirs = ta.search_pressure(arm, sub, "scipy", scipy_method="SLSQP")
+        slow = (time.perf_counter() - begun) / len(theirs.cost)
+        yield Row(part, f"{name}, scipy SLSQP, 1 start", "time a search", slow * 1e3, "ms")
+        for first, hops in ((1, 0), (8, 0), (8, 2)):
+            begun = time.perf_counter()
+            found = ta.search_pressure(arm, task, starts=first, hops=hops)
+            each = (time.perf_counter() - begun) / count
+            ours = found.cost[: len(theirs.cost)]
+            case = f"{name}, {first} start(s), {hops} hop(s)"
+            yield Row(part, case, "time a search", each * 1e3, "ms")
+            yield Row(part, case, "scipy's time over it", slow / each, "times")
+            yield Row(
+                part, case, "no worse than scipy (+1e-9)", float((ours <= theirs.cost + 1e-9).sum()), f"of {len(ours)}"
+            )
 
 
 def starts(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
