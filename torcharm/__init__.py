@@ -17,8 +17,11 @@ from torcharm.actuators import (
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
 from torcharm.attainability import Attainability, evaluate
 from torcharm.distance.closed_form import distance_to_hull
+from torcharm.equilibrium import Equilibrium, NotConvergedError, solve_equilibrium
 from torcharm.hulls import WrenchHulls, wrench_hulls
+from torcharm.pressure_fit import PressureFit, fit_pressure
 from torcharm.rod import poses
+from torcharm.search import PressureSearch, search_pressure
 from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
 from torcharm.wrenches import reaction_wrench, required_wrench
 
@@ -44,6 +47,7 @@ __all__ = [
     "Bellows",
     "BendingFunction",
     "ConstantBending",
+    "Equilibrium",
     "FitQuality",
     "FittedActuator",
     "GriddedActuator",
@@ -52,7 +56,10 @@ __all__ = [
     "LoadCapacity",
     "McKibben",
     "Monotonicity",
+    "NotConvergedError",
     "PolynomialActuator",
+    "PressureFit",
+    "PressureSearch",
     "Recording",
     "Residuals",
     "Task",
@@ -69,6 +76,7 @@ __all__ = [
     "evaluate",
     "fit_force_model",
     "fit_gridded_model",
+    "fit_pressure",
     "fit_recording",
     "kkt_residuals",
     "load_actuator",
@@ -86,7 +94,9 @@ __all__ = [
     "required_wrench",
     "sample_loads",
     "save_actuator",
+    "search_pressure",
     "slsqp_distance",
+    "solve_equilibrium",
     "standard_deviation",
     "wrench_hulls",
 ]

@@ -1,4 +1,4 @@
-"""The `torcharm` command: evaluate a study, write one to start from, or fit a force model to recordings.
+"""The `torcharm` command: evaluate or search a study, write one to start from, fit force models, solve shapes.
 
 A mistake that a person can make ends in one line on the standard error and exit code 2.
 """
@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from torcharm.cli import evaluate, fit, init
+from torcharm.cli import evaluate, fit, init, search, shape
 from torcharm.cli.terminal import INTERRUPTED, fail
 
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]  # click's own, which newer typers hold inside
@@ -61,3 +61,5 @@ app.command(epilog="Example: torcharm evaluate study.toml --out results.csv --fi
 app.command(epilog="Example: torcharm fit --instron run.csv --pressure run.txt --actuators 4 --out my_bellows.toml")(
     fit.fit
 )
+app.command(epilog="Example: torcharm search study.toml --out pressures.csv")(search.search)
+app.command(epilog="Example: torcharm shape --pressure 20,30,20,25 --load 2,-3,0.1 --figure shape.png")(shape.shape)

@@ -1,0 +1,99 @@
+import csv
+from pathlib import Path
+
+import pytest
+import torch
+from test_cli import invoke, mistake
+
+import torcharm as ta
+
+STUDY = """
+name = "search"
+[[arm]]
+name = "soft"
+kind = "bellows"
+[[arm]]
+name = "antagonist"
+kind = "antagonistic"
+[[task]]
+name = "bent"
+shape = { kind = "affine", slope = -1, intercept = 1, nodes = 4 }
+loads = { count = 3 }
+"""
+
+
+@pytest.fixture
+def study_file(tmp_path: Path) -> Path:
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY, encoding="utf-8")
+    return path
+
+
+def test_search_writes_the_pressures_that_reach_the_costs_it_names(study_file, tmp_path):
+    out = tmp_path / "found.csv"
+    output = invoke("search", study_file, "--out", out, "--starts", 2, "--weights", "uniform")
+    rows = list(csv.DictReader(out.open(encoding="utf-8")))
+    assert [(row["arm"], row["load"]) for row in rows] == [(a, n) for a in ("soft", "antagonist") for n in "123"]
+    assert "6 rows" in output
+    target = ta.poses(ta.affine_curvature(-1.0, 1.0, nodes=4))
+    arms = {"soft": ta.bellows_arm(), "antagonist": ta.antagonistic_arm()}
+    for row in rows:
+        load = [float(row[name]) for name in ("force_x_N", "force_y_N", "moment_Nm")]
+        pressure = [float(row[f"pressure_{index}_kPa"]) for index in range(1, 5)]
+        reached = ta.solve_equilibrium(arms[row["arm"]], pressure, load, 4).poses
+        gap = (target - reached).square() @ torch.tensor([1.0, 1.0, 0.05], dtype=torch.float64)
+        assert float(row["cost_m2"]) == pytest.approx(float(gap[:4].sum()), rel=1e-6, abs=1e-12)
+        assert float(row["tip_error_m"]) == pytest.approx(float((target - reached)[-1, :2].norm()), rel=1e-6)
+    for name in arms:
+        (line,) = (line for line in output.splitlines() if line.startswith(name))
+        costs = sorted(float(row["cost_m2"]) for row in rows if row["arm"] == name)
+        assert float(line.split()[1]) == pytest.approx(costs[1], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--method", "guess"), "--method: must be one of batched, scipy, got 'guess'"),
+        (("--starts", "0"), "--starts: must be at least 1, got 0"),
+        (("--weights", "middle"), "--weights: must be one of ramp, uniform, tip"),
+    ],
+)
+def test_search_mistakes(study_file, options, message, monkeypatch, capsys):
+    assert mistake(monkeypatch, capsys, "search", study_file, *options).startswith(message)
+
+
+def test_shape_prints_the_tip_and_draws_the_arm(tmp_path):
+    figure = tmp_path / "arm.png"
+    output = invoke("shape", "--pressure", "20,30,20,25", "--load", "2,-3,0.1", "--figure", figure, "--nodes", 5)
+    found = ta.solve_equilibrium(ta.antagonistic_arm(), [20.0, 30.0, 20.0, 25.0], [2.0, -3.0, 0.1], 5)
+    words = output.replace(",", "").split()
+    values = [float(words[words.index(name) + 1]) for name in ("x", "y", "heading")]
+    assert values == pytest.approx(found.poses[-1].tolist(), rel=1e-5)
+    assert figure.read_bytes().startswith(b"\x89PNG")
+
+
+def test_shape_takes_an_arm_of_a_study(study_file, tmp_path):
+    output = invoke(
+        *("shape", "--study", study_file, "--arm", "soft", "--pressure", "60,60,60,60"),
+        *("--figure", tmp_path / "arm.svg"),
+    )
+    assert output.startswith("soft: tip at x")
+    assert "out of range" in output
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--pressure", "1,2"), "--pressure: must be 4 numbers with commas between them, got 1,2"),
+        (("--pressure", "1,2,3,x"), "--pressure: must be 4 numbers"),
+        (("--pressure", "1,2,3,-4"), "pressure: must be at least 0 kPa, got -4"),
+        (("--pressure", "1,2,3,4", "--load", "1"), "--load: must be 3 numbers"),
+        (("--pressure", "1,2,3,4", "--arm", "left"), "--arm: must be one of antagonistic, bellows-only, got left"),
+        (("--pressure", "1,2,3,4", "--figure", "a.txt"), "--figure: a.txt: must end in one of"),
+        (("--pressure", "0,0,0,0", "--nodes", "0"), "nodes: must be an integer of at least 1"),
+    ],
+)
+def test_shape_mistakes(options, message, monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    assert mistake(monkeypatch, capsys, "shape", *options).startswith(message)
+    assert not list(tmp_path.iterdir())

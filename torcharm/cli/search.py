@@ -1,0 +1,167 @@
+"""`torcharm search`: for every arm and task of a study, the pressure that comes closest."""
+
+import csv
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from torcharm.cli.terminal import check_outputs, count, mistakes, open_console, say
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from torcharm.search import PressureSearch
+    from torcharm.study import NamedArm, NamedTask
+
+BLOCKS = {"batched": 100, "scipy": 1}
+"""Loads searched at once: what an interruption may lose."""
+
+
+def search(
+    study: Annotated[
+        Path | None, typer.Argument(help="A study, as TOML. Without one, the paper's validation.", show_default=False)
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Write a CSV file: a row for every arm, task and load, as it is found.")
+    ] = None,
+    method: Annotated[str, typer.Option(help="batched, or scipy (the paper's, slow).")] = "batched",
+    starts: Annotated[
+        int | None, typer.Option(help="Places to start from, for each load.", show_default="8, scipy 1")
+    ] = None,
+    weights: Annotated[str, typer.Option(help="Of the nodes: ramp, uniform, tip.")] = "ramp",
+) -> None:
+    """Search the pressure that brings every arm closest to every task, through its forward mechanics."""
+    with mistakes():
+        check_outputs(study, out, None)
+        from torcharm._inputs import check_choice
+        from torcharm.search import METHODS, NODE_WEIGHTS
+        from torcharm.study import load_study, paper_study
+
+        check_choice("--method", method, METHODS)
+        check_choice("--weights", weights, NODE_WEIGHTS)
+        if starts is not None and starts < 1:
+            raise ValueError(f"--starts: must be at least 1, got {starts}")
+        plan = paper_study() if study is None else load_study(study)
+        console = open_console()
+        total = 0
+        with ExitStack() as open_files:
+            writer = None
+            if out is not None:
+                file = open_files.enter_context(out.open("w", encoding="utf-8", newline=""))
+                writer = csv.writer(file, lineterminator="\n")
+                writer.writerow(_header(max(arm.design.actuator_count for arm in plan.arms)))
+            for task in plan.tasks:
+                rows = []
+                for arm in plan.arms:
+                    found = []
+                    for first, block in _blocks(arm, task, method, starts, weights):
+                        found.append(block)
+                        if writer is not None:
+                            lines = list(_rows(arm, task, first, block))
+                            writer.writerows(lines)
+                            file.flush()
+                            total += len(lines)
+                    rows.append((arm.name, found))
+                loads = count(sum(len(block.cost) for block in rows[0][1]), "load")
+                say(console, f"Task {task.name}, {count(task.task.nodes, 'node')}, {loads}")
+                console.print()
+                console.print(_table(rows))
+                console.print()
+        for line in LEGEND:
+            say(console, line)
+        if out is not None:
+            say(console, f"Wrote {out} ({count(total, 'row')}).")
+
+
+LEGEND = (
+    "cost [m²]: Σ ω (x² + y² + 0.05 θ²) of the pose errors along the arm, at the best pressure found",
+    "tip [mm]: how far the tip is then from the task's",
+    "converged: equilibria to which the descent came to its end; snapped: not along the branch from zero load",
+)
+
+
+def _blocks(
+    arm: "NamedArm", task: "NamedTask", method: str, starts: int | None, weights: str
+) -> "Iterator[tuple[int, PressureSearch]]":
+    """The searches of one arm on one task, some loads at a time, with the number of the first load."""
+    from rich.console import Console
+    from rich.progress import track
+
+    from torcharm.search import search_pressure
+    from torcharm.task import Task
+
+    whole = task.task
+    loads = whole.tip_load.expand(*whole.batch_shape, 3).reshape(-1, 3)
+    shapes = whole.twists.expand(*whole.batch_shape, *whole.twists.shape[-2:]).reshape(-1, *whole.twists.shape[-2:])
+    size = BLOCKS[method]
+    places = range(0, len(loads), size)
+    errors = Console(stderr=True)
+    for first in track(places, f"{arm.name}, {task.name}", console=errors, transient=True, disable=not _seen()):
+        here = slice(first, first + size)
+        part = Task(shapes[here], loads[here], whole.base_pose)
+        yield first + 1, search_pressure(arm.design, part, method, starts=starts, node_weights=weights, progress=False)
+
+
+def _seen() -> bool:
+    return sys.stderr.isatty()
+
+
+def _header(actuators: int) -> list[str]:
+    pressures = [f"pressure_{index}_kPa" for index in range(1, actuators + 1)]
+    return [
+        *("arm", "task", "load", "force_x_N", "force_y_N", "moment_Nm", "cost_m2", "tip_error_m", *pressures),
+        *("converged", "continued", "in_range", "residual", "optimality", "spread_m2"),
+    ]
+
+
+def _rows(arm: "NamedArm", task: "NamedTask", first: int, found: "PressureSearch") -> Iterator[list[Any]]:
+    whole = task.task
+    loads = whole.tip_load.expand(*whole.batch_shape, 3).reshape(-1, 3).tolist()
+    columns = (found.cost, found.tip_error, found.pressure, found.converged, found.continued, found.in_range)
+    values = zip(*(x.tolist() for x in (*columns, found.residual, found.optimality, found.spread)), strict=True)
+    for index, (cost, tip, pressure, *flags, residual, optimality, spread) in enumerate(values, start=first):
+        truths = [str(flag).lower() for flag in flags]
+        yield [
+            arm.name,
+            task.name,
+            index,
+            *loads[index - 1],
+            cost,
+            tip,
+            *pressure,
+            *truths,
+            residual,
+            optimality,
+            spread,
+        ]
+
+
+def _table(rows: "Sequence[tuple[str, list[PressureSearch]]]") -> "Table":
+    import torch
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
+    table.add_column("arm", overflow="fold")
+    for heading in ("cost\nmedian", "cost\nlargest", "tip [mm]\nmedian", "converged", "snapped", "out of\nrange"):
+        table.add_column(heading, justify="right")
+    for name, blocks in rows:
+        cost, tip, converged, continued, within = (
+            torch.cat([getattr(block, field) for block in blocks])
+            for field in ("cost", "tip_error", "converged", "continued", "in_range")
+        )
+        cells = (
+            f"{cost.quantile(0.5):.4g}",
+            f"{cost.max():.4g}",
+            f"{1e3 * tip.quantile(0.5):.4g}",
+            f"{int(converged.sum())} of {len(cost)}",
+            str(int((~continued).sum())),
+            str(int((~within).sum())),
+        )
+        table.add_row(Text(name), *cells)
+    return table

@@ -1,0 +1,83 @@
+"""`torcharm shape`: the shape an arm takes at a pressure, under a load."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from torcharm.cli.terminal import FIGURE_FORMATS, check_outputs, mistakes, open_console, say
+
+if TYPE_CHECKING:
+    from torcharm.study import NamedArm
+
+
+def shape(
+    pressure: Annotated[str, typer.Option("--pressure", help="Of each actuator, in kPa: 20,10,0,5.")],
+    load: Annotated[str, typer.Option("--load", help="At the tip: force x, force y [N], moment [N·m].")] = "0,0,0",
+    study: Annotated[
+        Path | None, typer.Option("--study", help="Take the arm from a study.", show_default="the paper's")
+    ] = None,
+    arm: Annotated[str | None, typer.Option("--arm", help="Its name.", show_default="the first")] = None,
+    nodes: Annotated[int, typer.Option("--nodes", help="Segments of the arm.")] = 10,
+    figure: Annotated[
+        Path, typer.Option("--figure", help=f"Draw it, to a file ending in {', '.join(FIGURE_FORMATS)}.")
+    ] = Path("shape.png"),
+) -> None:
+    """Solve the forward mechanics of one arm: print the pose of its tip, and draw it."""
+    with mistakes():
+        check_outputs(study, None, figure)
+        from torcharm.equilibrium import solve_equilibrium
+        from torcharm.study import load_study, paper_study
+
+        plan = paper_study() if study is None else load_study(study)
+        chosen = _arm(plan.arms, arm)
+        pressures = _numbers("--pressure", pressure, chosen.design.actuator_count)
+        wrench = _numbers("--load", load, 3)
+        found = solve_equilibrium(chosen.design, pressures, wrench, nodes)
+        if not bool(found.converged):
+            raise ValueError(
+                f"no equilibrium was found for {chosen.name} at --pressure {pressure} under --load {load}: "
+                f"the imbalance left is {float(found.residual):.2g} of the load"
+            )
+        x, y, angle = found.poses[-1].tolist()
+        console = open_console()
+        say(console, f"{chosen.name}: tip at x {x:.6g} m, y {y:.6g} m, heading {angle:.6g} rad")
+        if not bool(found.continued):
+            say(console, "The arm snapped on the way to the full load: other shapes are possible.")
+        if not bool(found.in_range):
+            excess = float(found.strain_excess)
+            what = f"Strains are up to {excess:.2g} out of range" if excess > 1e-9 else "Pressures are out of range"
+            say(console, f"{what}: there the force models are extrapolated.")
+        _draw(figure, chosen, found.twists, wrench)
+        say(console, f"Wrote {figure}.")
+
+
+def _arm(arms: "tuple[NamedArm, ...]", name: str | None) -> "NamedArm":
+    if name is None:
+        return arms[0]
+    for arm in arms:
+        if arm.name == name:
+            return arm
+    raise ValueError(f"--arm: must be one of {', '.join(arm.name for arm in arms)}, got {name}")
+
+
+def _numbers(option: str, text: str, size: int) -> list[float]:
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != size:
+        raise ValueError(f"{option}: must be {size} numbers with commas between them, got {text}")
+    return numbers
+
+
+def _draw(path: Path, arm: "NamedArm", twists: object, load: list[float]) -> None:
+    from matplotlib.figure import Figure
+
+    from torcharm.plot import arm_shape
+
+    figure = Figure(figsize=(6, 6), layout="constrained", dpi=150)
+    axes = figure.subplots()
+    arm_shape(arm.design, twists, tip_load=load if any(load) else None, ax=axes)  # type: ignore[arg-type]
+    axes.set_title(arm.name)
+    figure.savefig(path)
