@@ -1,0 +1,5 @@
+"""`python -m torcharm.cli`."""
+
+from torcharm.cli import main
+
+main()

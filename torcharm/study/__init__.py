@@ -1,0 +1,30 @@
+"""Studies: a TOML file that names arms, tasks and how to evaluate them, and the tables that come of it.
+
+    study = load_study("study.toml")
+    results = evaluate_study(study)
+    write_results("results.csv", results)
+
+`example_text()` is a commented study that shows every section. Lengths are in metres, angles in
+radians, forces in newtons, moments in newton-metres, pressures in kilopascals. Entries of lists
+(arms, tasks, loads, nodes) are counted from 1, in tables and in error messages.
+"""
+
+from torcharm.study.data import NamedArm, NamedTask, Settings, Study
+from torcharm.study.reading import example_text, load_study, paper_study, parse_study
+from torcharm.study.results import StudyResult, Summary, evaluate_study, summarise, write_results
+
+__all__ = [
+    "NamedArm",
+    "NamedTask",
+    "Settings",
+    "Study",
+    "StudyResult",
+    "Summary",
+    "evaluate_study",
+    "example_text",
+    "load_study",
+    "paper_study",
+    "parse_study",
+    "summarise",
+    "write_results",
+]

@@ -1,0 +1,235 @@
+"""Checks of single values in a study file, and the one line that says what is wrong with one."""
+
+import difflib
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+
+def refuse(text: str, key: str = "") -> PydanticCustomError:
+    """An error about the value in hand, or about one of its keys."""
+    return PydanticCustomError("study", "{text}", {"text": text, "key": key})
+
+
+def shown_value(value: object) -> str:
+    """A value much as it stands in the file, cut to a readable length."""
+    try:
+        if isinstance(value, dict):
+            text = f"a table with {', '.join(value)}" if value else "an empty table"
+        elif isinstance(value, str | bool | list):
+            text = json.dumps(value, ensure_ascii=False, default=str)
+        else:
+            text = str(value)
+    except ValueError:  # Python writes out no integer of more than 4300 digits
+        text = "a very large number"
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def hint(word: object, allowed: Sequence[str]) -> str:
+    """The word that was meant, if one is near."""
+    near = difflib.get_close_matches(word, allowed, 1) if isinstance(word, str) else []
+    return f"; did you mean {near[0]}?" if near else ""
+
+
+def one_of(allowed: Sequence[str]) -> BeforeValidator:
+    """One of the words allowed."""
+
+    def check(value: Any) -> Any:
+        if not isinstance(value, str) or value not in allowed:
+            raise refuse(f"must be one of {', '.join(allowed)}, got {shown_value(value)}{hint(value, allowed)}")
+        return value
+
+    return BeforeValidator(check)
+
+
+def entries(*names: str) -> BeforeValidator:
+    """A list with an entry for each name."""
+
+    def check(value: Any) -> Any:
+        if not isinstance(value, list) or len(value) != len(names):
+            raise refuse(f"must be a list of {len(names)}, [{', '.join(names)}], got {shown_value(value)}")
+        return value
+
+    return BeforeValidator(check)
+
+
+def filled(what: str) -> BeforeValidator:
+    """A list with at least one entry."""
+
+    def check(value: Any) -> Any:
+        if not isinstance(value, list) or not value:
+            raise refuse(f"must be {what}, got {shown_value(value)}")
+        return value
+
+    return BeforeValidator(check)
+
+
+def check_name(value: Any) -> Any:
+    """A name: a text of one line that is not blank."""
+    if not isinstance(value, str) or not value.strip() or not value.isprintable():
+        raise refuse(f"must be a text of one line that is not blank, got {shown_value(value)}")
+    return value
+
+
+def either(what: str, *kinds: type) -> BeforeValidator:
+    """A value of one of some kinds, which are told in words."""
+
+    def check(value: Any) -> Any:
+        if not isinstance(value, kinds) or isinstance(value, bool):
+            raise refuse(f"must be {what}, got {shown_value(value)}")
+        return value
+
+    return BeforeValidator(check)
+
+
+def alternatives(first: str, *second: str) -> BeforeValidator:
+    """A table with one key, or with any of some others, and not with both or neither."""
+
+    def check(value: Any) -> Any:
+        if isinstance(value, dict):
+            others = [key for key in second if key in value]
+            if (first in value) == bool(others):
+                got = f"both {first} and {', '.join(others)}" if others else f"neither in {shown_value(value)}"
+                raise refuse(f"must have either {first}, or {' and '.join(second)}, got {got}")
+        return value
+
+    return BeforeValidator(check)
+
+
+def kind_among(*kinds: str) -> BeforeValidator:
+    """A table whose kind is one of those given, so that the kind can choose the model."""
+
+    def check(value: Any) -> Any:
+        if not isinstance(value, dict):
+            raise refuse(f"must be a table with a kind ({', '.join(kinds)}), got {shown_value(value)}")
+        if "kind" not in value:
+            raise refuse(f"missing; must be one of {', '.join(kinds)}; got {shown_value(value)}", "kind")
+        kind = value["kind"]
+        if not isinstance(kind, str) or kind not in kinds:
+            raise refuse(f"must be one of {', '.join(kinds)}, got {shown_value(kind)}{hint(kind, kinds)}", "kind")
+        return value
+
+    return BeforeValidator(check)
+
+
+def by_kind(value: Any) -> str:
+    """Tags say which of several models is meant. pydantic puts them into the path of an error, and the
+    brackets tell them from keys there."""
+    return f"<{value['kind']}>"
+
+
+def by_list(value: Any) -> str:
+    """The tag of a list, or of anything else."""
+    return "<list>" if isinstance(value, list) else "<other>"
+
+
+def by_key(key: str) -> Discriminator:
+    """The tags of tables with and without a key."""
+    return Discriminator(lambda value: "<with>" if isinstance(value, dict) and key in value else "<without>")
+
+
+class Table(BaseModel):
+    """A table of the file: unknown and missing keys are found before any value is looked at."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_keys(cls, value: Any) -> Any:
+        if not isinstance(value, dict):
+            raise refuse(f"must be a table, got {shown_value(value)}")
+        allowed = list(cls.model_fields)
+        for key in value:
+            if key not in allowed:
+                raise refuse(f"unknown key{hint(key, allowed) or ';'} allowed: {', '.join(allowed)}", key)
+        for key, field in cls.model_fields.items():
+            if field.is_required() and key not in value:
+                raise refuse(f"missing; must be {field.description}", key)
+        return value
+
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Name = Annotated[str, BeforeValidator(check_name), Field(description="a text of one line")]
+Range = Annotated[list[float], entries("lowest", "highest")]
+Lengths = Annotated[
+    Annotated[Positive, Tag("<other>")] | Annotated[list[Positive], Tag("<list>")],
+    Discriminator(by_list),
+    either("a number or a list of numbers [m]", int, float, list),
+]
+Limits = Annotated[
+    Annotated[NotNegative, Tag("<other>")] | Annotated[list[NotNegative], Tag("<list>")],
+    Discriminator(by_list),
+    either("a number or a list of numbers [kPa]", int, float, list),
+]
+
+
+# Messages
+
+_ALLOWED = {
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "int_type": "a whole number",
+    "string_type": "a text in quotes",
+    "bool_type": "true or false",
+    "list_type": "a list",
+    "greater_than": "above {gt:g}",
+    "greater_than_equal": "at least {ge:g}",
+    "less_than": "below {lt}",
+    "less_than_equal": "at most {le}",
+}
+
+
+def first_mistake(error: ValidationError, raw: Mapping[str, Any]) -> str:
+    """`path: what is allowed, what was given` of the first of pydantic's errors."""
+    mistake = error.errors(include_url=False)[0]
+    context = mistake.get("ctx", {})
+    keys = [part for part in mistake["loc"] if not str(part).startswith("<")]
+    path = [*keys, context["key"]] if context.get("key") else keys
+    return f"{field_path(path)}: {_what_is_wrong(mistake, context)}{_whose(keys, raw)}"
+
+
+def _what_is_wrong(mistake: ErrorDetails, context: Mapping[str, Any]) -> str:
+    if mistake["type"] == "study":
+        return str(context["text"])
+    if mistake["type"] not in _ALLOWED:
+        return f"{mistake['msg']}, got {shown_value(mistake['input'])}"
+    return f"must be {_ALLOWED[mistake['type']].format(**context)}, got {shown_value(mistake['input'])}"
+
+
+def field_path(keys: Sequence[int | str]) -> str:
+    """`arm[1].length[2]` from ("arm", 0, "length", 1)."""
+    parts = [f"[{key + 1}]" if isinstance(key, int) else f".{_bare(key)}" for key in keys]
+    return "".join(parts).removeprefix(".")
+
+
+def _bare(key: str) -> str:
+    return key if re.fullmatch(r"[\w-]+", key) else json.dumps(key, ensure_ascii=False)
+
+
+def _whose(keys: Sequence[int | str], raw: Mapping[str, Any]) -> str:
+    """The name of the arm or task that a path leads into, so that nobody has to count."""
+    if len(keys) < 2 or not isinstance(keys[1], int) or keys[-1] == "name":
+        return ""
+    entry = raw[str(keys[0])][keys[1]]
+    name = entry.get("name") if isinstance(entry, dict) else None
+    return f" (in {shown_value(name)})" if isinstance(name, str) else ""
+
+
+def one_line(text: str) -> str:
+    """The text with its white space folded."""
+    return " ".join(text.split())
+
+
+@contextmanager
+def within(path: str, name: str = "") -> Iterator[None]:
+    """Put a path before the field that a ValueError names."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{path}.{error}{name and f' (in {shown_value(name)})'}") from None

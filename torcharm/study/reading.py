@@ -1,0 +1,200 @@
+"""From the text of a study file to designs and tasks, and how they fit together."""
+
+import tomllib
+from collections.abc import Callable, Sequence
+from importlib import resources
+from os import PathLike
+from pathlib import Path
+
+import torch
+from pydantic import ValidationError
+
+from torcharm.actuators import Actuator, Bellows, McKibben, PolynomialActuator
+from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
+from torcharm.attainability import METRICS
+from torcharm.hulls import sample_count, slot_count
+from torcharm.study.data import NamedArm, NamedTask, Settings, Study
+from torcharm.study.fields import field_path, first_mistake, one_line, shown_value, within
+from torcharm.study.tables import (
+    CubicShape,
+    DrawnLoads,
+    EvaluateTable,
+    FreeArm,
+    PaperActuator,
+    PaperArm,
+    PolynomialTable,
+    ShapedTask,
+    StudyTable,
+    TwistTask,
+)
+from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
+
+MOST_VALUES = 50_000_000
+"""Numbers that one tensor of a study may hold (400 MB); past it, a key was struck once too often."""
+HIGHEST_DEGREE = 20
+"""Of strain or pressure in a polynomial force model."""
+
+
+def load_study(path: str | PathLike[str]) -> Study:
+    """Read a study from a TOML file.
+
+    Raises:
+        ValueError: the file cannot be read, is not UTF-8 or TOML, or describes no study: one line that
+            names the file, the field, what was given and what is allowed.
+    """
+    source = str(path)
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")  # Windows editors put a byte order mark first
+    except UnicodeDecodeError as error:
+        raise ValueError(one_line(f"{source}: must be UTF-8 text, got byte {error.start + 1} that is not")) from None
+    except OSError as error:
+        raise ValueError(one_line(f"{source}: cannot be read: {error.strerror or error}")) from None
+    return parse_study(text, source)
+
+
+def parse_study(text: str, source: str = "study") -> Study:
+    """A study from the text of a TOML file; `source` is what error messages call the file.
+
+    Raises:
+        ValueError: as for `load_study`.
+    """
+    try:
+        raw = tomllib.loads(text)
+    except RecursionError:
+        raise ValueError(one_line(f"{source}: is not valid TOML: nested too deeply")) from None
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(one_line(f"{source}: is not valid TOML: {error}")) from None
+    except ValueError:  # from Python, which reads no integer of more than 4300 digits
+        raise ValueError(one_line(f"{source}: holds a number of too many digits")) from None
+    try:
+        table = StudyTable.model_validate(raw)
+    except ValidationError as error:
+        raise ValueError(one_line(f"{source}: {first_mistake(error, raw)}")) from None
+    try:
+        return _study(table)
+    except ValueError as error:
+        raise ValueError(one_line(f"{source}: {error}")) from None
+
+
+def paper_study() -> Study:
+    """The paper's validation: two arms, one shape, 100 loads, absolute and relative unattainability."""
+    return parse_study(_shipped("validation.toml"), "torcharm/studies/validation.toml")
+
+
+def example_text() -> str:
+    """The text of a commented study to start from; `torcharm init` writes it."""
+    return _shipped("example.toml")
+
+
+def _shipped(name: str) -> str:
+    return resources.files("torcharm").joinpath("studies", name).read_text(encoding="utf-8")
+
+
+_PAPER_ARMS: dict[str, Callable[..., ArmDesign]] = {
+    "antagonistic": antagonistic_arm,
+    "bellows": bellows_arm,
+    "mckibben": mckibben_arm,
+}
+
+
+def _study(table: StudyTable) -> Study:
+    _check_unique("arm", table.arm)
+    _check_unique("task", table.task)
+    arms, tasks = [], []
+    for index, entry in enumerate(table.arm):
+        with within(field_path(["arm", index]), entry.name):
+            arms.append(NamedArm(entry.name, _design(entry)))
+    for index, job in enumerate(table.task):
+        with within(field_path(["task", index]), job.name):
+            tasks.append(NamedTask(job.name, _task(job)))
+    settings = _settings(table.evaluate)
+    for arm in arms:
+        for task in tasks:
+            with within("evaluate", arm.name):
+                _check_size(arm, task, settings)
+    return Study(table.name, table.description, tuple(arms), tuple(tasks), settings)
+
+
+def _check_unique(section: str, tables: Sequence[PaperArm | FreeArm | ShapedTask | TwistTask]) -> None:
+    seen: dict[str, int] = {}
+    for index, table in enumerate(tables):
+        if table.name in seen:
+            here, first = field_path([section, index, "name"]), field_path([section, seen[table.name]])
+            raise ValueError(f"{here}: must be a name of its own, got {shown_value(table.name)}, the name of {first}")
+        seen[table.name] = index
+
+
+def _design(table: PaperArm | FreeArm) -> ArmDesign:
+    limit = table.max_pressure
+    if isinstance(table, FreeArm):
+        actuators = tuple(_actuator(entry, index) for index, entry in enumerate(table.actuators))
+        radii = torch.tensor(table.radii, dtype=torch.float64)
+    else:
+        given = table.model_dump(include={"outer_radius", "inner_radius"}, exclude_none=True)
+        paper = _PAPER_ARMS[table.kind](**given)
+        actuators, radii = paper.actuators, paper.radii
+    for name, value in (("radii", radii.tolist()), ("length", table.length), ("max_pressure", limit)):
+        if isinstance(value, list) and len(value) != len(actuators):
+            raise ValueError(
+                f"{name}: must hold one number for each of the {len(actuators)} actuators, got {len(value)}"
+            )
+    return ArmDesign(radii, table.length, actuators, [limit] if isinstance(limit, float) else limit)
+
+
+def _actuator(table: PaperActuator | PolynomialTable, index: int) -> Actuator:
+    options = table.model_dump(exclude={"kind"}, exclude_none=True)
+    if isinstance(table, PaperActuator):
+        return Bellows(**options) if table.kind == "bellows" else McKibben(**options)
+    with within(field_path(["actuators", index])):
+        for name in ("strain_range", "pressure_range"):
+            low, high = options[name] = tuple(options[name])
+            if not low < high:
+                raise ValueError(f"{name}: must be [lowest, highest], got {shown_value([low, high])}")
+        options["coefficients"] = tuple(_term(row, place) for place, row in enumerate(table.coefficients))
+        return PolynomialActuator(**options)
+
+
+def _term(row: Sequence[float], index: int) -> tuple[int, int, float]:
+    i, j, coefficient = row
+    for power in (i, j):
+        if power not in range(HIGHEST_DEGREE + 1):
+            path = field_path(["coefficients", index])
+            raise ValueError(f"{path}: powers must be whole numbers from 0 to {HIGHEST_DEGREE}, got {power:g}")
+    return int(i), int(j), coefficient
+
+
+def _task(table: ShapedTask | TwistTask) -> Task:
+    if isinstance(table, TwistTask):
+        twists = torch.tensor(table.twists, dtype=torch.float64)
+    else:
+        curvature = cubic_curvature if isinstance(table.shape, CubicShape) else affine_curvature
+        twists = curvature(**table.shape.model_dump(exclude={"kind"}))
+    if isinstance(table.loads, DrawnLoads):
+        _check_values("loads.count", table.loads.count * len(twists), f"{table.loads.count} loads, {len(twists)} nodes")
+        loads = sample_loads(table.loads.count, table.loads.scale, table.loads.seed)
+    else:
+        loads = torch.tensor(table.loads, dtype=torch.float64)
+    return Task(twists, loads, table.base_pose)
+
+
+def _settings(table: EvaluateTable) -> Settings:
+    force, moment = table.weights
+    options = table.model_dump(exclude={"metrics", "weights"})
+    return Settings(
+        metrics=tuple(name for name in METRICS if name in table.metrics), weights=(force, moment), **options
+    )
+
+
+def _check_size(arm: NamedArm, task: NamedTask, settings: Settings) -> None:
+    """Refuse hulls that cannot be made of this many actuators, or that no memory holds."""
+    actuators, nodes = arm.design.actuator_count, task.task.nodes
+    count = sample_count(arm.design, settings.hull, settings.samples)
+    slots = slot_count(actuators, settings.hull, count)
+    if settings.hull == "exact":
+        slots = max(slots, actuators * count**2)  # every pair of samples of a curve with inflections
+    _check_values("samples", slots * nodes, f"{count} samples, {actuators} actuators, {nodes} nodes")
+
+
+def _check_values(name: str, count: int, given: str) -> None:
+    if count > MOST_VALUES:
+        raise ValueError(f"{name}: must make at most {MOST_VALUES:.0e} numbers at once, got {count:.0e} from {given}")

@@ -1,0 +1,202 @@
+"""What the tables of a study file may hold, each value by itself."""
+
+import json
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Discriminator, Field, Tag
+
+from torcharm.attainability import METRICS
+from torcharm.distance import DISTANCES
+from torcharm.hulls import KINDS
+from torcharm.rod import BASE_POSE
+from torcharm.study.data import Settings
+from torcharm.study.fields import (
+    Lengths,
+    Limits,
+    Name,
+    NotNegative,
+    Positive,
+    Range,
+    Table,
+    alternatives,
+    by_key,
+    by_kind,
+    by_list,
+    either,
+    entries,
+    filled,
+    kind_among,
+    one_of,
+)
+
+
+class PaperActuator(Table):
+    """One of the paper's actuators, perhaps changed."""
+
+    kind: str
+    bending_stiffness: float | None = None
+    max_pressure: Positive | None = None
+    force_scale: float | None = None
+
+
+class PolynomialTable(Table):
+    """A polynomial force model."""
+
+    kind: str
+    coefficients: Annotated[
+        list[Annotated[list[float], entries("power of strain", "power of pressure", "coefficient")]],
+        filled("a list of [power of strain, power of pressure, coefficient]"),
+        Field(description="a list of [power of strain, power of pressure, coefficient]"),
+    ]
+    strain_range: Annotated[Range, Field(description="[lowest, highest], the strains that were characterised")]
+    pressure_range: Annotated[Range, Field(description="[lowest, highest], the pressures characterised [kPa]")]
+    max_pressure: Annotated[Positive, Field(description="the highest pressure in use [kPa]")]
+    bending_stiffness: float | None = None
+    force_scale: float | None = None
+
+
+def _named_kind(value: Any) -> Any:
+    return {"kind": value} if isinstance(value, str) else value
+
+
+ActuatorTable = Annotated[
+    Annotated[PaperActuator, Tag("<bellows>")]
+    | Annotated[PaperActuator, Tag("<mckibben>")]
+    | Annotated[PolynomialTable, Tag("<polynomial>")],
+    Discriminator(by_kind),
+    kind_among("bellows", "mckibben", "polynomial"),
+    BeforeValidator(_named_kind),
+]
+
+
+class PaperArm(Table):
+    """One of the paper's arms."""
+
+    name: Name
+    kind: Annotated[str, one_of(("antagonistic", "bellows", "mckibben"))]
+    outer_radius: NotNegative | None = None
+    inner_radius: NotNegative | None = None
+    length: Lengths = 0.5
+    max_pressure: Limits | None = None
+
+
+class FreeArm(Table):
+    """Any actuators side by side."""
+
+    name: Name
+    radii: Annotated[
+        list[float], filled("a list of numbers [m]"), Field(description="a list of offsets, one for each actuator [m]")
+    ]
+    length: Annotated[Lengths, Field(description="a number, or a list of one for each actuator [m]")]
+    actuators: Annotated[
+        list[ActuatorTable],
+        filled("a list of force models such as bellows"),
+        Field(description="a list of force models, one for each radius"),
+    ]
+    max_pressure: Limits | None = None
+
+
+ArmTable = Annotated[
+    Annotated[PaperArm, Tag("<with>")] | Annotated[FreeArm, Tag("<without>")],
+    by_key("kind"),
+    alternatives("kind", "radii", "actuators"),
+]
+
+
+class AffineShape(Table):
+    """A shape of affine curvature."""
+
+    kind: str
+    slope: Annotated[float, Field(description="a number [rad]")]
+    intercept: Annotated[float, Field(description="a number [rad]")]
+    length: Positive = 0.5
+    nodes: Annotated[int, Field(ge=1, le=10_000)] = 10
+
+
+class CubicShape(AffineShape):
+    """A shape of cubic curvature."""
+
+    cubic: Annotated[float, Field(description="a number [rad]")]
+    quadratic: Annotated[float, Field(description="a number [rad]")]
+
+
+ShapeTable = Annotated[
+    Annotated[AffineShape, Tag("<affine>")] | Annotated[CubicShape, Tag("<cubic>")],
+    Discriminator(by_kind),
+    kind_among("affine", "cubic"),
+]
+
+
+class DrawnLoads(Table):
+    """Random loads."""
+
+    count: Annotated[int, Field(ge=1, le=1_000_000, description="a whole number of loads")]
+    scale: Annotated[list[NotNegative], entries("f_x", "f_y", "m")] = [20.0, 20.0, 2.0]
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 100
+
+
+LoadsTable = Annotated[
+    Annotated[
+        list[Annotated[list[float], entries("f_x", "f_y", "m")]],
+        filled("at least one load [f_x, f_y, m]"),
+        Tag("<list>"),
+    ]
+    | Annotated[DrawnLoads, Tag("<other>")],
+    Discriminator(by_list),
+    either("a list of [f_x, f_y, m], or a table with count, scale and seed", list, dict),
+]
+_loads_field = Field(description="a list of [f_x, f_y, m] [N, N, N·m], or a table with count, scale and seed")
+_BasePose = Annotated[list[float], entries("x", "y", "θ")]
+
+
+class ShapedTask(Table):
+    """A task with a shape by name."""
+
+    name: Name
+    shape: ShapeTable
+    loads: Annotated[LoadsTable, _loads_field]
+    base_pose: _BasePose = list(BASE_POSE)
+
+
+class TwistTask(Table):
+    """A task with a shape by its twists."""
+
+    name: Name
+    twists: Annotated[
+        list[Annotated[list[float], entries("l", "γ", "κ")]], filled("a list of [l, γ, κ], one for each node")
+    ]
+    loads: Annotated[LoadsTable, _loads_field]
+    base_pose: _BasePose = list(BASE_POSE)
+
+
+TaskTable = Annotated[
+    Annotated[ShapedTask, Tag("<with>")] | Annotated[TwistTask, Tag("<without>")],
+    by_key("shape"),
+    alternatives("shape", "twists"),
+]
+
+
+class EvaluateTable(Table):
+    """How to evaluate."""
+
+    metrics: Annotated[
+        list[Annotated[str, one_of(METRICS)]], filled(f"a list of metrics, such as {json.dumps(METRICS)}")
+    ] = list(METRICS)
+    hull: Annotated[str, one_of(KINDS)] = Settings.hull
+    samples: Annotated[int, Field(ge=2, le=1_000_000)] | None = Settings.samples
+    distance: Annotated[str, one_of(DISTANCES)] = Settings.distance
+    weights: Annotated[list[Positive], entries("k_f", "k_m")] = list(Settings.weights)
+    power: Annotated[int, Field(ge=1, le=2)] = Settings.power
+    signed: bool = Settings.signed
+
+
+class StudyTable(Table):
+    """The whole file."""
+
+    name: Name
+    description: str = ""
+    arm: Annotated[list[ArmTable], filled("tables that begin with [[arm]]"), Field(description="at least one [[arm]]")]
+    task: Annotated[
+        list[TaskTable], filled("tables that begin with [[task]]"), Field(description="at least one [[task]]")
+    ]
+    evaluate: EvaluateTable = EvaluateTable()
