@@ -29,8 +29,9 @@ PATH_TOLERANCE = 1e-4
 """Of the load scale, on the way to the full load."""
 CORRECTIONS = 8
 """Newton steps in a step along the path."""
-STEPS = 400
-"""Steps along a path, and of settling."""
+LOOKS = 600
+"""Evaluations of the balance along a path, at most."""
+SETTLING_STEPS = 300
 
 
 @dataclass(frozen=True)
@@ -115,61 +116,80 @@ class Traced(NamedTuple):
 
     Attributes:
         unknowns: (B, C, N).
-        arrived: (B,) whether at the full load.
-        sign: (B,) of the stiffness' determinant along the path.
+        tangent: (B, C, N), by the share of the path.
+        arrived: (B,) whether at the end of the path.
     """
 
     unknowns: Tensor
+    tangent: Tensor
     arrived: Tensor
-    sign: Tensor
 
 
 def unloaded(problem: Problem) -> Traced:
     """The arm without load, one segment for all, continued from zero pressure; there, settled from straight."""
     idle = replace(problem, pressure=torch.zeros_like(problem.pressure), tip_load=torch.zeros_like(problem.tip_load))
     rest = settle(idle, problem.straight())
-    path = trace(replace(idle, pressure=problem.pressure), rest.unknowns, by="pressure")
+    filled = replace(idle, pressure=problem.pressure)
+    path = trace(Path(filled, pressure=idle.pressure), rest.unknowns)
     left = ~(path.arrived & rest.arrived)
     if bool(left.any()):  # where a force model jumps, say
-        still = settle(replace(idle, pressure=problem.pressure)[left], path.unknowns[left])
+        still = settle(filled[left], path.unknowns[left])
         path.unknowns[left], path.arrived[left] = still
     return path
 
 
-def trace(problem: Problem, start: Tensor, *, by: str) -> Traced:
-    """Follow the equilibrium from none to all of the load, or of the pressure.
+def loaded(problem: Problem, start: Tensor) -> Traced:
+    """The equilibrium of `start` (B, C, N), which bears no load, continued to the full load."""
+    return trace(Path(problem, tip_load=torch.zeros_like(problem.tip_load)), start)
 
-    Args:
-        problem: with the full load and pressure.
-        start: (B, C, N), the equilibrium without.
-        by: "load" or "pressure", which rises.
+
+@dataclass(frozen=True)
+class Path:
+    """Problems that change in proportion to a share s from 0 to 1.
+
+    Attributes:
+        end: the problems at s = 1.
+        pressure: (B, M) at s = 0 [kPa]; None where it does not change.
+        tip_load: (B, 3) at s = 0; None where it does not change.
     """
-    here = start.clone()
-    count = len(here)
-    share = here.new_zeros(count)
-    step = here.new_full((count,), FIRST_SHARE)
-    look = _look(problem, here, share, by)
-    tangent, sign = look.tangent, look.sign
-    active = torch.arange(count, device=here.device)
-    for _ in range(STEPS):
-        if not len(active):
-            break
-        part, along = problem[active], tangent[active]
-        longest = LARGEST_MOVE / _move(part, along).clamp(min=1e-12)
-        tried = torch.minimum(torch.minimum(step[active], longest), 1 - share[active])
-        reached = share[active] + tried
-        reached = torch.where(reached > 1 - 1e-9, torch.ones_like(reached), reached)
-        end = _correct(part, here[active] + tried[:, None, None] * along, reached, by, sign[active])
-        good = end.good
-        moved = active[good]
-        here[moved], tangent[moved], share[moved] = end.unknowns[good], end.tangent[good], reached[good]
-        step[active] = tried * torch.where(good, end.stretch, 0.25)
-        active = active[(share[active] < 1) & (step[active] >= LEAST_SHARE)]
-    return Traced(here, share >= 1, sign)
+
+    end: Problem
+    pressure: Tensor | None = None
+    tip_load: Tensor | None = None
+
+    def __getitem__(self, index: Tensor) -> "Path":
+        pressure, load = (None if x is None else x[index] for x in (self.pressure, self.tip_load))
+        return Path(self.end[index], pressure, load)
+
+    def look(self, unknowns: Tensor, share: Tensor) -> "Look":
+        """Newton's step `-J⁻¹R`, the path's tangent `-J⁻¹ ∂R/∂s`, and the sign of det J, at z and s."""
+        end, part = self.end, share.unsqueeze(-1)
+        pressure, load = end.pressure, end.tip_load
+        if self.pressure is not None:
+            pressure = self.pressure.lerp(pressure, part)
+        if self.tip_load is not None:
+            load = self.tip_load.lerp(load, part)
+        found = mechanics.balance(
+            end.arm,
+            unknowns,
+            pressure,
+            load,
+            end.base_pose,
+            end.shear_stiffness,
+            pressure_slope=self.pressure is not None,
+        )
+        rate = torch.zeros_like(unknowns)
+        if self.pressure is not None:
+            rate = rate + (found.by_pressure * (end.pressure - self.pressure)[:, None, None, :]).sum(-1)
+        if self.tip_load is not None:
+            rise = end.tip_load - self.tip_load
+            rate = rate + mechanics.load_wrench(found.kinematics, rise, shear=end.components == 3)
+        steps, sign = mechanics.solve_signed(found.stiffness, -torch.stack((found.residual, rate), -1))
+        return Look(end.imbalance(found.residual), steps[..., 0], steps[..., 1], sign)
 
 
-class _Look(NamedTuple):
-    """The balance as Newton's method sees it: (B,), and (B, C, N) steps."""
+class Look(NamedTuple):
+    """The balance as Newton's method sees it: numbers (B,), steps (B, C, N)."""
 
     imbalance: Tensor
     newton: Tensor
@@ -177,60 +197,113 @@ class _Look(NamedTuple):
     sign: Tensor
 
 
-def _look(problem: Problem, unknowns: Tensor, share: Tensor, by: str) -> _Look:
-    """Newton's step `-J⁻¹R`, the path's tangent `-J⁻¹ ∂R/∂s`, and the sign of det J, at a share s."""
-    part = share.unsqueeze(-1)
-    if by == "pressure":
-        here = replace(problem, pressure=part * problem.pressure)
-        found = here.balance(unknowns)
-        rate = (found.by_pressure * problem.pressure[:, None, None, :]).sum(-1)
-    else:
-        here = replace(problem, tip_load=part * problem.tip_load)
-        found = here.balance(unknowns)
-        rate = mechanics.load_wrench(found.kinematics, problem.tip_load, shear=problem.components == 3)
-    steps, sign = mechanics.solve_signed(found.stiffness, -torch.stack((found.residual, rate), -1))
-    return _Look(problem.imbalance(found.residual), steps[..., 0], steps[..., 1], sign)
+class _Walk(NamedTuple):
+    """The state of elements under way: the last equilibrium found, and an attempt at the next.
 
+    Attributes:
+        element: (A,) place in the batch.
+        share, step: (A,) of the path: gone so far, and to be tried.
+        base, tangent: (A, C, N) the last equilibrium, and dz/ds there.
+        sign: (A,) of det J along the path; 0 before it is known.
+        aim, trial: (A,) share and (A, C, N) unknowns of the attempt.
+        turn: (A,) Newton steps made.
+        first, ratio, moved: (A,) size of the first step, of the second over the first, and of all together.
+    """
 
-class _Corrected(NamedTuple):
-    """Where Newton's method ended, whether it may be trusted, and how much longer the next step may be."""
-
-    unknowns: Tensor
+    element: Tensor
+    share: Tensor
+    step: Tensor
+    base: Tensor
     tangent: Tensor
-    good: Tensor
-    stretch: Tensor
+    sign: Tensor
+    aim: Tensor
+    trial: Tensor
+    turn: Tensor
+    first: Tensor
+    ratio: Tensor
+    moved: Tensor
+
+    def __getitem__(self, index: Tensor) -> "_Walk":  # type: ignore[override]
+        return _Walk(*(value[index] for value in self))
 
 
-def _correct(problem: Problem, guess: Tensor, share: Tensor, by: str, sign: Tensor) -> _Corrected:
-    """Newton's method from a guess near the path, at each element's share of the load."""
-    count = len(guess)
-    end, tangent = guess.clone(), torch.zeros_like(guess)
-    good = torch.zeros(count, dtype=torch.bool, device=guess.device)
-    first, ratio, moved = (guess.new_zeros(count) for _ in range(3))
-    goal = torch.where(share >= 1, problem.tolerance, PATH_TOLERANCE)
-    goal = torch.where(share >= 1, goal, goal.clamp(min=problem.tolerance))
-    active, here = torch.arange(count, device=guess.device), guess
-    for turn in range(CORRECTIONS):
-        look = _look(problem[active], here, share[active], by)
-        length = _move(problem[active], look.newton)
-        if turn == 0:
-            first[active] = length
-        elif turn == 1:
-            ratio[active] = length / first[active].clamp(min=1e-300)
-        done = look.imbalance <= goal[active]
-        ended = active[done]
-        end[ended], tangent[ended] = here[done], look.tangent[done]
-        good[ended] = (look.sign[done] == sign[ended]) & look.tangent[done].isfinite().flatten(1).all(-1)
-        moved[active] += torch.where(done, torch.zeros_like(length), length)
-        near = (ratio[active] < CONTRACTION) | (moved[active] < SMALL_MOVE)
-        keep = ~done & near & (moved[active] < LARGEST_MOVE)  # a NaN is left behind
-        active, here = active[keep], (here + look.newton)[keep]
-        if not len(active):
-            break
-    good &= (ratio < CONTRACTION) | (moved < SMALL_MOVE)
+def trace(path: Path, start: Tensor, first_step: float = FIRST_SHARE, looks: int = LOOKS) -> Traced:
+    """Follow the equilibria of s = 0 to s = 1, as far as they go.
+
+    Args:
+        path: B of them.
+        start: (B, C, N), near enough to the equilibrium at s = 0 for Newton's method.
+        first_step: share that the first step tries.
+        looks: evaluations of the balance, at most.
+    """
+    count = len(start)
+    none = start.new_zeros(count)
+    element = torch.arange(count, device=start.device)
+    walk = _Walk(
+        element, none, none + first_step, start, torch.zeros_like(start), none, none, start, none, none, none, none
+    )
+    out = Traced(start.clone(), torch.zeros_like(start), torch.zeros(count, dtype=torch.bool, device=start.device))
+    own = path
+    for _ in range(looks):
+        walk, under_way = _advance(own, walk)
+        if bool(under_way.all()):
+            continue
+        left = ~under_way
+        # Whoever is through is dropped at once only if worth the copying; meanwhile it stays where it is.
+        ended = walk.element[left]
+        out.unknowns[ended], out.tangent[ended] = walk.base[left], walk.tangent[left]
+        out.arrived[ended] = walk.share[left] >= 1
+        if not bool(under_way.any()):
+            return out
+        walk, own = walk[under_way], own[under_way]
+    out.unknowns[walk.element] = walk.base
+    return out
+
+
+def _advance(path: Path, walk: _Walk) -> tuple[_Walk, Tensor]:
+    """One evaluation of the balance for each, and what follows from it; whether any is to follow."""
+    look = path.look(walk.trial, walk.aim)
+    size = _move(path.end, look.newton)
+    first = torch.where(walk.turn == 0, size, walk.first)
+    ratio = torch.where(walk.turn == 1, size / first.clamp(min=1e-300), walk.ratio)
+    goal = torch.where(walk.aim >= 1, path.end.tolerance, max(PATH_TOLERANCE, path.end.tolerance))
+    there = look.imbalance <= goal
+    moved = torch.where(there, walk.moved, walk.moved + size)
+    trusted = (ratio < CONTRACTION) | (moved < SMALL_MOVE)
+    same = (look.sign == walk.sign) | (walk.sign == 0)
+    good = there & trusted & same & look.tangent.isfinite().flatten(1).all(-1)
+    on = ~there & trusted & (moved < LARGEST_MOVE) & (walk.turn < CORRECTIONS)  # a NaN is not on
+
+    # Ahead from a new equilibrium, or once more from the last with a shorter step
     stretch = (0.5 * CONTRACTION / ratio.clamp(min=1e-6)).sqrt().clamp(0.5, 4.0)
     stretch = torch.where(moved < SMALL_MOVE / 4, stretch.clamp(min=2.0), stretch)
-    return _Corrected(end, tangent, good, stretch)
+    started = walk.sign != 0
+    taken = torch.where(started, walk.aim - walk.share, walk.step)
+    step = torch.where(on, walk.step, taken * torch.where(good, torch.where(started, stretch, 1.0), 0.25))
+    share = torch.where(good, walk.aim, walk.share)
+    base = torch.where(good[:, None, None], walk.trial, walk.base)
+    tangent = torch.where(good[:, None, None], look.tangent, walk.tangent)
+    sign = torch.where(good, look.sign, walk.sign)
+    longest = LARGEST_MOVE / _move(path.end, tangent).clamp(min=1e-12)
+    ahead = torch.minimum(torch.minimum(step, longest), 1 - share)
+    aim = share + ahead
+    aim = torch.where(aim > 1 - 1e-9, torch.ones_like(aim), aim)
+    nothing = torch.zeros_like(size)
+    after = _Walk(
+        walk.element,
+        share,
+        step,
+        base,
+        tangent,
+        sign,
+        torch.where(on, walk.aim, aim),
+        torch.where(on[:, None, None], walk.trial + look.newton, base + ahead[:, None, None] * tangent),
+        torch.where(on, walk.turn + 1, nothing),
+        torch.where(on, first, nothing),
+        torch.where(on, ratio, nothing),
+        torch.where(on, moved, nothing),
+    )
+    return after, on | ((sign != 0) & (share < 1) & (step >= LEAST_SHARE))
 
 
 def _move(problem: Problem, step: Tensor) -> Tensor:
@@ -257,7 +330,7 @@ def settle(problem: Problem, start: Tensor) -> Settled:
     active = torch.arange(len(start), device=start.device)
     damping: Tensor | None = None
     last: Tensor | None = None
-    for _ in range(STEPS):
+    for _ in range(SETTLING_STEPS):
         part, z = problem[active], here[active]
         found = part.balance(z)
         miss = part.imbalance(found.residual)

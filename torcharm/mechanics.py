@@ -107,18 +107,22 @@ def _rows(unknowns: Tensor) -> tuple[Tensor, Tensor | None, Tensor]:
 
 
 def kinematics(unknowns: Float[Tensor, "*#batch C N"], base_pose: Float[Tensor, "*#batch 3"]) -> Kinematics:
-    """Poses and the segments' own derivatives, with `p_{j+1} = p_j + R_j V(κ_j/N) (l_j, γ_j)/N`."""
+    """Poses and the segments' own derivatives, with `p_{j+1} = p_j + R_j V(κ_j/N) (l_j, γ_j)/N`.
+
+    A whole segment is a straight step half-way turned: `V(2h) = sin(h)/h` times the rotation by h.
+    """
     length, shear, curvature = _rows(unknowns)
     count = unknowns.shape[-1]
-    turn = curvature / count
-    heading = base_pose[..., 2:] + torch.cat((torch.zeros_like(turn[..., :1]), turn.cumsum(-1)), -1)
-    cos, sin = heading[..., :-1].cos(), heading[..., :-1].sin()
-    sine, cosine = se2.sine_ratio(turn), se2.cosine_ratio(turn)
-    sine_slope, cosine_slope = se2.sine_ratio_slope(turn), se2.cosine_ratio_slope(turn)
-
-    # R_j V(turn) = [[a, -b], [b, a]], as both are rotations with a scale
-    a, b = cos * sine - sin * cosine, sin * sine + cos * cosine
-    da, db = cos * sine_slope - sin * cosine_slope, sin * sine_slope + cos * cosine_slope
+    half = curvature / (2 * count)
+    zero = torch.zeros_like(half[..., :1])
+    turned = 2 * half.cumsum(-1)
+    heading = base_pose[..., 2:] + torch.cat((zero, turned), -1)
+    middle = heading[..., :-1] + half
+    cos, sin = middle.cos(), middle.sin()
+    # V(2h) is a rotation by h, scaled by sin(h)/h
+    scale, slope = se2.sine_ratio(half), se2.sine_ratio_slope(half)
+    a, b = cos * scale, sin * scale
+    da, db = (cos * slope - b) / 2, (sin * slope + a) / 2
     along_x, along_y, bend_x, bend_y = a * length, b * length, da * length, db * length
     if shear is not None:
         along_x, along_y = along_x - b * shear, along_y + a * shear
@@ -240,22 +244,24 @@ def actuator_part(
     pressure: Float[Tensor, "*#batch M"],
     shear_stiffness: float | None = None,
     *,
+    pressure_slope: bool = True,
     create_graph: bool = False,
 ) -> ActuatorPart:
     """a_i with its local derivatives by twist and pressure.
 
     Force models are differentiated by autograd, all nodes and actuators in one sweep (forces are element-wise);
-    all else is closed form. With create_graph the derivatives can be differentiated again, else they
+    all else is closed form. Without pressure_slope, by_pressure is of no actuators: (..., C, N, 0). With create_graph the derivatives can be differentiated again, else they
     come detached.
     """
     with torch.set_grad_enabled(create_graph):
         section = _Section.of(arm, unknowns, pressure)
-        force, by_strain, by_pressure = _force_slopes(arm, section.strain, section.pressure, create_graph)
+        force, by_strain, by_pressure = _force_slopes(
+            arm, section.strain, section.pressure, pressure_slope, create_graph
+        )
         by_length = by_strain / section.neutral
         radii = section.radii
         first, second = radii * by_length, radii.square() * by_length
         moment, moment_length, moment_curvature = -radii * force, -first.sum(-2), second.sum(-2)
-        moment_pressure = -radii * by_pressure
         if section.bending is not None:
             bent = section.bending * section.per_length  # per unit of share and curvature
             rate = bent * section.share
@@ -263,17 +269,22 @@ def actuator_part(
             moment = moment + rate * section.curvature
             moment_length = moment_length - squeeze.sum(-2)
             moment_curvature = moment_curvature + (rate + radii * squeeze).sum(-2)
-            moment_pressure = moment_pressure + bent * section.curvature / section.reference
         size = unknowns.shape[-2]
         batch = moment_length.shape[:-1]
         blocks = moment_length.new_zeros(*batch, size, size, moment_length.shape[-1])
         blocks[..., 0, 0, :], blocks[..., 0, -1, :] = by_length.sum(-2), -first.sum(-2)
         blocks[..., -1, 0, :], blocks[..., -1, -1, :] = moment_length, moment_curvature
-        rows = [by_pressure, moment_pressure]
         if shear_stiffness is not None and size == 3:
             blocks[..., 1, 1, :] = -shear_stiffness * arm.actuator_count
-            rows.insert(1, torch.zeros_like(by_pressure))
         wrench = _stacked(force.sum(-2), moment.sum(-2), unknowns, arm.actuator_count, shear_stiffness)
+        if by_pressure is None:
+            return ActuatorPart(wrench, blocks, wrench.new_empty(*wrench.shape, 0))
+        moment_pressure = -radii * by_pressure
+        if section.bending is not None:
+            moment_pressure = moment_pressure + bent * section.curvature / section.reference
+        rows = [by_pressure, moment_pressure]
+        if size == 3:
+            rows.insert(1, torch.zeros_like(by_pressure))
         return ActuatorPart(wrench, blocks, torch.stack(rows, -3).transpose(-1, -2))
 
 
@@ -320,23 +331,25 @@ def _stacked(axial: Tensor, moment: Tensor, unknowns: Tensor, actuators: int, sh
 
 
 def _force_slopes(
-    arm: ArmDesign, strain: Tensor, pressure: Tensor, create_graph: bool
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Forces f and ∂f/∂ε, ∂f/∂p, each (..., M, N)."""
+    arm: ArmDesign, strain: Tensor, pressure: Tensor, pressure_slope: bool, create_graph: bool
+) -> tuple[Tensor, Tensor, Tensor | None]:
+    """Forces f, ∂f/∂ε, and ∂f/∂p if wanted, each (..., M, N)."""
     strain, pressure = torch.broadcast_tensors(strain, pressure)
     with torch.enable_grad():
         if not create_graph:
             strain, pressure = strain.detach(), pressure.detach()
-        # Views would gather the pressure's gradient over nodes, which is wanted node by node.
         strain = strain.clone() if strain.requires_grad else strain.contiguous().requires_grad_()
-        pressure = pressure.clone() if pressure.requires_grad else pressure.clone().requires_grad_()
+        if pressure_slope:  # node by node: a view would gather it over the nodes
+            pressure = pressure.clone() if pressure.requires_grad else pressure.clone().requires_grad_()
         force = actuator_force(arm.actuators, strain, pressure, -2)
-        if not force.requires_grad:  # a constant force
-            return force, torch.zeros_like(force), torch.zeros_like(force)
-        slopes = torch.autograd.grad(
-            force.sum(), (strain, pressure), create_graph=create_graph, allow_unused=True, materialize_grads=True
-        )
-    return (force if create_graph else force.detach()), slopes[0], slopes[1]
+        wanted = (strain, pressure) if pressure_slope else (strain,)
+        if force.requires_grad:
+            slopes = torch.autograd.grad(
+                force.sum(), wanted, create_graph=create_graph, allow_unused=True, materialize_grads=True
+            )
+        else:  # a constant force
+            slopes = tuple(torch.zeros_like(force) for _ in wanted)
+    return (force if create_graph else force.detach()), slopes[0], slopes[1] if pressure_slope else None
 
 
 # The balance
@@ -364,6 +377,7 @@ def balance(
     base_pose: Float[Tensor, "*#batch 3"],
     shear_stiffness: float | None = None,
     *,
+    pressure_slope: bool = True,
     create_graph: bool = False,
 ) -> Balance:
     """R with its derivatives by twists and pressure.
@@ -375,12 +389,15 @@ def balance(
         tip_load: (..., 3) in the world frame [N, N, N·m].
         base_pose: (..., 3).
         shear_stiffness: k [N/m] of each actuator; None is rigid.
+        pressure_slope: whether ∂R/∂p is wanted; else it is of no actuators.
         create_graph: whether the results can be differentiated.
     """
     with torch.set_grad_enabled(create_graph):
         motion = kinematics(unknowns, base_pose)
         load = load_part(motion, tip_load, shear=shear_stiffness is not None)
-        own = actuator_part(arm, unknowns, pressure, shear_stiffness, create_graph=create_graph)
+        own = actuator_part(
+            arm, unknowns, pressure, shear_stiffness, pressure_slope=pressure_slope, create_graph=create_graph
+        )
         stiffness = assemble(load.stiffness, own.stiffness)
         return Balance(load.wrench + own.wrench, stiffness, own.by_pressure, motion)
 
