@@ -55,7 +55,7 @@ def minimise(
     look: Callable[[Tensor, Tensor], Model],
     start: Tensor,
     upper: Tensor,
-    judge: Callable[[Model, Tensor, Tensor], Tensor],
+    judge: Callable[[Tensor, Model, Tensor], Tensor],
     steps: int,
 ) -> Minimum:
     """Minimise from a start (B, M) within the box.
@@ -64,7 +64,7 @@ def minimise(
         look: from indices (b,) of problems and places (b, M) to models.
         start: (B, M), in the box.
         upper: (B, M), at least 0.
-        judge: from models, places and upper bounds to whether they have converged.
+        judge: from indices, models and places to whether they have converged.
         steps: at most so many.
     """
     place = start.clone()
@@ -77,7 +77,7 @@ def minimise(
     growth = torch.full_like(damping, 2.0)
     bound = upper
     for step in range(steps + 1):
-        done = judge(model, here, bound)
+        done = judge(active, model, here)
         stuck = ~done & (damping > LARGEST_DAMPING * model.curvature.diagonal(dim1=-2, dim2=-1).amax(-1))
         leave = done | stuck | ~model.value.isfinite() | (step == steps)
         if bool(leave.any()):
@@ -95,7 +95,12 @@ def minimise(
         gain = (model.value - tried.value) / promised.clamp(min=1e-300)
         good = (gain > LEAST_GAIN) & tried.value.isfinite()
         here = torch.where(good.unsqueeze(-1), there, here)
-        model = Model(*(torch.where(good.view(-1, *[1] * (new.ndim - 1)), new, old) for new, old in zip(tried, model, strict=True)))
+        model = Model(
+            *(
+                torch.where(good.view(-1, *[1] * (new.ndim - 1)), new, old)
+                for new, old in zip(tried, model, strict=True)
+            )
+        )
         easier = (1 - (2 * gain.clamp(-1, 2) - 1) ** 3).clamp(min=0.1)  # Nielsen's rule
         damping = torch.where(good, damping * easier, damping * growth)
         growth = torch.where(good, torch.full_like(growth, 2.0), growth * 2)
@@ -118,7 +123,9 @@ def box_step(model: Model, place: Tensor, upper: Tensor, damping: Tensor) -> tup
         free = (~held).to(place.dtype)
         if bool(((free * slope).abs() <= 1e-13 * (scale.unsqueeze(-1))).all()):
             break
-        reduced = curvature * free.unsqueeze(-1) * free.unsqueeze(-2) + torch.diag_embed((1 - free) * scale.unsqueeze(-1))
+        reduced = curvature * free.unsqueeze(-1) * free.unsqueeze(-2) + torch.diag_embed(
+            (1 - free) * scale.unsqueeze(-1)
+        )
         factor, _ = torch.linalg.cholesky_ex(reduced)
         newton = -torch.cholesky_solve((free * slope).unsqueeze(-1), factor).squeeze(-1)
         newton = torch.where(newton.isfinite(), newton, torch.zeros_like(newton))
@@ -133,5 +140,7 @@ def box_step(model: Model, place: Tensor, upper: Tensor, damping: Tensor) -> tup
         there = there + chosen
         slope = slope + (curvature @ chosen.unsqueeze(-1)).squeeze(-1)
     move = there - place
-    promised = -(move * model.gradient).sum(-1) - 0.5 * ((model.curvature @ move.unsqueeze(-1)).squeeze(-1) * move).sum(-1)
+    promised = -(move * model.gradient).sum(-1) - 0.5 * ((model.curvature @ move.unsqueeze(-1)).squeeze(-1) * move).sum(
+        -1
+    )
     return move, promised

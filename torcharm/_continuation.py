@@ -95,9 +95,7 @@ class Problem:
 
     def balance(self, unknowns: Tensor) -> mechanics.Balance:
         """R and its derivatives, detached."""
-        return mechanics.balance(
-            self.arm, unknowns, self.pressure, self.tip_load, self.base_pose, self.shear_stiffness
-        )
+        return mechanics.balance(self.arm, unknowns, self.pressure, self.tip_load, self.base_pose, self.shear_stiffness)
 
     def imbalance(self, residual: Tensor) -> Tensor:
         """(B,) the largest entry of R, forces over the load scale and moments over that times the length."""

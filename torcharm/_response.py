@@ -5,8 +5,8 @@ moves by `δz = -J⁻¹ R`. Differentiating `J δz = -R` by a pressure gives wha
 
     dδz/dp = -J⁻¹ (∂R/∂p + ∂J/∂p δz),
 
-with a ∂J/∂p that is local to the nodes. The poses are those of the shape `z + t δz` itself, by exact kinematics;
-`t ≤ 1` limits the move, smoothly, to what a linear balance can speak of.
+with a ∂J/∂p that is local to the nodes. The poses are those of the shape `z + δz` itself, by exact kinematics. Where
+-J is not positive definite the arm would leave for good: a small δz then means nothing, and is not believed.
 """
 
 from dataclasses import dataclass
@@ -83,67 +83,64 @@ class Response(NamedTuple):
     """Where arms go.
 
     Attributes:
-        error: (B, N+1, 3) of the poses reached [m, m, rad].
-        slope: (B, N+1, 3, M) its derivative by pressure [1/kPa]; None if it was not asked for.
-        move: δz (B, 2, N), not limited.
-        share: t (B,), the part of it that was taken.
+        error: (B, N+1, 3) of the poses reached [m, m, rad]; NaN where J is singular.
+        slope: (B, N+1, 3, M) its derivative by pressure [1/kPa].
+        move: δz (B, 2, N).
+        stable: (B,) whether the symmetric part of -J is positive definite.
     """
 
     error: Tensor
-    slope: Tensor | None
+    slope: Tensor
     move: Tensor
-    share: Tensor
+    stable: Tensor
 
 
-def respond(points: Points, pressure: Tensor, limit: float, *, slopes: bool) -> Response:
+def respond(points: Points, pressure: Tensor) -> Response:
     """The response to pressures (B, M) [kPa], detached."""
     with torch.no_grad():
-        force, by_strain, by_pressure, mixed = _forces(points, pressure.unsqueeze(-1), slopes)
+        force, by_strain, by_pressure, mixed = _forces(points, pressure.unsqueeze(-1))
         stiffness, residual = _stiffness(points, pressure, force, by_strain)
-        size = 2 * points.unknowns.shape[-1]
         factors, pivots, info = torch.linalg.lu_factor_ex(stiffness)
-        move = -torch.linalg.lu_solve(factors, pivots, residual.reshape(-1, size, 1)).view_as(points.unknowns)
+        move = -torch.linalg.lu_solve(factors, pivots, residual.flatten(1).unsqueeze(-1)).view_as(points.unknowns)
         move = torch.where((info == 0)[:, None, None], move, move.new_tensor(float("nan")))
-        share, share_slope = limited(move, points, limit)
-        motion = mechanics.kinematics(points.unknowns + share[:, None, None] * move, points.base_pose)
+        motion = mechanics.kinematics(points.unknowns + move, points.base_pose)
         error, by_pose = mechanics.pose_error(motion.pose, points.target)
-        if not slopes:
-            return Response(error, None, move, share)
         right = _pressure_slope(points, move, by_pressure, mixed)
         rate = -torch.linalg.lu_solve(factors, pivots, right).unflatten(1, points.unknowns.shape[1:])
-        taken = (share_slope.unsqueeze(-1) * rate).sum((1, 2))  # (B, M), dt/dp
-        rate = share[:, None, None, None] * rate + move.unsqueeze(-1) * taken[:, None, None, :]
-        return Response(error, by_pose @ _carried(motion, rate), move, share)
+        return Response(error, by_pose @ _carried(motion, rate), move, is_stable(stiffness))
 
 
-def limited(move: Tensor, points: Points, limit: float) -> tuple[Tensor, Tensor]:
-    """The share t of a move that is taken, (B,), and its derivative by the move (B, 2, N).
+def is_stable(stiffness: Tensor) -> Tensor:
+    """(...) whether the symmetric part of -J (..., 2N, 2N) is positive definite.
 
-    `t = (1 + s⁴)^(-1/4)` with s the size of the move over the limit: next to 1 for small moves, and
-    t s → 1 for large ones.
+    Then every motion against friction, `D ż = R` with D positive definite, comes back. (J itself is not quite
+    symmetric: a balance at the start of each segment is not the derivative of an energy, nor is τ.)
     """
-    heading = move[:, 1].cumsum(-1) / move.shape[-1]
-    strain = STRETCH * move[:, 0] / points.arm.length.mean(-1, keepdim=True)
-    square = (heading.square() + strain.square()).mean(-1) / limit**2
-    share = (1 + square.square()) ** -0.25
-    back = heading.flip(-1).cumsum(-1).flip(-1) / move.shape[-1]
-    scale = STRETCH / points.arm.length.mean(-1, keepdim=True)
-    by_move = torch.stack((strain * scale, back), 1) * (2 / (limit**2 * move.shape[-1]))
-    return share, (-0.5 * square * share**5)[:, None, None] * by_move
+    _, info = torch.linalg.cholesky_ex(-0.5 * (stiffness + stiffness.mT))
+    return info == 0
+
+
+def size(move: Tensor, length: Tensor) -> Tensor:
+    """(B,) the size of moves (B, 2, N): the largest heading [rad], or `STRETCH` times the largest stretch.
+
+    Args:
+        length: (B,) of the arms [m].
+    """
+    heading = (move[:, 1].cumsum(-1) / move.shape[-1]).abs().amax(-1)
+    return torch.maximum(heading, STRETCH * move[:, 0].abs().amax(-1) / length)
 
 
 STRETCH = 3.0
+"""Radians that a stretch by the whole length counts as."""
 
 
-def _forces(points: Points, pressure: Tensor, slopes: bool) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """f, ∂f/∂ε and, if slopes are wanted, ∂f/∂p and ∂²f/∂ε∂p: (B, M, N)."""
+def _forces(points: Points, pressure: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """f, ∂f/∂ε, ∂f/∂p and ∂²f/∂ε∂p: (B, M, N)."""
     strain = points.strain.detach().clone().requires_grad_()
-    pressure = pressure.detach().expand_as(strain).clone().requires_grad_(slopes)
+    pressure = pressure.detach().expand_as(strain).clone().requires_grad_()
     with torch.enable_grad():
         force = actuator_force(points.arm.actuators, strain, pressure, -2)
-        by_strain = _slope(force, strain, slopes)
-        if not slopes:
-            return force.detach(), by_strain.detach(), by_strain, by_strain
+        by_strain = _slope(force, strain, True)
         by_pressure = _slope(force, pressure, True)
         mixed = _slope(by_strain, pressure, False)
     return force.detach(), by_strain.detach(), by_pressure.detach(), mixed.detach()

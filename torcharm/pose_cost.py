@@ -57,7 +57,7 @@ class PoseCost:
             ValueError: weights were given, and are not N+1.
         """
         check_count("nodes", nodes, 1)
-        return self.omega(nodes, like).unsqueeze(-1) * like.new_tensor(self._diagonal())
+        return self.omega(nodes, like).unsqueeze(-1) * self.diagonal(like)
 
     def omega(self, nodes: int, like: Tensor) -> Tensor:
         """ω (N+1,) of every pose; arguments and errors as for `weights`."""
@@ -76,6 +76,10 @@ class PoseCost:
         else:
             omega[:-1] = 1.0
         return omega
+
+    def diagonal(self, like: Tensor) -> Tensor:
+        """The diagonal of K (3,), with 0 for headings that do not count."""
+        return like.new_tensor(self._diagonal())
 
     def __call__(self, error: Tensor) -> Tensor:
         """The cost (...) [m²] of errors (..., N+1, 3) [m, m, rad]."""
