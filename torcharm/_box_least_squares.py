@@ -1,8 +1,10 @@
 """Nonlinear least squares in a box, B small problems at once: Levenberg and Marquardt with active bounds.
 
-    min ½‖r(u)‖²,  0 ≤ u ≤ upper,   u (B, M) with M small
+    min ½‖r(u)‖²,  0 ≤ u ≤ 1,   u (B, M) with M small
 
-Each step minimises the Gauss-Newton model, damped, within the box; what has converged leaves the batch.
+Each step minimises a damped quadratic model within the box. Its curvature is Gauss and Newton's `JᵀJ` and, as residuals
+need not be small, a secant estimate of what that leaves out, `Σ r ∇²r` (Dennis, Gay and Welsch 1981, with the
+symmetric rank-one update). What has converged leaves the batch.
 """
 
 from collections.abc import Callable
@@ -15,132 +17,147 @@ LEAST_GAIN = 1e-4
 """Of the decrease that the model promised; less is refused."""
 FIRST_DAMPING = 1e-3
 """Of the model's largest curvature."""
-LARGEST_DAMPING = 1e8
-INNER_STEPS = 12
-BACKTRACKS = 6
+LARGEST_DAMPING = 1e9
+"""Of the same: a step so short that rounding decides whether it went down."""
+INNER_STEPS = 8
+"""Newton steps to the minimum of a model in the box."""
+BACKTRACKS = 5
+"""Lengths tried of each, halved each time."""
 
 
 class Model(NamedTuple):
-    """The Gauss-Newton model: half the sum of squares (B,), its gradient (B, M), and `JᵀJ` (B, M, M)."""
+    """Half the sum of squares (B,), its gradient (B, M), and `JᵀJ` (B, M, M)."""
 
     value: Tensor
     gradient: Tensor
     curvature: Tensor
 
 
-class Minimum(NamedTuple):
-    """Where the search ended.
-
-    Attributes:
-        place: u (B, M).
-        value: ½‖r‖² (B,).
-        gradient: its gradient (B, M).
-        stalled: (B,) whether no step, however short, went down.
-        converged: (B,) as judged.
-    """
-
-    place: Tensor
-    value: Tensor
-    gradient: Tensor
-    stalled: Tensor
-    converged: Tensor
-
-
-def projected(gradient: Tensor, place: Tensor, upper: Tensor) -> Tensor:
-    """The gradient (B, M) less what points out of the box: `u - P(u - g)` for a step of unit length."""
-    return place - torch.minimum((place - gradient).clamp(min=0), upper)
+def projected(gradient: Tensor, place: Tensor) -> Tensor:
+    """What is left of a gradient (B, M) in the box: `u - P(u - g)`."""
+    return place - (place - gradient).clamp(0, 1)
 
 
 def minimise(
     look: Callable[[Tensor, Tensor], Model],
     start: Tensor,
-    upper: Tensor,
     judge: Callable[[Tensor, Model, Tensor], Tensor],
     steps: int,
-) -> Minimum:
-    """Minimise from a start (B, M) within the box.
+) -> Tensor:
+    """Minimise from starts (B, M) in the box, and return where that ended.
 
     Args:
-        look: from indices (b,) of problems and places (b, M) to models.
-        start: (B, M), in the box.
-        upper: (B, M), at least 0.
-        judge: from indices, models and places to whether they have converged.
+        look: from indices (b,) of problems and places (b, M) to models. A value that is not finite is no place to go.
+        start: (B, M).
+        judge: from indices, models and places to whether they have converged (b,).
         steps: at most so many.
     """
     place = start.clone()
     active = torch.arange(len(start), device=start.device)
     here, model = start, look(active, start)
-    value, gradient = model.value.clone(), model.gradient.clone()
-    converged = torch.zeros(len(start), dtype=torch.bool, device=start.device)
-    stalled = torch.zeros_like(converged)
-    damping = FIRST_DAMPING * model.curvature.diagonal(dim1=-2, dim2=-1).amax(-1)
+    extra = torch.zeros_like(model.curvature)
+    augmented = torch.zeros_like(active, dtype=torch.bool)
+    damping = FIRST_DAMPING * _largest(model.curvature)
     growth = torch.full_like(damping, 2.0)
-    bound = upper
-    for step in range(steps + 1):
-        done = judge(active, model, here)
-        stuck = ~done & (damping > LARGEST_DAMPING * model.curvature.diagonal(dim1=-2, dim2=-1).amax(-1))
-        leave = done | stuck | ~model.value.isfinite() | (step == steps)
+    for _ in range(steps):
+        leave = judge(active, model, here) | ~model.value.isfinite()
+        leave |= damping > LARGEST_DAMPING * _largest(model.curvature)
         if bool(leave.any()):
-            gone = active[leave]
-            place[gone], value[gone], gradient[gone] = here[leave], model.value[leave], model.gradient[leave]
-            converged[gone], stalled[gone] = done[leave], stuck[leave]
+            place[active[leave]] = here[leave]
             keep = ~leave
-            active, here, bound, damping, growth = (x[keep] for x in (active, here, bound, damping, growth))
+            active, here, extra = active[keep], here[keep], extra[keep]
+            augmented, damping, growth = augmented[keep], damping[keep], growth[keep]
             model = Model(*(part[keep] for part in model))
             if not len(active):
                 break
-        move, promised = box_step(model, here, bound, damping)
+        used = torch.where(augmented[:, None, None], extra, torch.zeros_like(extra))
+        move, promised = box_step(model.gradient, model.curvature + used, here, damping)
         there = here + move
         tried = look(active, there)
+        augmented = _foretold(model, extra, move, tried)
+        extra = _secant(extra, move, tried, model)
         gain = (model.value - tried.value) / promised.clamp(min=1e-300)
         good = (gain > LEAST_GAIN) & tried.value.isfinite()
-        here = torch.where(good.unsqueeze(-1), there, here)
+        here = torch.where(good[:, None], there, here)
         model = Model(
-            *(
-                torch.where(good.view(-1, *[1] * (new.ndim - 1)), new, old)
-                for new, old in zip(tried, model, strict=True)
-            )
+            torch.where(good, tried.value, model.value),
+            torch.where(good[:, None], tried.gradient, model.gradient),
+            torch.where(good[:, None, None], tried.curvature, model.curvature),
         )
         easier = (1 - (2 * gain.clamp(-1, 2) - 1) ** 3).clamp(min=0.1)  # Nielsen's rule
         damping = torch.where(good, damping * easier, damping * growth)
         growth = torch.where(good, torch.full_like(growth, 2.0), growth * 2)
-    return Minimum(place, value, gradient, stalled, converged)
+    place[active] = here
+    return place
 
 
-def box_step(model: Model, place: Tensor, upper: Tensor, damping: Tensor) -> tuple[Tensor, Tensor]:
-    """The step (B, M) that minimises the damped model in the box, and the decrease (B,) the model promises.
+def _largest(curvature: Tensor) -> Tensor:
+    return curvature.diagonal(dim1=-2, dim2=-1).amax(-1).clamp(min=1e-30)
+
+
+def _foretold(model: Model, extra: Tensor, move: Tensor, tried: Model) -> Tensor:
+    """(B,) whether the model with the secant estimate foretold the change of value better than the one without."""
+    plain = (model.gradient * move).sum(-1) + 0.5 * (_times(model.curvature, move) * move).sum(-1)
+    more = 0.5 * (_times(extra, move) * move).sum(-1)
+    missed = tried.value - model.value - plain
+    return (missed - more).abs() < missed.abs()
+
+
+def _secant(extra: Tensor, move: Tensor, tried: Model, model: Model) -> Tensor:
+    """The estimate of `Σ r ∇²r`, such that the model at the new place would have foretold the old gradient."""
+    wanted = tried.gradient - model.gradient - _times(tried.curvature, move)
+    now = (_times(extra, move) * move).sum(-1).abs()
+    extra = extra * ((wanted * move).sum(-1).abs() / now.clamp(min=1e-300)).clamp(max=1.0)[:, None, None]  # sized
+    missed = wanted - _times(extra, move)
+    along = (missed * move).sum(-1)
+    sound = along.abs() > 1e-8 * missed.norm(dim=-1) * move.norm(dim=-1)
+    sound &= tried.value.isfinite() & tried.gradient.isfinite().all(-1) & model.value.isfinite()
+    update = missed.unsqueeze(-1) * missed.unsqueeze(-2) / torch.where(sound, along, 1.0)[:, None, None]
+    return torch.where(sound[:, None, None], extra + update, extra)
+
+
+def _times(matrix: Tensor, vector: Tensor) -> Tensor:
+    return (matrix @ vector.unsqueeze(-1)).squeeze(-1)
+
+
+def box_step(gradient: Tensor, curvature: Tensor, place: Tensor, damping: Tensor) -> tuple[Tensor, Tensor]:
+    """The step (B, M) that minimises the damped model in the box, and the decrease (B,) that the model promises.
 
     Newton's method on the free variables, projected; a variable at a bound is free unless the gradient pushes it out.
+
+    Args:
+        gradient: (B, M).
+        curvature: (B, M, M), symmetric; where it is not positive definite, it is shifted until it is.
+        place: (B, M) in the box.
+        damping: (B,) added to its diagonal.
     """
     eye = torch.eye(place.shape[-1], dtype=place.dtype, device=place.device)
-    scale = model.curvature.diagonal(dim1=-2, dim2=-1).amax(-1).clamp(min=1e-300)
-    curvature = model.curvature + (damping + 1e-14 * scale)[:, None, None] * eye
-    trials = 0.5 ** torch.arange(BACKTRACKS, dtype=place.dtype, device=place.device)
-    there = place
-    slope = model.gradient
+    scale = _largest(curvature.abs())
+    least = torch.linalg.eigvalsh(curvature)[:, 0]
+    shift = damping + (1e-12 * scale - 1.1 * least).clamp(min=0)
+    curvature = curvature + shift[:, None, None] * eye
+    scale = scale + shift
+    lengths = 0.5 ** torch.arange(BACKTRACKS, dtype=place.dtype, device=place.device)
+    there, slope = place, gradient
     for _ in range(INNER_STEPS):
-        held = ((there <= 0) & (slope > 0)) | ((there >= upper) & (slope < 0))
+        held = ((there <= 0) & (slope > 0)) | ((there >= 1) & (slope < 0))
         free = (~held).to(place.dtype)
-        if bool(((free * slope).abs() <= 1e-13 * (scale.unsqueeze(-1))).all()):
+        downhill = free * slope
+        if bool((downhill.abs() <= 1e-12 * gradient.abs().amax(-1, keepdim=True)).all()):
             break
-        reduced = curvature * free.unsqueeze(-1) * free.unsqueeze(-2) + torch.diag_embed(
-            (1 - free) * scale.unsqueeze(-1)
-        )
-        factor, _ = torch.linalg.cholesky_ex(reduced)
-        newton = -torch.cholesky_solve((free * slope).unsqueeze(-1), factor).squeeze(-1)
-        newton = torch.where(newton.isfinite(), newton, torch.zeros_like(newton))
-        cauchy = -free * slope / scale.unsqueeze(-1)
-        ahead = torch.stack((newton, cauchy), -2).unsqueeze(-3) * trials.view(-1, 1, 1)  # (B, T, 2, M)
-        ends = torch.minimum((there[:, None, None] + ahead).clamp(min=0), upper[:, None, None]).flatten(1, 2)
-        step = ends - there.unsqueeze(1)
-        change = (step * slope.unsqueeze(1)).sum(-1) + 0.5 * ((step @ curvature) * step).sum(-1)
-        best = change.argmin(-1)
-        chosen = step[torch.arange(len(step), device=step.device), best]
-        chosen = torch.where((change.amin(-1) < 0).unsqueeze(-1), chosen, torch.zeros_like(chosen))
-        there = there + chosen
-        slope = slope + (curvature @ chosen.unsqueeze(-1)).squeeze(-1)
+        reduced = curvature * free.unsqueeze(-1) * free.unsqueeze(-2)
+        factor, _ = torch.linalg.cholesky_ex(reduced + torch.diag_embed((1 - free) * scale.unsqueeze(-1)))
+        newton = torch.cholesky_solve(downhill.unsqueeze(-1), factor).squeeze(-1)
+        cauchy = downhill / (scale.unsqueeze(-1) * place.shape[-1])  # short enough to go down when projected
+        newton = torch.where(newton.isfinite(), newton, cauchy)
+        ahead = torch.cat((lengths.view(-1, 1) * newton.unsqueeze(1), cauchy.unsqueeze(1)), 1)
+        steps = (there.unsqueeze(1) - ahead).clamp(0, 1) - there.unsqueeze(1)
+        change = (steps * slope.unsqueeze(1)).sum(-1) + 0.5 * ((steps @ curvature) * steps).sum(-1)
+        least, best = change.min(-1)
+        step = steps.gather(1, best.view(-1, 1, 1).expand(-1, 1, steps.shape[-1])).squeeze(1)
+        step = torch.where((least < 0).unsqueeze(-1), step, torch.zeros_like(step))
+        there = there + step
+        slope = slope + _times(curvature, step)
     move = there - place
-    promised = -(move * model.gradient).sum(-1) - 0.5 * ((model.curvature @ move.unsqueeze(-1)).squeeze(-1) * move).sum(
-        -1
-    )
+    promised = -(move * gradient).sum(-1) - 0.5 * (_times(curvature, move) * move).sum(-1)
     return move, promised

@@ -168,7 +168,7 @@ def _predict_block(block: Block, weights: Tensor, diagonal: Tensor, steps: int, 
     else:
         with torch.no_grad():
             reached = again()
-    error, per_node, pose_errors, pressure, twists = reached
+    *_, pressure, twists = reached
     excess = _strain_excess(tasks, twists)
     inside = excess <= 16 * torch.finfo(excess.dtype).eps
     highest = along([model.pressure_range[1] for model in tasks.arm.actuators], excess, -1)
@@ -293,7 +293,7 @@ class _Problem:
     def optimality(self, model: Model, share: Tensor) -> Tensor:
         """(B,) the largest slope of the error by a share, of those that the box leaves free; 0 of no error."""
         error = (2 * model.value).sqrt()
-        steepest = projected(model.gradient, share, torch.ones_like(share)).abs().amax(-1)
+        steepest = projected(model.gradient, share).abs().amax(-1)
         floor = FLOORS.get(share.dtype, 1e-3) * self.length
         return torch.where(error <= floor, torch.zeros_like(error), steepest / error.clamp(min=1e-300))
 
@@ -309,11 +309,11 @@ class _Problem:
             return self[index].optimality(model, share) <= tolerance[index]
 
         tolerance = TOLERANCES.get(start.dtype, 1e-2) * self.length
-        found = minimise(look, start, torch.ones_like(start), judge, STEPS)
-        end = self.look(found.place)
-        optimality = self.optimality(end.model, found.place)
+        place = minimise(look, start, judge, STEPS)
+        end = self.look(place)
+        optimality = self.optimality(end.model, place)
         return _End(
-            found.place,
+            place,
             end.move,
             _rank(end.model.value, end.stable),
             optimality,
