@@ -19,6 +19,9 @@ FIRST_DAMPING = 1e-3
 """Of the model's largest curvature."""
 LARGEST_DAMPING = 1e9
 """Of the same: a step so short that rounding decides whether it went down."""
+PATIENCE, WORTH = 8, 1e-4
+"""Steps, and the share of the value that they must save to go on: at a kink of the residuals there is no more to be had,
+however long one tries."""
 INNER_STEPS = 8
 """Newton steps to the minimum of a model in the box."""
 BACKTRACKS = 5
@@ -59,14 +62,18 @@ def minimise(
     augmented = torch.zeros_like(active, dtype=torch.bool)
     damping = FIRST_DAMPING * _largest(model.curvature)
     growth = torch.full_like(damping, 2.0)
-    for _ in range(steps):
+    before = model.value
+    for step in range(steps):
         leave = judge(active, model, here) | ~model.value.isfinite()
         leave |= damping > LARGEST_DAMPING * _largest(model.curvature)
+        if step % PATIENCE == 0:
+            leave |= (model.value > (1 - WORTH) * before) & (step > 0)
+            before = model.value
         if bool(leave.any()):
             place[active[leave]] = here[leave]
             keep = ~leave
             active, here, extra = active[keep], here[keep], extra[keep]
-            augmented, damping, growth = augmented[keep], damping[keep], growth[keep]
+            augmented, damping, growth, before = augmented[keep], damping[keep], growth[keep], before[keep]
             model = Model(*(part[keep] for part in model))
             if not len(active):
                 break

@@ -25,10 +25,8 @@ from torcharm.wrenches import actuator_force, along
 
 BLOCK_ELEMENTS = 4_000_000
 """Entries of the stiffness matrices of one block (32 MB)."""
-SCREENED = 12
-"""Pressures at which each task is looked at before the most promising are followed."""
-FOLLOWED = 2
-"""Starts that are followed."""
+SCREENED = 8
+"""Pressures at which each task is looked at before the most promising is followed."""
 STEPS = 40
 """Of a minimisation over pressures."""
 TOLERANCES = {torch.float64: 1e-7, torch.float32: 1e-3}
@@ -204,34 +202,40 @@ class _Found(NamedTuple):
 
 
 def _minimum(tasks: _Tasks, weights: Tensor, steps: int) -> _Found:
-    """Look at some pressures, follow the most promising, and keep the best."""
+    """Look at some pressures, follow the most promising to a minimum; and again from where that leads."""
     shape = mechanics.to_unknowns(tasks.twists)
     target = rod.poses(tasks.twists, tasks.base_pose)
     problem = _Problem(Points.of(tasks.arm, shape, target, tasks.base_pose, tasks.tip_load), weights)
-    share, free = _starts(problem)
-    followed = share.shape[1]
-    every = torch.arange(len(shape), device=shape.device)
-    problem = problem[every.repeat_interleave(followed)]
-    end = problem.minimise(share.flatten(0, 1), free.repeat_interleave(followed))
+    end = problem.minimise(*_start(problem))
     for _ in range(steps - 1):
         problem = problem.moved(end)
-        end = problem.minimise(end.share, ~problem.look(end.share).stable)
-    chosen = every * followed + end.rank.view(-1, followed).argmin(-1)
-    offset = (problem.points.unknowns - shape.repeat_interleave(followed, 0))[chosen]
-    flags = (end.optimality, end.converged, end.stable, end.small)
-    return _Found(end.share[chosen], offset, *(flag[chosen] for flag in flags))
+        end = problem.minimise(*_restart(problem, end.share))
+    return _Found(end.share, problem.points.unknowns - shape, end.optimality, end.converged, end.stable, end.small)
 
 
-def _starts(problem: "_Problem") -> tuple[Tensor, Tensor]:
-    """Pressures (T, S, M) to follow, in shares of their limits; and whether (T,) none is stable."""
+def _start(problem: "_Problem") -> tuple[Tensor, Tensor]:
+    """The most promising of some pressures (T, M), in shares of their limits, spread evenly over the box; and whether
+    none of them is stable (T,)."""
     count, actuators = problem.points.arm.max_pressure.shape
     draws = torch.quasirandom.SobolEngine(actuators).draw(SCREENED, dtype=torch.float64).to(problem.weights)
     draws[0] = 0.5  # instead of no pressure at all
-    tried = draws.repeat(count, 1)
-    seen = problem[torch.arange(count, device=tried.device).repeat_interleave(SCREENED)].look(tried)
-    rank = _rank(seen.model.value, seen.stable).view(count, SCREENED)
-    best = rank.topk(min(FOLLOWED, SCREENED), largest=False).indices
-    return draws[best], ~seen.stable.view(count, SCREENED).any(-1)
+    every = torch.arange(count, device=draws.device)
+    seen = problem[every.repeat_interleave(SCREENED)].look(draws.repeat(count, 1))
+    stable = seen.stable.view(count, SCREENED)
+    best = _rank(seen.model.value.view(count, SCREENED), stable).argmin(-1)
+    return draws[best], ~stable.any(-1)
+
+
+def _restart(problem: "_Problem", share: Tensor) -> tuple[Tensor, Tensor]:
+    """As `_start`, with the pressures that led here wherever they are stable."""
+    free = ~problem.look(share).stable
+    lost = free.nonzero().squeeze(-1)
+    if len(lost):
+        tried, still = _start(problem[lost])
+        share, free = share.clone(), free.clone()
+        share[lost] = torch.where(still.unsqueeze(-1), share[lost], tried)
+        free[lost] = still
+    return share, free
 
 
 def _rank(value: Tensor, stable: Tensor) -> Tensor:
@@ -251,7 +255,6 @@ class _End(NamedTuple):
 
     share: Tensor
     move: Tensor
-    rank: Tensor
     optimality: Tensor
     converged: Tensor
     stable: Tensor
@@ -290,13 +293,6 @@ class _Problem:
         gradient = (slope.mT @ miss.unsqueeze(-1)).squeeze(-1)
         return _Look(Model(0.5 * miss.square().sum(-1), gradient, slope.mT @ slope), found.stable, found.move)
 
-    def optimality(self, model: Model, share: Tensor) -> Tensor:
-        """(B,) the largest slope of the error by a share, of those that the box leaves free; 0 of no error."""
-        error = (2 * model.value).sqrt()
-        steepest = projected(model.gradient, share).abs().amax(-1)
-        floor = FLOORS.get(share.dtype, 1e-3) * self.length
-        return torch.where(error <= floor, torch.zeros_like(error), steepest / error.clamp(min=1e-300))
-
     def minimise(self, start: Tensor, free: Tensor) -> _End:
         """Follow starts (B, M) to minima; through unstable pressures only where that is free (B,)."""
 
@@ -306,21 +302,28 @@ class _Problem:
             return seen.model._replace(value=value)
 
         def judge(index: Tensor, model: Model, share: Tensor) -> Tensor:
-            return self[index].optimality(model, share) <= tolerance[index]
+            return _optimality(model, share, floor[index]) <= tolerance[index]
 
+        floor = FLOORS.get(start.dtype, 1e-3) * self.length
         tolerance = TOLERANCES.get(start.dtype, 1e-2) * self.length
         place = minimise(look, start, judge, STEPS)
         end = self.look(place)
-        optimality = self.optimality(end.model, place)
+        optimality = _optimality(end.model, place, floor)
         return _End(
             place,
             end.move,
-            _rank(end.model.value, end.stable),
             optimality,
             optimality <= tolerance,
             end.stable,
             size(end.move, self.length) <= LARGE_MOVE,
         )
+
+
+def _optimality(model: Model, share: Tensor, floor: Tensor) -> Tensor:
+    """(B,) the largest slope of the error by a share, of those that the box leaves free; 0 below a floor of the error."""
+    error = (2 * model.value).sqrt()
+    steepest = projected(model.gradient, share).abs().amax(-1)
+    return torch.where(error <= floor, torch.zeros_like(error), steepest / error.clamp(min=1e-30))
 
 
 # The value at the minimum, with gradients
