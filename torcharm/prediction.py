@@ -27,6 +27,8 @@ BLOCK_ELEMENTS = 4_000_000
 """Entries of the stiffness matrices of one block (32 MB)."""
 SCREENED = 8
 """Pressures at which each task is looked at before the most promising is followed."""
+RETREATS = (1.0, 0.5, 0.2, 0.0)
+"""Parts of a move after which to make the balance linear again, each tried where the last one left nothing stable."""
 STEPS = 40
 """Of a minimisation over pressures."""
 TOLERANCES = {torch.float64: 1e-7, torch.float32: 1e-3}
@@ -208,8 +210,8 @@ def _minimum(tasks: _Tasks, weights: Tensor, steps: int) -> _Found:
     problem = _Problem(Points.of(tasks.arm, shape, target, tasks.base_pose, tasks.tip_load), weights)
     end = problem.minimise(*_start(problem))
     for _ in range(steps - 1):
-        problem = problem.moved(end)
-        end = problem.minimise(*_restart(problem, end.share))
+        problem, share, free = _restart(problem, end)
+        end = problem.minimise(share, free)
     return _Found(end.share, problem.points.unknowns - shape, end.optimality, end.converged, end.stable, end.small)
 
 
@@ -226,16 +228,27 @@ def _start(problem: "_Problem") -> tuple[Tensor, Tensor]:
     return draws[best], ~stable.any(-1)
 
 
-def _restart(problem: "_Problem", share: Tensor) -> tuple[Tensor, Tensor]:
-    """As `_start`, with the pressures that led here wherever they are stable."""
-    free = ~problem.look(share).stable
-    lost = free.nonzero().squeeze(-1)
-    if len(lost):
-        tried, still = _start(problem[lost])
-        share, free = share.clone(), free.clone()
+def _restart(problem: "_Problem", end: "_End") -> tuple["_Problem", Tensor, Tensor]:
+    """The balances made linear where the arms went, with pressures from which to go on: as `_start`, but with those that
+    led there wherever they are stable. Where nothing is stable there, the arm went too far, and goes less far."""
+    share, part = end.share.clone(), torch.ones_like(problem.length)
+    lost = torch.arange(len(share), device=share.device)
+    free = torch.ones_like(end.stable)
+    for factor in RETREATS:
+        part[lost] = factor
+        there = problem[lost].moved(end.move[lost], part[lost])
+        stable = there.look(share[lost]).stable
+        free[lost] = ~stable
+        lost = lost[~stable]
+        if not len(lost):
+            break
+        tried, still = _start(there[(~stable).nonzero().squeeze(-1)])
         share[lost] = torch.where(still.unsqueeze(-1), share[lost], tried)
         free[lost] = still
-    return share, free
+        lost = lost[still]
+        if not len(lost):
+            break
+    return problem.moved(end.move, part), share, free
 
 
 def _rank(value: Tensor, stable: Tensor) -> Tensor:
@@ -276,11 +289,11 @@ class _Problem:
         """(B,) of the arms [m]."""
         return self.points.arm.length.mean(-1)
 
-    def moved(self, end: _End) -> "_Problem":
-        """The balances made linear where the arms went, or on the way there if that is far."""
+    def moved(self, move: Tensor, part: Tensor) -> "_Problem":
+        """The balances made linear after a part (B,) of moves (B, 2, N), or of as much of them as is not too far."""
         points = self.points
-        part = (LARGE_MOVE / size(end.move, self.length).clamp(min=1e-300)).clamp(max=1.0)
-        unknowns = points.unknowns + part[:, None, None] * end.move
+        part = part * (LARGE_MOVE / size(move, self.length).clamp(min=1e-30)).clamp(max=1.0)
+        unknowns = points.unknowns + part[:, None, None] * move
         return _Problem(Points.of(points.arm, unknowns, points.target, points.base_pose, points.tip_load), self.weights)
 
     def look(self, share: Tensor) -> _Look:
