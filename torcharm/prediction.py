@@ -27,6 +27,8 @@ BLOCK_ELEMENTS = 4_000_000
 """Entries of the stiffness matrices of one block (32 MB)."""
 SCREENED = 8
 """Pressures at which each task is looked at before the most promising is followed."""
+SCREENED_AGAIN = 64
+"""The same, where none of those was stable."""
 RETREATS = (1.0, 0.5, 0.2, 0.0)
 """Parts of a move after which to make the balance linear again, each tried where the last one left nothing stable."""
 STEPS = 40
@@ -215,17 +217,21 @@ def _minimum(tasks: _Tasks, weights: Tensor, steps: int) -> _Found:
     return _Found(end.share, problem.points.unknowns - shape, end.optimality, end.converged, end.stable, end.small)
 
 
-def _start(problem: "_Problem") -> tuple[Tensor, Tensor]:
+def _start(problem: "_Problem", screened: int = SCREENED) -> tuple[Tensor, Tensor]:
     """The most promising of some pressures (T, M), in shares of their limits, spread evenly over the box; and whether
-    none of them is stable (T,)."""
+    none of them is stable (T,). Where none is, more are tried."""
     count, actuators = problem.points.arm.max_pressure.shape
-    draws = torch.quasirandom.SobolEngine(actuators).draw(SCREENED, dtype=torch.float64).to(problem.weights)
+    draws = torch.quasirandom.SobolEngine(actuators).draw(screened, dtype=torch.float64).to(problem.weights)
     draws[0] = 0.5  # instead of no pressure at all
     every = torch.arange(count, device=draws.device)
-    seen = problem[every.repeat_interleave(SCREENED)].look(draws.repeat(count, 1))
-    stable = seen.stable.view(count, SCREENED)
-    best = _rank(seen.model.value.view(count, SCREENED), stable).argmin(-1)
-    return draws[best], ~stable.any(-1)
+    seen = problem[every.repeat_interleave(screened)].look(draws.repeat(count, 1))
+    stable = seen.stable.view(count, screened)
+    share = draws[_rank(seen.model.value.view(count, screened), stable).argmin(-1)]
+    free = ~stable.any(-1)
+    lost = free.nonzero().squeeze(-1)
+    if len(lost) and screened < SCREENED_AGAIN:
+        share[lost], free[lost] = _start(problem[lost], SCREENED_AGAIN)
+    return share, free
 
 
 def _restart(problem: "_Problem", end: "_End") -> tuple["_Problem", Tensor, Tensor]:
