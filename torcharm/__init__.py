@@ -7,10 +7,13 @@ from torcharm.actuators import Actuator, Bellows, McKibben, PolynomialActuator
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
 from torcharm.attainability import Attainability, evaluate
 from torcharm.distance.closed_form import distance_to_hull
+from torcharm.equilibrium import Equilibrium, NotConvergedError, solve_equilibrium
 from torcharm.hulls import WrenchHulls, wrench_hulls
 from torcharm.pose_cost import PoseCost
 from torcharm.prediction import PredictedError, predict_error
+from torcharm.pressure_fit import PressureFit, fit_pressure
 from torcharm.rod import poses
+from torcharm.search import PressureSearch, search_pressure
 from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
 from torcharm.wrenches import reaction_wrench, required_wrench
 
@@ -27,11 +30,15 @@ __all__ = [
     "ArmDesign",
     "Attainability",
     "Bellows",
+    "Equilibrium",
     "HullDistance",
     "McKibben",
+    "NotConvergedError",
     "PolynomialActuator",
     "PoseCost",
     "PredictedError",
+    "PressureFit",
+    "PressureSearch",
     "Residuals",
     "Task",
     "WrenchHulls",
@@ -41,6 +48,7 @@ __all__ = [
     "cubic_curvature",
     "distance_to_hull",
     "evaluate",
+    "fit_pressure",
     "kkt_residuals",
     "mckibben_arm",
     "nnls_distance",
@@ -51,7 +59,9 @@ __all__ = [
     "reaction_wrench",
     "required_wrench",
     "sample_loads",
+    "search_pressure",
     "slsqp_distance",
+    "solve_equilibrium",
     "wrench_hulls",
 ]
 
