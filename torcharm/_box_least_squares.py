@@ -20,8 +20,8 @@ FIRST_DAMPING = 1e-3
 LARGEST_DAMPING = 1e9
 """Of the same: a step so short that rounding decides whether it went down."""
 PATIENCE, WORTH = 8, 1e-4
-"""Steps, and the share of the value that they must save to go on: at a kink of the residuals there is no more to be had,
-however long one tries."""
+"""Steps, and the share of the value that they must save to go on: at a kink of the residuals there is no more to be
+had, however long one tries."""
 INNER_STEPS = 8
 """Newton steps to the minimum of a model in the box."""
 BACKTRACKS = 5

@@ -235,8 +235,8 @@ def _start(problem: "_Problem", screened: int = SCREENED) -> tuple[Tensor, Tenso
 
 
 def _restart(problem: "_Problem", end: "_End") -> tuple["_Problem", Tensor, Tensor]:
-    """The balances made linear where the arms went, with pressures from which to go on: as `_start`, but with those that
-    led there wherever they are stable. Where nothing is stable there, the arm went too far, and goes less far."""
+    """The balances made linear where the arms went, with pressures from which to go on: as `_start`, but with those
+    that led there wherever they are stable. Where nothing is stable there, the arm goes less far."""
     share, part = end.share.clone(), torch.ones_like(problem.length)
     lost = torch.arange(len(share), device=share.device)
     free = torch.ones_like(end.stable)
@@ -339,7 +339,7 @@ class _Problem:
 
 
 def _optimality(model: Model, share: Tensor, floor: Tensor) -> Tensor:
-    """(B,) the largest slope of the error by a share, of those that the box leaves free; 0 below a floor of the error."""
+    """(B,) the largest slope of the error by a share, of those that the box leaves free; 0 of no error."""
     error = (2 * model.value).sqrt()
     steepest = projected(model.gradient, share).abs().amax(-1)
     return torch.where(error <= floor, torch.zeros_like(error), steepest / error.clamp(min=1e-30))
