@@ -1,12 +1,11 @@
 """How far poses are from those of a task, as one number: the cost that search and prediction minimise."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from torcharm._inputs import check_choice, check_count, shown
+from torcharm._inputs import TensorLike, as_floating, check_choice, check_count, shown
 
 NODE_WEIGHTS = ("ramp", "uniform", "tip")
 
@@ -24,8 +23,8 @@ class PoseCost:
         ValueError: a weight is negative or not finite, all are 0, or the words are none of those allowed.
     """
 
-    node_weights: str | tuple[float, ...] = "ramp"
-    error_weights: tuple[float, float, float] = (1.0, 1.0, 0.05)
+    node_weights: str | TensorLike = "ramp"
+    error_weights: TensorLike = (1.0, 1.0, 0.05)
 
     def __post_init__(self) -> None:
         if isinstance(self.node_weights, str):
@@ -33,7 +32,7 @@ class PoseCost:
         else:
             object.__setattr__(self, "node_weights", _weights("node_weights", self.node_weights))
         object.__setattr__(self, "error_weights", _weights("error_weights", self.error_weights))
-        if len(self.error_weights) != 3:
+        if len(self.diagonal(torch.zeros(()))) != 3:
             raise ValueError(f"error_weights: must be three numbers (x, y, θ), got {shown(self.error_weights)}")
 
     def weights(self, nodes: int, like: Tensor) -> Tensor:
@@ -47,18 +46,20 @@ class PoseCost:
 
     def diagonal(self, like: Tensor) -> Tensor:
         """The diagonal of K, (3,)."""
-        return like.new_tensor(self.error_weights)
+        (diagonal,) = as_floating(error_weights=self.error_weights)
+        return diagonal.to(like)
 
     def _omega(self, nodes: int, like: Tensor) -> Tensor:
         omega = like.new_zeros(nodes + 1)
         if not isinstance(self.node_weights, str):
-            count = len(self.node_weights)
+            (given,) = as_floating(node_weights=self.node_weights)
+            count = len(given)
             if count not in (nodes, nodes + 1):
                 raise ValueError(
                     f"node_weights: must be one of {', '.join(NODE_WEIGHTS)}, or {nodes} or {nodes + 1} numbers, "
                     f"got {count}"
                 )
-            omega[:count] = like.new_tensor(self.node_weights)
+            omega[:count] = given.to(like)
         elif self.node_weights == "tip":
             omega[-1] = 1.0
         elif self.node_weights == "ramp":
@@ -74,11 +75,9 @@ class PoseCost:
         return (self.weights(error.shape[-2] - 1, error) * error.square()).sum((-2, -1))
 
 
-def _weights(field: str, values: Sequence[float]) -> tuple[float, ...]:
-    try:
-        weights = tuple(float(value) for value in values)
-    except (TypeError, ValueError, RuntimeError):
-        raise ValueError(f"{field}: must be numbers, got {shown(values)}") from None
-    if not all(0 <= weight < float("inf") for weight in weights) or not any(weights):
-        raise ValueError(f"{field}: must be finite, at least 0 and not all 0, got {shown(values)}")
-    return weights
+def _weights(field: str, values: TensorLike) -> tuple[float, ...]:
+    """As a tuple, so that equal costs are equal and can be keys."""
+    (weights,) = as_floating(**{field: values})
+    if weights.ndim != 1 or not bool((weights >= 0).all() & weights.isfinite().all() & weights.any()):
+        raise ValueError(f"{field}: must be a list of numbers, finite, at least 0 and not all 0, got {shown(values)}")
+    return tuple(weights.tolist())
