@@ -98,6 +98,30 @@ def minimise(
     return place
 
 
+def follow_valley(look: Callable[[Tensor, Tensor], Model], start: Tensor, steps: int) -> Tensor:
+    """Gauss and Newton's method, undamped, from starts (B, M) next to where all residuals vanish; the best place met.
+
+    Where residuals are of very different stiffness, their zero lies in a curved valley: a long step along it leaves the
+    floor, the next returns to it. A method that never goes up creeps.
+    """
+    best, here = start, start
+    every = torch.arange(len(start), device=start.device)
+    model = look(every, start)
+    least = model.value
+    for _ in range(steps):
+        move, _ = box_step(model.gradient, model.curvature, here, torch.zeros_like(model.value))
+        here = here + move
+        model = look(every, here)
+        lost = ~model.value.isfinite()
+        if bool(lost.any()):  # back to the best, from which it leads here again: given up
+            here = torch.where(lost[:, None], best, here)
+            model = look(every, here)
+        better = model.value < least
+        best = torch.where(better[:, None], here, best)
+        least = torch.where(better, model.value, least)
+    return best
+
+
 def _largest(curvature: Tensor) -> Tensor:
     return curvature.diagonal(dim1=-2, dim2=-1).amax(-1).clamp(min=1e-30)
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from torcharm import mechanics, rod
-from torcharm._box_least_squares import Model, minimise, projected
+from torcharm._box_least_squares import Model, follow_valley, minimise, projected
 from torcharm._inputs import check_count, shown
 from torcharm._outer import Block, OuterProduct, map_blocks, outer_product
 from torcharm._response import Points, respond, size
@@ -33,6 +33,10 @@ RETREATS = (1.0, 0.5, 0.2, 0.0)
 """Parts of a move after which to make the balance linear again, each tried where the last one left nothing stable."""
 STEPS = 40
 """Of a minimisation over pressures."""
+NEAR, VALLEY_STEPS = 5e-3, 12
+"""Errors over the arm's length that are likely to vanish, and steps to see whether they do."""
+SECOND_CHANCES = 8
+"""Other starts where such an error does not: pressures of little effect leave local minima of micrometres."""
 TOLERANCES = {torch.float64: 1e-7, torch.float32: 1e-3}
 """Of the error's slope by a pressure, as a share of its limit, over the arm's length."""
 FLOORS = {torch.float64: 1e-10, torch.float32: 1e-5}
@@ -210,10 +214,10 @@ def _minimum(tasks: _Tasks, weights: Tensor, steps: int) -> _Found:
     shape = mechanics.to_unknowns(tasks.twists)
     target = rod.poses(tasks.twists, tasks.base_pose)
     problem = _Problem(Points.of(tasks.arm, shape, target, tasks.base_pose, tasks.tip_load), weights)
-    end = problem.minimise(*_start(problem))
+    end = _second_chance(problem, problem.minimise(*_start(problem)))
     for _ in range(steps - 1):
         problem, share, free = _restart(problem, end)
-        end = problem.minimise(share, free)
+        end = _second_chance(problem, problem.minimise(share, free))
     return _Found(end.share, problem.points.unknowns - shape, end.optimality, end.converged, end.stable, end.small)
 
 
@@ -257,6 +261,26 @@ def _restart(problem: "_Problem", end: "_End") -> tuple["_Problem", Tensor, Tens
     return problem.moved(end.move, part), share, free
 
 
+def _second_chance(problem: "_Problem", end: "_End") -> "_End":
+    """Where errors all but vanish, the best of other starts too."""
+    near = problem.near(end.value)
+    near = near[end.stable[near]]
+    if not len(near):
+        return end
+    draws = torch.quasirandom.SobolEngine(end.share.shape[-1]).draw(2 * SECOND_CHANCES, dtype=torch.float64)
+    draws = draws[SECOND_CHANCES:].to(end.share)
+    many = problem[near.repeat_interleave(SECOND_CHANCES)]
+    free = torch.zeros(len(many.points), dtype=torch.bool, device=near.device)
+    again = many.minimise(draws.repeat(len(near), 1), free)
+    rank = _rank(again.value, again.stable).view(-1, SECOND_CHANCES)
+    best = torch.arange(len(near), device=near.device) * SECOND_CHANCES + rank.argmin(-1)
+    better = again.stable[best] & (again.value[best] < end.value[near])
+    columns = [column.clone() for column in end]
+    for column, new in zip(columns, again, strict=True):
+        column[near[better]] = new[best[better]]
+    return _End(*columns)
+
+
 def _rank(value: Tensor, stable: Tensor) -> Tensor:
     """(B,) The smaller the better: stable ones first; no NaN."""
     value = torch.where(value.isfinite(), value, torch.finfo(value.dtype).max / 4)
@@ -273,6 +297,7 @@ class _End(NamedTuple):
     """Where B minimisations ended."""
 
     share: Tensor
+    value: Tensor
     move: Tensor
     optimality: Tensor
     converged: Tensor
@@ -294,6 +319,12 @@ class _Problem:
     def length(self) -> Tensor:
         """(B,) of the arms [m]."""
         return self.points.arm.length.mean(-1)
+
+    def near(self, value: Tensor) -> Tensor:
+        """Indices of those whose error all but vanishes, by half the cost (B,)."""
+        error = (2 * value).sqrt()
+        floor = FLOORS.get(value.dtype, 1e-3)
+        return ((error > floor * self.length) & (error < NEAR * self.length)).nonzero().squeeze(-1)
 
     def moved(self, move: Tensor, part: Tensor) -> "_Problem":
         """The balances made linear after a part (B,) of moves (B, 2, N), or of as much of them as is not too far."""
@@ -327,9 +358,14 @@ class _Problem:
         tolerance = TOLERANCES.get(start.dtype, 1e-2) * self.length
         place = minimise(look, start, judge, STEPS)
         end = self.look(place)
+        near = self.near(end.model.value)
+        if len(near):
+            place[near] = follow_valley(lambda index, share: look(near[index], share), place[near], VALLEY_STEPS)
+            end = self.look(place)
         optimality = _optimality(end.model, place, floor)
         return _End(
             place,
+            end.model.value,
             end.move,
             optimality,
             optimality <= tolerance,
