@@ -26,7 +26,7 @@ from torcharm import rod, se2
 from torcharm._inputs import TensorLike
 from torcharm.actuators import Actuator, Bellows, McKibben
 from torcharm.arm import ArmDesign
-from torcharm.attainability import Attainability, evaluate
+from torcharm.attainability import CHOICES, PREDICTED, Attainability, evaluate
 from torcharm.hulls import wrench_hulls
 from torcharm.task import Task
 from torcharm.wrenches import PLANAR, required_wrench
@@ -233,14 +233,16 @@ def study_figure(
         _limit(deep, scenes)
     for place, (metric, found) in enumerate(metrics.items()):
         axes = panels[1].add_subplot(1, len(metrics), place + 1)
-        _draw_histogram(axes, found, list(arms), f"{metric} unattainability", unit)
+        quantity, own, scale = _quantity(metric, unit)
+        scaled = {name: scale * value for name, value in found.items()}
+        _draw_histogram(axes, scaled, list(arms), quantity, own, metric != PREDICTED)
     return figure
 
 
 def _metrics(names: list[str], evaluated: Sequence[Attainability], tasks: int) -> dict[str, dict[str, Array]]:
     """For each metric that any arm has, those arms' values (tasks)."""
     metrics: dict[str, dict[str, Array]] = {}
-    for metric, index in product(("absolute", "relative"), range(len(names))):
+    for metric, index in product(CHOICES, range(len(names))):
         value = getattr(evaluated[index], metric)
         if value is not None:
             if value.numel() != tasks:
@@ -253,13 +255,19 @@ def _metrics(names: list[str], evaluated: Sequence[Attainability], tasks: int) -
 def _ranking(metrics: dict[str, dict[str, Array]], unit: str) -> list[str]:
     """Which arm misses least, so that the message needs no caption."""
     for metric, found in metrics.items():
+        quantity, own, scale = _quantity(metric, unit)
         ranked = sorted(found, key=lambda name: (np.isnan(_median(found[name])), _median(found[name])))
-        return [f"median {metric} unattainability: " + ", ".join(f"{n} {_median(found[n]):.3g} {unit}" for n in ranked)]
+        medians = (f"{name} {_median(found[name]) * scale:.3g} {own}" for name in ranked)
+        return [f"median {quantity}: " + ", ".join(medians)]
     return []
 
 
 def _findings(name: str, metrics: dict[str, dict[str, Array]], result: Attainability, unit: str) -> list[str]:
-    found = [f"{metric} {_summary(values[name], unit)}" for metric, values in metrics.items() if name in values]
+    found = []
+    for metric, values in metrics.items():
+        if name in values:
+            _, own, scale = _quantity(metric, unit)
+            found.append(f"{metric.replace('_', ' ')} {_summary(scale * values[name], own, metric != PREDICTED)}")
     lines = [f"{name}: {found[0] if found else 'no metric evaluated'}", *found[1:]]
     if not bool(result.in_range.all()):
         excess = float(result.strain_excess.max())
@@ -267,10 +275,15 @@ def _findings(name: str, metrics: dict[str, dict[str, Array]], result: Attainabi
     return lines
 
 
-def _summary(values: Array, unit: str) -> str:
+def _summary(values: Array, unit: str, counted: bool = True) -> str:
     lost = int((~np.isfinite(values)).sum())
-    count = f"{(values <= 0).sum()} of {len(values)} attainable"
-    return f"median {_median(values):.3g} {unit}, {count}" + (f", {lost} not finite" if lost else "")
+    count = f", {(values <= 0).sum()} of {len(values)} attainable" if counted else ""
+    return f"median {_median(values):.3g} {unit}{count}" + (f", {lost} not finite" if lost else "")
+
+
+def _quantity(metric: str, unit: str) -> tuple[str, str, float]:
+    """What a metric is called and shown in, and the factor to that unit."""
+    return ("predicted shape error", "mm", 1000.0) if metric == PREDICTED else (f"{metric} unattainability", unit, 1.0)
 
 
 def _median(values: Array) -> float:
@@ -379,8 +392,10 @@ def _limit(axes: Any, scenes: Sequence[_Scene]) -> None:
     axes.view_init(elev=20, azim=-55)
 
 
-def _draw_histogram(axes: Axes, values: dict[str, Array], names: list[str], quantity: str, unit: str) -> Axes:
-    """Histograms of arms, styled by their place among the names."""
+def _draw_histogram(
+    axes: Axes, values: dict[str, Array], names: list[str], quantity: str, unit: str, counted: bool = True
+) -> Axes:
+    """Histograms of arms, styled by their place among the names; counted if 0 is attainable."""
     finite = {name: value[np.isfinite(value)] for name, value in values.items()}
     edges = np.histogram_bin_edges(np.concatenate(list(finite.values())), bins=30)
     headroom = 0.12 + 0.09 * len(values)  # for the legend, above bars and lines
@@ -389,7 +404,7 @@ def _draw_histogram(axes: Axes, values: dict[str, Array], names: list[str], quan
         colour, line = ARM_COLOURS[index % len(ARM_COLOURS)], ARM_LINES[index % len(ARM_LINES)]
         axes.hist(value, edges.tolist(), color=colour, alpha=0.35)
         axes.hist(value, edges.tolist(), color=colour, histtype="step", linewidth=1.2, linestyle=line)
-        label = f"{name}: {_summary(values[name], unit)}"
+        label = f"{name}: {_summary(values[name], unit, counted)}"
         axes.axvline(_median(value), ymax=1 - headroom, color=colour, linewidth=2.5, linestyle=line, label=label)
     highest = max(1, *(np.histogram(value, edges)[0].max() for value in finite.values()))
     axes.set(xlabel=f"{quantity} [{unit}]", ylabel="number of tasks", ylim=(0, highest / (1 - headroom)))

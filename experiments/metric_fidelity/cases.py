@@ -43,13 +43,13 @@ class Case:
 
 def six_actuators() -> ta.ArmDesign:
     """Bellows outside and in between, muscles inside."""
-    kinds = [ta.Bellows(), ta.Bellows(), ta.McKibben(), ta.McKibben(), ta.Bellows(), ta.Bellows()]
+    kinds: list[ta.Actuator] = [ta.Bellows(), ta.Bellows(), ta.McKibben(), ta.McKibben(), ta.Bellows(), ta.Bellows()]
     return ta.ArmDesign([-0.08, -0.045, -0.015, 0.015, 0.045, 0.08], 0.5, kinds)
 
 
 def many_actuators(count: int) -> ta.ArmDesign:
     """Bellows and muscles in turn, evenly spread, for timings."""
-    kinds = [ta.Bellows() if index % 2 == 0 else ta.McKibben() for index in range(count)]
+    kinds: list[ta.Actuator] = [ta.Bellows() if index % 2 == 0 else ta.McKibben() for index in range(count)]
     return ta.ArmDesign(torch.linspace(-0.08, 0.08, count, dtype=torch.float64), 0.5, kinds)
 
 

@@ -4,6 +4,7 @@ import csv
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -105,19 +106,17 @@ def timings(tasks: int, searched: int) -> list[Timing]:
     def task(count: int, nodes: int = 10) -> ta.Task:
         return ta.Task(ta.affine_curvature(-3.0, 3.0, nodes=nodes), ta.sample_loads(count))
 
-    found = [_timed("absolute and relative", tasks, lambda: ta.evaluate(arm, task(tasks)))]
+    batch = task(tasks)
+    found = [_timed("absolute and relative", tasks, partial(ta.evaluate, arm, batch))]
     for steps in STEPS:
         name = f"predicted error, {steps} step{'s' if steps > 1 else ''}"
-        found.append(_timed(name, tasks, lambda steps=steps: ta.predict_error(arm, task(tasks), steps=steps)))
-    found.append(_timed("QP surrogate", tasks, lambda: qp_surrogate(arm, task(tasks))))
-    found.append(_timed("search", searched, lambda: ta.search_pressure(arm, task(searched))))
+        found.append(_timed(name, tasks, partial(ta.predict_error, arm, batch, steps=steps)))
+    found.append(_timed("QP surrogate", tasks, partial(qp_surrogate, arm, batch)))
+    found.append(_timed("search", searched, partial(ta.search_pressure, arm, task(searched))))
     for nodes in (5, 20, 40):
-        found.append(
-            _timed(f"1 step, N = {nodes}", tasks, lambda nodes=nodes: ta.predict_error(arm, task(tasks, nodes)))
-        )
+        found.append(_timed(f"1 step, N = {nodes}", tasks, partial(ta.predict_error, arm, task(tasks, nodes))))
     for count in (2, 6, 8, 12):
-        wide = many_actuators(count)
-        found.append(_timed(f"1 step, M = {count}", tasks, lambda wide=wide: ta.predict_error(wide, task(tasks))))
+        found.append(_timed(f"1 step, M = {count}", tasks, partial(ta.predict_error, many_actuators(count), batch)))
     return found
 
 
