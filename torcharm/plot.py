@@ -211,7 +211,9 @@ def study_figure(
     if len(evaluated) != len(arms):
         raise ValueError(f"evaluated: must hold one entry for each of the {len(arms)} results, got {len(evaluated)}")
     metrics = _metrics(list(arms), evaluated, len(drawn))
-    figure = Figure(figsize=(max(10.0, 5.2 * len(arms)), 14.0 if metrics else 10.5), layout="constrained")
+    figure = Figure(
+        figsize=(max(10.0, 5.2 * len(arms), 4.8 * len(metrics)), 14.0 if metrics else 10.5), layout="constrained"
+    )
     rows = 2 if metrics else 1
     panels: Any = figure.subfigures(rows, 1, squeeze=False, height_ratios=(3, 1)[:rows])[:, 0]
     title = [task_name, *_ranking(metrics, unit)]

@@ -32,13 +32,17 @@ class Case:
 
     @property
     def name(self) -> str:
-        slope, intercept = self.shape
-        return f"{self.arm} ({slope:g}, {intercept:g}), {self.moment:g}"
+        return case_name(self.arm, self.shape, self.moment)
 
     @property
     def task(self) -> ta.Task:
         loads = ta.sample_loads(self.loads, (20.0, 20.0, self.moment))
         return ta.Task(ta.affine_curvature(*self.shape, length=self.length), loads)
+
+
+def case_name(arm: str, shape: tuple[float, float], moment: float) -> str:
+    """As in the tables: the arm, its shape, and M0."""
+    return f"{arm} ({shape[0]:g}, {shape[1]:g}), {moment:g}"
 
 
 def six_actuators() -> ta.ArmDesign:

@@ -13,7 +13,7 @@ import torch
 from scipy.stats import spearmanr
 
 import torcharm as ta
-from experiments.metric_fidelity.cases import Case, many_actuators
+from experiments.metric_fidelity.cases import Case, case_name, many_actuators
 from experiments.metric_fidelity.surrogate import qp_surrogate
 
 Column = npt.NDArray[np.float64]
@@ -54,11 +54,14 @@ class Found:
         return float(np.median(np.abs(self.columns[metric] / self.true - 1)[chosen]))
 
 
-def measure(case: Case) -> Found:
+Searched = tuple[Column, Column]
+"""The true errors of a case, and the shares of starts that agree."""
+
+
+def measure(case: Case, known: Searched | None = None) -> Found:
+    """All columns of a case; of the search, which takes most of the time, those known already."""
     arm, task = case.design, case.task
-    search = ta.search_pressure(arm, task)
-    true = search.cost.sqrt()
-    agree = (search.start_cost.sqrt() <= AGREE * true.unsqueeze(-1) + 1e-6).double().mean(-1)
+    true, agree = known or _searched(arm, task)
     hulls = ta.evaluate(arm, task)
     weighted = ta.evaluate(arm, task, metrics=("absolute",), weights=(0.01, 1.0), power=2)
     columns = {"absolute": hulls.absolute, "relative": hulls.relative, "weighted": weighted.absolute}
@@ -69,7 +72,14 @@ def measure(case: Case) -> Found:
         columns[f"stable{steps}"] = found.stable
     columns["qp"] = qp_surrogate(arm, task)
     numbers = {name: _column(value) for name, value in columns.items()}
-    return Found(case, _column(true), _column(agree), numbers)
+    return Found(case, true, agree, numbers)
+
+
+def _searched(arm: ta.ArmDesign, task: ta.Task) -> Searched:
+    search = ta.search_pressure(arm, task)
+    true = search.cost.sqrt()
+    agree = (search.start_cost.sqrt() <= AGREE * true.unsqueeze(-1) + 1e-6).double().mean(-1)
+    return _column(true), _column(agree)
 
 
 def _column(value: torch.Tensor | None) -> Column:
@@ -88,6 +98,20 @@ def write(found: Sequence[Found]) -> None:
             for load in range(len(one.true)):
                 values = [one.true[load], one.agree[load], *(one.columns[name][load] for name in names)]
                 writer.writerow([*head, load + 1, *(f"{value:.6g}" for value in values)])
+
+
+def read() -> dict[str, Searched]:
+    """What the searches of results.csv found, by the cases' names."""
+    if not RESULTS.exists():
+        return {}
+    found: dict[str, tuple[list[float], list[float]]] = {}
+    with RESULTS.open(newline="") as file:
+        for row in csv.DictReader(file):
+            name = case_name(row["arm"], (float(row["slope"]), float(row["intercept"])), float(row["moment_Nm"]))
+            true, agree = found.setdefault(name, ([], []))
+            true.append(float(row["true_m"]))
+            agree.append(float(row["starts_agree"]))
+    return {name: (np.array(true), np.array(agree)) for name, (true, agree) in found.items()}
 
 
 @dataclass(frozen=True)

@@ -119,7 +119,8 @@ def write_results(path: str | PathLike[str], results: Sequence[StudyResult]) -> 
     Columns: arm; task; load, counted from 1; force_x_N, force_y_N and moment_Nm at the tip; each
     metric that was asked for (predicted_error in metres); worst_node, counted from 1, with the largest
     distance by the first of the metrics of wrenches (empty if no node misses); attainable, as of
-    `StudyResult`; in_range and strain_excess as in `Attainability`. Numbers are written in full, truths as true and false.
+    `StudyResult`; in_range and strain_excess as in `Attainability`. Numbers are written in full, truths as
+    true and false.
 
     Raises:
         ValueError: the results were not evaluated with the same metrics.
