@@ -19,6 +19,8 @@ from torcharm.attainability import Attainability, evaluate
 from torcharm.distance.closed_form import distance_to_hull
 from torcharm.equilibrium import Equilibrium, NotConvergedError, solve_equilibrium
 from torcharm.hulls import WrenchHulls, wrench_hulls
+from torcharm.pose_cost import PoseCost
+from torcharm.prediction import PredictedError, predict_error
 from torcharm.pressure_fit import PressureFit, fit_pressure
 from torcharm.rod import poses
 from torcharm.search import PressureSearch, search_pressure
@@ -58,6 +60,8 @@ __all__ = [
     "Monotonicity",
     "NotConvergedError",
     "PolynomialActuator",
+    "PoseCost",
+    "PredictedError",
     "PressureFit",
     "PressureSearch",
     "Recording",
@@ -87,6 +91,7 @@ __all__ = [
     "planar_distance",
     "pool",
     "poses",
+    "predict_error",
     "qp_distance",
     "reaction_wrench",
     "read_pressure",

@@ -9,6 +9,8 @@ import typer
 
 from torcharm.cli.terminal import FIGURE_FORMATS, check_outputs, count, figure_paths, mistakes, open_console, say
 
+_PREDICTED = "predicted_error"  # torcharm.attainability, which loads torch, must wait
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
@@ -90,10 +92,12 @@ def _table(rows: Sequence[tuple["StudyResult", "Summary"]], settings: "Settings"
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
     table.add_column("arm", overflow="fold")
     for metric in metrics:
-        table.add_column(f"{metric}\nmedian", justify="right")
-    table.add_column(f"{metrics[0]}\n{zero}", justify="right")
-    if len(metrics) > 1:
-        table.add_column(f"{'both' if len(metrics) == 2 else 'all'}\n{zero}", justify="right")
+        table.add_column("predicted\n[mm]" if metric == _PREDICTED else f"{metric}\nmedian", justify="right")
+    first = metrics[0]
+    tolerable = first == _PREDICTED  # nothing else was asked for
+    table.add_column("predicted\n≤ 1 mm" if tolerable else f"{first}\n{zero}", justify="right")
+    if len(set(metrics) - {_PREDICTED}) > 1:
+        table.add_column(f"both\n{zero}", justify="right")
     table.add_column("worst\nnode", justify="right")
     table.add_column("strain\nout of range", no_wrap=True)
     for result, summary in rows:
@@ -103,9 +107,9 @@ def _table(rows: Sequence[tuple["StudyResult", "Summary"]], settings: "Settings"
 
 def _cells(summary: "Summary", metrics: Sequence[str]) -> Iterator[str]:
     for metric in metrics:
-        yield f"{summary.median[metric]:.4g}"
+        yield f"{summary.median[metric] * (1000 if metric == _PREDICTED else 1):.4g}"
     yield str(summary.attainable[metrics[0]])
-    if len(metrics) > 1:
+    if len(set(metrics) - {_PREDICTED}) > 1:
         yield str(summary.all_attainable)
     yield "-" if summary.worst_node is None else str(summary.worst_node)
     yield f"yes, by {summary.strain_excess:.2g}" if _strained(summary) else "no"
@@ -122,13 +126,17 @@ def _legend(settings: "Settings", node_metric: str | None) -> "Table":
     metrics, power = settings.metrics, "squared distance" if settings.power == 2 else "distance"
     legend = Table.grid(padding=(0, 2))
     basis = "wrenches" if "absolute" in metrics else "differences from the wrench at node 1"
-    legend.add_row(metrics[0], f"{power} of the required {basis} from the attainable ones, summed over the nodes")
-    if metrics[:2] == ("absolute", "relative"):
-        legend.add_row("relative", "the same for differences from the wrench at node 1, the base")
-    legend.add_row("unit", _unit(settings))
-    below = "; below, minus the smallest margin" if settings.signed else ""
-    legend.add_row(f"{'≤' if settings.signed else '='} 0", f"number of loads that are attainable{below}")
-    legend.add_row("worst node", f"has the largest mean {node_metric} distance; node 1 is the base")
+    if metrics[0] != _PREDICTED:
+        legend.add_row(metrics[0], f"{power} of the required {basis} from the attainable ones, summed over the nodes")
+        if metrics[:2] == ("absolute", "relative"):
+            legend.add_row("relative", "the same for differences from the wrench at node 1, the base")
+        legend.add_row("unit", _unit(settings))
+        below = "; below, minus the smallest margin" if settings.signed else ""
+        legend.add_row(f"{'≤' if settings.signed else '='} 0", f"number of loads that are attainable{below}")
+    if _PREDICTED in metrics:
+        legend.add_row("predicted", "shape error to expect, the square root of its cost Σ ω (x² + y² + 0.05 θ²)")
+    if node_metric is not None:
+        legend.add_row("worst node", f"has the largest mean {node_metric} distance; node 1 is the base")
     return legend
 
 

@@ -79,11 +79,13 @@ def actuator_part(
         by_length = by_strain / neutral
         first = radii * by_length
         moment, moment_length, moment_curvature = -radii * force, -first.sum(-2), (radii * first).sum(-2)
-        bends = any(linear_stiffness(m.bending_stiffness) != 0 or bending_model(m.bending_stiffness) for m in models)
+        bends = any_bending(models)
         active = reference = None
         if bends:  # a term that is switched off costs nothing
             reference = along(reference_pressures(models), strain, -2)
-            bent = _bending(models, curvature, own_length, neutral, pressure.unsqueeze(-1) / reference, create_graph)
+            bent = bending_moments(
+                models, curvature, own_length, neutral, pressure.unsqueeze(-1) / reference, create_graph
+            )
             active = bent.active
             # k = κ/l_α, with l_α = l - r κ
             squeeze = bent.slope * bent.squeezed
@@ -108,7 +110,12 @@ def actuator_part(
         return ActuatorPart(wrench, blocks, torch.stack(rows, -3).transpose(-1, -2))
 
 
-class _Bent(NamedTuple):
+def any_bending(models: tuple[Actuator, ...]) -> bool:
+    """Whether any actuator bears bending moments."""
+    return any(linear_stiffness(m.bending_stiffness) != 0 or bending_model(m.bending_stiffness) for m in models)
+
+
+class Bent(NamedTuple):
     """Bending moments, each broadcasting to (..., M, N).
 
     Attributes:
@@ -126,14 +133,15 @@ class _Bent(NamedTuple):
     squeezed: Tensor
 
 
-def _bending(
+def bending_moments(
     models: tuple[Actuator, ...],
     curvature: Tensor,
     own_length: Tensor,
     neutral: Tensor,
     share: Tensor,
     create_graph: bool,
-) -> _Bent:
+) -> Bent:
+    """Moments at shares of the reference pressures."""
     per_length = rod.material_curvature(torch.ones_like(own_length), own_length, neutral)
     material = curvature * per_length
     # where the length is held, see `rod.material_curvature`, it has no derivative
@@ -142,7 +150,7 @@ def _bending(
     if all(bending_model(model.bending_stiffness) is None for model in models):
         stiffness = along([float(model.bending_stiffness) for model in models], material, -2)  # type: ignore[arg-type]
         active = stiffness * material
-        return _Bent(active * share, active, stiffness * share, per_length, squeezed)
+        return Bent(active * share, active, stiffness * share, per_length, squeezed)
     with torch.enable_grad():
         bend = material.clone() if create_graph and material.requires_grad else material.detach().requires_grad_()
         parts = list(zip((model.bending_stiffness for model in models), bend.unbind(-2), strict=True))
@@ -159,7 +167,7 @@ def _bending(
             )
     if not create_graph:
         moment, active = moment.detach(), active.detach()
-    return _Bent(moment, active, slope, per_length, squeezed)
+    return Bent(moment, active, slope, per_length, squeezed)
 
 
 def _stacked(axial: Tensor, moment: Tensor, unknowns: Tensor, actuators: int, shear_stiffness: float | None) -> Tensor:

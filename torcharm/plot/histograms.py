@@ -28,11 +28,11 @@ def unattainability_histogram(values: Mapping[str, Tensor], *, ax: Axes | None =
     return draw_histogram(axes_or_new(ax), arrays, list(arrays), "unattainability", unit)
 
 
-def summary(values: Array, unit: str) -> str:
-    """Median and number attainable, in words."""
+def summary(values: Array, unit: str, counted: bool = True) -> str:
+    """Median and, if counted, number attainable, in words."""
     lost = int((~np.isfinite(values)).sum())
-    count = f"{(values <= 0).sum()} of {len(values)} attainable"
-    return f"median {median(values):.3g} {unit}, {count}" + (f", {lost} not finite" if lost else "")
+    count = f", {(values <= 0).sum()} of {len(values)} attainable" if counted else ""
+    return f"median {median(values):.3g} {unit}{count}" + (f", {lost} not finite" if lost else "")
 
 
 def median(values: Array) -> float:
@@ -41,8 +41,10 @@ def median(values: Array) -> float:
     return float(np.median(finite)) if len(finite) else float("nan")
 
 
-def draw_histogram(axes: Axes, values: dict[str, Array], names: list[str], quantity: str, unit: str) -> Axes:
-    """Histograms of arms, styled by their place among the names."""
+def draw_histogram(
+    axes: Axes, values: dict[str, Array], names: list[str], quantity: str, unit: str, counted: bool = True
+) -> Axes:
+    """Histograms of arms, styled by their place among the names; counted if 0 is attainable."""
     finite = {name: value[np.isfinite(value)] for name, value in values.items()}
     edges = np.histogram_bin_edges(np.concatenate(list(finite.values())), bins=30)
     headroom = 0.12 + 0.09 * len(values)  # for the legend, above bars and lines
@@ -51,7 +53,7 @@ def draw_histogram(axes: Axes, values: dict[str, Array], names: list[str], quant
         colour, line = ARM_COLOURS[index % len(ARM_COLOURS)], ARM_LINES[index % len(ARM_LINES)]
         axes.hist(value, edges.tolist(), color=colour, alpha=0.35)
         axes.hist(value, edges.tolist(), color=colour, histtype="step", linewidth=1.2, linestyle=line)
-        label = f"{name}: {summary(values[name], unit)}"
+        label = f"{name}: {summary(values[name], unit, counted)}"
         axes.axvline(median(value), ymax=1 - headroom, color=colour, linewidth=2.5, linestyle=line, label=label)
     highest = max(1, *(np.histogram(value, edges)[0].max() for value in finite.values()))
     axes.set(xlabel=f"{quantity} [{unit}]", ylabel="number of tasks", ylim=(0, highest / (1 - headroom)))

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from torcharm.arm import ArmDesign
-from torcharm.attainability import Attainability
+from torcharm.attainability import CHOICES, PREDICTED, Attainability
 from torcharm.plot._common import ARM_COLOURS, ATTAINABLE, UNATTAINABLE, Array, array, first_shape, one_design
 from torcharm.plot.arms import draw_arm, draw_loads
 from torcharm.plot.histograms import draw_histogram, median, summary
@@ -49,7 +49,8 @@ def study_figure(
     if len(evaluated) != len(arms):
         raise ValueError(f"evaluated: must hold one entry for each of the {len(arms)} results, got {len(evaluated)}")
     metrics = _metrics(list(arms), evaluated, len(drawn))
-    figure = Figure(figsize=(max(10.0, 5.2 * len(arms)), 14.0 if metrics else 10.5), layout="constrained")
+    width = max(10.0, 5.2 * len(arms), 4.8 * len(metrics))
+    figure = Figure(figsize=(width, 14.0 if metrics else 10.5), layout="constrained")
     rows = 2 if metrics else 1
     panels: Any = figure.subfigures(rows, 1, squeeze=False, height_ratios=(3, 1)[:rows])[:, 0]
     title = [task_name, *_ranking(metrics, unit)]
@@ -71,14 +72,16 @@ def study_figure(
         limit_axes(deep, scenes)
     for place, (metric, found) in enumerate(metrics.items()):
         axes = panels[1].add_subplot(1, len(metrics), place + 1)
-        draw_histogram(axes, found, list(arms), f"{metric} unattainability", unit)
+        quantity, own, scale = _quantity(metric, unit)
+        scaled = {name: scale * value for name, value in found.items()}
+        draw_histogram(axes, scaled, list(arms), quantity, own, metric != PREDICTED)
     return figure
 
 
 def _metrics(names: list[str], evaluated: Sequence[Attainability], tasks: int) -> dict[str, dict[str, Array]]:
     """For each metric that any arm has, those arms' values (tasks)."""
     metrics: dict[str, dict[str, Array]] = {}
-    for metric, index in product(("absolute", "relative"), range(len(names))):
+    for metric, index in product(CHOICES, range(len(names))):
         value = getattr(evaluated[index], metric)
         if value is not None:
             if value.numel() != tasks:
@@ -91,15 +94,26 @@ def _metrics(names: list[str], evaluated: Sequence[Attainability], tasks: int) -
 def _ranking(metrics: dict[str, dict[str, Array]], unit: str) -> list[str]:
     """Which arm misses least, so that the message needs no caption."""
     for metric, found in metrics.items():
+        quantity, own, scale = _quantity(metric, unit)
         ranked = sorted(found, key=lambda name: (np.isnan(median(found[name])), median(found[name])))
-        return [f"median {metric} unattainability: " + ", ".join(f"{n} {median(found[n]):.3g} {unit}" for n in ranked)]
+        medians = (f"{name} {median(found[name]) * scale:.3g} {own}" for name in ranked)
+        return [f"median {quantity}: " + ", ".join(medians)]
     return []
 
 
 def _findings(name: str, metrics: dict[str, dict[str, Array]], result: Attainability, unit: str) -> list[str]:
-    found = [f"{metric} {summary(values[name], unit)}" for metric, values in metrics.items() if name in values]
+    found = []
+    for metric, values in metrics.items():
+        if name in values:
+            _, own, scale = _quantity(metric, unit)
+            found.append(f"{metric.replace('_', ' ')} {summary(scale * values[name], own, metric != PREDICTED)}")
     lines = [f"{name}: {found[0] if found else 'no metric evaluated'}", *found[1:]]
     if not bool(result.in_range.all()):
         excess = float(result.strain_excess.max())
         lines.append("extrapolates: " + (f"strain {excess:.2g} beyond range" if excess > 0 else "pressure limits"))
     return lines
+
+
+def _quantity(metric: str, unit: str) -> tuple[str, str, float]:
+    """What a metric is called and shown in, and the factor to that unit."""
+    return ("predicted shape error", "mm", 1000.0) if metric == PREDICTED else (f"{metric} unattainability", unit, 1.0)

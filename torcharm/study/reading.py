@@ -22,7 +22,7 @@ from torcharm.actuators import (
 )
 from torcharm.actuators.model_file import load_actuator
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
-from torcharm.attainability import METRICS
+from torcharm.attainability import CHOICES
 from torcharm.hulls import sample_count, slot_count
 from torcharm.study.data import NamedArm, NamedTask, Settings, Study
 from torcharm.study.fields import field_path, first_mistake, one_line, shown_value, within
@@ -214,7 +214,7 @@ def _settings(table: EvaluateTable) -> Settings:
     force, moment = table.weights
     options = table.model_dump(exclude={"metrics", "weights"})
     return Settings(
-        metrics=tuple(name for name in METRICS if name in table.metrics), weights=(force, moment), **options
+        metrics=tuple(name for name in CHOICES if name in table.metrics), weights=(force, moment), **options
     )
 
 

@@ -10,8 +10,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm.attainability import METRICS, Attainability, evaluate
+from torcharm.attainability import METRICS, PREDICTED, Attainability, evaluate
 from torcharm.study.data import NamedArm, NamedTask, Settings, Study
+
+TOLERABLE = 1e-3
+"""A predicted shape error [m] that counts as none."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +39,12 @@ class StudyResult:
 
     @property
     def attainable(self) -> Tensor:
-        """Whether no metric that was asked for is above 0, (*task batch); a NaN is not attainable."""
-        return torch.stack([self.metric(name) <= 0 for name in self.settings.metrics]).all(0)
+        """Whether no metric of wrenches that was asked for is above 0, (*task batch); a NaN is not attainable.
+
+        Where only the predicted error was asked for: whether it is at most `TOLERABLE`.
+        """
+        limits = {name: 0.0 for name in self.settings.metrics if name in METRICS} or {PREDICTED: TOLERABLE}
+        return torch.stack([self.metric(name) <= limit for name, limit in limits.items()]).all(0)
 
     @property
     def node_metric(self) -> str | None:
@@ -61,8 +68,8 @@ class Summary:
     Attributes:
         loads: how many.
         median: of each metric.
-        attainable: how many loads have each metric at 0 (signed: or below).
-        all_attainable: how many loads have all metrics there.
+        attainable: how many loads have each metric at 0 (signed: or below); the predicted error at `TOLERABLE`.
+        all_attainable: how many loads are attainable, as of `StudyResult`.
         worst_node: from 1, the node with the largest mean distance by the node metric; None if none misses.
         strain_excess: largest strain beyond its actuator's characterised range, 0 if none is.
         limits_in_range: whether the pressure limits lie in the characterised range.
@@ -96,7 +103,9 @@ def summarise(result: StudyResult) -> Summary:
     return Summary(
         loads=result.attainable.numel(),
         median={name: float(np.median(value.detach().cpu().numpy())) for name, value in values.items()},
-        attainable={name: int((value <= 0).sum()) for name, value in values.items()},
+        attainable={
+            name: int((value <= (TOLERABLE if name == PREDICTED else 0)).sum()) for name, value in values.items()
+        },
         all_attainable=int(result.attainable.sum()),
         worst_node=None if distance is None else int(_worst_node(_mean_over_loads(distance))) or None,
         strain_excess=float(result.attainability.strain_excess.max()),
@@ -108,9 +117,10 @@ def write_results(path: str | PathLike[str], results: Sequence[StudyResult]) -> 
     """Write a CSV file with a row for every arm, task and load; returns the number of rows.
 
     Columns: arm; task; load, counted from 1; force_x_N, force_y_N and moment_Nm at the tip; each
-    metric that was asked for; worst_node, counted from 1, with the largest distance by the first of
-    the metrics (empty if no node misses); attainable, if all metrics are 0; in_range and strain_excess
-    as in `Attainability`. Numbers are written in full, truths as true and false.
+    metric that was asked for (predicted_error in metres); worst_node, counted from 1, with the largest
+    distance by the first of the metrics of wrenches (empty if no node misses); attainable, as of
+    `StudyResult`; in_range and strain_excess as in `Attainability`. Numbers are written in full, truths as
+    true and false.
 
     Raises:
         ValueError: the results were not evaluated with the same metrics.

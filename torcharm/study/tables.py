@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag
 
-from torcharm.attainability import METRICS
+from torcharm.attainability import CHOICES, METRICS
 from torcharm.distance import DISTANCES
 from torcharm.hulls import KINDS
 from torcharm.rod import BASE_POSE
@@ -197,7 +197,7 @@ class EvaluateTable(Table):
     """How to evaluate."""
 
     metrics: Annotated[
-        list[Annotated[str, one_of(METRICS)]], filled(f"a list of metrics, such as {json.dumps(METRICS)}")
+        list[Annotated[str, one_of(CHOICES)]], filled(f"a list of metrics, such as {json.dumps(METRICS)}")
     ] = list(METRICS)
     hull: Annotated[str, one_of(KINDS)] = Settings.hull
     samples: Annotated[int, Field(ge=2, le=1_000_000)] | None = Settings.samples

@@ -1,0 +1,1 @@
+"""How well metrics foretell the shape error that a pressure search finds in the end."""
