@@ -115,9 +115,7 @@ def check_tasks(
     return tasks
 
 
-def _checked(
-    method: str, starts: int, seed: int, iterations: int | None, tolerance: float, checkpoint: object
-) -> int:
+def _checked(method: str, starts: int, seed: int, iterations: int | None, tolerance: float, checkpoint: object) -> int:
     check_choice("method", method, METHODS)
     check_count("starts", starts, 1)
     check_count("seed", seed, 0)

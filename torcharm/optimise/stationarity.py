@@ -12,7 +12,9 @@ ACTIVE = 1e-4
 """Constraints with less room count as met with equality."""
 
 
-def stationarity(problem: Problem, point: Tensor, owner: int, radius: float = RADIUS, count: int | None = None) -> float:
+def stationarity(
+    problem: Problem, point: Tensor, owner: int, radius: float = RADIUS, count: int | None = None
+) -> float:
     """The least norm of a convex mix of nearby gradients plus normals of active constraints, over their mean norm.
 
     At a minimum of a function with kinks some convex mix of the gradients on the sides of the kinks is balanced by
