@@ -67,9 +67,10 @@ class PlannedShape:
         cost: what was minimised.
         stationarity: norm of the cost's gradient, balanced by the constraints as far as they can, over its norm
             unbalanced: 0 at a minimum.
-        converged: whether the tip is met to 1e-8 and, for a heuristic, stationarity is below 1e-5. The unattainability of a shape
-            may have kinks at its minimum, where stationarity stays large.
-        attainability: of the shape under the loads, as `evaluate` finds with the objective's options (the default ones for a heuristic).
+        converged: whether the tip is met to 1e-8 and, for a heuristic, stationarity is below 1e-5. Unattainability
+            may have a kink at its minimum, where stationarity stays large.
+        attainability: of the shape under the loads, as `evaluate` finds with the objective's options (for a
+            heuristic, with its own).
     """
 
     twists: Tensor

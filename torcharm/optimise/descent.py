@@ -21,7 +21,7 @@ GOING, OPTIMAL, STALLED, LIMIT, FAILED = range(5)
 REASONS = ("going", "optimal", "stalled", "iterations", "failed")
 COOLING = (0.1, 0.01, 1e-3)
 """Temperatures of smoothed aggregates, as fractions of the values' size when a stage begins."""
-FIRST_STEP = 0.2
+FIRST_STEP = 0.5
 """About how far the first step goes, of the distance between bounds."""
 SUFFICIENT = 1e-4
 MOST_HALVINGS = 15

@@ -52,7 +52,7 @@ class DesignSpace:
         in_range: whether strains on all task shapes, and limits, stay in the models' characterised range.
     """
 
-    free: tuple[str, ...] = ("radii", "length")
+    free: str | Sequence[str] = ("radii", "length")
     tied: Ties | Mapping[str, Ties] = None
     bounds: Mapping[str, Limits] = field(default_factory=dict)
     spacing: float = 0.0
