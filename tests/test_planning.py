@@ -16,7 +16,7 @@ LOAD = (6.0, 0.0, 0.0)
 
 
 def _tip_error(twists: torch.Tensor) -> float:
-    return float((ta.poses(twists)[..., -1, :] - torch.tensor(TIP).double()).abs().max())
+    return float((ta.poses(twists)[..., -1, :] - torch.tensor(TIP, dtype=torch.float64)).abs().max())
 
 
 def test_the_published_shape_has_the_published_metrics() -> None:
@@ -47,12 +47,12 @@ def test_smooth_shapes_meet_the_tip_and_no_neighbour_is_smoother(smoothness: Smo
     at = torch.cat((length, curvature))
 
     def tip(z: torch.Tensor) -> torch.Tensor:
-        return ta.poses(torch.stack((z[:10], torch.zeros(10).double(), z[10:]), -1))[-1] - torch.tensor(TIP).double()
+        return ta.poses(torch.stack((z[:10], torch.zeros(10).double(), z[10:]), -1))[-1] - torch.tensor(TIP, dtype=torch.float64)
 
     for step in (1e-2, 1e-3):
-        for _ in range(40):
+        for _ in range(10):
             z = at + step * torch.randn(20, generator=generator, dtype=torch.float64)
-            for _ in range(5):
+            for _ in range(4):
                 jacobian = torch.autograd.functional.jacobian(tip, z)
                 z = z - torch.linalg.pinv(jacobian) @ tip(z)  # type: ignore[operator]
             assert float(cost(z[:10], z[10:])) >= plan.cost - 1e-9
@@ -66,8 +66,8 @@ def test_a_heavy_weight_keeps_lengths_and_a_light_one_lets_them_go() -> None:
 
 
 def test_the_best_held_shape_is_held() -> None:
-    plan = plan_shape(ARM, TIP, LOAD, starts=2, nodes=6)
-    smooth = plan_shape(ARM, TIP, LOAD, PAPER_SHAPES[0], nodes=6)
+    plan = plan_shape(ARM, TIP, LOAD, starts=1, nodes=5)
+    smooth = plan_shape(ARM, TIP, LOAD, PAPER_SHAPES[0], nodes=5)
     task = ta.Task(smooth.twists, LOAD)
     objective = Objective(power=2, relative_weight=1.0, margin=False)
     assert _tip_error(plan.twists) < 1e-8
@@ -78,7 +78,7 @@ def test_the_best_held_shape_is_held() -> None:
 
 def test_several_loads_count_together() -> None:
     loads = torch.tensor([[6.0, 0.0, 0.0], [-6.0, 0.0, 0.0]]).double()
-    plan = plan_shape(ARM, TIP, loads, Objective(power=2, margin=False), starts=1, nodes=6)
+    plan = plan_shape(ARM, TIP, loads, Objective(power=2, margin=False), starts=1, nodes=4)
     assert plan.attainability.absolute is not None
     assert plan.attainability.absolute.shape == (2,)
     assert plan.cost == pytest.approx(float(plan.attainability.absolute.mean()), abs=1e-12)

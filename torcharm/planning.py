@@ -214,7 +214,7 @@ class _TipProblem:
         from scipy.optimize import minimize
 
         held = start.copy()
-        scale = max(abs(float(cost(torch.from_numpy(start)))), 1e-12)
+        scale = abs(float(cost(torch.from_numpy(start)))) or 1.0
 
         def whole(part: Array) -> Array:
             z = held.copy()
@@ -312,25 +312,15 @@ def _best_held(
         return judge.total(judge.per_task(problem.arm, (shaped,))).double()
 
     random = np.random.default_rng(seed)
-    length = float(problem.arm.length.mean())
+    arc = _arc(problem, float(problem.arm.length.mean()))
     plans = []
     for index in range(starts):
-        start = _arc(problem, length)
+        wished = arc.copy()
         if index:
-            start[problem.nodes :] += random.normal(0.0, 1.0, problem.nodes)
-        start = (
-            problem.minimise(
-                lambda z: (
-                    z[problem.nodes :].diff().square().sum()
-                    + (z[: problem.nodes] - length / _LENGTH_UNIT).square().sum()
-                ),
-                start,
-                200,
-            )
-            if index == 0
-            else problem.onto_tip(start)
-        )
-        plans.append((problem.minimise(cost, start, iterations, tolerance=1e-9), cost))
+            wished[problem.nodes :] += random.normal(0.0, 1.0, problem.nodes)
+        start = problem.minimise(lambda z, wish=torch.from_numpy(wished): (z - wish).square().sum(), wished, 100)
+        if problem.violation(start) < TIP_TOLERANCE:
+            plans.append((problem.minimise(cost, start, iterations, tolerance=1e-9), cost))
     return plans
 
 

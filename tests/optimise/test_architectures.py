@@ -6,13 +6,13 @@ import torch
 import torcharm as ta
 from torcharm.optimise import DesignSpace, optimise_architectures, optimise_design
 
-SHAPES = ta.affine_curvature([-3.0, 1.0], [3.0, 1.5], nodes=4)
+SHAPES = ta.affine_curvature([-3.0, 1.0], [3.0, 1.5], nodes=3)
 TASK = ta.Task(SHAPES, (5.0, -4.0, 1.0))
 ARM = ta.antagonistic_arm(outer_radius=0.03)
 
 
 def test_all_types_at_all_positions_best_first() -> None:
-    found = optimise_architectures(ARM, TASK, starts=2, iterations=40)
+    found = optimise_architectures(ARM, TASK, starts=1, iterations=15)
     assert not found.mirrored
     assert sorted(found.names) == sorted({f"{a}{b}{c}{d}" for a in "BM" for b in "BM" for c in "BM" for d in "BM"})
     values = [design.value for design in found.designs]
@@ -20,12 +20,12 @@ def test_all_types_at_all_positions_best_first() -> None:
     assert all(design.in_range for design in found.designs)
     chosen = found.designs[found.names.index("BMMB")]
     assert [type(model).__name__[0] for model in chosen.best.actuators] == list("BMMB")
-    alone = optimise_design(ARM, TASK, starts=2, iterations=40)
+    alone = optimise_design(ARM, TASK, starts=1, iterations=15)
     assert chosen.value == pytest.approx(alone.value, rel=1e-6)
 
 
 def test_mirror_images_are_merged_where_tasks_are_their_own_mirror_image() -> None:
-    shapes = ta.affine_curvature([-3.0, 3.0], [3.0, -3.0], nodes=4)
+    shapes = ta.affine_curvature([-3.0, 3.0], [3.0, -3.0], nodes=3)
     loads = torch.tensor([[3.0, 1.0, 0.1], [-3.0, 1.0, -0.1]]).double()
     found = optimise_architectures(ARM, ta.Task(shapes, loads), starts=1, iterations=2)
     assert found.mirrored
@@ -37,7 +37,7 @@ def test_mirror_images_are_merged_where_tasks_are_their_own_mirror_image() -> No
 
 def test_mirrored_arms_are_worth_the_same_on_mirrored_tasks() -> None:
     """What merging rests on."""
-    shapes = ta.affine_curvature([-3.0, 3.0], [3.0, -3.0], nodes=4)
+    shapes = ta.affine_curvature([-3.0, 3.0], [3.0, -3.0], nodes=3)
     loads = torch.tensor([[3.0, 1.0, 0.1], [-3.0, 1.0, -0.1]]).double()
     task = ta.Task(shapes, loads)
     arm = ta.ArmDesign([-0.03, -0.01, 0.02, 0.04], [0.5, 0.45, 0.47, 0.5], [ta.Bellows(), *[ta.McKibben()] * 3])
@@ -49,7 +49,7 @@ def test_mirrored_arms_are_worth_the_same_on_mirrored_tasks() -> None:
 
 
 def test_infeasible_architectures_are_named() -> None:
-    space = DesignSpace(bounds={"radii": (-0.06, 0.06), "length": (0.4, 0.5)}, spacing=0.018)
+    space = DesignSpace(bounds={"radii": (-0.06, 0.06), "length": (0.4, 0.5)}, spacing=0.025)
     found = optimise_architectures(ARM, TASK, space, starts=1, iterations=1)
     assert "BBBB" in found.names
     assert "MMMM" in found.infeasible

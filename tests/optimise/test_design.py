@@ -12,8 +12,8 @@ from torcharm.optimise.descent import begin
 from torcharm.optimise.feasible import feasible_designs
 from torcharm.optimise.objective import Problem
 
-SHAPES = ta.affine_curvature([[-3.0], [1.0], [6.0]], [[3.0], [1.5], [-1.5]], nodes=6)
-TASK = ta.Task(SHAPES, ta.sample_loads(3, (20.0, 20.0, 5.0)))
+SHAPES = ta.affine_curvature([[-3.0], [6.0]], [[3.0], [-1.5]], nodes=4)
+TASK = ta.Task(SHAPES, ta.sample_loads(2, (20.0, 20.0, 5.0)))
 EASY = ta.Task(ta.affine_curvature(0.1, 0.2, length=0.5, nodes=5), (0.1, 0.0, 0.0))
 ARM = ta.antagonistic_arm()
 
@@ -91,11 +91,11 @@ def test_limits_may_be_free() -> None:
     assert found.value <= fixed.value * (1 + 1e-3), "limits as high as the given ones are allowed"
 
 
-@pytest.mark.parametrize("loads", [1, 334])
+@pytest.mark.parametrize("loads", [1, 500])
 def test_one_task_and_a_thousand(loads: int) -> None:
     task = ta.Task(SHAPES, ta.sample_loads(loads)) if loads > 1 else ta.Task(SHAPES[0, 0], ta.sample_loads(1)[0])
     found = optimise_design(ARM, task, starts=1, iterations=4)
-    assert found.after["absolute"].numel() == max(1, 3 * loads) if loads > 1 else 1
+    assert found.after["absolute"].numel() == (2 * loads if loads > 1 else 1)
     assert found.value < float(found.start_values[0])
 
 

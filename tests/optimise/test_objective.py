@@ -104,7 +104,7 @@ class Brittle(ta.Bellows):
 
 
 def test_what_is_no_number_is_infinite_and_has_no_gradient() -> None:
-    arm = ta.ArmDesign(ta.bellows_arm().radii, 0.5, [Brittle()] * 4)
+    arm = ta.ArmDesign([-0.02, -0.01, 0.01, 0.02], 0.5, [Brittle()] * 4)
     polytope = feasible_designs(DesignSpace(free="length", in_range=False), arm, [TASK])
     points = torch.tensor([[1.0], [0.05]]).double().expand(2, 4)
     problem = Problem((polytope,), (TASK,), Objective())

@@ -92,7 +92,7 @@ def models_from(header: Sequence[Mapping[str, Any]], given: Sequence[Actuator] |
     for entry in header:
         if "foreign" in entry:
             raise ValueError(
-                f"actuators: {path} holds designs with a force model of your own, {entry['foreign']}; pass actuators=..."
+                f"actuators: {path} holds a force model of your own, {entry['foreign']}; pass actuators=..."
             )
         options = {name: _tuples(value) for name, value in entry.items() if name != "kind"}
         models.append(KINDS[entry["kind"]](**options))

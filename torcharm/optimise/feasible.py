@@ -115,7 +115,11 @@ def feasible_designs(space: DesignSpace, arm: ArmDesign, tasks: Sequence[Task]) 
 
 
 def _scaled(parts: Sequence[Rows], spread: Array, base: Array) -> Rows:
-    """Constraints over θ and the bounds as rows over u, of length 1; what u has no part in is dropped or contradictory."""
+    """Constraints over θ, and the bounds, as rows over u of length 1.
+
+    Raises:
+        ValueError: a constraint is broken that u has no part in.
+    """
     free = spread.shape[1]
     unit = np.eye(free)
     matrix = np.concatenate([part.matrix @ spread for part in parts])

@@ -70,26 +70,12 @@ def solve(hessian: Tensor, gradient: Tensor, rows: Tensor, room: Tensor) -> Step
         matrix = hessian + (rows.mT * weight.unsqueeze(-2)) @ rows
         factor, _ = torch.linalg.cholesky_ex(matrix)
 
-        # Defaults bind this round's tensors; the corrector reuses the predictor's factor.
-        def direction(
-            complement: Tensor,
-            factor: Tensor = factor,
-            weight: Tensor = weight,
-            primal: Tensor = primal,
-            stationary: Tensor = stationary,
-            slack: Tensor = slack,
-        ) -> tuple[Tensor, Tensor, Tensor]:
-            """Newton's direction towards `slack · dual` less by `complement`."""
-            right = -stationary - _transposed(rows, weight * primal - complement / slack)
-            moved = torch.cholesky_solve(right.unsqueeze(-1), factor).squeeze(-1)
-            opened = -primal - _times(rows, moved)
-            return moved, opened, -(complement / slack) - weight * opened
-
-        _, opened, raised = direction(slack * dual)
+        system = (factor, rows, weight, slack, stationary, primal)
+        _, opened, raised = _direction(*system, slack * dual)
         ahead = ((slack + _reach(slack, opened) * opened) * (dual + _reach(dual, raised) * raised)).mean(-1)
         centring = (ahead / gap.clamp(min=1e-300)).clamp(0, 1).pow(3)
         target = slack * dual + opened * raised - (centring * gap).unsqueeze(-1)
-        moved, opened, raised = direction(target)
+        moved, opened, raised = _direction(*system, target)
         primal_reach = (_SHORTEN * _reach(slack, opened)).clamp(max=1)
         dual_reach = (_SHORTEN * _reach(dual, raised)).clamp(max=1)
         reach = torch.minimum(primal_reach, dual_reach)  # one length: the stationarity residual then shrinks by it
@@ -101,6 +87,16 @@ def solve(hessian: Tensor, gradient: Tensor, rows: Tensor, room: Tensor) -> Step
         slack = torch.where(going.unsqueeze(-1), slack + reach * opened, slack).clamp(min=1e-18)
         dual = torch.where(going.unsqueeze(-1), dual + reach * raised, dual).clamp(min=1e-18)
     return Step(best[1], best[2] * scale.unsqueeze(-1), best[0] < 1e-8)
+
+
+def _direction(
+    factor: Tensor, rows: Tensor, weight: Tensor, slack: Tensor, stationary: Tensor, primal: Tensor, complement: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Newton's direction, in step, slack and multipliers, towards `slack · dual` less by `complement`."""
+    right = -stationary - _transposed(rows, weight * primal - complement / slack)
+    moved = torch.cholesky_solve(right.unsqueeze(-1), factor).squeeze(-1)
+    opened = -primal - _times(rows, moved)
+    return moved, opened, -(complement / slack) - weight * opened
 
 
 def project(point: Tensor, rows: Tensor, bound: Tensor, metric: Tensor | None = None) -> Step:

@@ -156,4 +156,6 @@ def load_optimised(path: str | PathLike[str], actuators: Sequence[Actuator] | No
 
 
 def _hashable(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _hashable(entry) for name, entry in value.items()}
     return tuple(_hashable(entry) for entry in value) if isinstance(value, list) else value

@@ -9,6 +9,7 @@ so for given task shapes the feasible designs form a polytope, and constraints a
 it: there are no penalties to tune.
 """
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -230,7 +231,7 @@ def spacing_rows(space: DesignSpace, arm: ArmDesign) -> Rows:
     matrix = np.zeros((count - 1, 3 * count))
     rows = np.arange(count - 1)
     matrix[rows, order[:-1]], matrix[rows, order[1:]] = 1.0, -1.0
-    names = tuple(f"spacing of actuators {a + 1} and {b + 1}" for a, b in zip(order[:-1], order[1:], strict=True))
+    names = tuple(f"spacing of actuators {a + 1} and {b + 1}" for a, b in itertools.pairwise(order))
     return Rows(matrix, np.full(count - 1, -float(space.spacing)), names)
 
 
