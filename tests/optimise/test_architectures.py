@@ -12,7 +12,7 @@ ARM = ta.antagonistic_arm(outer_radius=0.03)
 
 
 def test_all_types_at_all_positions_best_first() -> None:
-    found = optimise_architectures(ARM, TASK, starts=1, iterations=15)
+    found = optimise_architectures(ARM, TASK, starts=1, iterations=6)
     assert not found.mirrored
     assert sorted(found.names) == sorted({f"{a}{b}{c}{d}" for a in "BM" for b in "BM" for c in "BM" for d in "BM"})
     values = [design.value for design in found.designs]
@@ -20,7 +20,7 @@ def test_all_types_at_all_positions_best_first() -> None:
     assert all(design.in_range for design in found.designs)
     chosen = found.designs[found.names.index("BMMB")]
     assert [type(model).__name__[0] for model in chosen.best.actuators] == list("BMMB")
-    alone = optimise_design(ARM, TASK, starts=1, iterations=15)
+    alone = optimise_design(ARM, TASK, starts=1, iterations=6)
     assert chosen.value == pytest.approx(alone.value, rel=1e-6)
 
 

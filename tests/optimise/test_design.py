@@ -20,7 +20,7 @@ ARM = ta.antagonistic_arm()
 
 @pytest.mark.parametrize("arm", [ta.antagonistic_arm(), ta.bellows_arm(), ta.mckibben_arm()])
 def test_the_paper_s_arms_get_better_and_stay_in_range(arm: ta.ArmDesign) -> None:
-    found = optimise_design(arm, TASK, starts=2)
+    found = optimise_design(arm, TASK, starts=2, iterations=8)
     before = ta.evaluate(arm, TASK, "absolute")
     after = ta.evaluate(found.best, TASK, "absolute")
     assert not bool(before.in_range.all()), "a start with strains out of range"
@@ -37,7 +37,7 @@ def test_the_paper_s_arms_get_better_and_stay_in_range(arm: ta.ArmDesign) -> Non
 
 def test_the_optimum_is_stationary_and_no_neighbour_is_better() -> None:
     space = DesignSpace(tied="mirror")
-    found = optimise_design(ARM, TASK, space, starts=3)
+    found = optimise_design(ARM, TASK, space, starts=1)
     assert found.stationarity < 1e-6
     polytope = feasible_designs(space, ARM, [TASK])
     problem = Problem((polytope,), (TASK,), Objective())
@@ -51,8 +51,8 @@ def test_the_optimum_is_stationary_and_no_neighbour_is_better() -> None:
 @pytest.mark.parametrize("method", ["adam", "slsqp", "nelder_mead", "differential_evolution"])
 def test_other_methods_reach_no_lower(method: str) -> None:
     space = DesignSpace(tied="mirror")
-    ours = optimise_design(ARM, TASK, space, starts=4)
-    iterations = {"adam": 150, "slsqp": None, "nelder_mead": 150, "differential_evolution": 30}[method]
+    ours = optimise_design(ARM, TASK, space, starts=2)
+    iterations = {"adam": 60, "slsqp": None, "nelder_mead": 60, "differential_evolution": 30}[method]
     theirs = optimise_design(ARM, TASK, space, method=method, starts=1, iterations=iterations)
     assert theirs.value > ours.value * (1 - 1e-5)
     assert theirs.value < ours.value * 1.05, "and they search the same designs"
@@ -60,19 +60,19 @@ def test_other_methods_reach_no_lower(method: str) -> None:
 
 
 def test_an_attainable_start_gains_margin() -> None:
-    arm = ta.bellows_arm(outer_radius=0.03, inner_radius=0.01, length=0.5)
-    found = optimise_design(arm, EASY, starts=1)
+    arm = ta.bellows_arm(outer_radius=0.03, inner_radius=0.01, length=0.45)
+    found = optimise_design(arm, EASY, starts=1, iterations=15)
     assert float(found.before["absolute"].max()) == 0.0
     assert float(found.after["absolute"].max()) == 0.0
     assert found.given_value < 0
     assert found.value < 2 * found.given_value
-    kept = optimise_design(arm, EASY, objective=Objective(margin=False), starts=1)
+    kept = optimise_design(arm, EASY, objective=Objective(margin=False), starts=1, iterations=3)
     assert kept.value == 0.0
 
 
 @pytest.mark.parametrize("over", ["mean", "worst", "cvar", "count"])
 def test_every_aggregate_falls(over: str) -> None:
-    found = optimise_design(ARM, TASK, objective=Objective(over=over), starts=2, iterations=60)
+    found = optimise_design(ARM, TASK, objective=Objective(over=over), starts=2, iterations=8)
     assert found.value < float(found.start_values.min())
     assert found.history.best.diff().max() <= 0
     reached = Objective(over=over)
@@ -80,15 +80,17 @@ def test_every_aggregate_falls(over: str) -> None:
 
 
 def test_size_costs() -> None:
-    wide = optimise_design(ARM, TASK, starts=2)
-    slim = optimise_design(ARM, TASK, objective=Objective(size_weight=1000.0), starts=2)
+    wide = optimise_design(ARM, TASK, starts=1, iterations=20)
+    slim = optimise_design(ARM, TASK, objective=Objective(size_weight=1000.0), starts=1, iterations=20)
     assert float(slim.best.radii.max() - slim.best.radii.min()) < float(wide.best.radii.max() - wide.best.radii.min())
 
 
 def test_limits_may_be_free() -> None:
-    found = optimise_design(ARM, TASK, DesignSpace(free=("radii", "length", "max_pressure")), starts=2)
-    fixed = optimise_design(ARM, TASK, starts=2)
-    assert found.value <= fixed.value * (1 + 1e-3), "limits as high as the given ones are allowed"
+    space = DesignSpace(free="max_pressure", bounds={"max_pressure": (10.0, 60.0)}, in_range=False)
+    found = optimise_design(ARM, TASK, space, starts=1, iterations=8)
+    assert float(found.best.max_pressure.max()) <= 60.0 + 1e-6
+    assert torch.equal(found.best.radii, ARM.radii)
+    assert found.value < float(found.start_values[0])
 
 
 @pytest.mark.parametrize("loads", [1, 500])
@@ -101,7 +103,7 @@ def test_one_task_and_a_thousand(loads: int) -> None:
 
 def test_a_thousand_random_starts_are_numbers() -> None:
     polytope = feasible_designs(DesignSpace(free=("radii", "length", "max_pressure")), ARM, [TASK])
-    task = ta.Task(SHAPES[:, 0], ta.sample_loads(3, (20.0, 20.0, 5.0)))
+    task = ta.Task(SHAPES[:, 0], ta.sample_loads(2, (20.0, 20.0, 5.0)))
     problem = Problem((polytope,), (task,), Objective(relative_weight=0.1))
     state = begin(problem, polytope.sample(1000, seed=5), torch.zeros(1000, dtype=torch.long))
     assert bool(state.smooth.isfinite().all())
@@ -110,8 +112,8 @@ def test_a_thousand_random_starts_are_numbers() -> None:
 
 
 def test_starts_do_not_know_of_each_other() -> None:
-    many = optimise_design(ARM, TASK, starts=4, iterations=12, seed=3)
-    alone = optimise_design(ARM, TASK, starts=1, iterations=12)
+    many = optimise_design(ARM, TASK, starts=3, iterations=6, seed=3)
+    alone = optimise_design(ARM, TASK, starts=1, iterations=6)
     torch.testing.assert_close(many.end_values[0], alone.end_values[0], rtol=1e-6, atol=0)
 
 
@@ -126,8 +128,8 @@ def test_all_given_designs_are_starts() -> None:
 
 def test_single_precision_arms_stay_so() -> None:
     arm = ta.ArmDesign(ARM.radii.float(), ARM.length.float(), ARM.actuators, ARM.max_pressure.float())
-    found = optimise_design(arm, TASK.to(torch.float32), starts=1, iterations=30, tolerance=1e-4)
-    double = optimise_design(ARM, TASK, starts=1)
+    found = optimise_design(arm, TASK.to(torch.float32), starts=1, iterations=12, tolerance=1e-4)
+    double = optimise_design(ARM, TASK, starts=1, iterations=12)
     assert found.best.radii.dtype == torch.float32
     assert found.value == pytest.approx(double.value, rel=0.05)
 
@@ -140,18 +142,18 @@ def _same(a: ta.ArmDesign, b: ta.ArmDesign) -> bool:
 
 
 def test_an_interrupted_run_that_goes_on_ends_at_the_same_design(tmp_path: Path) -> None:
-    whole = optimise_design(ARM, TASK, starts=3, seed=2)
+    whole = optimise_design(ARM, TASK, starts=2, seed=2, iterations=12)
 
     def interrupt(report: Report) -> None:
-        if report.iteration == 5:
+        if report.iteration == 4:
             raise KeyboardInterrupt
 
     file = tmp_path / "run.npz"
-    part = optimise_design(ARM, TASK, starts=3, seed=2, checkpoint=file, callback=interrupt)
+    part = optimise_design(ARM, TASK, starts=2, seed=2, iterations=12, checkpoint=file, callback=interrupt)
     assert part.stopped == "interrupted"
     assert part.value > whole.value
-    assert float(part.history.values.shape[0]) == 6
-    resumed = optimise_design(ARM, TASK, starts=3, seed=2, checkpoint=file)
+    assert float(part.history.values.shape[0]) == 5
+    resumed = optimise_design(ARM, TASK, starts=2, seed=2, iterations=12, checkpoint=file)
     assert resumed.stopped == "finished"
     assert _same(resumed.best, whole.best)
     assert resumed.reasons == whole.reasons
