@@ -8,6 +8,8 @@ from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
 from torcharm.attainability import Attainability, evaluate
 from torcharm.distance.closed_form import distance_to_hull
 from torcharm.hulls import WrenchHulls, wrench_hulls
+from torcharm.pose_cost import PoseCost
+from torcharm.prediction import PredictedError, predict_error
 from torcharm.rod import poses
 from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
 from torcharm.wrenches import reaction_wrench, required_wrench
@@ -28,6 +30,8 @@ __all__ = [
     "HullDistance",
     "McKibben",
     "PolynomialActuator",
+    "PoseCost",
+    "PredictedError",
     "Residuals",
     "Task",
     "WrenchHulls",
@@ -42,6 +46,7 @@ __all__ = [
     "nnls_distance",
     "planar_distance",
     "poses",
+    "predict_error",
     "qp_distance",
     "reaction_wrench",
     "required_wrench",

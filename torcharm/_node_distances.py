@@ -111,7 +111,7 @@ def _by_closed_form(block: Block, check: Check, recompute: bool) -> tuple[list[C
         replays = [_agreeing(square, one.faces, check.signed) for square, one in zip(again, found, strict=True)]
     else:
         replays = [(one.faces.square, torch.ones_like(one.converged)) for one in found]
-        excess = _strain_excess(sections)
+        excess = strain_excess(sections)
     answers = [
         (
             signed_length(square, one.faces.inside, one.faces.blur, signed=check.signed),
@@ -212,7 +212,7 @@ class _Replay:
                 fraction = follow_kinks(sections, fraction, relative=relative)
             x, y = _scaled(sections.wrench(fraction, relative=relative), self.check)
             squares.append(face_square(_required(self.block, self.check, relative), (x[0], y[0]), (x[1], y[1])))
-        return *squares, _strain_excess(sections)
+        return *squares, strain_excess(sections)
 
 
 def _by_solver(
@@ -232,7 +232,7 @@ def _by_solver(
                 hulls = _hulls(sections, curves, check, relative)
             found = _solve(sections, hulls, _required(block, check, relative), check, relative, solver)
             columns += found[:each]
-        return *columns, _strain_excess(sections)
+        return *columns, strain_excess(sections)
 
     *columns, excess = checkpoint(work, use_reentrant=False) if recompute and torch.is_grad_enabled() else work()
     answers = [tuple(columns[start : start + each]) for start in range(0, len(columns), each)]
@@ -269,7 +269,7 @@ def _required(block: Block, check: Check, relative: bool) -> tuple[Tensor, Tenso
     return _scaled((by_section[..., 0], by_section[..., 1]), check)
 
 
-def _strain_excess(sections: Sections) -> Tensor:
+def strain_excess(sections: Sections) -> Tensor:
     """Largest strain (p, d) beyond its actuator's characterised range, 0 if none is."""
     low, high = zip(*(model.strain_range for model in sections.actuators), strict=True)
     strain = sections.strain

@@ -8,15 +8,21 @@ import torch
 from torch import Tensor
 
 from torcharm._inputs import check_choice, check_count, shown
-from torcharm._node_distances import Check, Residuals, node_distances
+from torcharm._node_distances import Check, Residuals, node_distances, strain_excess
 from torcharm._outer import OuterProduct, map_blocks, outer_product
 from torcharm.arm import ArmDesign
 from torcharm.distance import DistanceFunction, find_solver
-from torcharm.hulls import sample_count, slot_count
+from torcharm.hulls import cross_sections, sample_count, slot_count
+from torcharm.pose_cost import PoseCost
+from torcharm.prediction import PredictedError, predict_outer
 from torcharm.task import Task
 from torcharm.wrenches import along
 
 METRICS = ("absolute", "relative")
+"""Of wrenches, by hulls."""
+PREDICTED = "predicted_error"
+CHOICES = (*METRICS, PREDICTED)
+"""All metrics there are."""
 BLOCK_ELEMENTS = 300_000
 """Hull slots × points in one block: a tensor of them is 2.4 MB, small enough for the caches."""
 SOLVER_ELEMENTS = 3_000_000
@@ -34,17 +40,26 @@ class Attainability:
     Attributes:
         absolute, relative: unattainability summed over the nodes, 0 if attainable.
         absolute_per_node, relative_per_node: each node's distance to its hull, not raised to a power.
+        predicted_error: the shape error to expect [m], square root of the weighted cost of the poses.
+        predicted_error_per_node: (..., N+1) each pose's own part of it, `sqrt(eᵀ K e)` [m]; the last is the tip's.
+        predicted_pressure: (..., M) that reaches it [kPa].
+        prediction: all that is known of the predicted error, with what it takes to trust it.
         strain_excess: largest strain beyond its actuator's characterised range, 0 if none is.
         in_range: whether every strain, and every pressure limit, lies in the characterised range.
         converged: whether every distance is a number and, where residuals were asked for or a
-            solver was, each node's answer passed its check.
-        residuals: for each metric, those of every node's distance, if they were asked for.
+            solver was, each node's answer passed its check; and whether the prediction, if it was
+            asked for, converged.
+        residuals: for each metric of wrenches, those of every node's distance, if they were asked for.
     """
 
     absolute: Tensor | None
     relative: Tensor | None
     absolute_per_node: Tensor | None
     relative_per_node: Tensor | None
+    predicted_error: Tensor | None
+    predicted_error_per_node: Tensor | None
+    predicted_pressure: Tensor | None
+    prediction: PredictedError | None
     strain_excess: Tensor
     in_range: Tensor
     converged: Tensor
@@ -64,6 +79,8 @@ def evaluate(
     signed: bool = False,
     polish: bool = False,
     residuals: bool = False,
+    pose_cost: PoseCost | None = None,
+    steps: int = 1,
     chunk_size: int | None = None,
 ) -> Attainability:
     """Unattainability of every design on every task.
@@ -100,6 +117,9 @@ def evaluate(
             ten times as long as 9 samples. Needs hull="exact" and the closed form; second derivatives hold
             the pressures.
         residuals: whether to report each node's optimality residuals, as of the sampled polygons.
+        pose_cost: what the predicted error measures; None is the paper's `PoseCost()`.
+        steps: of the predicted error: 1 predicts from the balance made linear at the task's shape, each further
+            step from where the last one led.
         chunk_size: (design, shape, load) triples worked on at once; None chooses. Bounds memory.
 
     Raises:
@@ -113,10 +133,13 @@ def evaluate(
         raise ValueError(
             f"polish: must be True or False, and True needs hull='exact' and the closed form, got {polish}"
         )
+    asked = _metrics(metrics)
     auditor = (solver or find_solver("closed_form")) if residuals else None
     samples = sample_count(arm, hull, samples)
-    check = Check(_metrics(metrics), hull, samples, _scale(weights), signed, polish, solver, auditor)
+    hulls = tuple(name for name in asked if name in METRICS)
+    check = Check(hulls, hull, samples, _scale(weights), signed, polish, solver, auditor)
     outer = outer_product(arm, task)
+    prediction = predict_outer(outer, pose_cost, steps, chunk_size) if PREDICTED in asked else None
     excess, per_node, solved, *audit = _per_node(outer, check, chunk_size)
     found = {metric: per_node[..., index, :] for index, metric in enumerate(check.metrics)}
     total = {metric: _over_nodes(value, metric, power, signed) for metric, value in found.items()}
@@ -125,11 +148,17 @@ def evaluate(
         for index, metric in enumerate(check.metrics if residuals else ())
     }
     converged = (per_node.isfinite() & solved).flatten(-2).all(-1)
+    if prediction is not None:
+        converged = converged & prediction.converged
     return Attainability(
         absolute=total.get("absolute"),
         relative=total.get("relative"),
         absolute_per_node=found.get("absolute"),
         relative_per_node=found.get("relative"),
+        predicted_error=None if prediction is None else prediction.error,
+        predicted_error_per_node=None if prediction is None else prediction.per_node,
+        predicted_pressure=None if prediction is None else prediction.pressure,
+        prediction=prediction,
         strain_excess=excess,
         in_range=(excess <= 16 * torch.finfo(excess.dtype).eps) & _limits_in_range(outer),
         converged=converged,
@@ -155,9 +184,9 @@ def _metrics(metrics: Sequence[str]) -> tuple[str, ...]:
     """The metrics asked for, once each."""
     names = (metrics,) if isinstance(metrics, str) else metrics
     if not isinstance(names, (list, tuple, set, frozenset)) or not names:
-        raise ValueError(f"metrics: must name at least one of {', '.join(METRICS)}, got {shown(metrics)}")
+        raise ValueError(f"metrics: must name at least one of {', '.join(CHOICES)}, got {shown(metrics)}")
     for name in names:
-        check_choice("metrics", name, METRICS)
+        check_choice("metrics", name, CHOICES)
     return tuple(dict.fromkeys(names))
 
 
@@ -173,6 +202,8 @@ def _scale(weights: tuple[float, float]) -> tuple[float, float]:
 
 def _per_node(outer: OuterProduct, check: Check, chunk_size: int | None) -> tuple[Tensor, ...]:
     """The strain excess (*design batch, *task batch), distances (..., K, N) of the K metrics, and residuals."""
+    if not check.metrics:
+        return _no_distances(outer)
     if chunk_size is None:
         slots = slot_count(outer.arm.actuator_count, check.hull, check.samples)
         elements = SOLVER_ELEMENTS // slots if check.solver is not None else BLOCK_ELEMENTS
@@ -188,6 +219,13 @@ def _per_node(outer: OuterProduct, check: Check, chunk_size: int | None) -> tupl
         recompute = prod(outer.sizes) > chunk_size
         blocks = map_blocks(outer, chunk_size, lambda block: node_distances(block, check, recompute))
     return tuple(outer.unflatten(block) for block in blocks)
+
+
+def _no_distances(outer: OuterProduct) -> tuple[Tensor, ...]:
+    """As `_per_node` where no hulls are asked for."""
+    excess = strain_excess(cross_sections(outer.arm, outer.twists)).T.unsqueeze(-1).expand(outer.sizes)
+    none = excess.new_zeros(*outer.sizes, 0, outer.nodes)
+    return tuple(outer.unflatten(part) for part in (excess, none, torch.ones_like(none, dtype=torch.bool)))
 
 
 def _limits_in_range(outer: OuterProduct) -> Tensor:
