@@ -47,7 +47,9 @@ def test_smooth_shapes_meet_the_tip_and_no_neighbour_is_smoother(smoothness: Smo
     at = torch.cat((length, curvature))
 
     def tip(z: torch.Tensor) -> torch.Tensor:
-        return ta.poses(torch.stack((z[:10], torch.zeros(10).double(), z[10:]), -1))[-1] - torch.tensor(TIP, dtype=torch.float64)
+        return ta.poses(torch.stack((z[:10], torch.zeros(10).double(), z[10:]), -1))[-1] - torch.tensor(
+            TIP, dtype=torch.float64
+        )
 
     for step in (1e-2, 1e-3):
         for _ in range(10):

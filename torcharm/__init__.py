@@ -19,20 +19,37 @@ if TYPE_CHECKING:
     from torcharm.distance.qp import qp_distance
     from torcharm.distance.result import HullDistance, kkt_residuals
     from torcharm.distance.scipy_solvers import nnls_distance, slsqp_distance
+    from torcharm.optimise import (
+        Architectures,
+        DesignSpace,
+        Objective,
+        OptimisedDesign,
+        load_optimised,
+        optimise_architectures,
+        optimise_design,
+        verify_design,
+    )
+    from torcharm.planning import PlannedShape, Smoothness, plan_shape
 
 __version__ = "0.1.0"
 
 __all__ = [
     "Actuator",
+    "Architectures",
     "ArmDesign",
     "Attainability",
     "Bellows",
+    "DesignSpace",
     "HullDistance",
     "McKibben",
+    "Objective",
+    "OptimisedDesign",
+    "PlannedShape",
     "PolynomialActuator",
     "PoseCost",
     "PredictedError",
     "Residuals",
+    "Smoothness",
     "Task",
     "WrenchHulls",
     "affine_curvature",
@@ -42,8 +59,12 @@ __all__ = [
     "distance_to_hull",
     "evaluate",
     "kkt_residuals",
+    "load_optimised",
     "mckibben_arm",
     "nnls_distance",
+    "optimise_architectures",
+    "optimise_design",
+    "plan_shape",
     "planar_distance",
     "poses",
     "predict_error",
@@ -52,23 +73,35 @@ __all__ = [
     "required_wrench",
     "sample_loads",
     "slsqp_distance",
+    "verify_design",
     "wrench_hulls",
 ]
 
 _LATER = {
-    "HullDistance": "result",
-    "kkt_residuals": "result",
-    "nnls_distance": "scipy_solvers",
-    "planar_distance": "planar",
-    "qp_distance": "qp",
-    "slsqp_distance": "scipy_solvers",
+    "Architectures": "optimise",
+    "DesignSpace": "optimise",
+    "HullDistance": "distance.result",
+    "Objective": "optimise",
+    "OptimisedDesign": "optimise",
+    "PlannedShape": "planning",
+    "Smoothness": "planning",
+    "kkt_residuals": "distance.result",
+    "load_optimised": "optimise",
+    "nnls_distance": "distance.scipy_solvers",
+    "optimise_architectures": "optimise",
+    "optimise_design": "optimise",
+    "plan_shape": "planning",
+    "planar_distance": "distance.planar",
+    "qp_distance": "distance.qp",
+    "slsqp_distance": "distance.scipy_solvers",
+    "verify_design": "optimise",
 }
 
 
 def __getattr__(name: str) -> Any:
-    """The distance solvers, which load when they are first used."""
+    """Distance solvers and optimisers, which load when they are first used."""
     if name not in _LATER:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    return getattr(import_module(f"torcharm.distance.{_LATER[name]}"), name)
+    return getattr(import_module(f"torcharm.{_LATER[name]}"), name)

@@ -6,6 +6,7 @@ A shape of N segments is its lengths l_i and curvatures κ_i (no shear), 2N unkn
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -318,10 +319,14 @@ def _best_held(
         wished = arc.copy()
         if index:
             wished[problem.nodes :] += random.normal(0.0, 1.0, problem.nodes)
-        start = problem.minimise(lambda z, wish=torch.from_numpy(wished): (z - wish).square().sum(), wished, 100)
+        start = problem.minimise(partial(_apart, torch.from_numpy(wished)), wished, 100)
         if problem.violation(start) < TIP_TOLERANCE:
             plans.append((problem.minimise(cost, start, iterations, tolerance=1e-9), cost))
     return plans
+
+
+def _apart(wished: Tensor, unknowns: Tensor) -> Tensor:
+    return (unknowns - wished).square().sum()
 
 
 def _gradient(cost: Cost, unknowns: Array) -> Array:

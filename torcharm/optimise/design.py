@@ -216,7 +216,7 @@ def _best_given(arm: ArmDesign, problem: Problem) -> ArmDesign:
 
 
 def metric_values(arm: ArmDesign, problem: Problem) -> dict[str, Tensor]:
-    """Unsigned metrics of one design, each (T,) over all tasks."""
+    """Unsigned metrics of one design, each (T,) over all tasks, and whether they converged."""
     objective = problem.objective
     metrics = tuple(dict.fromkeys(("absolute", "relative", *objective.metrics)))
     options: dict[str, Any] = {
@@ -224,4 +224,6 @@ def metric_values(arm: ArmDesign, problem: Problem) -> dict[str, Tensor]:
     }
     with torch.no_grad():
         results = [evaluate(arm, task, metrics, **options) for task in problem.tasks]
-    return {name: torch.cat([getattr(result, name).reshape(-1) for result in results]) for name in metrics}
+    return {
+        name: torch.cat([getattr(result, name).reshape(-1) for result in results]) for name in (*metrics, "converged")
+    }

@@ -86,15 +86,18 @@ class Objective:
         return [evaluate(arm, task, self.metrics, signed=bool(self.margin), **options) for task in tasks]
 
     def of_result(self, result: Attainability) -> Tensor:
-        """One value a task, of the shape of the result's metrics; NaN where it did not converge."""
+        """One value a task, of the shape of the result's metrics; NaN where a distance did not converge.
+
+        A predicted error whose pressures are not yet the best is an upper bound, and counts as it is.
+        """
         if self.metric == "predicted_error":
-            value: Tensor = result.predicted_error  # type: ignore[attr-defined]
-        else:
-            assert result.absolute is not None
-            value = result.absolute
-            if self.relative_weight:
-                assert result.relative is not None
-                value = value + self.relative_weight * result.relative
+            assert result.predicted_error is not None
+            return result.predicted_error
+        assert result.absolute is not None
+        value = result.absolute
+        if self.relative_weight:
+            assert result.relative is not None
+            value = value + self.relative_weight * result.relative
         return torch.where(result.converged, value, value.new_full((), torch.nan))
 
     def per_task(self, arm: ArmDesign, tasks: Sequence[Task]) -> Tensor:

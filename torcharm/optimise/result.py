@@ -61,7 +61,8 @@ class OptimisedDesign:
         best: the best design found, feasible.
         value, given_value: the objective of the two. The given design need not be feasible.
         before, after: for each metric of `torcharm.evaluate` ("absolute", "relative", unsigned, and any other
-            the objective uses) the values (T,) of all tasks, with the given and with the best design.
+            the objective uses) the values (T,) of all tasks, with the given and with the best design, and
+            whether they "converged".
         in_range: whether all strains and limits of the best design lie in the characterised range.
         violation: by how much the best design breaks a constraint, as a fraction of the bounds; about 1e-10.
         starts: S designs from which the search began, the first of them the feasible ones nearest to the given.
