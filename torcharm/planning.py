@@ -133,8 +133,9 @@ def plan_shape(
     judge = Objective(power=2, relative_weight=1.0, margin=False) if objective is None else objective
     limited = not isinstance(judge, Smoothness) if in_range is None else in_range
     problem = _TipProblem(arm, goal.double(), base.double(), nodes, _strain_rows(arm, nodes) if limited else None)
-    plans = [_smoothest(problem, judge, iterations)] if isinstance(judge, Smoothness) else []
-    if not plans:
+    if isinstance(judge, Smoothness):
+        plans = [_smoothest(problem, judge, iterations)]
+    else:
         plans = _best_held(
             problem, judge, Task(torch.zeros(nodes, 3).to(arm.radii), load, base), starts, seed, iterations
         )
@@ -314,7 +315,7 @@ def _best_held(
 
     random = np.random.default_rng(seed)
     arc = _arc(problem, float(problem.arm.length.mean()))
-    plans = []
+    plans: list[tuple[Array, Cost]] = []
     for index in range(starts):
         wished = arc.copy()
         if index:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from torcharm.cli import evaluate, init
+from torcharm.cli import evaluate, init, optimise, plan
 from torcharm.cli.terminal import INTERRUPTED, fail
 
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]  # click's own, which newer typers hold inside
@@ -58,3 +58,5 @@ def _root(
 
 app.command(epilog="Example: torcharm init arms.toml")(init.init)
 app.command(epilog="Example: torcharm evaluate study.toml --out results.csv --figure picture.png")(evaluate.evaluate)
+app.command(epilog="Example: torcharm optimise study.toml --out best.npz --figure history.png")(optimise.optimise)
+app.command(epilog="Example: torcharm plan study.toml --out shapes.csv")(plan.plan)

@@ -110,8 +110,10 @@ def feasible_designs(space: DesignSpace, arm: ArmDesign, tasks: Sequence[Task]) 
     centre, radius = _middle(rows)
     if centre is None:
         raise ValueError(_contradiction(rows, spread, base, arm, parts[1]))
-    tensors = [torch.from_numpy(np.ascontiguousarray(value)) for value in (spread, base, rows.matrix, rows.bound)]
-    return Polytope(arm.flatten()[0], *tensors, rows.names, torch.from_numpy(centre), radius)
+    maps, origin, matrix, bound = (
+        torch.from_numpy(np.ascontiguousarray(value)) for value in (spread, base, rows.matrix, rows.bound)
+    )
+    return Polytope(arm.flatten()[0], maps, origin, matrix, bound, rows.names, torch.from_numpy(centre), radius)
 
 
 def _scaled(parts: Sequence[Rows], spread: Array, base: Array) -> Rows:

@@ -143,10 +143,11 @@ def load_optimised(path: str | PathLike[str], actuators: Sequence[Actuator] | No
     }
     space = {name: _hashable(value) for name, value in header["space"].items()}
     objective = {name: _hashable(value) for name, value in header["objective"].items()}
+    parts: dict[str, Any] = {name: header[name] for name in (*NUMBERS, *WORDS)}
+    parts |= {name: torch.from_numpy(arrays[name]) for name in ARRAYS}
+    parts |= {name: design_from(name, arrays, models) for name in ("given", "best", "starts", "ends")}
     return OptimisedDesign(
-        **{name: header[name] for name in (*NUMBERS, *WORDS)},
-        **{name: torch.from_numpy(arrays[name]) for name in ARRAYS},
-        **{name: design_from(name, arrays, models) for name in ("given", "best", "starts", "ends")},
+        **parts,
         before=metrics["before"],
         after=metrics["after"],
         reasons=tuple(header["reasons"]),
