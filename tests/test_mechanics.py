@@ -85,6 +85,9 @@ def test_pose_jacobian_and_error_slope_against_autograd(shear):
     twists = mechanics.to_twists(unknowns)
     torch.testing.assert_close(motion.pose, ta.poses(twists), rtol=1e-13, atol=1e-13)
     jacobian = mechanics.pose_jacobian(motion, shear=shear)
+    change = torch.rand(*unknowns.shape, 3, dtype=torch.float64)
+    moved = torch.einsum("bipcn,bcnk->bipk", jacobian, change)
+    torch.testing.assert_close(mechanics.pose_change(motion, change), moved, rtol=1e-11, atol=1e-12)
     target = ta.poses(twists * 1.1)[:, 1:]
     error, slope = mechanics.pose_error(motion.pose[:, 1:], target)
     assert error.shape == target.shape

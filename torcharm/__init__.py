@@ -7,10 +7,13 @@ from torcharm.actuators import Actuator, Bellows, McKibben, PolynomialActuator
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
 from torcharm.attainability import Attainability, evaluate
 from torcharm.distance.closed_form import distance_to_hull
+from torcharm.equilibrium import Equilibrium, NotConvergedError, solve_equilibrium
 from torcharm.hulls import WrenchHulls, wrench_hulls
 from torcharm.pose_cost import PoseCost
 from torcharm.prediction import PredictedError, predict_error
+from torcharm.pressure_fit import PressureFit, fit_pressure
 from torcharm.rod import poses
+from torcharm.search import PressureSearch, search_pressure
 from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
 from torcharm.wrenches import reaction_wrench, required_wrench
 
@@ -40,14 +43,18 @@ __all__ = [
     "Attainability",
     "Bellows",
     "DesignSpace",
+    "Equilibrium",
     "HullDistance",
     "McKibben",
+    "NotConvergedError",
     "Objective",
     "OptimisedDesign",
     "PlannedShape",
     "PolynomialActuator",
     "PoseCost",
     "PredictedError",
+    "PressureFit",
+    "PressureSearch",
     "Residuals",
     "Smoothness",
     "Task",
@@ -58,6 +65,7 @@ __all__ = [
     "cubic_curvature",
     "distance_to_hull",
     "evaluate",
+    "fit_pressure",
     "kkt_residuals",
     "load_optimised",
     "mckibben_arm",
@@ -72,7 +80,9 @@ __all__ = [
     "reaction_wrench",
     "required_wrench",
     "sample_loads",
+    "search_pressure",
     "slsqp_distance",
+    "solve_equilibrium",
     "verify_design",
     "wrench_hulls",
 ]

@@ -17,7 +17,7 @@ from torcharm.arm import ArmDesign
 
 FIRST_SHARE = 0.25
 """Of the load, taken by the first step."""
-LEAST_SHARE = 1e-5
+LEAST_SHARE = 1e-4
 """Of the load; where no shorter step succeeds, the branch has ended."""
 LARGEST_MOVE = 1.0
 """Longest step along the tangent, as `_move` measures: about a radian, or a third of the length."""
@@ -31,7 +31,7 @@ CORRECTIONS = 8
 """Newton steps in a step along the path."""
 LOOKS = 600
 """Evaluations of the balance along a path, at most."""
-SETTLING_STEPS = 300
+SETTLING_STEPS = 150
 
 
 @dataclass(frozen=True)
@@ -97,6 +97,12 @@ class Problem:
         """R and its derivatives, detached."""
         return mechanics.balance(self.arm, unknowns, self.pressure, self.tip_load, self.base_pose, self.shear_stiffness)
 
+    def residual(self, unknowns: Tensor) -> Tensor:
+        """R (B, C, N), with its graph."""
+        return mechanics.balance_residual(
+            self.arm, unknowns, self.pressure, self.tip_load, self.base_pose, self.shear_stiffness
+        )
+
     def imbalance(self, residual: Tensor) -> Tensor:
         """(B,) the largest entry of R, forces over the load scale and moments over that times the length."""
         force, moment = residual[:, :-1].abs().flatten(1).amax(-1), residual[:, -1].abs().amax(-1)
@@ -123,12 +129,12 @@ class Traced(NamedTuple):
     arrived: Tensor
 
 
-def unloaded(problem: Problem) -> Traced:
+def unloaded(problem: Problem, looks: int = LOOKS) -> Traced:
     """The arm without load, one segment for all, continued from zero pressure; there, settled from straight."""
     idle = replace(problem, pressure=torch.zeros_like(problem.pressure), tip_load=torch.zeros_like(problem.tip_load))
     rest = settle(idle, problem.straight())
     filled = replace(idle, pressure=problem.pressure)
-    path = trace(Path(filled, pressure=idle.pressure), rest.unknowns)
+    path = trace(Path(filled, pressure=idle.pressure), rest.unknowns, first_step=1.0, looks=looks)
     left = ~(path.arrived & rest.arrived)
     if bool(left.any()):  # where a force model jumps, say
         still = settle(filled[left], path.unknowns[left])
@@ -136,9 +142,9 @@ def unloaded(problem: Problem) -> Traced:
     return path
 
 
-def loaded(problem: Problem, start: Tensor) -> Traced:
+def loaded(problem: Problem, start: Tensor, looks: int = LOOKS) -> Traced:
     """The equilibrium of `start` (B, C, N), which bears no load, continued to the full load."""
-    return trace(Path(problem, tip_load=torch.zeros_like(problem.tip_load)), start)
+    return trace(Path(problem, tip_load=torch.zeros_like(problem.tip_load)), start, looks=looks)
 
 
 @dataclass(frozen=True)
@@ -221,7 +227,8 @@ class _Walk(NamedTuple):
     ratio: Tensor
     moved: Tensor
 
-    def __getitem__(self, index: Tensor) -> "_Walk":  # type: ignore[override]
+    def at(self, index: Tensor) -> "_Walk":
+        """These elements."""
         return _Walk(*(value[index] for value in self))
 
 
@@ -253,7 +260,7 @@ def trace(path: Path, start: Tensor, first_step: float = FIRST_SHARE, looks: int
         out.arrived[ended] = walk.share[left] >= 1
         if not bool(under_way.any()):
             return out
-        walk, own = walk[under_way], own[under_way]
+        walk, own = walk.at(under_way), own[under_way]
     out.unknowns[walk.element] = walk.base
     return out
 
@@ -318,16 +325,20 @@ class Settled(NamedTuple):
     arrived: Tensor
 
 
-def settle(problem: Problem, start: Tensor) -> Settled:
+def settle(problem: Problem, start: Tensor, damping: float = 0.4) -> Settled:
     """Let the arms go, and follow them to rest: what follows where a branch ends is a snap.
 
     Overdamped motion `D ż = R` by implicit Euler steps `(J - D/h) δ = -R` that grow as the motion slows down
     (pseudo-transient continuation; Kelley and Keyes 1998) and become Newton's.
+
+    Args:
+        problem, start: (B, C, N) where they are let go.
+        damping: of the first step, D/h over the sections' own stiffness; little of it makes Newton steps at once.
     """
     here, arrived = start.clone(), torch.zeros(len(start), dtype=torch.bool, device=start.device)
     active = torch.arange(len(start), device=start.device)
-    damping: Tensor | None = None
-    last: Tensor | None = None
+    amount = start.new_full((len(start),), 2.5 * damping)
+    last = start.new_full((len(start),), float("inf"))
     for _ in range(SETTLING_STEPS):
         part, z = problem[active], here[active]
         found = part.balance(z)
@@ -338,20 +349,18 @@ def settle(problem: Problem, start: Tensor) -> Settled:
         if not bool(keep.any()):
             break
         unit = _mobility(part, found)
-        if damping is None or last is None:
-            damping, last = torch.ones_like(miss), miss
-        # A step that led uphill was too long; one that did not gain little by little becomes Newton's
-        damping = torch.where(miss > 1.5 * last, damping * 4, damping * 0.4).clamp(1e-12, 1e6)
-        matrix = found.stiffness.clone()
-        matrix.diagonal(dim1=-3, dim2=-1).diagonal(dim1=-3, dim2=-2).sub_((damping[:, None] * unit)[:, None, :])
+        # A step that led uphill was too long; those that lead down become Newton's
+        amount = torch.where(miss > 1.5 * last, amount * 4, amount * 0.4).clamp(1e-12, 1e6)
+        matrix = found.stiffness
+        matrix.diagonal(dim1=-3, dim2=-1).diagonal(dim1=-3, dim2=-2).sub_((amount[:, None] * unit)[:, None, :])
         step = -mechanics.solve(matrix, found.residual.unsqueeze(-1)).squeeze(-1)
         size = _move(part, step)
         short = (0.5 / size.clamp(min=1e-12)).clamp(max=1.0)
-        damping = torch.where(size > 0.5, damping * 2, damping)
+        amount = torch.where(size > 0.5, amount * 2, amount)
         z = z + short[:, None, None] * step
         keep &= size.isfinite()
         here[active[keep]] = z[keep]
-        active, damping, last = active[keep], damping[keep], miss[keep]
+        active, amount, last = active[keep], amount[keep], miss[keep]
     return Settled(here, arrived)
 
 

@@ -153,6 +153,24 @@ def pose_jacobian(motion: Kinematics, *, shear: bool = False) -> Float[Tensor, "
     return torch.cat((slides.movedim(-1, -4), turns.expand(*slides.shape[:-1]).unsqueeze(-4)), -4)
 
 
+def pose_change(motion: Kinematics, change: Float[Tensor, "*#batch C N K"]) -> Float[Tensor, "... 3 P K"]:
+    """E times K changes of z, by running sums: how far the poses move, without the matrix E."""
+    count = change.shape[-2]
+    turn = change[..., -1, :, :].cumsum(-2) / count
+    turn = torch.cat((torch.zeros_like(turn[..., :1, :]), turn), -2)
+    stride = motion.pose[..., 1:, :2] - motion.pose[..., :-1, :2]
+    columns = [motion.by_length, motion.by_curvature]
+    if change.shape[-3] == 3:
+        columns.insert(1, motion.by_shear)
+    moved = []
+    for axis, across in ((0, -stride[..., 1]), (1, stride[..., 0])):
+        slide = across.unsqueeze(-1) * turn[..., :-1, :]
+        for row, column in enumerate(columns):
+            slide = slide + column[..., axis].unsqueeze(-1) * change[..., row, :, :]
+        moved.append(torch.cat((torch.zeros_like(slide[..., :1, :]), slide.cumsum(-2)), -2))
+    return torch.stack((*moved, turn), -3)
+
+
 def pose_error(
     pose: Float[Tensor, "*#batch K 3"], target: Float[Tensor, "*#batch K 3"]
 ) -> tuple[Float[Tensor, "... K 3"], Float[Tensor, "... K 3 3"]]:
@@ -250,8 +268,8 @@ def actuator_part(
     """a_i with its local derivatives by twist and pressure.
 
     Force models are differentiated by autograd, all nodes and actuators in one sweep (forces are element-wise);
-    all else is closed form. Without pressure_slope, by_pressure is of no actuators: (..., C, N, 0). With create_graph the derivatives can be differentiated again, else they
-    come detached.
+    all else is closed form. Without pressure_slope, by_pressure is of no actuators: (..., C, N, 0). With
+    create_graph the derivatives can be differentiated again, else they come detached.
     """
     with torch.set_grad_enabled(create_graph):
         section = _Section.of(arm, unknowns, pressure)
@@ -398,7 +416,11 @@ def balance(
         own = actuator_part(
             arm, unknowns, pressure, shear_stiffness, pressure_slope=pressure_slope, create_graph=create_graph
         )
-        stiffness = assemble(load.stiffness, own.stiffness)
+        stiffness = load.stiffness
+        if create_graph or stiffness.shape[:-4] != own.stiffness.shape[:-3]:
+            stiffness = assemble(stiffness, own.stiffness)
+        else:
+            stiffness.diagonal(dim1=-3, dim2=-1).add_(own.stiffness)
         return Balance(load.wrench + own.wrench, stiffness, own.by_pressure, motion)
 
 

@@ -1,0 +1,1 @@
+"""Forward mechanics and pressure search: right, fast, and against scipy."""

@@ -1,0 +1,74 @@
+"""The figures of the benchmark: cost gap against time, and what the metrics rank."""
+
+from collections import defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from scipy.stats import spearmanr
+
+from experiments.benchmark_search.reference import Array
+
+COLOURS = {"antagonistic": "#0072B2", "bellows-only": "#D55E00"}
+Points = dict[str, list[tuple[float, float, int]]]
+
+
+@dataclass
+class Pictures:
+    """What the parts leave for the figures.
+
+    Attributes:
+        batched: for each arm (seconds a search, share of tasks not within 1 % of the best, descents).
+        scipy: for each arm (seconds a search, median excess cost, starts).
+        cost: the search's cost of each task, by arm.
+        metric: the metrics' values, by arm and metric.
+    """
+
+    batched: Points = field(default_factory=lambda: defaultdict(list))
+    scipy: Points = field(default_factory=lambda: defaultdict(list))
+    cost: dict[str, Array] = field(default_factory=dict)
+    metric: dict[tuple[str, str], Array] = field(default_factory=dict)
+
+    def save(self, folder: Path) -> None:
+        """Draw both figures."""
+        self._starts(folder / "starts.png")
+        self._ranks(folder / "ranks.png")
+
+    def _starts(self, path: Path) -> None:
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(7, 4.2), layout="constrained", dpi=150)
+        axes = figure.subplots()
+        for (name, points), marker in zip(self.batched.items(), "os", strict=False):
+            x, y, _ = zip(*points, strict=True)
+            axes.plot(
+                [1e3 * t for t in x], [100 * v for v in y], marker + "-", color=COLOURS[name], label=f"batched, {name}"
+            )
+            for t, v, count in points:
+                axes.annotate(str(count), (1e3 * t, 100 * v), (3, 4), textcoords="offset points", fontsize=8)
+        for name, points in self.scipy.items():
+            spent = 1e3 * points[0][0]
+            axes.axvline(spent, color=COLOURS[name], linestyle=":", label=f"time of scipy SLSQP, 1 start, {name}")
+        axes.set_xscale("log")
+        axes.set_xlabel("time a search [ms]")
+        axes.set_ylabel("tasks more than 1 % above the best known cost [%]")
+        axes.set_title("More starts find more of the best pressures (numbers: descents a search)", fontsize=10)
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=8)
+        figure.savefig(path)
+
+    def _ranks(self, path: Path) -> None:
+        from matplotlib.figure import Figure
+
+        metrics = ("absolute", "relative", "absolute + relative")
+        figure = Figure(figsize=(10, 6), layout="constrained", dpi=150)
+        grid = figure.subplots(len(self.cost), len(metrics), squeeze=False)
+        for row, (name, cost) in zip(grid, self.cost.items(), strict=True):
+            for axes, metric in zip(row, metrics, strict=True):
+                value = self.metric[name, metric]
+                axes.plot(value, cost, "o", color=COLOURS[name], markersize=4, alpha=0.7)
+                axes.set_yscale("log")
+                axes.set_title(f"{name}: rank correlation {spearmanr(value, cost).statistic:.2f}", fontsize=10)
+                axes.set_xlabel(f"{metric} unattainability [N]")
+                axes.grid(alpha=0.3)
+            row[0].set_ylabel("cost of the best pressure [m²]")
+        figure.savefig(path)

@@ -1,0 +1,312 @@
+"""Measure forward mechanics and pressure search, against scipy in the same run.
+
+Prints tables, writes results.csv (one row a measurement) and two figures beside this file.
+"""
+
+import argparse
+import csv
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, fields, replace
+from itertools import permutations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from scipy.stats import spearmanr
+from torch import Tensor
+
+import torcharm as ta
+from experiments.benchmark_search import figures, reference
+
+HERE = Path(__file__).parent
+ARMS = {"antagonistic": ta.antagonistic_arm(), "bellows-only": ta.bellows_arm()}
+OTHERS = {"antagonistic": reference.ANTAGONISTIC, "bellows-only": reference.BELLOWS}
+SHAPE = ta.affine_curvature(-3.0, 3.0, length=0.5, nodes=10)
+HARD = ((50.0, 0.0, 0.0, 0.0), (1.0, 1.0, 1.0, 1.0), (1.3, 2.65, 1.59, 4.59), (20.0, 50.0, 10.0, 5.0), (0.0,) * 4)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measurement; `value` is in `unit`."""
+
+    part: str
+    case: str
+    quantity: str
+    value: float
+    unit: str = ""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="a smoke run: small sizes, no file written")
+    parser.add_argument("--threads", type=int, default=1, help="threads for torch (default 1)")
+    options = parser.parse_args()
+    torch.set_num_threads(options.threads)
+    console = Console()
+    rows: list[Row] = []
+    pictures = figures.Pictures()
+    for part in (hard_points, speed, extremes, searches, starts, correlations):
+        found = list(part(options.quick, pictures))
+        console.print(as_table(found))
+        rows += found
+    if not options.quick:
+        with open(HERE / "results.csv", "w", newline="") as file:
+            writer = csv.DictWriter(file, [field.name for field in fields(Row)], lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(asdict(row) for row in rows)
+        pictures.save(HERE)
+        console.print(f"wrote {len(rows)} rows to results.csv, and figures")
+
+
+def as_table(rows: list[Row]) -> Table:
+    table = Table(title=rows[0].part, title_justify="left")
+    for heading in ("case", "quantity", "value", "unit"):
+        table.add_column(heading, justify="right" if heading == "value" else "left")
+    for row in rows:
+        table.add_row(row.case, row.quantity, f"{row.value:,.4g}", row.unit)
+    return table
+
+
+# ---- forward mechanics ------------------------------------------------------------------
+
+
+def hard_pressures(arm: ta.ArmDesign) -> Tensor:
+    """Every order of the hard pressures, and the limits (P, 4)."""
+    orders = [order for base in HARD for order in sorted(set(permutations(base)))]
+    given = torch.tensor(orders, dtype=torch.float64)
+    return torch.cat((torch.minimum(given, arm.max_pressure), arm.max_pressure[None]))
+
+
+def hard_points(quick: bool, _: figures.Pictures) -> Iterator[Row]:
+    """Convergence at hard pressures under the published loads, and agreement with scipy."""
+    part = "hard points: every order of (50,0,0,0), (1,1,1,1), (1.3,2.65,1.59,4.59), (20,50,10,5); zero; limits"
+    for name, arm in ARMS.items():
+        for moment in (2.0, 5.0):
+            pressure, loads = hard_pressures(arm), ta.sample_loads(100, (20, 20, moment))
+            if quick:
+                pressure, loads = pressure[::9], loads[::20]
+            found = ta.solve_equilibrium(arm, pressure[:, None], loads)
+            case = f"{name}, M0 = {moment:g}"
+            yield Row(part, case, "equilibria", found.converged.numel())
+            yield Row(
+                part, case, "converged to 1e-10 of the load scale", 100 * float(found.converged.double().mean()), "%"
+            )
+            yield Row(
+                part,
+                case,
+                "of these along the branch from zero load",
+                100 * float(found.continued.double().mean()),
+                "%",
+            )
+            yield Row(part, case, "flagged", float((~found.converged).sum()))
+            yield Row(part, case, "largest residual of the converged", float(found.residual[found.converged].max()))
+            picks = np.random.default_rng(0).permutation(found.converged.numel())[: 5 if quick else 60]
+            yield from against_scipy(part, case, OTHERS[name], found, pressure, loads, picks)
+
+
+def against_scipy(
+    part: str,
+    case: str,
+    other: reference.Arm,
+    found: ta.Equilibrium,
+    pressure: Tensor,
+    loads: Tensor,
+    picks: np.ndarray[Any, np.dtype[np.int64]],
+) -> Iterator[Row]:
+    gaps, shots, elsewhere, failed = [], [], 0, 0
+    for pick in track(picks, f"scipy, {case}", transient=True):
+        i, j = divmod(int(pick), len(loads))
+        if not found.converged[i, j]:
+            continue
+        ours = np.concatenate(found.twists[i, j, :, ::2].numpy().T)
+        near = ours * (1 + 1e-4 * np.sin(np.arange(len(ours))))
+        theirs = reference.solve_all(other, pressure[i].numpy(), loads[j].numpy(), near)
+        if theirs is None:
+            failed += 1
+        elif np.abs(theirs - ours).max() > 0.01:
+            elsewhere += 1
+        else:
+            gaps.append(np.abs(theirs - ours).max())
+        shot = reference.shoot(other, pressure[i].numpy(), loads[j].numpy(), near)
+        if shot is not None:
+            shots.append(np.abs(shot - ours).max())
+    yield Row(
+        part,
+        case,
+        f"scipy root, {len(gaps)} compared ({failed} failed, {elsewhere} left): largest difference",
+        max(gaps),
+        "m, rad",
+    )
+    yield Row(
+        part,
+        case,
+        f"scalar shooting, {len(shots)} compared: largest difference",
+        max(shots, default=float("nan")),
+        "m, rad",
+    )
+
+
+def speed(quick: bool, _: figures.Pictures) -> Iterator[Row]:
+    """Equilibria a second by batch, random pressures and published loads; scipy in the same run."""
+    part = f"speed: N = 10, random pressures, loads of the validation, {torch.get_num_threads()} thread(s)"
+    best = 0.0
+    for name, arm in ARMS.items():
+        for batch in (1, 10, 100) if quick else (1, 10, 100, 1000, 5000):
+            generator = torch.Generator().manual_seed(0)
+            pressure = torch.rand(batch, 4, generator=generator, dtype=torch.float64) * arm.max_pressure
+            loads = ta.sample_loads(batch)
+            times = []
+            for _repeat in range(1 if quick else 5):
+                begun = time.perf_counter()
+                found = ta.solve_equilibrium(arm, pressure, loads)
+                times.append(time.perf_counter() - begun)
+            rate = batch / float(np.median(times))
+            best = max(best, rate)
+            yield Row(part, f"{name}, batch {batch:,}", "equilibria", rate, "1/s")
+            yield Row(part, f"{name}, batch {batch:,}", "converged", 100 * float(found.converged.double().mean()), "%")
+        other, solved, begun = OTHERS[name], 0, time.perf_counter()
+        tries = 2 if quick else 20
+        for k in range(tries):
+            start = reference.continue_all(other, pressure[k].numpy(), loads[k].numpy(), 10, steps=4)
+            solved += start is not None
+        rate = tries / (time.perf_counter() - begun)
+        yield Row(part, f"{name}, scipy root, 4 load steps", "equilibria", rate, "1/s")
+        yield Row(part, f"{name}, scipy root, 4 load steps", "converged", 100 * solved / tries, "%")
+        begun = time.perf_counter()
+        solved = 0
+        straight = np.concatenate((np.full(10, 0.5), np.zeros(10)))
+        for k in range(tries):
+            solved += reference.solve_all(other, pressure[k].numpy(), loads[k].numpy(), straight) is not None
+        rate = tries / (time.perf_counter() - begun)
+        yield Row(part, f"{name}, scipy root, from straight", "equilibria", rate, "1/s")
+        yield Row(part, f"{name}, scipy root, from straight", "converged", 100 * solved / tries, "%")
+
+
+def extremes(quick: bool, _: figures.Pictures) -> Iterator[Row]:
+    """Stiff and extreme scenes: converged, along the branch, flagged."""
+    part = "stiff and extreme: 50 random pressures and loads each (antagonistic unless said)"
+    count = 6 if quick else 50
+    generator = torch.Generator().manual_seed(1)
+    share = torch.rand(count, 4, generator=generator, dtype=torch.float64)
+    arm = ARMS["antagonistic"]
+    usual, loads = share * arm.max_pressure, ta.sample_loads(count)
+    scenes: dict[str, tuple[ta.ArmDesign, Tensor, Tensor, dict[str, float]]] = {}
+    for level in (0.0, 1e-6, 1e-3, 1e-1):
+        scenes[f"pressures to {level:g} kPa"] = (arm, share * level, loads, {})
+    for level in (10.0, 30.0, 100.0):
+        scenes[f"loads to {level:g} N"] = (arm, usual, loads * level / 10, {})
+    for factor in (1e-3, 1e-1, 10.0, 1e3):
+        models = [replace(model, bending_stiffness=factor * model.bending_stiffness) for model in arm.actuators]  # type: ignore[type-var]
+        scenes[f"bending stiffness × {factor:g}"] = (ta.ArmDesign(arm.radii, arm.length, models), usual, loads, {})
+    for stiffness in (1e3, 1e5, 1e7, 1e9):
+        scenes[f"finite shear {stiffness:g} N/m"] = (arm, usual, loads, {"shear_stiffness": stiffness})
+    for nodes in (1, 2, 5, 20, 50, 100):
+        scenes[f"N = {nodes}"] = (arm, usual, loads, {"nodes": nodes})
+    scenes["muscles only"] = (ta.mckibben_arm(), share * 100, loads, {})
+    scenes["muscles only, to 5 kPa: kinks"] = (ta.mckibben_arm(), share * 5, loads, {})
+    for name, (design, pressure, load, options) in scenes.items():
+        found = ta.solve_equilibrium(design, pressure, load, **options)  # type: ignore[arg-type]
+        good, size = found.converged, len(pressure)
+        assert bool((found.residual[good] <= 1e-10).all())
+        yield Row(part, name, "converged", 100 * float(good.double().mean()), "%")
+        yield Row(part, name, "along the branch from zero load", 100 * float(found.continued.double().mean()), "%")
+        yield Row(part, name, "flagged", size - float(good.sum()))
+        yield Row(part, name, "out of the characterised range", 100 * float((~found.in_range).double().mean()), "%")
+
+
+# ---- pressure search --------------------------------------------------------------------
+
+
+def validation(name: str, count: int) -> tuple[ta.ArmDesign, ta.Task]:
+    return ARMS[name], ta.Task(SHAPE, ta.sample_loads(100)[:count])
+
+
+def searches(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
+    """The validation's 200 searches against the scipy baseline on some of them."""
+    part = "search: validation shape (-3, 3), M0 = 2, ω = linspace(0, 1, N)"
+    count, compared = (3, 1) if quick else (100, 10)
+    methods = ("SLSQP",) if quick else ("SLSQP", "L-BFGS-B", "Nelder-Mead", "trust-constr")
+    few = 1 if quick else 3
+    for name in ARMS:
+        arm, task = validation(name, count)
+        begun = time.perf_counter()
+        found = ta.search_pressure(arm, task)
+        each = (time.perf_counter() - begun) / count
+        pictures.cost[name] = found.cost.numpy()
+        yield Row(part, f"{name}, batched, {count} tasks", "time a search", each * 1e3, "ms")
+        yield Row(part, f"{name}, batched", "converged", float(found.converged.sum()), f"of {count}")
+        yield Row(part, f"{name}, batched", "continued from zero load", float(found.continued.sum()), f"of {count}")
+        yield Row(
+            part,
+            f"{name}, batched",
+            "first-order optimality above 1e-4",
+            float((found.optimality > 1e-4).sum()),
+            f"of {count}",
+        )
+        yield Row(part, f"{name}, batched", "median cost", float(found.cost.median()), "m²")
+        for method in methods:
+            sub = ta.Task(SHAPE, task.tip_load[:few])
+            begun = time.perf_counter()
+            tried = ta.search_pressure(arm, sub, "scipy", scipy_method=method, progress=False)
+            case = f"{name}, scipy {method}, {few} tasks"
+            yield Row(part, case, "time a search", (time.perf_counter() - begun) / few, "s")
+            yield Row(part, case, "mean excess cost over batched", float((tried.cost - found.cost[:few]).mean()), "m²")
+        for multi, some in ((1, compared), (4, max(1, compared // 2))):
+            sub = ta.Task(SHAPE, task.tip_load[:some])
+            begun = time.perf_counter()
+            theirs = ta.search_pressure(arm, sub, "scipy", scipy_method="SLSQP", starts=multi)
+            spent = (time.perf_counter() - begun) / some
+            ours = found.cost[:some]
+            case = f"{name}, scipy SLSQP, {multi} start(s), {some} tasks"
+            pictures.scipy[name].append((spent, float(np.median(theirs.cost - ours)), multi))
+            yield Row(part, case, "time a search", spent, "s")
+            yield Row(part, case, "time over batched", spent / each, "times")
+            yield Row(part, case, "batched no worse (+1e-9)", float((ours <= theirs.cost + 1e-9).sum()), f"of {some}")
+            yield Row(part, case, "batched better by over 1 %", float((ours < theirs.cost / 1.01).sum()), f"of {some}")
+            yield Row(part, case, "largest excess of batched", float((ours - theirs.cost).max()), "m²")
+
+
+def starts(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
+    """Cost gap against time, by number of starts."""
+    part = "error against time: batched search, 50 tasks an arm, gap to the best of all these runs"
+    plans = ((1, 0), (2, 0)) if quick else ((1, 0), (2, 0), (4, 0), (8, 0), (8, 1), (8, 2), (16, 2), (32, 2))
+    for name in ARMS:
+        arm, task = validation(name, 2 if quick else 50)
+        found = {}
+        for count, hops in plans:
+            begun = time.perf_counter()
+            cost = ta.search_pressure(arm, task, starts=count, hops=hops).cost
+            found[count, hops] = (time.perf_counter() - begun) / len(cost), cost
+        best = torch.stack([cost for _, cost in found.values()]).amin(0)
+        for (count, hops), (spent, cost) in found.items():
+            case = f"{name}, {count} start(s), {hops} hop(s)"
+            within = float((cost <= 1.01 * best + 1e-12).double().mean())
+            pictures.batched[name].append((spent, 1 - within, count * (1 + hops)))
+            yield Row(part, case, "time a search", spent * 1e3, "ms")
+            yield Row(part, case, "within 1 % of the best", 100 * within, "%")
+            yield Row(part, case, "mean gap", float((cost - best).mean()), "m²")
+
+
+def correlations(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
+    """The paper's claim: does unattainability rank tasks as the search does?"""
+    part = "rank correlation (Spearman) of unattainability with the search's cost"
+    for name in ARMS:
+        cost = pictures.cost[name]
+        arm, task = validation(name, len(cost))
+        found = ta.evaluate(arm, task)
+        assert found.absolute is not None
+        assert found.relative is not None
+        metrics = {
+            "absolute": found.absolute.numpy(),
+            "relative": found.relative.numpy(),
+            "absolute + relative": (found.absolute + found.relative).numpy(),
+            "wrench-space fit": ta.fit_pressure(arm, task).distance.numpy(),
+        }
+        for metric, value in metrics.items():
+            pictures.metric[name, metric] = value
+            yield Row(part, name, metric, float(spearmanr(value, cost).statistic))
