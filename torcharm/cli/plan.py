@@ -63,12 +63,12 @@ def _table(found: Sequence[Found]) -> "Table":
     for name in ("plan", "arm"):
         table.add_column(name, overflow="fold")
     for name in ("cost", "absolute", "relative", "tip error", "lengths", "curvatures"):
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="right", overflow="fold")
     table.add_column("strain\nin range")
     for name, arm, shape in found:
         result = shape.attainability
         metrics = ["-" if value is None else f"{float(value):.4g}" for value in (result.absolute, result.relative)]
-        spans = [f"{float(column.min()):.3f} to {float(column.max()):.3f}" for column in shape.twists.unbind(-1)]
+        spans = [f"{float(column.min()):.3f}\n{float(column.max()):.3f}" for column in shape.twists.unbind(-1)]
         inside = "yes" if bool(result.in_range) else "no"
         table.add_row(
             Text(name), Text(arm), f"{shape.cost:.4g}", *metrics, f"{shape.tip_error:.1e}", spans[0], spans[2], inside
