@@ -39,16 +39,29 @@ if TYPE_CHECKING:
     from torcharm.distance.qp import qp_distance
     from torcharm.distance.result import HullDistance, kkt_residuals
     from torcharm.distance.scipy_solvers import nnls_distance, slsqp_distance
+    from torcharm.optimise import (
+        Architectures,
+        DesignSpace,
+        Objective,
+        OptimisedDesign,
+        load_optimised,
+        optimise_architectures,
+        optimise_design,
+        verify_design,
+    )
+    from torcharm.planning import PlannedShape, Smoothness, plan_shape
 
 __version__ = "0.1.0"
 
 __all__ = [
     "Actuator",
+    "Architectures",
     "ArmDesign",
     "Attainability",
     "Bellows",
     "BendingFunction",
     "ConstantBending",
+    "DesignSpace",
     "Equilibrium",
     "FitQuality",
     "FittedActuator",
@@ -59,6 +72,9 @@ __all__ = [
     "McKibben",
     "Monotonicity",
     "NotConvergedError",
+    "Objective",
+    "OptimisedDesign",
+    "PlannedShape",
     "PolynomialActuator",
     "PoseCost",
     "PredictedError",
@@ -66,6 +82,7 @@ __all__ = [
     "PressureSearch",
     "Recording",
     "Residuals",
+    "Smoothness",
     "Task",
     "TensorPolynomial",
     "WrenchHulls",
@@ -85,9 +102,13 @@ __all__ = [
     "kkt_residuals",
     "load_actuator",
     "load_capacity",
+    "load_optimised",
     "mckibben_arm",
     "monotonicity",
     "nnls_distance",
+    "optimise_architectures",
+    "optimise_design",
+    "plan_shape",
     "planar_distance",
     "pool",
     "poses",
@@ -103,16 +124,23 @@ __all__ = [
     "slsqp_distance",
     "solve_equilibrium",
     "standard_deviation",
+    "verify_design",
     "wrench_hulls",
 ]
 
 _LATER = {
+    "Architectures": "optimise",
+    "DesignSpace": "optimise",
     "FitQuality": "actuators.characterisation",
     "FittedActuator": "actuators.characterisation",
     "GriddedActuator": "actuators.gridded",
     "HullDistance": "distance.result",
     "LoadCapacity": "capacity",
+    "Objective": "optimise",
+    "OptimisedDesign": "optimise",
+    "PlannedShape": "planning",
     "Recording": "actuators.alignment",
+    "Smoothness": "planning",
     "TensorPolynomial": "actuators.uncertainty",
     "align": "actuators.alignment",
     "coefficient_tensor": "actuators.uncertainty",
@@ -123,7 +151,11 @@ _LATER = {
     "kkt_residuals": "distance.result",
     "load_actuator": "actuators.model_file",
     "load_capacity": "capacity",
+    "load_optimised": "optimise",
     "nnls_distance": "distance.scipy_solvers",
+    "optimise_architectures": "optimise",
+    "optimise_design": "optimise",
+    "plan_shape": "planning",
     "planar_distance": "distance.planar",
     "pool": "actuators.alignment",
     "qp_distance": "distance.qp",
@@ -132,11 +164,13 @@ _LATER = {
     "save_actuator": "actuators.model_file",
     "slsqp_distance": "distance.scipy_solvers",
     "standard_deviation": "actuators.uncertainty",
+    "verify_design": "optimise",
 }
 
 
 def __getattr__(name: str) -> Any:
     """What loads when it is first used."""
+    """Distance solvers and optimisers, which load when they are first used."""
     if name not in _LATER:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module

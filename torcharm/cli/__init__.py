@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from torcharm.cli import evaluate, fit, init, search, shape
+from torcharm.cli import evaluate, fit, init, optimise, plan, search, shape
 from torcharm.cli.terminal import INTERRUPTED, fail
 
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]  # click's own, which newer typers hold inside
@@ -63,3 +63,5 @@ app.command(epilog="Example: torcharm fit --instron run.csv --pressure run.txt -
 )
 app.command(epilog="Example: torcharm search study.toml --out pressures.csv")(search.search)
 app.command(epilog="Example: torcharm shape --pressure 20,30,20,25 --load 2,-3,0.1 --figure shape.png")(shape.shape)
+app.command(epilog="Example: torcharm optimise study.toml --out best.npz --figure history.png")(optimise.optimise)
+app.command(epilog="Example: torcharm plan study.toml --out shapes.csv")(plan.plan)

@@ -1,9 +1,11 @@
 """What a study holds: named arms and tasks, and how to evaluate them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from torcharm.arm import ArmDesign
 from torcharm.attainability import METRICS
+from torcharm.optimise import DesignSpace, Objective
+from torcharm.planning import Smoothness
 from torcharm.task import Task
 
 
@@ -45,11 +47,47 @@ class Settings:
 
 
 @dataclass(frozen=True)
+class Optimisation:
+    """How arms are optimised: arguments of `torcharm.optimise_design`, with its defaults."""
+
+    space: DesignSpace = field(default_factory=DesignSpace)
+    objective: Objective = field(default_factory=Objective)
+    method: str = "bfgs"
+    starts: int = 8
+    seed: int = 0
+    iterations: int | None = None
+
+
+@dataclass(frozen=True)
+class NamedPlan:
+    """A tip pose for which every arm's shape is to be found, and what the study calls it.
+
+    Attributes:
+        name: of the plan.
+        tip_pose: (x, y, θ) in the world frame [m, m, rad].
+        tip_load: `(f_x, f_y, m)` in the world frame [N, N, N·m].
+        smoothness: the heuristic to follow; None: the shape that each arm holds best.
+        nodes, base_pose: of the shape.
+        in_range: whether strains must stay in the characterised range; None leaves it to `plan_shape`.
+    """
+
+    name: str
+    tip_pose: tuple[float, ...]
+    tip_load: tuple[float, ...]
+    smoothness: Smoothness | None
+    nodes: int
+    base_pose: tuple[float, ...]
+    in_range: bool | None = None
+
+
+@dataclass(frozen=True)
 class Study:
-    """Arms, tasks, and how every arm is to be evaluated on every task."""
+    """Arms, tasks, how every arm is to be evaluated on every task, and how it may be made better."""
 
     name: str
     description: str
     arms: tuple[NamedArm, ...]
     tasks: tuple[NamedTask, ...]
     settings: Settings
+    optimisation: Optimisation = field(default_factory=Optimisation)
+    plans: tuple[NamedPlan, ...] = ()

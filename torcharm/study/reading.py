@@ -24,7 +24,9 @@ from torcharm.actuators.model_file import load_actuator
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
 from torcharm.attainability import CHOICES
 from torcharm.hulls import sample_count, slot_count
-from torcharm.study.data import NamedArm, NamedTask, Settings, Study
+from torcharm.optimise import DesignSpace, Objective
+from torcharm.planning import Smoothness
+from torcharm.study.data import NamedArm, NamedPlan, NamedTask, Optimisation, Settings, Study
 from torcharm.study.fields import field_path, first_mistake, one_line, shown_value, within
 from torcharm.study.tables import (
     BendingTable,
@@ -33,8 +35,10 @@ from torcharm.study.tables import (
     EvaluateTable,
     FileActuator,
     FreeArm,
+    OptimiseTable,
     PaperActuator,
     PaperArm,
+    PlanTable,
     PolynomialTable,
     ShapedTask,
     StudyTable,
@@ -130,7 +134,13 @@ def _study(table: StudyTable, folder: Path) -> Study:
         for task in tasks:
             with within("evaluate", arm.name):
                 _check_size(arm, task, settings)
-    return Study(table.name, table.description, tuple(arms), tuple(tasks), settings)
+    with within("optimise", ""):
+        optimisation = _optimisation(table.optimise)
+    plans = []
+    for index, wanted in enumerate(table.plan):
+        with within(field_path(["plan", index]), wanted.name):
+            plans.append(_plan(wanted))
+    return Study(table.name, table.description, tuple(arms), tuple(tasks), settings, optimisation, tuple(plans))
 
 
 def _check_unique(section: str, tables: Sequence[PaperArm | FreeArm | ShapedTask | TwistTask]) -> None:
@@ -216,6 +226,24 @@ def _settings(table: EvaluateTable) -> Settings:
     return Settings(
         metrics=tuple(name for name in CHOICES if name in table.metrics), weights=(force, moment), **options
     )
+
+
+def _optimisation(table: OptimiseTable) -> Optimisation:
+    bounds = {name: (ends[0], ends[1]) for name, ends in table.bounds.model_dump(exclude_none=True).items()}
+    space = DesignSpace(tuple(table.free), table.tied, bounds, table.spacing, table.ordered, table.in_range)
+    names = ("metric", "relative_weight", "over", "tail", "threshold", "size_weight")
+    objective = Objective(**{name: getattr(table, name) for name in names})
+    return Optimisation(space, objective, table.method, table.starts, table.seed, table.iterations)
+
+
+def _plan(table: PlanTable) -> NamedPlan:
+    weight, reference = table.length_weight, table.reference_length
+    if (weight is None) != (reference is None):
+        missing = "length_weight" if weight is None else "reference_length"
+        raise ValueError(f"{missing}: must be given too, as the other is; without both, unattainability is minimised")
+    smoothness = None if weight is None or reference is None else Smoothness(weight, reference)
+    poses = tuple(table.tip_pose), tuple(table.tip_load)
+    return NamedPlan(table.name, *poses, smoothness, table.nodes, tuple(table.base_pose), table.in_range)
 
 
 def _check_size(arm: NamedArm, task: NamedTask, settings: Settings) -> None:

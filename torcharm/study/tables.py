@@ -8,6 +8,10 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag
 from torcharm.attainability import CHOICES, METRICS
 from torcharm.distance import DISTANCES
 from torcharm.hulls import KINDS
+from torcharm.optimise import METHODS, Objective
+from torcharm.optimise.objective import AGGREGATES
+from torcharm.optimise.objective import METRICS as OBJECTIVES
+from torcharm.optimise.space import FIELDS, TIES
 from torcharm.rod import BASE_POSE
 from torcharm.study.data import Settings
 from torcharm.study.fields import (
@@ -207,6 +211,54 @@ class EvaluateTable(Table):
     signed: bool = Settings.signed
 
 
+_Ends = Annotated[list[float], entries("lowest", "highest")]
+
+
+class BoundsTable(Table):
+    """How far an optimiser may go."""
+
+    radii: _Ends | None = None
+    length: _Ends | None = None
+    max_pressure: _Ends | None = None
+
+
+class OptimiseTable(Table):
+    """How to optimise."""
+
+    free: Annotated[list[Annotated[str, one_of(FIELDS)]], filled(f"a list of fields, such as {json.dumps(FIELDS)}")] = [
+        "radii",
+        "length",
+    ]
+    tied: Annotated[str, one_of(TIES)] | None = None
+    bounds: BoundsTable = BoundsTable()
+    spacing: NotNegative = 0.0
+    ordered: bool = True
+    in_range: bool = True
+    metric: Annotated[str, one_of(OBJECTIVES)] = Objective.metric
+    relative_weight: NotNegative = Objective.relative_weight
+    over: Annotated[str, one_of(AGGREGATES)] = Objective.over
+    tail: Annotated[float, Field(gt=0, le=1)] = Objective.tail
+    threshold: NotNegative = Objective.threshold
+    size_weight: NotNegative = Objective.size_weight
+    method: Annotated[str, one_of(METHODS)] = "bfgs"
+    starts: Annotated[int, Field(ge=1, le=100_000)] = 8
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    iterations: Annotated[int, Field(ge=1)] | None = None
+
+
+class PlanTable(Table):
+    """A tip pose for which shapes are to be found."""
+
+    name: Name
+    tip_pose: Annotated[list[float], entries("x", "y", "θ"), Field(description="[x, y, θ] [m, m, rad]")]
+    tip_load: Annotated[list[float], entries("f_x", "f_y", "m"), Field(description="[f_x, f_y, m] [N, N, N·m]")]
+    length_weight: NotNegative | None = None
+    reference_length: Positive | None = None
+    nodes: Annotated[int, Field(ge=2, le=200)] = 10
+    in_range: bool | None = None
+    base_pose: _BasePose = list(BASE_POSE)
+
+
 class StudyTable(Table):
     """The whole file."""
 
@@ -217,3 +269,5 @@ class StudyTable(Table):
         list[TaskTable], filled("tables that begin with [[task]]"), Field(description="at least one [[task]]")
     ]
     evaluate: EvaluateTable = EvaluateTable()
+    optimise: OptimiseTable = OptimiseTable()
+    plan: list[PlanTable] = []

@@ -1,0 +1,3 @@
+from experiments.design_optimisation.run import main
+
+main()

@@ -1,0 +1,109 @@
+"""The commands `torcharm optimise` and `torcharm plan`, run as a person runs them."""
+
+import csv
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+import torcharm as ta
+from torcharm.study import parse_study
+
+STUDY = """
+name = "try"
+
+[[arm]]
+name = "antagonistic"
+kind = "antagonistic"
+outer_radius = 0.04
+inner_radius = 0.01
+length = 0.51
+
+[[task]]
+name = "reach"
+shape = { kind = "affine", slope = -3.0, intercept = 3.0, nodes = 4 }
+loads = { count = 2 }
+
+[[task]]
+name = "hold"
+shape = { kind = "affine", slope = 1.0, intercept = 1.5, nodes = 3 }
+loads = [[3.0, -2.0, 0.5]]
+
+[optimise]
+tied = "mirror"
+spacing = 0.005
+starts = 2
+iterations = 6
+bounds = { radii = [-0.09, 0.09] }
+
+[[plan]]
+name = "shape 1"
+tip_pose = [0.35, -0.3, 0.0]
+tip_load = [6.0, 0.0, 0.0]
+length_weight = 45.0
+reference_length = 0.5
+"""
+
+
+def _run(folder: Path, *arguments: str, text: str = STUDY) -> subprocess.CompletedProcess[str]:
+    (folder / "study.toml").write_text(text, encoding="utf-8")
+    command = [sys.executable, "-m", "torcharm.cli", *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, encoding="utf-8")
+
+
+def test_optimise_shows_and_saves_a_better_arm(tmp_path: Path) -> None:
+    answer = _run(tmp_path, "optimise", "study.toml", "--out", "best.npz", "--figure", "best.png")
+    assert answer.returncode == 0, answer.stderr
+    assert "Wrote best.npz" in answer.stdout
+    assert (tmp_path / "best.png").stat().st_size > 1000
+    from torcharm.optimise import load_optimised
+
+    found = load_optimised(tmp_path / "best.npz")
+    study = parse_study(STUDY)
+    values = [ta.evaluate(found.best, named.task, "absolute").absolute.flatten() for named in study.tasks]  # type: ignore[union-attr]
+    assert found.value == pytest.approx(float(torch.cat(values).mean()))
+    assert found.value < found.given_value
+    assert float(found.best.radii.diff().min()) > 0.005 - 1e-9
+    assert f"{found.value:.5g}" in answer.stdout
+
+
+def test_plan_writes_the_paper_s_shape(tmp_path: Path) -> None:
+    answer = _run(tmp_path, "plan", "study.toml", "--out", "shapes.csv")
+    assert answer.returncode == 0, answer.stderr
+    with (tmp_path / "shapes.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    twists = torch.tensor([[float(row[name]) for name in ("length_m", "shear_m", "curvature_rad")] for row in rows])
+    found = ta.evaluate(
+        ta.antagonistic_arm(0.04, 0.01, 0.51), ta.Task(twists.double(), (6.0, 0.0, 0.0)), hull="edges", power=2
+    )
+    assert float(found.absolute) == pytest.approx(0.2343, abs=5e-5)  # type: ignore[arg-type]
+    assert answer.stdout.count("0.500") == 2, "the shortest and the longest segment"
+
+
+@pytest.mark.parametrize(
+    ("command", "change", "words"),
+    [
+        ("optimise", ("starts = 2", "startz = 2"), "optimise.startz: unknown key; did you mean starts?"),
+        ("optimise", ('tied = "mirror"', 'tied = "mirrored"'), "optimise.tied: must be one of mirror, equal"),
+        ("optimise", ("radii = [-0.09, 0.09]", "length = [0.1, 0.2]"), "no design within the bounds"),
+        ("optimise", ("spacing = 0.005", "ordered = false\nspacing = 0.005"), "ordered: must be True"),
+        ("plan", ("length_weight = 45.0\n", ""), "length_weight: must be given too"),
+        ("plan", ("tip_pose = [0.35, -0.3, 0.0]", "tip_pose = [0.35]"), "plan[1].tip_pose: must be a list of 3"),
+        ("plan", ("[[plan]]", "[[plans]]"), "plans"),
+    ],
+)
+def test_mistakes_end_in_one_line(tmp_path: Path, command: str, change: tuple[str, str], words: str) -> None:
+    assert change[0] in STUDY
+    answer = _run(tmp_path, command, "study.toml", text=STUDY.replace(*change))
+    assert answer.returncode == 2
+    assert words in answer.stderr
+    assert answer.stderr.count("\n") == 1
+    assert "Traceback" not in answer.stderr
+
+
+def test_results_go_to_npz_files(tmp_path: Path) -> None:
+    answer = _run(tmp_path, "optimise", "study.toml", "--out", "best.csv")
+    assert answer.returncode == 2
+    assert "must end in .npz" in answer.stderr

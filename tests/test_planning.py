@@ -1,0 +1,116 @@
+"""Shapes through a tip pose: the paper's, and those that an arm holds best."""
+
+import math
+from typing import Any
+
+import pytest
+import torch
+
+import torcharm as ta
+from torcharm.optimise import Objective
+from torcharm.planning import PAPER_SHAPES, Smoothness, plan_shape
+
+ARM = ta.ArmDesign([-0.04, -0.01, 0.01, 0.04], 0.51, [ta.Bellows(), ta.McKibben(), ta.McKibben(), ta.Bellows()])
+TIP = (0.35, -0.3, 0.0)
+LOAD = (6.0, 0.0, 0.0)
+
+
+def _tip_error(twists: torch.Tensor) -> float:
+    return float((ta.poses(twists)[..., -1, :] - torch.tensor(TIP, dtype=torch.float64)).abs().max())
+
+
+def test_the_published_shape_has_the_published_metrics() -> None:
+    plan = plan_shape(ARM, TIP, LOAD, PAPER_SHAPES[0])
+    found = ta.evaluate(ARM, ta.Task(plan.twists, LOAD), hull="edges", power=2)
+    assert found.absolute is not None
+    assert found.relative is not None
+    assert f"{float(found.absolute):.4f}" == "0.2343"
+    assert f"{float(found.relative):.2f}" in ("132.85", "132.86")
+    assert f"{float(found.relative):.5g}" == "132.85"
+
+
+@pytest.mark.parametrize("smoothness", PAPER_SHAPES)
+def test_smooth_shapes_meet_the_tip_and_no_neighbour_is_smoother(smoothness: Smoothness) -> None:
+    plan = plan_shape(ARM, TIP, LOAD, smoothness)
+    assert plan.converged
+    assert plan.tip_error < 1e-8
+    assert _tip_error(plan.twists) < 1e-8
+    length, _, curvature = plan.twists.unbind(-1)
+
+    def cost(length: torch.Tensor, curvature: torch.Tensor) -> torch.Tensor:
+        bend = curvature.diff(dim=-1).norm(dim=-1)
+        return smoothness.length_weight * (length - smoothness.reference_length).norm(dim=-1) + bend
+
+    assert plan.cost == pytest.approx(float(cost(length, curvature)), rel=1e-9)
+    # Neighbours in the null space of the tip, put back onto it by Newton's method.
+    generator = torch.Generator().manual_seed(0)
+    at = torch.cat((length, curvature))
+
+    def tip(z: torch.Tensor) -> torch.Tensor:
+        return ta.poses(torch.stack((z[:10], torch.zeros(10).double(), z[10:]), -1))[-1] - torch.tensor(
+            TIP, dtype=torch.float64
+        )
+
+    for step in (1e-2, 1e-3):
+        for _ in range(10):
+            z = at + step * torch.randn(20, generator=generator, dtype=torch.float64)
+            for _ in range(4):
+                jacobian = torch.autograd.functional.jacobian(tip, z)
+                z = z - torch.linalg.pinv(jacobian) @ tip(z)  # type: ignore[operator]
+            assert float(cost(z[:10], z[10:])) >= plan.cost - 1e-9
+
+
+def test_a_heavy_weight_keeps_lengths_and_a_light_one_lets_them_go() -> None:
+    heavy = plan_shape(ARM, TIP, LOAD, Smoothness(45.0, 0.5)).twists[:, 0]
+    light = plan_shape(ARM, TIP, LOAD, Smoothness(4.0, 0.51)).twists[:, 0]
+    assert torch.equal(heavy, torch.full((10,), 0.5).double())
+    assert float(light.max() - light.min()) > 1e-4
+
+
+def test_the_best_held_shape_is_held() -> None:
+    plan = plan_shape(ARM, TIP, LOAD, starts=1, nodes=5)
+    smooth = plan_shape(ARM, TIP, LOAD, PAPER_SHAPES[0], nodes=5)
+    task = ta.Task(smooth.twists, LOAD)
+    objective = Objective(power=2, relative_weight=1.0, margin=False)
+    assert _tip_error(plan.twists) < 1e-8
+    assert plan.converged
+    assert bool(plan.attainability.in_range)
+    assert plan.cost < 1e-2 * float(objective.per_task(ARM, (task,)))
+
+
+def test_several_loads_count_together() -> None:
+    loads = torch.tensor([[6.0, 0.0, 0.0], [-6.0, 0.0, 0.0]]).double()
+    plan = plan_shape(ARM, TIP, loads, Objective(power=2, margin=False), starts=1, nodes=4)
+    assert plan.attainability.absolute is not None
+    assert plan.attainability.absolute.shape == (2,)
+    assert plan.cost == pytest.approx(float(plan.attainability.absolute.mean()), abs=1e-12)
+
+
+def test_headings_count_their_turns() -> None:
+    once = plan_shape(ARM, TIP, LOAD, Smoothness(45.0, 0.5))
+    more = plan_shape(ARM, (0.35, -0.3, -2 * math.pi), LOAD, Smoothness(4.0, 0.5))
+    assert float(once.twists[:, 2].mean()) == pytest.approx(math.pi / 2)
+    assert float(more.twists[:, 2].mean()) == pytest.approx(-1.5 * math.pi)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"tip_pose": (0.3, 0.0)}, "tip_pose"),
+        ({"tip_pose": (0.3, math.nan, 0.0)}, "tip_pose"),
+        ({"nodes": 1}, "nodes"),
+        ({"starts": 0}, "starts"),
+        ({"tip_pose": (5.0, 5.0, 0.0), "objective": Objective(margin=False)}, "no shape"),
+        ({"arm": ta.bellows_arm(outer_radius=torch.tensor([0.03, 0.04]))}, "one design"),
+    ],
+)
+def test_arguments_are_checked(options: dict[str, Any], words: str) -> None:
+    given = {"arm": ARM, "tip_pose": TIP, "tip_load": LOAD, "starts": 1} | options
+    with pytest.raises(ValueError, match=words):
+        plan_shape(**given)
+
+
+@pytest.mark.parametrize(("weight", "reference"), [(-1.0, 0.5), (1.0, 0.0), (math.inf, 0.5)])
+def test_smoothness_is_checked(weight: float, reference: float) -> None:
+    with pytest.raises(ValueError, match="must be finite"):
+        Smoothness(weight, reference)

@@ -1,0 +1,229 @@
+"""`optimise_design`: from a design and tasks to a better design."""
+
+from collections.abc import Sequence
+from os import PathLike
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torcharm._inputs import check_choice, check_count, shown
+from torcharm.arm import ArmDesign
+from torcharm.attainability import evaluate
+from torcharm.optimise.archive import fingerprint
+from torcharm.optimise.baselines import SCIPY_METHODS, run_scipy
+from torcharm.optimise.descent import GOING, LIMIT, REASONS, projected_gradient
+from torcharm.optimise.feasible import Polytope, feasible_designs
+from torcharm.optimise.objective import Objective, Problem
+from torcharm.optimise.result import History, OptimisedDesign
+from torcharm.optimise.running import Callback, Log, descend
+from torcharm.optimise.space import DesignSpace, given_values
+from torcharm.optimise.stationarity import stationarity
+from torcharm.task import Task
+
+BATCHED_METHODS = ("bfgs", "adam")
+METHODS = (*BATCHED_METHODS, *SCIPY_METHODS)
+ITERATIONS = {"bfgs": 200, "adam": 300, "slsqp": 200, "differential_evolution": 1000, "nelder_mead": 5000}
+
+
+def optimise_design(
+    arm: ArmDesign,
+    task: Task | Sequence[Task],
+    space: DesignSpace | None = None,
+    objective: Objective | None = None,
+    *,
+    method: str = "bfgs",
+    starts: int = 8,
+    seed: int = 0,
+    iterations: int | None = None,
+    tolerance: float = 1e-7,
+    checkpoint: str | PathLike[str] | None = None,
+    callback: Callback | None = None,
+    progress: bool = False,
+) -> OptimisedDesign:
+    """The best design found from a given one, within constraints, on all tasks.
+
+    All starts descend in one batch: the first are the feasible designs nearest to the given ones, the others
+    lie anywhere among the feasible designs. Ctrl-C ends the search and returns what was found until then.
+
+    Args:
+        arm: a design, or a batch of designs to start from.
+        task: tasks of any batch shape, or several such.
+        space: what may change, and how far; None frees radii and lengths.
+        objective: by which designs are compared; None takes the mean absolute unattainability.
+        method: "bfgs" (curvature from differences of gradients) or "adam", both batched and projected onto the
+            constraints; or scipy's "slsqp", "differential_evolution" or "nelder_mead", for comparison.
+        starts: at least as many as designs are given. Differential evolution has its own population.
+        seed: of the random starts.
+        iterations: at most; None chooses.
+        tolerance: relative gain not worth another step.
+        checkpoint: a file from which to go on, if it is there, and in which to keep what has been done; of batched
+            methods. An interrupted search that goes on ends where it would have ended.
+        callback: is told about each iteration; returning True stops the search.
+        progress: whether to show a bar, on the standard error.
+
+    Raises:
+        ValueError: an argument is none of those allowed, or no design satisfies the constraints.
+    """
+    space, objective = space or DesignSpace(), objective or Objective()
+    tasks = check_tasks(arm, task, space, objective)
+    iterations = _checked(method, starts, seed, iterations, tolerance, checkpoint)
+    polytope = feasible_designs(space, arm, tasks)
+    problem = Problem((polytope,), tasks, objective)
+    points = starting_points(polytope, arm, starts, seed)
+    owner = torch.zeros(len(points), dtype=torch.long)
+    if method in SCIPY_METHODS:
+        ends, values, reasons, log, stopped = run_scipy(
+            problem,
+            points,
+            method=method,
+            iterations=iterations,
+            tolerance=tolerance,
+            seed=seed,
+            callback=callback,
+            progress=progress,
+        )
+    else:
+        state, log, stopped = descend(
+            problem,
+            points,
+            owner,
+            method=method,
+            iterations=iterations,
+            tolerance=tolerance,
+            checkpoint=checkpoint,
+            name=problem_name(arm, tasks, space, objective, method, len(points), seed, iterations, tolerance),
+            callback=callback,
+            progress=progress,
+        )
+        ends, values, reasons = state.best_point, state.best_value, end_reasons(state.reason, stopped)
+    return outcome(problem, 0, arm, space, points, ends, values, reasons, log, method, stopped)
+
+
+def check_tasks(
+    arm: ArmDesign, task: Task | Sequence[Task], space: DesignSpace, objective: Objective
+) -> tuple[Task, ...]:
+    """The tasks as a tuple, everything of the right type."""
+    tasks = (task,) if isinstance(task, Task) else tuple(task)
+    kinds = [("arm", arm, ArmDesign), ("space", space, DesignSpace), ("objective", objective, Objective)]
+    kinds += [("task", one, Task) for one in tasks]
+    for name, value, kind in kinds:
+        if not isinstance(value, kind):
+            raise ValueError(f"{name}: must be of type {kind.__name__}, got {shown(value)}")
+    if not tasks or any(0 in one.batch_shape for one in tasks):
+        raise ValueError("task: must hold at least one task, got none")
+    return tasks
+
+
+def _checked(method: str, starts: int, seed: int, iterations: int | None, tolerance: float, checkpoint: object) -> int:
+    check_choice("method", method, METHODS)
+    check_count("starts", starts, 1)
+    check_count("seed", seed, 0)
+    if checkpoint is not None and method not in BATCHED_METHODS:
+        raise ValueError(f"checkpoint: is kept by {', '.join(BATCHED_METHODS)} only, got method {method!r}")
+    if not (isinstance(tolerance, (int, float)) and 0 < tolerance < 1):
+        raise ValueError(f"tolerance: must be above 0 and below 1, got {shown(tolerance)}")
+    return ITERATIONS[method] if iterations is None else check_count("iterations", iterations, 1)
+
+
+def starting_points(polytope: Polytope, arm: ArmDesign, starts: int, seed: int) -> Tensor:
+    """Feasible points (S, F): those nearest to the given designs, then random ones."""
+    nearest = polytope.nearest(arm)
+    return torch.cat((nearest, polytope.sample(max(0, starts - len(nearest)), seed)))
+
+
+def problem_name(arm: ArmDesign, tasks: Sequence[Task], *settings: Any) -> str:
+    """What tells this problem from others, for checkpoints."""
+    tensors = [tensor for task in tasks for tensor in (task.twists, task.tip_load, task.base_pose)]
+    models = [repr(model) for model in arm.actuators]
+    return fingerprint(torch.from_numpy(given_values(arm)), *tensors, models, *settings)
+
+
+def end_reasons(reason: Tensor, stopped: str) -> list[str]:
+    """Why each start ended, in words."""
+    last = GOING if stopped != "finished" else LIMIT
+    return [REASONS[last if code == GOING else code] for code in reason.tolist()]
+
+
+def outcome(
+    problem: Problem,
+    architecture: int,
+    arm: ArmDesign,
+    space: DesignSpace,
+    points: Tensor,
+    ends: Tensor,
+    values: Tensor,
+    reasons: Sequence[str],
+    log: Log,
+    method: str,
+    stopped: str,
+) -> OptimisedDesign:
+    """Put together what is known of the starts of one architecture.
+
+    Args:
+        points, ends: (S, F) where the starts began, and their best; `ends` of a population is (1, F).
+        values: (S,) of the ends.
+    """
+    polytope, objective = problem.polytopes[architecture], problem.objective
+    with torch.no_grad():
+        given = _best_given(arm, problem)
+        best = int(values.argmin())
+        chosen = polytope.design(ends[best])
+        owner = torch.full((len(points),), architecture)
+        warm = torch.full((len(points),), 1e-6, dtype=torch.float64)
+        start_values = problem.judge(points, owner, warm, gradient=False).value
+        checked = [evaluate(chosen, task, "absolute") for task in problem.tasks]
+    mine = owner[: len(ends)]
+    slope = problem.judge(ends, mine, warm[: len(ends)], gradient=True).gradient
+    assert slope is not None
+    history = History(torch.tensor(log.evaluations), torch.tensor(log.seconds), torch.as_tensor(log.values_array()))
+    return OptimisedDesign(
+        given=given,
+        best=chosen,
+        value=float(values[best]),
+        given_value=float(_value_of(given, problem)),
+        before=metric_values(given, problem),
+        after=metric_values(chosen, problem),
+        in_range=all(bool(result.in_range.all()) for result in checked),
+        violation=float(polytope.violation(ends[best])),
+        starts=polytope.design(points),
+        start_values=start_values,
+        ends=polytope.design(ends),
+        end_values=values,
+        reasons=tuple(reasons),
+        projected_gradients=projected_gradient(problem, ends, mine, slope),
+        stationarity=stationarity(problem, ends[best], architecture),
+        history=history,
+        method=method,
+        evaluations=log.evaluations[-1],
+        seconds=log.seconds[-1],
+        stopped=stopped,
+        space=space,
+        objective=objective,
+    )
+
+
+def _value_of(arm: ArmDesign, problem: Problem) -> Tensor:
+    """The objective (*design batch) of designs that need not be feasible; infinite where it is no number."""
+    objective = problem.objective
+    value = objective.total(objective.per_task(arm, problem.tasks)) + objective.size(arm)
+    return torch.where(value.isfinite(), value, torch.inf)
+
+
+def _best_given(arm: ArmDesign, problem: Problem) -> ArmDesign:
+    designs = arm.flatten()
+    return designs[0] if len(designs.radii) == 1 else designs[int(_value_of(designs, problem).argmin())]
+
+
+def metric_values(arm: ArmDesign, problem: Problem) -> dict[str, Tensor]:
+    """Unsigned metrics of one design, each (T,) over all tasks, and whether they converged."""
+    objective = problem.objective
+    metrics = tuple(dict.fromkeys(("absolute", "relative", *objective.metrics)))
+    options: dict[str, Any] = {
+        name: getattr(objective, name) for name in ("hull", "samples", "weights", "power", "chunk_size")
+    }
+    with torch.no_grad():
+        results = [evaluate(arm, task, metrics, **options) for task in problem.tasks]
+    return {
+        name: torch.cat([getattr(result, name).reshape(-1) for result in results]) for name in (*metrics, "converged")
+    }

@@ -1,0 +1,223 @@
+"""What a design is judged by: one number from its results on all tasks, and its gradient."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil
+
+import torch
+from torch import Tensor
+
+from torcharm._inputs import check_choice, check_count, shown
+from torcharm.arm import ArmDesign
+from torcharm.attainability import Attainability, evaluate
+from torcharm.hulls import KINDS
+from torcharm.optimise.feasible import Polytope
+from torcharm.task import Task
+
+METRICS = ("unattainability", "predicted_error")
+AGGREGATES = ("mean", "worst", "cvar", "count")
+SMOOTHED = ("worst", "count")
+"""Aggregates that a gradient follows through a smooth stand-in, sharpened in stages."""
+
+
+@dataclass(frozen=True)
+class Objective:
+    """How designs are compared; smaller is better.
+
+    Attributes:
+        metric: "unattainability", or "predicted_error", the predicted shape error [m].
+        relative_weight: λ of `absolute + λ relative` unattainability.
+        over: "mean" over the tasks; "worst", the largest; "cvar", the mean of the worst share `tail`;
+            "count", of tasks above `threshold`, and among equal counts the mean m by `m/(1 + m)`.
+        tail: the share of tasks in "cvar".
+        threshold: up to which a task counts as done in "count".
+        margin: whether to go on once every task is attainable, by the (negative) margins; None does
+            wherever the closed form is used and `metric` knows margins.
+        size_weight: added per metre of the arm's width and of its mean neutral length.
+        hull, samples, distance, weights, power, chunk_size: as in `torcharm.evaluate`.
+
+    Raises:
+        ValueError: an argument is none of those allowed.
+    """
+
+    metric: str = "unattainability"
+    relative_weight: float = 0.0
+    over: str = "mean"
+    tail: float = 0.1
+    threshold: float = 0.0
+    margin: bool | None = None
+    size_weight: float = 0.0
+    hull: str = "exact"
+    samples: int | None = None
+    distance: str = "closed_form"
+    weights: tuple[float, float] = (1.0, 1.0)
+    power: int = 1
+    chunk_size: int | None = None
+
+    def __post_init__(self) -> None:
+        check_choice("metric", self.metric, METRICS)
+        check_choice("over", self.over, AGGREGATES)
+        check_choice("hull", self.hull, KINDS)
+        for name in ("relative_weight", "threshold", "size_weight"):
+            value = getattr(self, name)
+            if not (isinstance(value, (int, float)) and 0 <= value < float("inf")):
+                raise ValueError(f"{name}: must be a number of at least 0, got {shown(value)}")
+        if not (isinstance(self.tail, (int, float)) and 0 < self.tail <= 1):
+            raise ValueError(f"tail: must be above 0 and at most 1, got {shown(self.tail)}")
+        able = self.metric == "unattainability" and self.distance == "closed_form"
+        if self.margin and not able:
+            raise ValueError("margin: True needs metric='unattainability' and distance='closed_form'")
+        if self.chunk_size is not None:
+            check_count("chunk_size", self.chunk_size, 1)
+        object.__setattr__(self, "margin", able if self.margin is None else self.margin)
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """The metrics of `torcharm.evaluate` that are needed."""
+        if self.metric != "unattainability":
+            return (self.metric,)
+        return ("absolute", "relative") if self.relative_weight else ("absolute",)
+
+    def results(self, arm: ArmDesign, tasks: Sequence[Task]) -> list[Attainability]:
+        """What `torcharm.evaluate` finds, of the metrics needed, for each batch of tasks."""
+        options = {
+            name: getattr(self, name) for name in ("hull", "samples", "distance", "weights", "power", "chunk_size")
+        }
+        return [evaluate(arm, task, self.metrics, signed=bool(self.margin), **options) for task in tasks]
+
+    def of_result(self, result: Attainability) -> Tensor:
+        """One value a task, of the shape of the result's metrics; NaN where a distance did not converge.
+
+        A predicted error whose pressures are not yet the best is an upper bound, and counts as it is.
+        """
+        if self.metric == "predicted_error":
+            assert result.predicted_error is not None
+            return result.predicted_error
+        assert result.absolute is not None
+        value = result.absolute
+        if self.relative_weight:
+            assert result.relative is not None
+            value = value + self.relative_weight * result.relative
+        return torch.where(result.converged, value, value.new_full((), torch.nan))
+
+    def per_task(self, arm: ArmDesign, tasks: Sequence[Task]) -> Tensor:
+        """Values (*design batch, T) of all T tasks."""
+        lead = len(arm.batch_shape)
+        values = [self.of_result(result) for result in self.results(arm, tasks)]
+        return torch.cat([value.flatten(lead) if value.ndim > lead else value.unsqueeze(-1) for value in values], -1)
+
+    def total(self, values: Tensor) -> Tensor:
+        """The number (...) that designs with values (..., T) are compared by, the cost of size aside."""
+        if self.over == "worst":
+            return values.amax(-1)
+        if self.over == "cvar":
+            return values.topk(ceil(self.tail * values.shape[-1]), -1).values.mean(-1)
+        mean = values.clamp(min=0).mean(-1)
+        if self.over == "count":
+            missed = (values > self.threshold).to(values.dtype).sum(-1)
+            return torch.where(mean.isfinite(), missed + mean / (1 + mean), mean)
+        done = (values <= 0).all(-1)
+        return torch.where(done, values.mean(-1), mean)
+
+    def smooth_total(self, values: Tensor, temperature: Tensor) -> Tensor:
+        """A stand-in (...) that has a gradient worth following; the total itself where that has one.
+
+        The worst case is `τ log mean exp(v/τ)`; a count is the sum of `v₊/(v₊ + τ)`, of excesses over the
+        threshold, which is the count for small τ and proportional to the sum for large.
+        """
+        if self.over not in SMOOTHED:
+            return self.total(values)
+        spread = temperature.unsqueeze(-1)
+        if self.over == "worst":
+            scaled = torch.logsumexp(values / spread, -1) - torch.tensor(float(values.shape[-1])).log()
+            return temperature * scaled
+        excess = (values - self.threshold).clamp(min=0)
+        return (excess / (excess + spread)).sum(-1)
+
+    def size(self, arm: ArmDesign) -> Tensor:
+        """The cost (*design batch) of size."""
+        width = arm.radii.amax(-1) - arm.radii.amin(-1)
+        return self.size_weight * (width + arm.length.mean(-1))
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """S points, judged.
+
+    Attributes:
+        value: (S,) the objective; infinite where it is no number.
+        smooth: (S,) the stand-in that descent follows.
+        gradient: (S, F) of the stand-in; None if not asked for.
+        spread: (S,) the size of values over tasks, for choosing temperatures.
+    """
+
+    value: Tensor
+    smooth: Tensor
+    gradient: Tensor | None
+    spread: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A polytope of designs for each architecture, the tasks, and the objective.
+
+    Attributes:
+        polytopes: A of them, of one dimension F.
+        tasks: batches of tasks.
+        objective: by which designs are judged.
+    """
+
+    polytopes: tuple[Polytope, ...]
+    tasks: tuple[Task, ...]
+    objective: Objective
+
+    @property
+    def dimension(self) -> int:
+        """F."""
+        return self.polytopes[0].dimension
+
+    def constraints(self, owner: Tensor) -> tuple[Tensor, Tensor]:
+        """A (S, C, F) and b (S, C) of points whose polytopes are numbered by `owner` (S,), padded to one C."""
+        if len(self.polytopes) == 1:
+            only = self.polytopes[0]
+            return only.rows[None], only.bound[None]
+        most = max(len(one.bound) for one in self.polytopes)
+        rows = torch.zeros(len(self.polytopes), most, self.dimension, dtype=torch.float64)
+        bound = torch.ones(len(self.polytopes), most, dtype=torch.float64)
+        for index, one in enumerate(self.polytopes):
+            rows[index, : len(one.bound)], bound[index, : len(one.bound)] = one.rows, one.bound
+        return rows[owner], bound[owner]
+
+    def judge(self, point: Tensor, owner: Tensor, temperature: Tensor, *, gradient: bool) -> Judged:
+        """Judge points (S, F), each of the polytope numbered by `owner` (S,)."""
+        out = [point.new_empty(len(point)) for _ in range(3)]
+        slope = torch.zeros_like(point)
+        for index in owner.unique().tolist():
+            own = (owner == index).nonzero().squeeze(-1)
+            parts = self._judge_alike(self.polytopes[index], point[own], temperature[own], gradient)
+            for column, part in zip((*out, slope), parts, strict=True):
+                column[own] = part
+        return Judged(out[0], out[1], slope if gradient else None, out[2])
+
+    def _judge_alike(
+        self, polytope: Polytope, point: Tensor, temperature: Tensor, gradient: bool
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        with torch.set_grad_enabled(gradient):
+            at = point.detach().requires_grad_(gradient)
+            arm = polytope.design(at)
+            values = self.objective.per_task(arm, self.tasks).double().cpu()
+            size = self.objective.size(arm).double().cpu()
+            smooth = self.objective.smooth_total(values, temperature) + size
+            slope = torch.zeros_like(point)
+            if gradient and smooth.requires_grad:
+                (slope,) = torch.autograd.grad(smooth.sum(), at)
+        with torch.no_grad():
+            value = self.objective.total(values.detach()) + size.detach()
+            sound = value.isfinite() & smooth.detach().isfinite() & slope.isfinite().all(-1)
+            spread = values.detach().abs().amax(-1)
+            return (
+                torch.where(sound, value, torch.inf),
+                torch.where(sound, smooth.detach(), torch.inf),
+                torch.where(sound, spread, 1.0),
+                torch.where(sound.unsqueeze(-1), slope, 0.0),
+            )

@@ -1,0 +1,157 @@
+"""Running a descent so that it can be watched, stopped and taken up again."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torcharm.arm import ArmDesign
+from torcharm.optimise.archive import read_archive, write_archive
+from torcharm.optimise.descent import GOING, State, advance, begin
+from torcharm.optimise.objective import Problem
+
+SAVE_EVERY = 10.0
+"""Seconds between two writings of a checkpoint."""
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What a callback is told after each iteration.
+
+    Attributes:
+        iteration: how many are done.
+        evaluations: designs evaluated on all tasks.
+        seconds: so far, those before an interrupt included.
+        value: the best value so far.
+        design: which has it.
+        going: how many starts have not ended.
+    """
+
+    iteration: int
+    evaluations: int
+    seconds: float
+    value: float
+    design: ArmDesign
+    going: int
+
+
+Callback = Callable[[Report], object]
+
+
+@dataclass
+class Log:
+    """What is written down while an optimisation runs: one row an iteration.
+
+    Attributes:
+        evaluations, seconds: counted from the start of the whole run.
+        values: the best value of each start.
+    """
+
+    evaluations: list[int] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    values: list[Any] = field(default_factory=list)
+
+    def add(self, evaluations: int, seconds: float, values: Tensor) -> None:
+        """Another row."""
+        self.evaluations.append(evaluations)
+        self.seconds.append(seconds)
+        self.values.append(values.detach().numpy().copy())
+
+    def values_array(self) -> Any:
+        """(I+1, S)."""
+        return np.array(self.values)
+
+
+def descend(
+    problem: Problem,
+    points: Tensor,
+    owner: Tensor,
+    *,
+    method: str,
+    iterations: int,
+    tolerance: float,
+    checkpoint: str | PathLike[str] | None,
+    name: str,
+    callback: Callback | None,
+    progress: bool,
+) -> tuple[State, Log, str]:
+    """Descend from points until all have ended; also what was logged, and why the run stopped.
+
+    Raises:
+        ValueError: the checkpoint is of another problem.
+    """
+    begun = time.perf_counter()
+    state, log = _resumed(checkpoint, name)
+    if state is None:
+        state = begin(problem, points, owner)
+        log.add(len(points), time.perf_counter() - begun, state.best_value)
+    earlier = log.seconds[-1] - (0.0 if len(log.seconds) > 1 else log.seconds[0])
+    saved = time.perf_counter()
+    stopped = "finished"
+    with bar(progress, iterations) as show:
+        try:
+            while len(log.seconds) <= iterations and bool((state.reason == GOING).any()):
+                state, count = advance(problem, state, method, tolerance, iterations)
+                now = time.perf_counter()
+                log.add(log.evaluations[-1] + count, earlier + now - begun, state.best_value)
+                report = _report(problem, state, log)
+                show(len(log.seconds) - 1, report.value, f"{report.going} of {len(points)} starts going")
+                if checkpoint is not None and now - saved > SAVE_EVERY:
+                    _save(checkpoint, name, state, log)
+                    saved = time.perf_counter()
+                if callback is not None and callback(report) is True:
+                    stopped = "callback"
+                    break
+        except KeyboardInterrupt:
+            stopped = "interrupted"
+    if checkpoint is not None:
+        _save(checkpoint, name, state, log)
+    return state, log, stopped
+
+
+def _report(problem: Problem, state: State, log: Log) -> Report:
+    best = int(state.best_value.argmin())
+    design = problem.polytopes[int(state.owner[best])].design(state.best_point[best])
+    value, going = float(state.best_value[best]), int((state.reason == GOING).sum())
+    return Report(len(log.seconds) - 1, log.evaluations[-1], log.seconds[-1], value, design, going)
+
+
+def _save(path: str | PathLike[str], name: str, state: State, log: Log) -> None:
+    arrays = {f"state.{entry.name}": getattr(state, entry.name) for entry in fields(state)}
+    arrays |= {"evaluations": np.array(log.evaluations), "seconds": np.array(log.seconds)}
+    write_archive(path, {"kind": "checkpoint", "problem": name}, arrays | {"values": np.array(log.values)})
+
+
+def _resumed(path: str | PathLike[str] | None, name: str) -> tuple[State | None, Log]:
+    if path is None or not Path(path).exists():
+        return None, Log()
+    header, arrays = read_archive(path)
+    if header.get("kind") != "checkpoint" or header.get("problem") != name:
+        raise ValueError(
+            f"checkpoint: {path} belongs to another problem, method or seed; delete it or name another file"
+        )
+    state = State(*(torch.from_numpy(arrays[f"state.{entry.name}"]) for entry in fields(State)))
+    log = Log(arrays["evaluations"].tolist(), arrays["seconds"].tolist(), list(arrays["values"]))
+    return state, log
+
+
+@contextmanager
+def bar(wanted: bool, total: int) -> Iterator[Callable[[int, float, str], None]]:
+    """A progress bar on the standard error, if wanted; yields what updates it."""
+    if not wanted:
+        yield lambda done, value, note: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("best {task.fields[value]}"), BarColumn(), TextColumn("{task.fields[note]}"))
+    with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as shown:
+        task = shown.add_task("", total=total, value="-", note="")
+        yield lambda done, value, note: shown.update(task, completed=done, value=f"{value:.6g}", note=note)
