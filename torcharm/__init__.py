@@ -17,13 +17,8 @@ from torcharm.actuators import (
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
 from torcharm.attainability import Attainability, evaluate
 from torcharm.distance.closed_form import distance_to_hull
-from torcharm.equilibrium import Equilibrium, NotConvergedError, solve_equilibrium
 from torcharm.hulls import WrenchHulls, wrench_hulls
-from torcharm.pose_cost import PoseCost
-from torcharm.prediction import PredictedError, predict_error
-from torcharm.pressure_fit import PressureFit, fit_pressure
 from torcharm.rod import poses
-from torcharm.search import PressureSearch, search_pressure
 from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
 from torcharm.wrenches import reaction_wrench, required_wrench
 
@@ -39,6 +34,7 @@ if TYPE_CHECKING:
     from torcharm.distance.qp import qp_distance
     from torcharm.distance.result import HullDistance, kkt_residuals
     from torcharm.distance.scipy_solvers import nnls_distance, slsqp_distance
+    from torcharm.equilibrium import Equilibrium, NotConvergedError, solve_equilibrium
     from torcharm.optimise import (
         Architectures,
         DesignSpace,
@@ -50,6 +46,10 @@ if TYPE_CHECKING:
         verify_design,
     )
     from torcharm.planning import PlannedShape, Smoothness, plan_shape
+    from torcharm.pose_cost import PoseCost
+    from torcharm.prediction import PredictedError, predict_error
+    from torcharm.pressure_fit import PressureFit, fit_pressure
+    from torcharm.search import PressureSearch, search_pressure
 
 __version__ = "0.1.0"
 
@@ -131,14 +131,20 @@ __all__ = [
 _LATER = {
     "Architectures": "optimise",
     "DesignSpace": "optimise",
+    "Equilibrium": "equilibrium",
     "FitQuality": "actuators.characterisation",
     "FittedActuator": "actuators.characterisation",
     "GriddedActuator": "actuators.gridded",
     "HullDistance": "distance.result",
     "LoadCapacity": "capacity",
+    "NotConvergedError": "equilibrium",
     "Objective": "optimise",
     "OptimisedDesign": "optimise",
     "PlannedShape": "planning",
+    "PoseCost": "pose_cost",
+    "PredictedError": "prediction",
+    "PressureFit": "pressure_fit",
+    "PressureSearch": "search",
     "Recording": "actuators.alignment",
     "Smoothness": "planning",
     "TensorPolynomial": "actuators.uncertainty",
@@ -147,6 +153,7 @@ _LATER = {
     "estimate_offset": "actuators.alignment",
     "fit_force_model": "actuators.characterisation",
     "fit_gridded_model": "actuators.gridded",
+    "fit_pressure": "pressure_fit",
     "fit_recording": "actuators.characterisation",
     "kkt_residuals": "distance.result",
     "load_actuator": "actuators.model_file",
@@ -158,11 +165,14 @@ _LATER = {
     "plan_shape": "planning",
     "planar_distance": "distance.planar",
     "pool": "actuators.alignment",
+    "predict_error": "prediction",
     "qp_distance": "distance.qp",
     "read_pressure": "actuators.recordings",
     "read_tester": "actuators.recordings",
     "save_actuator": "actuators.model_file",
+    "search_pressure": "search",
     "slsqp_distance": "distance.scipy_solvers",
+    "solve_equilibrium": "equilibrium",
     "standard_deviation": "actuators.uncertainty",
     "verify_design": "optimise",
 }

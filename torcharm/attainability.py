@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import prod
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -14,9 +15,11 @@ from torcharm.arm import ArmDesign
 from torcharm.distance import DistanceFunction, find_solver
 from torcharm.hulls import cross_sections, sample_count, slot_count
 from torcharm.pose_cost import PoseCost
-from torcharm.prediction import PredictedError, predict_outer
 from torcharm.task import Task
 from torcharm.wrenches import along
+
+if TYPE_CHECKING:
+    from torcharm.prediction import PredictedError
 
 METRICS = ("absolute", "relative")
 """Of wrenches, by hulls."""
@@ -61,7 +64,7 @@ class Attainability:
     predicted_error: Tensor | None
     predicted_error_per_node: Tensor | None
     predicted_pressure: Tensor | None
-    prediction: PredictedError | None
+    prediction: "PredictedError | None"
     strain_excess: Tensor
     in_range: Tensor
     converged: Tensor
@@ -142,7 +145,7 @@ def evaluate(
     hulls = tuple(name for name in asked if name in METRICS)
     check = Check(hulls, hull, samples, _scale(weights), signed, polish, solver, auditor)
     outer = outer_product(arm, task)
-    prediction = predict_outer(outer, pose_cost, steps, chunk_size) if PREDICTED in asked else None
+    prediction = _predict(outer, pose_cost, steps, chunk_size) if PREDICTED in asked else None
     excess, per_node, solved, *audit = _per_node(outer, check, chunk_size)
     found = {metric: per_node[..., index, :] for index, metric in enumerate(check.metrics)}
     total = {metric: _over_nodes(value, metric, power, signed) for metric, value in found.items()}
@@ -167,6 +170,12 @@ def evaluate(
         converged=converged,
         residuals=audits if residuals else None,
     )
+
+
+def _predict(outer: OuterProduct, pose_cost: PoseCost | None, steps: int, chunk_size: int | None) -> "PredictedError":
+    from torcharm.prediction import predict_outer  # loads when it is first asked for
+
+    return predict_outer(outer, pose_cost, steps, chunk_size)
 
 
 def _check_arguments(arm: ArmDesign, task: Task, power: int, signed: bool) -> None:
