@@ -1,0 +1,192 @@
+"""Evaluate two arms under 100 loads, search each task's best pressure, and test the paper's claim about the two.
+
+Writes results.csv (one row an arm and load), summary.csv, hulls.png, shapes.png and claim.png beside this file.
+"""
+
+import argparse
+import csv
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import torch
+from rich.console import Console
+from rich.table import Table
+from scipy.stats import spearmanr
+from torch import Tensor
+
+import torcharm as ta
+from experiments.validation import figure
+
+HERE = Path(__file__).parent
+ARMS: dict[str, Callable[[], ta.ArmDesign]] = {"antagonistic": ta.antagonistic_arm, "bellows-only": ta.bellows_arm}
+SHAPE = ta.affine_curvature(-3.0, 3.0, length=0.5, nodes=10)
+LOADS, QUICK_LOADS = 100, 4
+BASELINE_LOADS, QUICK_BASELINE_LOADS = 5, 1
+"""Loads an arm of which scipy's search, one pressure at a time, is timed."""
+PAPER_SECONDS = {"hulls": 108.0, "search": 8766.0}
+"""Of the published MATLAB, for two arms and 100 loads; on another machine."""
+METRICS = ("absolute", "relative", "predicted error")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One arm under one load. Unattainabilities in N, errors as square roots of the search's cost in m."""
+
+    arm: str
+    load: int
+    force_x_N: float
+    force_y_N: float
+    moment_Nm: float
+    absolute_N: float
+    relative_N: float
+    predicted_m: float
+    reached_m: float
+    converged: bool
+    in_range: bool
+    starts_agree: bool
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One number of the summary."""
+
+    arm: str
+    quantity: str
+    value: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What is known of one arm, each (loads,)."""
+
+    name: str
+    arm: ta.ArmDesign
+    hulls: ta.Attainability
+    predicted: Tensor
+    search: ta.PressureSearch
+
+    @property
+    def reached(self) -> Tensor:
+        """Square root of the search's cost [m]; NaN where the search did not converge."""
+        return torch.where(self.search.converged, self.search.cost, torch.nan).sqrt()
+
+    def metric(self, name: str) -> Tensor:
+        """One of `METRICS`."""
+        values = {"absolute": self.hulls.absolute, "relative": self.hulls.relative, "predicted error": self.predicted}
+        found = values[name]
+        assert found is not None
+        return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="a smoke run: few loads, no file written")
+    options = parser.parse_args()
+    console = Console()
+    task = ta.Task(SHAPE, ta.sample_loads(QUICK_LOADS if options.quick else LOADS))
+    answers, summary = measure(task, QUICK_BASELINE_LOADS if options.quick else BASELINE_LOADS)
+    for one in answers:
+        summary += claim(one)
+    console.print(as_table(summary))
+    pictures = figure.draw_all(task, answers)
+    if options.quick:
+        return
+    write(HERE / "results.csv", [row for one in answers for row in rows(task, one)])
+    write(HERE / "summary.csv", summary)
+    for name, picture in pictures.items():
+        picture.savefig(HERE / f"{name}.png", dpi=110)
+    console.print(f"wrote results.csv, summary.csv and {', '.join(f'{name}.png' for name in pictures)}")
+
+
+def measure(task: ta.Task, baseline_loads: int) -> tuple[list[Answers], list[Figure]]:
+    """All answers, and how long each took: hulls, prediction and search side by side in one run."""
+    arms = {name: make() for name, make in ARMS.items()}
+    ta.evaluate(arms["antagonistic"], task)  # loads and warms what is loaded late
+    spent: dict[str, float] = {}
+    count = len(arms) * len(task.tip_load)
+
+    def timed(what: str, work: Callable[[ta.ArmDesign], Any]) -> list[Any]:
+        start = time.perf_counter()
+        found = [work(arm) for arm in arms.values()]
+        spent[what] = time.perf_counter() - start
+        return found
+
+    hulls = timed("hulls, absolute and relative", lambda arm: ta.evaluate(arm, task))
+    predicted = timed("predicted error", lambda arm: ta.evaluate(arm, task, metrics=("predicted_error",)))
+    searched = timed("search, batched", lambda arm: ta.search_pressure(arm, task))
+    few = ta.Task(SHAPE, task.tip_load[:baseline_loads])
+    baseline = timed("search, scipy", lambda arm: ta.search_pressure(arm, few, method="scipy", progress=True))
+    spent["search, scipy"] *= count / (len(arms) * baseline_loads)
+    answers = [
+        Answers(name, arm, hull, prediction.predicted_error, found)
+        for (name, arm), hull, prediction, found in zip(arms.items(), hulls, predicted, searched, strict=True)
+    ]
+    summary = [Figure("both", f"time: {what}, {count} tasks", value, "s") for what, value in spent.items()]
+    hull_time = spent["hulls, absolute and relative"]
+    for what in ("search, batched", "search, scipy"):
+        summary.append(Figure("both", f"time: {what} / hulls", spent[what] / hull_time, "times"))
+    summary.append(
+        Figure("both", "time: published search / hulls", PAPER_SECONDS["search"] / PAPER_SECONDS["hulls"], "times")
+    )
+    for one, slow in zip(answers, baseline, strict=True):
+        gap = one.search.cost[:baseline_loads].sqrt() - slow.cost.sqrt()
+        summary.append(Figure(one.name, "reached, batched - scipy, largest", gap.max().item(), "m"))
+    return answers, summary
+
+
+def claim(one: Answers) -> list[Figure]:
+    """Is every task of below-median unattainability closer to being accomplished than every one above?"""
+    reached = one.reached
+    known = reached.isfinite()
+    found = [
+        Figure(one.name, "searches that did not converge", float((~known).sum()), ""),
+        Figure(one.name, "median reached error", reached[known].median().item(), "m"),
+    ]
+    for name in METRICS:
+        value = one.metric(name)[known]
+        low = value <= value.median()
+        pairs = reached[known][low].unsqueeze(-1) <= reached[known][~low]
+        share = 100 * pairs.double().mean().item()
+        rank = spearmanr(value.numpy(), reached[known].numpy()).statistic
+        found += [
+            Figure(one.name, f"{name}: rank correlation with the reached error", float(rank), ""),
+            Figure(one.name, f"{name}: pairs of below and above median as claimed", share, "%"),
+        ]
+    return found
+
+
+def rows(task: ta.Task, one: Answers) -> list[Row]:
+    columns = (
+        one.metric("absolute"),
+        one.metric("relative"),
+        one.predicted,
+        one.reached,
+        one.search.converged,
+        one.search.in_range & one.hulls.in_range,
+        one.search.spread <= 0.02 * one.search.cost,
+    )
+    values = zip(*(column.tolist() for column in columns), strict=True)
+    return [
+        Row(one.name, index, *load, *value)
+        for index, (load, value) in enumerate(zip(task.tip_load.tolist(), values, strict=True), start=1)
+    ]
+
+
+def write(path: Path, rows: Sequence[Any]) -> None:
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, [field.name for field in fields(rows[0])])
+        writer.writeheader()
+        writer.writerows(asdict(row) for row in rows)
+
+
+def as_table(summary: Sequence[Figure]) -> Table:
+    table = Table(title="validation", title_justify="left")
+    for heading in ("arm", "quantity", "value", "unit"):
+        table.add_column(heading, justify="right" if heading == "value" else "left")
+    for row in summary:
+        table.add_row(row.arm, row.quantity, f"{row.value:,.4g}", row.unit)
+    return table
