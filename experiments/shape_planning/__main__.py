@@ -1,0 +1,3 @@
+from experiments.shape_planning.run import main
+
+main()
