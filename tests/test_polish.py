@@ -7,6 +7,8 @@ import torch
 import torcharm as ta
 from experiments.reference import converged_distance
 from torcharm import hulls
+from torcharm.actuators import pressure_law
+from torcharm.laws import section_laws
 from torcharm.pieces import fit_pieces
 
 ARMS = {"antagonistic": ta.antagonistic_arm, "bellows": ta.bellows_arm, "McKibben": ta.mckibben_arm}
@@ -86,7 +88,7 @@ def test_gradients_are_those_of_the_exact_sets(name, metric):
 def test_pieces_of_cubic_forces_are_the_forces():
     arm = ta.bellows_arm()
     sections = hulls.cross_sections(arm.flatten(), affine(6.0, -1.5)[None])
-    pieces = fit_pieces(sections, relative=True)
+    pieces = fit_pieces(sections, torch.arange(10), relative=True)
     assert len(pieces.start) == 1
     assert not pieces.rough.any()
     fraction = torch.tensor([0.0, 0.3, 1.0], dtype=torch.float64).view(3, 1, 1)
@@ -126,3 +128,79 @@ def test_polish_is_refused_where_it_means_nothing():
     for settings in ({"hull": "edges"}, {"distance": "scipy"}):
         with pytest.raises(ValueError, match=r"^polish: "):
             ta.evaluate(ta.bellows_arm(), task, **{"polish": True, **settings})
+
+
+LAWFUL = {
+    "bellows": ta.Bellows(),
+    "McKibben": ta.McKibben(),
+    "two McKibbens": ta.McKibben(force_scale=2.0),
+    "line": ta.PolynomialActuator(((0, 0, 1.0), (1, 1, 3.0)), (-1.0, 1.0), (0.0, 50.0), 50.0),
+    "constant": ta.PolynomialActuator(((0, 0, 1.0),), (-1.0, 1.0), (0.0, 50.0), 50.0),
+}
+
+
+@pytest.mark.parametrize("relative", [False, True])
+@pytest.mark.parametrize("name", LAWFUL)
+def test_laws_are_the_forces_and_their_derivatives(name, relative):
+    """Between kinks, against the models and autograd; at kinks, against slopes a little to either side."""
+    arm = ta.ArmDesign(torch.tensor([-0.08, -0.02, 0.03, 0.06], dtype=torch.float64), 0.5, (LAWFUL[name],) * 4)
+    sections = hulls.cross_sections(arm.flatten(), affine(3.0, -2.0)[None])
+    laws = section_laws(sections)
+    laws = laws.minus_first(sections) if relative else laws
+    for at in (0.0, 0.03, 0.4, 0.93, 1.0):
+        u = torch.full_like(sections.strain, at, requires_grad=True)
+        force = LAWFUL[name].force(sections.strain, u * sections.limit)
+        if relative:
+            force = force - LAWFUL[name].force(sections.at_first_node(sections.strain), u * sections.limit)
+        found, slope, bend, after, before, low, high = laws.around(u.detach())
+        torch.testing.assert_close(found, force.detach(), rtol=0, atol=1e-11)
+        torch.testing.assert_close(laws.force(u.detach()), force.detach(), rtol=0, atol=1e-11)
+        torch.testing.assert_close(laws.beside(u.detach()[None])[:, 0], slope + torch.stack((before, after)))
+        assert ((low <= at) & (at <= high)).all()
+        if 0 < at < 1 and force.requires_grad:
+            (wanted,) = torch.autograd.grad(force.sum(), u, create_graph=True)
+            torch.testing.assert_close(slope + after, wanted.detach(), rtol=0, atol=1e-9)
+            if wanted.requires_grad:
+                torch.testing.assert_close(bend, torch.autograd.grad(wanted.sum(), u)[0], rtol=1e-9, atol=1e-9)
+
+
+def test_a_law_ends_where_the_model_jumps():
+    strain = torch.tensor([-0.3, -0.2, 0.1], dtype=torch.float64)
+    until = pressure_law(ta.McKibben(), strain).until
+    assert until[0] == ta.McKibben().pressure_knots(strain)[1, 0] > 100
+    assert (until[1:] > 1e9).all()
+
+
+def test_a_model_without_a_law_agrees_with_one_that_has_it():
+    class Lawless(ta.Bellows):
+        pressure_law = None
+
+    Lawless.pressure_law = lambda self, strain: None
+    twists, loads = affine(6.0, -1.5), ta.sample_loads(5)
+    for metric in ("absolute", "relative"):
+        values = [
+            ta.evaluate(
+                ta.ArmDesign(ta.bellows_arm().radii, 0.5, (model,) * 4), ta.Task(twists, loads), (metric,), polish=True
+            )
+            for model in (ta.Bellows(), Lawless())
+        ]
+        both = values[0].converged & values[1].converged
+        assert both.sum() >= 3
+        torch.testing.assert_close(*(getattr(one, metric)[both] for one in values), rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("signed", [False, True])
+@pytest.mark.parametrize("relative", [False, True])
+def test_beyond_the_characterised_range_answers_are_right_or_flagged(relative, signed):
+    """Differences of two powers of pressure have maxima that samples do not show; forces are thousands of newtons."""
+    right = 0
+    for seed in range(8):
+        rng = np.random.default_rng(100 + seed)
+        arm = ta.antagonistic_arm(*rng.uniform((0.04, 0.01, 0.45), (0.09, 0.03, 0.55)))
+        twists, load = affine(*rng.uniform(-6, 6, 2), nodes=5), ta.sample_loads(4)[3]
+        value, converged = polished(arm, twists, load, relative=relative, signed=signed)
+        if converged:
+            wanted = converged_distance(arm, twists, load, relative=relative, signed=signed)
+            np.testing.assert_allclose(value.numpy(), wanted, rtol=1e-9, atol=1e-8)
+            right += 1
+    assert right >= 6

@@ -3,7 +3,17 @@
 from typing import TYPE_CHECKING, Any
 
 from torcharm._node_distances import Residuals
-from torcharm.actuators import Actuator, Bellows, McKibben, PolynomialActuator
+from torcharm.actuators import (
+    Actuator,
+    Bellows,
+    BendingFunction,
+    ConstantBending,
+    LinearBending,
+    McKibben,
+    Monotonicity,
+    PolynomialActuator,
+    monotonicity,
+)
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
 from torcharm.attainability import Attainability, evaluate
 from torcharm.distance.closed_form import distance_to_hull
@@ -13,6 +23,12 @@ from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
 from torcharm.wrenches import reaction_wrench, required_wrench
 
 if TYPE_CHECKING:
+    from torcharm.actuators.alignment import Recording, align, estimate_offset, pool
+    from torcharm.actuators.characterisation import FitQuality, FittedActuator, fit_force_model, fit_recording
+    from torcharm.actuators.gridded import GriddedActuator, fit_gridded_model
+    from torcharm.actuators.model_file import load_actuator, save_actuator
+    from torcharm.actuators.recordings import read_pressure, read_tester
+    from torcharm.actuators.uncertainty import TensorPolynomial, coefficient_tensor, standard_deviation
     from torcharm.capacity import LoadCapacity, load_capacity
     from torcharm.distance.planar import planar_distance
     from torcharm.distance.qp import qp_distance
@@ -26,42 +42,81 @@ __all__ = [
     "ArmDesign",
     "Attainability",
     "Bellows",
+    "BendingFunction",
+    "ConstantBending",
+    "FitQuality",
+    "FittedActuator",
+    "GriddedActuator",
     "HullDistance",
+    "LinearBending",
     "LoadCapacity",
     "McKibben",
+    "Monotonicity",
     "PolynomialActuator",
+    "Recording",
     "Residuals",
     "Task",
+    "TensorPolynomial",
     "WrenchHulls",
     "affine_curvature",
+    "align",
     "antagonistic_arm",
     "bellows_arm",
+    "coefficient_tensor",
     "cubic_curvature",
     "distance_to_hull",
+    "estimate_offset",
     "evaluate",
+    "fit_force_model",
+    "fit_gridded_model",
+    "fit_recording",
     "kkt_residuals",
+    "load_actuator",
     "load_capacity",
     "mckibben_arm",
+    "monotonicity",
     "nnls_distance",
     "planar_distance",
+    "pool",
     "poses",
     "qp_distance",
     "reaction_wrench",
+    "read_pressure",
+    "read_tester",
     "required_wrench",
     "sample_loads",
+    "save_actuator",
     "slsqp_distance",
+    "standard_deviation",
     "wrench_hulls",
 ]
 
 _LATER = {
+    "FitQuality": "actuators.characterisation",
+    "FittedActuator": "actuators.characterisation",
+    "GriddedActuator": "actuators.gridded",
     "HullDistance": "distance.result",
     "LoadCapacity": "capacity",
+    "Recording": "actuators.alignment",
+    "TensorPolynomial": "actuators.uncertainty",
+    "align": "actuators.alignment",
+    "coefficient_tensor": "actuators.uncertainty",
+    "estimate_offset": "actuators.alignment",
+    "fit_force_model": "actuators.characterisation",
+    "fit_gridded_model": "actuators.gridded",
+    "fit_recording": "actuators.characterisation",
     "kkt_residuals": "distance.result",
+    "load_actuator": "actuators.model_file",
     "load_capacity": "capacity",
     "nnls_distance": "distance.scipy_solvers",
     "planar_distance": "distance.planar",
+    "pool": "actuators.alignment",
     "qp_distance": "distance.qp",
+    "read_pressure": "actuators.recordings",
+    "read_tester": "actuators.recordings",
+    "save_actuator": "actuators.model_file",
     "slsqp_distance": "distance.scipy_solvers",
+    "standard_deviation": "actuators.uncertainty",
 }
 
 

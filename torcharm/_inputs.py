@@ -1,5 +1,6 @@
 """Turning what a person passes into tensors, with errors that name the field."""
 
+import math
 import operator
 from collections.abc import Collection, Iterator, Sequence
 from functools import reduce
@@ -98,6 +99,18 @@ def check_at_least(name: str, value: Tensor, low: float, *, strict: bool = False
     if bool(bad.any()):
         bound = f"above {low:g}" if strict else f"at least {low:g}"
         raise ValueError(f"{name}: must be {bound}{unit and ' ' + unit}, got {value[bad].flatten()[0].item():g}")
+
+
+def check_number(name: str, value: Any, low: float = -math.inf, *, strict: bool = False, unit: str = "") -> float:
+    """A finite number of at least (or, strictly, above) `low`."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not (low < number if strict else low <= number) or not abs(number) < math.inf:
+        bound = "" if low == -math.inf else f" and {'above' if strict else 'at least'} {low:g}{unit and ' ' + unit}"
+        raise ValueError(f"{name}: must be a finite number{bound}, got {shown(value)}")
+    return number
 
 
 def check_choice(name: str, value: object, allowed: Collection[str]) -> None:

@@ -1,6 +1,7 @@
 """From a block of designs and tasks to each node's distance from what is required to what is attainable."""
 
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -11,6 +12,7 @@ from torcharm.distance import DistanceFunction
 from torcharm.distance.closed_form import BOUNDARY_ULPS, NearestFaces, face_normals, nearest_faces, signed_length
 from torcharm.hulls import (
     Curves,
+    ExactHulls,
     Hulls,
     Sections,
     build_hulls,
@@ -21,6 +23,9 @@ from torcharm.hulls import (
 )
 from torcharm.polygon import face_square
 from torcharm.wrenches import PLANAR, along, required_wrench
+
+if TYPE_CHECKING:
+    from torcharm.laws import Laws
 
 
 @dataclass(frozen=True)
@@ -102,8 +107,8 @@ def _by_closed_form(block: Block, check: Check, recompute: bool) -> tuple[list[C
     with torch.no_grad():
         sections = cross_sections(block.arm, block.twists)
         with torch.set_grad_enabled(recording and not followed):
-            curves = sample_curves(sections, check.samples)
-        replayed = followed or curves.force.requires_grad  # a force model may hold what is asked about
+            curves = _Sampled.of(sections, check)
+        replayed = followed or curves.requires_grad  # a force model may hold what is asked about
         found = [_nearest_face(block, sections, curves, check, metric, slots=replayed) for metric in check.metrics]
     if replayed:
         replay = _Replay(block, check, [one.fraction for one in found])
@@ -160,11 +165,50 @@ class _Nearest:
     residuals: Columns
 
 
+@dataclass(frozen=True)
+class _Sampled:
+    """The curves of absolute reactions, sampled; to be polished, by their laws instead, if all models write theirs."""
+
+    curves: Curves | None
+    laws: "Laws | None"
+
+    @classmethod
+    def of(cls, sections: Sections, check: Check) -> "_Sampled":
+        if check.polish:
+            from torcharm.laws import section_laws  # loads when it is first asked for
+
+            laws = section_laws(sections)
+            if laws is not None:
+                return cls(None, laws)
+        return cls(sample_curves(sections, check.samples), None)
+
+    @property
+    def requires_grad(self) -> bool:
+        """Whether the force models hold something that wants a gradient."""
+        if self.curves is not None:
+            return self.curves.force.requires_grad
+        laws = self.laws
+        parts = () if laws is None else (laws.coefficients, laws.kinks, laws.slopes, laws.gain, laws.exponent)
+        return any(part.requires_grad for part in parts)
+
+    def metric(self, sections: Sections, samples: int, relative: bool) -> "tuple[Curves, Laws | None]":
+        """The curves of absolute or relative reactions."""
+        if self.curves is not None:
+            return relative_curves(sections, self.curves) if relative else self.curves, None
+        from torcharm.laws import law_curves
+
+        assert self.laws is not None
+        laws = self.laws.minus_first(sections) if relative else self.laws
+        bending = sections.bending - sections.at_first_node(sections.bending) if relative else sections.bending
+        return law_curves(laws, bending, sections.radii, samples, sections.resting_moment(relative=relative)), laws
+
+
 def _nearest_face(
-    block: Block, sections: Sections, curves: Curves, check: Check, metric: str, *, slots: bool
+    block: Block, sections: Sections, sampled: _Sampled, check: Check, metric: str, *, slots: bool
 ) -> _Nearest:
     relative = metric == "relative"
-    hulls = _hulls(sections, curves, check, relative)
+    curves, laws = sampled.metric(sections, check.samples, relative)
+    hulls = build_hulls(curves, check.hull, check.scale)
     point = required_points(block, check.scale, relative)
     faces = nearest_faces(hulls.polygons, *point, slots=slots or check.polish)
     auditor = check.auditor
@@ -173,11 +217,13 @@ def _nearest_face(
         fraction = _fractions(hulls, faces, point) if slots else None
         return _Nearest(faces, fraction, torch.ones_like(faces.inside), residuals)
 
-    from torcharm.distance.support import polish  # loads when it is first asked for
+    from torcharm.distance.polish import polish  # loads when it is first asked for
 
-    polished = polish(sections, hulls.polygons, faces, point, check.scale, relative=relative, signed=check.signed)
+    assert isinstance(hulls, ExactHulls)
+
+    polished = polish(sections, hulls, laws, faces, point, relative=relative, signed=check.signed, fractions=slots)
     fraction = polished.fraction
-    if slots and not bool(polished.converged.all()):
+    if fraction is not None and not bool(polished.converged.all()):
         fraction = torch.where(polished.converged, fraction, _fractions(hulls, faces, point))
     return _Nearest(polished.faces, fraction, polished.converged, residuals)
 

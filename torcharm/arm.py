@@ -2,7 +2,9 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 from types import EllipsisType
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -42,7 +44,7 @@ class ArmDesign:
         self,
         radii: TensorLike,
         length: TensorLike,
-        actuators: Sequence[Actuator],
+        actuators: Sequence[Actuator | str | Path],
         max_pressure: TensorLike | None = None,
     ) -> None:
         """Check and broadcast.
@@ -50,16 +52,16 @@ class ArmDesign:
         Args:
             radii: (..., M) [m].
             length: (..., M) one for each actuator, or (...) one for each design [m].
-            actuators: M force models.
+            actuators: M force models, or paths of their files (a `Path`, or text that ends in .toml).
             max_pressure: (..., M) [kPa]; None takes the models' own.
 
         Raises:
-            ValueError: shapes do not fit, or a value is not finite, a length is not positive or
-                a limit is negative.
+            ValueError: shapes do not fit, or a value is not finite, a length is not positive,
+                a limit is negative, or a file holds no force model.
         """
         if not isinstance(actuators, Sequence) or isinstance(actuators, str):
             raise ValueError(f"actuators: must be a list of force models, got {shown(actuators)}")
-        models = tuple(actuators)
+        models = tuple(_from_file(model) for model in actuators)
         if not models:
             raise ValueError("actuators: must hold at least one force model, got none")
         for index, model in enumerate(models):
@@ -108,6 +110,15 @@ class ArmDesign:
             value = getattr(self, field.name)
             object.__setattr__(design, field.name, change(value) if isinstance(value, Tensor) else value)
         return design
+
+
+def _from_file(model: Any) -> Any:
+    """The model that a path stands for; what is no path stays as it is."""
+    if isinstance(model, Path) or (isinstance(model, str) and model.endswith(".toml")):
+        from torcharm.actuators.model_file import load_actuator  # loads when it is first asked for
+
+        return load_actuator(model)
+    return model
 
 
 def _check_last(name: str, value: Tensor, count: int, *, ones: bool) -> None:

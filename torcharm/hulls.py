@@ -19,7 +19,7 @@ from torcharm._inputs import check_choice, check_count, check_tensor
 from torcharm.actuators import Actuator, is_linear_in_pressure
 from torcharm.arm import ArmDesign
 from torcharm.polygon import Polygons, all_faces, convex_hull, face_square, minkowski_sum
-from torcharm.wrenches import actuator_force, actuator_state, along, reference_pressures
+from torcharm.wrenches import actuator_force, actuator_state, along, reference_pressures, resting_moment
 
 KINDS = ("exact", "edges")
 DEFAULT_SAMPLES = {"exact": 9, "edges": 3}
@@ -70,6 +70,7 @@ class Sections:
         bending: (M, B) bending moment at the pressure limit [N·m]; linear in pressure.
         radii: (M, B) [m].
         limit: (M, B) pressure limits [kPa].
+        resting: (B) bending moment at no pressure, of all actuators [N·m]; None is none.
     """
 
     actuators: tuple[Actuator, ...]
@@ -78,6 +79,7 @@ class Sections:
     bending: Tensor
     radii: Tensor
     limit: Tensor
+    resting: Tensor | None = None
 
     def at_first_node(self, value: Tensor) -> Tensor:
         """(..., B) with each node's entry replaced by that of its arm's node 1."""
@@ -94,7 +96,14 @@ class Sections:
             force = force - actuator_force(self.actuators, first, pressure, dim=-3)
             bending = bending - self.at_first_node(bending)
         moment = bending.unsqueeze(-1) * fraction - self.radii.unsqueeze(-1) * force
-        return force.sum(-3), moment.sum(-3)
+        resting = self.resting_moment(relative=relative)
+        return force.sum(-3), moment.sum(-3) if resting is None else moment.sum(-3) + resting.unsqueeze(-1)
+
+    def resting_moment(self, *, relative: bool) -> Tensor | None:
+        """The moment (B) that no pressure changes [N·m]; relative: its difference from node 1's."""
+        if self.resting is None or not relative:
+            return self.resting
+        return self.resting - self.at_first_node(self.resting)
 
 
 def cross_sections(arm: ArmDesign, twists: Float[Tensor, "P N 3"]) -> Sections:
@@ -108,7 +117,9 @@ def cross_sections(arm: ArmDesign, twists: Float[Tensor, "P N 3"]) -> Sections:
         return value.expand_as(strain).flatten(1)
 
     shape = (len(twists), twists.shape[-2], len(arm.radii))
-    return Sections(arm.actuators, shape, flat(strain), flat(bending), flat(radii), flat(limit))
+    resting = resting_moment(arm.actuators, length, curvature, radii, neutral, dim=-4)
+    resting = None if resting is None else resting.flatten()
+    return Sections(arm.actuators, shape, flat(strain), flat(bending), flat(radii), flat(limit), resting)
 
 
 @dataclass(frozen=True)
@@ -120,25 +131,32 @@ class Curves:
         force: (S, M, B) [N].
         bending: (M, B) bending moment at fraction 1 [N·m].
         radii: (M, B) [m].
+        resting: (B) moment at no pressure, of all actuators [N·m]; None is none.
     """
 
     grid: Tensor
     force: Tensor
     bending: Tensor
     radii: Tensor
+    resting: Tensor | None = None
+
+    def lifted(self, moment: Tensor) -> Tensor:
+        """Sums of moments (..., B) over the actuators, with what they bear at no pressure."""
+        return moment if self.resting is None else moment + self.resting
 
 
 def sample_curves(sections: Sections, samples: int) -> Curves:
     """The curves of absolute reactions."""
     grid = torch.linspace(0, 1, samples, dtype=sections.strain.dtype, device=sections.strain.device).view(-1, 1, 1)
     force = actuator_force(sections.actuators, sections.strain, grid * sections.limit, dim=-2)
-    return Curves(grid, force, sections.bending, sections.radii)
+    return Curves(grid, force, sections.bending, sections.radii, sections.resting)
 
 
 def relative_curves(sections: Sections, curves: Curves) -> Curves:
     """The curves of differences from node 1."""
     force = curves.force - sections.at_first_node(curves.force)
-    return Curves(curves.grid, force, curves.bending - sections.at_first_node(curves.bending), curves.radii)
+    bending = curves.bending - sections.at_first_node(curves.bending)
+    return Curves(curves.grid, force, bending, curves.radii, sections.resting_moment(relative=True))
 
 
 @dataclass(frozen=True)
@@ -154,6 +172,9 @@ class ExactHulls:
     polygons: Polygons
     curves: Curves
     scale: tuple[float, float]
+    order: Tensor
+    step: Tensor
+    turn: Tensor
 
     def fractions(self, slot: Tensor, normal: Pair, point: Pair, square: Tensor) -> Tensor:
         """Pressure fractions (2, M, B, L) at the two ends of faces.
@@ -182,6 +203,11 @@ class ExactHulls:
         grid = self.curves.grid.unsqueeze(-1)
         return grid.expand(-1, *index.shape[1:]).gather(0, index)
 
+    def lowered(self, y: Tensor, section: Tensor) -> Tensor:
+        """Scaled moments (Q) required of sections (Q), less what is borne at no pressure: for curves without it."""
+        resting = self.curves.resting
+        return y if resting is None else y - self.scale[1] * resting[section]
+
     def _ends(self, normal: Pair, allowed: float) -> Tensor:
         """Samples (2, M, B, L) that reach furthest along the normal, to within so many roundings."""
         curves, (scale_x, scale_y) = self.curves, self.scale
@@ -205,7 +231,8 @@ class ExactHulls:
         force = curves.force.unsqueeze(-1).expand(-1, *index.shape[1:]).gather(0, index)
         fraction = curves.grid.unsqueeze(-1).expand(-1, *index.shape[1:]).gather(0, index)
         moment = curves.bending.unsqueeze(-1) * fraction - curves.radii.unsqueeze(-1) * force
-        x, y = self.scale[0] * force.sum(1), self.scale[1] * moment.sum(1)
+        total = moment.sum(1) if curves.resting is None else moment.sum(1) + curves.resting.unsqueeze(-1)
+        x, y = self.scale[0] * force.sum(1), self.scale[1] * total
         return (face_square(point, (x[0], y[0]), (x[1], y[1])).sqrt() - square.sqrt()).abs()
 
 
@@ -247,13 +274,13 @@ def _exact_hulls(curves: Curves, scale: tuple[float, float]) -> ExactHulls:
         edge_force, curves.radii, value=-scale[1] / scale[0]
     )
     least, start = _leftmost(curves)
-    polygons = minkowski_sum(
+    polygons, order = minkowski_sum(
         scale[0] * least.sum(0),
-        scale[1] * (curves.bending * start - curves.radii * least).sum(0),
+        scale[1] * curves.lifted((curves.bending * start - curves.radii * least).sum(0)),
         edge_force.flatten(0, 1),
         edge_moment.flatten(0, 1),
     )
-    return ExactHulls(polygons, curves, scale)
+    return ExactHulls(polygons, curves, scale, order, step, turn)
 
 
 def _convex_curves(grid: Tensor, force: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -271,19 +298,23 @@ def _convex_curves(grid: Tensor, force: Tensor) -> tuple[Tensor, Tensor, Tensor]
         in the (p, f) plane: their steps in fraction (S, M or 1, B or 1) and in force (S, M, B).
         Slots off the hull are zero.
     """
-    bend = force[2:] + force[:-2]
-    bend.sub_(force[1:-1], alpha=2)
+    if grid.shape[1:] == (1, 1):
+        bend = force[2:] + force[:-2]
+        bend.sub_(force[1:-1], alpha=2)
+    else:
+        rise, step = force.diff(dim=0), grid.diff(dim=0)
+        bend = (rise[1:] * step[:-1]).addcmul_(rise[:-1], step[1:], value=-1)
     if len(grid) <= 3 or not bool(((bend.amin(0) < 0) & (bend.amax(0) > 0)).any()):
         # Convex or concave: the samples, in order or reversed, already go round.
         turn = 1 - 2 * (bend < 0).any(0).to(force.dtype)
         return grid.roll(-1, 0) - grid, force.roll(-1, 0).sub_(force), turn
-    target = _envelope_targets(force)
+    target = _envelope_targets(grid, force)
     step = grid.expand_as(force).gather(0, target) - grid
     return step, force.gather(0, target).sub_(force), torch.ones_like(force[0])
 
 
-def _envelope_targets(force: Tensor) -> Tensor:
-    """For each sample (S, M, B) of a curve, evenly spaced, the next corner round its hull (or itself).
+def _envelope_targets(grid: Tensor, force: Tensor) -> Tensor:
+    """For each sample (S, M, B) of a curve the next corner round its hull (or itself).
 
     A sample is on the lower envelope if every slope to its right exceeds every slope to its left;
     on the upper, the other way round. The lower is walked rightwards, the upper back.
@@ -292,11 +323,11 @@ def _envelope_targets(force: Tensor) -> Tensor:
     left_max, right_max = force.new_full((2, *force.shape), -torch.inf)
     left_min, right_min = force.new_full((2, *force.shape), torch.inf)
     for gap in range(1, count):
-        slope = (force[gap:] - force[:-gap]).mul_(1 / gap)
-        torch.maximum(left_max[gap:], slope, out=left_max[gap:])
-        torch.minimum(left_min[gap:], slope, out=left_min[gap:])
-        torch.maximum(right_max[:-gap], slope, out=right_max[:-gap])
-        torch.minimum(right_min[:-gap], slope, out=right_min[:-gap])
+        slope = (force[gap:] - force[:-gap]).div_(grid[gap:] - grid[:-gap])  # of twins not a number: passed over
+        torch.fmax(left_max[gap:], slope, out=left_max[gap:])
+        torch.fmin(left_min[gap:], slope, out=left_min[gap:])
+        torch.fmax(right_max[:-gap], slope, out=right_max[:-gap])
+        torch.fmin(right_min[:-gap], slope, out=right_min[:-gap])
     lower, upper = (right_min > left_max).to(force.dtype), (right_max < left_min).to(force.dtype)
 
     target = torch.arange(count, dtype=force.dtype, device=force.device).view(-1, 1, 1).expand_as(force).clone()
@@ -344,7 +375,7 @@ def _edge_hulls(curves: Curves, scale: tuple[float, float]) -> EdgeHulls:
     def total(curve: Tensor) -> Tensor:
         return curve.flatten(0, 1).index_select(0, row).view(-1, actuators, batch).sum(1)
 
-    polygons, source, target = convex_hull(scale[0] * total(curves.force), scale[1] * total(moment))
+    polygons, source, target = convex_hull(scale[0] * total(curves.force), scale[1] * curves.lifted(total(moment)))
     return EdgeHulls(polygons, source, target, curves.grid.view(-1)[table])
 
 

@@ -42,15 +42,15 @@ class Pieces:
     coefficients: Tensor
     rough: Tensor
 
-    def of(self, section: Tensor) -> "Pieces":
-        """Those of sections (Q), repeats allowed."""
-        return Pieces(*(value[..., section] for value in vars(self).values()))
+    def of(self, index: Tensor) -> "Pieces":
+        """Those in `index`."""
+        return Pieces(*(value[..., index] for value in vars(self).values()))
 
 
-def fit_pieces(sections: Sections, *, relative: bool) -> Pieces:
-    """The forces of all sections; relative: their differences from node 1's at the same pressures."""
-    strain, limit = sections.strain, sections.limit
-    first = sections.at_first_node(strain) if relative else None
+def fit_pieces(sections: Sections, section: Tensor, *, relative: bool) -> Pieces:
+    """The forces of sections (Q); relative: their differences from node 1's at the same pressures."""
+    strain, limit = sections.strain[:, section], sections.limit[:, section]
+    first = sections.at_first_node(sections.strain)[:, section] if relative else None
     groups = []
     for model, members in group_alike(sections.actuators):
         own, reference = strain[members], None if first is None else first[members]

@@ -41,7 +41,7 @@ def heading_key(edge_x: Tensor, edge_y: Tensor) -> Tensor:
     return (edge_y / size).sub_(1.0).mul_(rightward)
 
 
-def minkowski_sum(start_x: Tensor, start_y: Tensor, edge_x: Tensor, edge_y: Tensor) -> Polygons:
+def minkowski_sum(start_x: Tensor, start_y: Tensor, edge_x: Tensor, edge_y: Tensor) -> tuple[Polygons, Tensor]:
     """The Minkowski sum of convex polygons from all their edges, headed counter-clockwise.
 
     The sum's boundary is the summands' edges in order of heading. Parallel edges follow one
@@ -55,7 +55,7 @@ def minkowski_sum(start_x: Tensor, start_y: Tensor, edge_x: Tensor, edge_y: Tens
     edge_x, edge_y = edge_x.gather(0, order), edge_y.gather(0, order)
     x = edge_x.cumsum(0).sub_(edge_x).add_(start_x)
     y = edge_y.cumsum(0).sub_(edge_y).add_(start_y)
-    return Polygons(x, y, edge_x, edge_y)
+    return Polygons(x, y, edge_x, edge_y), order
 
 
 def face_square(point: tuple[Tensor, Tensor], start: tuple[Tensor, Tensor], end: tuple[Tensor, Tensor]) -> Tensor:

@@ -13,6 +13,13 @@ from torch import Tensor
 from torcharm import rod, se2
 from torcharm._inputs import as_floating, broadcast_shapes, check_at_least, check_finite, check_tensor
 from torcharm.actuators import Actuator
+from torcharm.actuators.bending import (
+    active_moment,
+    bending_model,
+    linear_stiffness,
+    passive_moment,
+    reference_pressure,
+)
 from torcharm.arm import ArmDesign
 
 PLANAR = (0, 2)
@@ -59,7 +66,7 @@ def along(values: Sequence[float], like: Tensor, dim: int) -> Tensor:
 
 def reference_pressures(actuators: tuple[Actuator, ...]) -> list[float]:
     """The pressures [kPa] at which the models' bending stiffness holds."""
-    return [model.max_pressure for model in actuators]
+    return [reference_pressure(model.bending_stiffness, model.max_pressure) for model in actuators]
 
 
 def actuator_state(
@@ -72,8 +79,9 @@ def actuator_state(
 ) -> tuple[Tensor, Tensor]:
     """Strains, and bending moments at full reference pressure [N·m], of M actuators.
 
-    The moment is linear in pressure: at pressure p an actuator bears `p / p_ref` of it, with
-    p_ref the model's own `max_pressure` (a limit set on the arm does not stiffen its material).
+    The moment is linear in pressure: at pressure p an actuator bears `p / p_ref` of it, with p_ref one of
+    `reference_pressures` (a limit set on the arm does not stiffen its material). What it bears besides, at any
+    pressure, is `resting_moment`.
 
     Args:
         actuators: M force models, along dimension `dim` (counted from the end).
@@ -81,9 +89,36 @@ def actuator_state(
         radius, neutral_length: of the actuators [m].
     """
     own_length = rod.offset_length(length, curvature, radius)
-    stiffness = along([model.bending_stiffness for model in actuators], own_length, dim)
-    bending = stiffness * rod.material_curvature(curvature, own_length, neutral_length)
+    material = rod.material_curvature(curvature, own_length, neutral_length)
+    stiffness = [linear_stiffness(model.bending_stiffness) for model in actuators]
+    if None in stiffness:
+        parts = material.expand_as(own_length).unbind(dim)
+        moments = [active_moment(model.bending_stiffness, k) for model, k in zip(actuators, parts, strict=True)]
+        bending = torch.stack(moments, dim)
+    else:
+        bending = along([k for k in stiffness if k is not None], own_length, dim) * material
     return rod.strain(own_length, neutral_length), bending
+
+
+def resting_moment(
+    actuators: tuple[Actuator, ...],
+    length: Tensor,
+    curvature: Tensor,
+    radius: Tensor,
+    neutral_length: Tensor,
+    dim: int = -1,
+) -> Tensor | None:
+    """The sum over the actuators of the bending moments that no pressure changes [N·m], without dimension `dim`.
+
+    None where there are none, as for the paper's models. Arguments as for `actuator_state`.
+    """
+    if all(bending_model(model.bending_stiffness) is None for model in actuators):
+        return None
+    own_length = rod.offset_length(length, curvature, radius)
+    material = rod.material_curvature(curvature, own_length, neutral_length).expand_as(own_length).unbind(dim)
+    parts = [passive_moment(model.bending_stiffness, k) for model, k in zip(actuators, material, strict=True)]
+    found = [part for part in parts if part is not None]
+    return torch.stack(found).sum(0) if found else None
 
 
 def actuator_force(actuators: tuple[Actuator, ...], strain: Tensor, pressure: Tensor, dim: int = -1) -> Tensor:
@@ -143,4 +178,6 @@ def reaction_wrench(
     strain, bending = actuator_state(arm.actuators, length, curvature, radii, neutral)
     force = actuator_force(arm.actuators, strain, pressure)
     share = pressure / along(reference_pressures(arm.actuators), pressure, -1)
-    return torch.stack((force.sum(-1), (bending * share - radii * force).sum(-1)), -1)
+    moment = (bending * share - radii * force).sum(-1)
+    resting = resting_moment(arm.actuators, length, curvature, radii, neutral)
+    return torch.stack((force.sum(-1), moment if resting is None else moment + resting), -1)

@@ -43,7 +43,7 @@ class Held:
     model: ta.Actuator
 
     @property
-    def bending_stiffness(self) -> float:
+    def bending_stiffness(self) -> Any:
         return self.model.bending_stiffness
 
     @property

@@ -9,7 +9,7 @@ separating lines.
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,7 +124,9 @@ def sections(arm: ta.ArmDesign, task: ta.Task, relative: bool, radius: Real = ON
     own = twists[:, :1] - radii * twists[:, 2:]
     floor = neutral * Real(1e-6)
     held = np.where(abs(own) < floor, np.where(own < 0, -floor, floor), own)
-    per_pressure = np.array([Real(model.bending_stiffness) / Real(model.max_pressure) for model in arm.actuators])
+    per_pressure = np.array(
+        [Real(cast(float, model.bending_stiffness)) / Real(model.max_pressure) for model in arm.actuators]
+    )
     bending = per_pressure * twists[:, 2:] / held
     return Sections(arm.actuators, own / neutral - 1, bending, radii, real(arm.max_pressure), relative)
 

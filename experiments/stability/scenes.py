@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 import torcharm as ta
+from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS
 
 Array = NDArray[np.float64]
 LOAD = (10.0, -90.0, 6.0)
@@ -186,7 +187,7 @@ def limits() -> Iterator[Scene]:
 def stiffnesses() -> Iterator[Scene]:
     group = "bending stiffness"
     for factor in (0.0, 1e-6, 1e-3, 1.0, 1e3, 1e6):
-        stiffer = [replace(model, bending_stiffness=factor * model.bending_stiffness) for model in MIXED]
+        stiffer = [replace(model, bending_stiffness=factor * PAPER_BENDING_STIFFNESS) for model in MIXED]
         yield arm_scene(group, f"× {factor:g}", actuators=stiffer)
 
 
@@ -194,7 +195,7 @@ def force_scales() -> Iterator[Scene]:
     group = "hulls of arms, scaled"
     for factor in (1e-6, 1e6):
         scaled = [
-            replace(model, force_scale=factor, bending_stiffness=factor * model.bending_stiffness) for model in MIXED
+            replace(model, force_scale=factor, bending_stiffness=factor * PAPER_BENDING_STIFFNESS) for model in MIXED
         ]
         yield arm_scene(group, f"forces and loads × {factor:g}", actuators=scaled, load=[factor * q for q in LOAD])
         yield arm_scene(group, f"forces × {factor:g}, load as it was", actuators=scaled)

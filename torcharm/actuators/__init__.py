@@ -1,22 +1,34 @@
 """Force models of fluid-driven actuators."""
 
+from torcharm.actuators.bending import Bending, BendingFunction, ConstantBending, LinearBending
 from torcharm.actuators.mckibben import McKibben
+from torcharm.actuators.monotonicity import Monotonicity, monotonicity
 from torcharm.actuators.polynomial import Bellows, PolynomialActuator
 from torcharm.actuators.protocol import (
     Actuator,
+    PressureLaw,
     check_actuator,
     is_linear_in_pressure,
     pressure_degree,
     pressure_knots,
+    pressure_law,
 )
 
 __all__ = [
     "Actuator",
     "Bellows",
+    "Bending",
+    "BendingFunction",
+    "ConstantBending",
+    "LinearBending",
     "McKibben",
+    "Monotonicity",
     "PolynomialActuator",
+    "PressureLaw",
     "check_actuator",
     "is_linear_in_pressure",
+    "monotonicity",
     "pressure_degree",
     "pressure_knots",
+    "pressure_law",
 ]

@@ -6,8 +6,9 @@ import torch
 from torch import Tensor
 
 from torcharm._select import select
+from torcharm.actuators.bending import Bending
 from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS
-from torcharm.actuators.protocol import check_numbers
+from torcharm.actuators.protocol import PressureLaw, check_numbers
 
 _A1, _A2 = 1.038555666, 0.511454549
 _B1, _B2, _B3 = 1.963398204, -3.169979385, 4.231857967
@@ -62,7 +63,7 @@ class McKibben:
     Attributes:
         strain_range, pressure_range [kPa]: where the model is used.
         max_pressure: highest pressure in use [kPa].
-        bending_stiffness: K [N·m²] at `max_pressure`.
+        bending_stiffness: K [N·m²] at `max_pressure`, or a bending model.
         force_scale: a factor on the force: 2.0 stands for two of them side by side.
 
     Raises:
@@ -72,7 +73,7 @@ class McKibben:
     strain_range: tuple[float, float] = (-0.5, 0.05)
     pressure_range: tuple[float, float] = (0.0, 100.0)
     max_pressure: float = 100.0
-    bending_stiffness: float = PAPER_BENDING_STIFFNESS
+    bending_stiffness: float | Bending = PAPER_BENDING_STIFFNESS
     force_scale: float = 1.0
 
     def __post_init__(self) -> None:
@@ -98,6 +99,26 @@ class McKibben:
         # p exp((x - 1) ln p) instead of p^x: its second derivatives are right, and finite at p = 0.
         power = pressure * (exponent * pressure.clamp(min=_TRACE).log()).exp()
         return (contracted + gain * power) * -self.force_scale
+
+    def pressure_law(self, strain: Tensor) -> PressureLaw:
+        """The same force as a function of pressure. Below ε_lim the model jumps at Z, where the law ends."""
+        extended = strain >= 0
+        extends = extended.to(strain.dtype)
+        compression, threshold = _compression(strain), _threshold(strain)
+        rise_rate, rise_from = _rise(strain, compression, threshold)
+        pull_rate = _A1 * (_A2 + strain).square()
+        gain = extends * (_B1 * (_B2 * strain + _SLACK).square())
+        never = strain.new_tensor(_NEVER)
+        scale = (1 - extends) * -self.force_scale
+        ladder = strain.new_tensor(self.max_pressure)
+        return PressureLaw(
+            (select(extended, _extension(strain), compression) * -self.force_scale,),
+            torch.stack((select(extended, ladder / 64, rise_from), select(extended, ladder / 8, threshold))),
+            torch.stack((rise_rate * scale, (pull_rate - rise_rate) * scale)),
+            gain * -self.force_scale,
+            1 + _B3 * extends * strain,
+            select(strain >= _STRAIN_LIM, never, threshold),
+        )
 
     def pressure_knots(self, strain: Tensor) -> Tensor:
         """Pressures (2, *strain.shape) [kPa] of the kinks in contraction: the onset of recovery, and Z.

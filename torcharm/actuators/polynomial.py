@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from torcharm._inputs import shown
-from torcharm.actuators.protocol import check_numbers
+from torcharm.actuators.bending import Bending
+from torcharm.actuators.protocol import PressureLaw, check_numbers
 
 PAPER_BENDING_STIFFNESS = -1.0 / 3.5
 """K [N·m²]; the paper estimated one value for bellows and muscles alike."""
@@ -24,7 +25,7 @@ class PolynomialActuator:
         coefficients: terms `(i, j, c)`, with i and j the powers of strain and pressure [kPa].
         strain_range, pressure_range [kPa]: where the coefficients were fitted.
         max_pressure: highest pressure in use [kPa].
-        bending_stiffness: K [N·m²] at `max_pressure`.
+        bending_stiffness: K [N·m²] at `max_pressure`, or a bending model.
         force_scale: a factor on the force: 2.0 stands for two of them side by side.
 
     Raises:
@@ -36,7 +37,7 @@ class PolynomialActuator:
     strain_range: tuple[float, float]
     pressure_range: tuple[float, float]
     max_pressure: float
-    bending_stiffness: float = PAPER_BENDING_STIFFNESS
+    bending_stiffness: float | Bending = PAPER_BENDING_STIFFNESS
     force_scale: float = 1.0
 
     def __post_init__(self) -> None:
@@ -55,6 +56,11 @@ class PolynomialActuator:
         for row in reversed(rows[:-1]):
             total = total * pressure + _horner(row, strain)
         return total if len(rows) > 1 else total.expand(torch.broadcast_shapes(strain.shape, pressure.shape))
+
+    def pressure_law(self, strain: Tensor) -> PressureLaw | None:
+        """The same force as a function of pressure, up to a cubic."""
+        rows = self._rows()
+        return PressureLaw(tuple(_horner(row, strain) for row in rows)) if self.pressure_degree <= 3 else None
 
     def _rows(self) -> list[list[float]]:
         """`rows[j][i] = c_ij`: for each power of pressure a polynomial in strain."""

@@ -1,11 +1,32 @@
 """What torcharm asks of a force model, and the questions it asks on the model's behalf."""
 
 import math
+from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 from torch import Tensor
 
 from torcharm._inputs import shown
+from torcharm.actuators.bending import Bending, bending_model
+
+
+@dataclass(frozen=True)
+class PressureLaw:
+    """Forces, at given strains, as functions of pressure [kPa]: `Σ c_j p^j + Σ s_k max(0, p - t_k) + g p^x`.
+
+    Attributes:
+        coefficients: up to four c_j, each of the strains' shape (*) [N]; up to two beside a power.
+        kinks, slopes: t_k [kPa] and s_k [N/kPa], (k, *); None without kinks.
+        gain, exponent: g and x > 1, (*); None without a power.
+        until: pressure (*) up to which the law holds; None: wherever the model does.
+    """
+
+    coefficients: tuple[Tensor, ...]
+    kinks: Tensor | None = None
+    slopes: Tensor | None = None
+    gain: Tensor | None = None
+    exponent: Tensor | None = None
+    until: Tensor | None = None
 
 
 @runtime_checkable
@@ -16,20 +37,24 @@ class Actuator(Protocol):
     registered. Make it hashable (a frozen dataclass is) and equal to its copies: actuators that
     compare equal are evaluated together.
 
-    Two more members are optional, and let torcharm be exact where it would else be accurate.
+    Three more members are optional, and let torcharm be exact where it would else be accurate.
     `pressure_knots(strain)` returns pressures (k, *strain.shape) [kPa], in any order, at which the force has
     a kink. `pressure_degree = 3` says that between them it is a polynomial in pressure of that degree;
-    at degree 1 without knots two samples stand for the whole curve.
+    at degree 1 without knots two samples stand for the whole curve. `pressure_law(strain)` writes the force out
+    as a function of pressure, a `PressureLaw`; polishing is then fast, and as exact as numbers are.
     """
 
     @property
-    def bending_stiffness(self) -> float:
-        """K [N·m²] of the bending moment `τ = K (p / max_pressure) κ/l`; negative resists bending."""
+    def bending_stiffness(self) -> float | Bending:
+        """K [N·m²] of the bending moment `τ = K (p / max_pressure) κ/l`; negative resists bending.
+
+        Or a model of it: `LinearBending`, `ConstantBending`, `BendingFunction` or one's own.
+        """
         ...
 
     @property
     def max_pressure(self) -> float:
-        """Highest pressure in use [kPa]: the default limit, and the pressure at which K holds."""
+        """Highest pressure in use [kPa]: the default limit, and the pressure at which K holds by default."""
         ...
 
     @property
@@ -68,10 +93,12 @@ def check_numbers(actuator: Any, prefix: str = "") -> None:
     """Raise a ValueError, naming the field, unless the numbers of a force model make sense."""
     for field, low, allowed in (
         ("max_pressure", 0.0, "finite and above 0 kPa"),
-        ("bending_stiffness", -math.inf, "a finite number"),
+        ("bending_stiffness", -math.inf, "a finite number or a bending model"),
         ("force_scale", -math.inf, "a finite number"),
     ):
         value = getattr(actuator, field, 1.0)
+        if field == "bending_stiffness" and bending_model(value) is not None and isinstance(value, Bending):
+            continue
         if not low < _number(value) < math.inf:
             raise ValueError(f"{prefix}{field}: must be {allowed}, got {shown(value)}")
     for field in ("strain_range", "pressure_range"):
@@ -106,3 +133,9 @@ def is_linear_in_pressure(actuator: Actuator) -> bool:
     """Whether the model says that its force is affine in pressure."""
     degree = pressure_degree(actuator)
     return degree is not None and degree <= 1 and not hasattr(actuator, "pressure_knots")
+
+
+def pressure_law(actuator: Actuator, strain: Tensor) -> PressureLaw | None:
+    """The force as a function of pressure, if the model writes it so."""
+    law: PressureLaw | None = actuator.pressure_law(strain) if hasattr(actuator, "pressure_law") else None
+    return law

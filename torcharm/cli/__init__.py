@@ -1,4 +1,4 @@
-"""The `torcharm` command: evaluate a study, or write one to start from.
+"""The `torcharm` command: evaluate a study, write one to start from, or fit a force model to recordings.
 
 A mistake that a person can make ends in one line on the standard error and exit code 2.
 """
@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from torcharm.cli import evaluate, init
+from torcharm.cli import evaluate, fit, init
 from torcharm.cli.terminal import INTERRUPTED, fail
 
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]  # click's own, which newer typers hold inside
@@ -58,3 +58,6 @@ def _root(
 
 app.command(epilog="Example: torcharm init arms.toml")(init.init)
 app.command(epilog="Example: torcharm evaluate study.toml --out results.csv --figure picture.png")(evaluate.evaluate)
+app.command(epilog="Example: torcharm fit --instron run.csv --pressure run.txt --actuators 4 --out my_bellows.toml")(
+    fit.fit
+)

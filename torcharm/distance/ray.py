@@ -94,11 +94,13 @@ class _Search:
         )
         bending = sections.bending - sections.at_first_node(sections.bending) if relative else sections.bending
         self.bending = bending[:, section]
+        resting = sections.resting_moment(relative=relative)
+        self.resting = torch.zeros_like(size) if resting is None else resting[section]
 
     def run(self, fraction: Tensor) -> tuple[Ends, Tensor]:
         """Ends of the faces hit, and whether (Q) they converged, from those (2, M, Q) of polygons' faces."""
         sections, everyone = self.sections, torch.arange(len(self.section), device=self.section.device)
-        pieces = fit_pieces(sections, relative=self.relative).of(self.section)
+        pieces = fit_pieces(sections, self.section, relative=self.relative)
         sums = CurveSum(pieces, self.bending, sections.radii[:, self.section], (1.0, 1.0))
         ends = self._bracket(fraction, pieces)
         converged = self._close(ends, everyone, sums)
@@ -164,7 +166,7 @@ class _Search:
             nx, ny = torch.where(apart, nx, self.direction[0, own]), torch.where(apart, ny, self.direction[1, own])
             length = torch.hypot(nx, ny)
             nx, ny = nx / length, ny / length
-            touch = sums.touch(nx, ny)
+            touch = self._lifted(sums.touch(nx, ny), own)
             beyond = nx * (touch.x - ax) + ny * (touch.y - ay)
             finished = (beyond <= slack[left]) | ~apart
             done[left] = finished
@@ -191,7 +193,8 @@ class _Search:
                 continue
             own, angle = index[left], (2 * side - 1) * turn
             nx, ny = normal[:, left]
-            touch = sums.of(left).touch(nx * cos(angle) - ny * sin(angle), ny * cos(angle) + nx * sin(angle))
+            turned = nx * cos(angle) - ny * sin(angle), ny * cos(angle) + nx * sin(angle)
+            touch = self._lifted(sums.of(left).touch(*turned), own)
             found = (self._across(touch.x, touch.y, own) >= 0) == bool(side)
             put = found.nonzero().squeeze(-1)
             sides = torch.full_like(own[put], side)
@@ -211,8 +214,14 @@ class _Search:
         if self.relative:
             first = sections.at_first_node(sections.strain)[:, section]
             force = force - actuator_force(sections.actuators, first, pressure, dim=-2)
-        bending = self.bending if index is None else self.bending[:, index]
-        return force.sum(1), (bending * fraction - sections.radii[:, section] * force).sum(1)
+        bending, resting = (
+            (self.bending, self.resting) if index is None else (self.bending[:, index], self.resting[index])
+        )
+        return force.sum(1), (bending * fraction - sections.radii[:, section] * force).sum(1) + resting
+
+    def _lifted(self, touch: Touch, index: Tensor) -> Touch:
+        """What was touched of the sums in `index`, with the moment that they bear at no pressure."""
+        return replace(touch, y=touch.y + self.resting[index])
 
     def _across(self, x: Tensor, y: Tensor, index: Tensor | slice = slice(None)) -> Tensor:
         return self.direction[0, index] * y - self.direction[1, index] * x

@@ -17,9 +17,10 @@ from torch import Tensor
 
 from torcharm._select import select
 from torcharm.distance.closed_form import NearestFaces, start_normals
-from torcharm.hulls import Sections
+from torcharm.distance.newton import Found
+from torcharm.hulls import ExactHulls, Sections
 from torcharm.pieces import Pieces, fit_pieces, refit_pieces
-from torcharm.polygon import Polygons, face_square
+from torcharm.polygon import face_square
 
 ROUNDS = 40
 WIDEN = 8.0
@@ -369,71 +370,26 @@ def _share(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor) -> Tensor:
     return (x * dx + y * dy) / (span + (span == 0).to(span.dtype))
 
 
-@dataclass(frozen=True)
-class Polished:
-    """Nearest faces of the sets themselves, where those of sampled polygons do not do.
-
-    Attributes:
-        faces: squared distances and sides, as of the polygons' faces.
-        fraction: (2, M, B, L) pressure fractions at the ends of the faces; meaningless for points that
-            were not polished, whose distance is 0.
-        converged: (B, L).
-    """
-
-    faces: NearestFaces
-    fraction: Tensor
-    converged: Tensor
-
-
-def polish(
+def search_faces(
     sections: Sections,
-    polygons: Polygons,
+    hulls: ExactHulls,
     faces: NearestFaces,
     point: tuple[Tensor, Tensor],
-    scale: tuple[float, float],
-    *,
+    section: Tensor,
+    load: Tensor,
     relative: bool,
-    signed: bool,
-) -> Polished:
-    """From the nearest faces of polygons inside the sets to those of the sets.
-
-    A point inside its polygon is inside its set; unless margins are asked for, only the others are looked at.
-
-    Args:
-        sections: the actuators.
-        polygons: sampled from their curves.
-        faces: nearest to the points, with slots.
-        point: (B, L) each.
-        scale: factors on force and moment.
-        relative: whether the sets are of differences from node 1.
-        signed: whether points inside are asked for.
-    """
-    open_ones = torch.ones_like(faces.inside) if signed else ~(faces.inside | (faces.square <= faces.blur.square()))
-    section, load = open_ones.nonzero(as_tuple=True)
-    start = start_normals(polygons, faces, *point)
-    x, y, nx, ny, blur = (value[section, load] for value in (*point, *start, faces.blur))
-    bending = sections.bending - sections.at_first_node(sections.bending) if relative else sections.bending
-    pieces = fit_pieces(sections, relative=relative)
-    sums = CurveSum(pieces.of(section), bending[:, section], sections.radii[:, section], scale)
+) -> Found:
+    """The nearest faces of problems (Q), by search."""
+    normals = start_normals(hulls.polygons, faces, *point)
+    x, y, nx, ny, blur = (value[section, load] for value in (*point, *normals, faces.blur))
+    y = hulls.lowered(y, section)
+    pieces = fit_pieces(sections, section, relative=relative)
+    bending = hulls.curves.bending[:, section]
+    sums = CurveSum(pieces, bending, sections.radii[:, section], hulls.scale)
     found = nearest_points(sums, x, y, (nx, ny), 4 * blur)
     _refit(found, sums, x, y, 4 * blur, partial(refit_pieces, sections, relative=relative), section)
-
     square = face_square((x, y), found.ends.corner(0), found.ends.corner(1))
-    sampled = faces.square[section, load]
-    # The polygon lies inside the set: its distance bounds the set's, from above outside and from below inside.
-    kept_inside = faces.inside[section, load] & found.inside
-    gain = sampled.sqrt() - square.sqrt()
-    better = found.converged & (torch.where(kept_inside, -gain, gain) >= -16 * blur)
-    fraction = x.new_zeros(2, len(bending), *faces.inside.shape)
-    fraction[:, :, section, load] = found.ends.fraction
-    section, load = section[better], load[better]
-    whole = replace(
-        faces,
-        square=faces.square.index_put((section, load), square[better]),
-        inside=faces.inside.index_put((section, load), found.inside[better]),
-    )
-    converged = (~open_ones).index_put((section, load), better[better])
-    return Polished(whole, fraction, converged)
+    return Found(square, found.inside, found.ends.fraction, found.converged)
 
 
 def _refit(

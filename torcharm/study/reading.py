@@ -2,23 +2,36 @@
 
 import tomllib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from importlib import resources
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import torch
 from pydantic import ValidationError
 
-from torcharm.actuators import Actuator, Bellows, McKibben, PolynomialActuator
+from torcharm.actuators import (
+    Actuator,
+    Bellows,
+    Bending,
+    ConstantBending,
+    LinearBending,
+    McKibben,
+    PolynomialActuator,
+)
+from torcharm.actuators.model_file import load_actuator
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
 from torcharm.attainability import METRICS
 from torcharm.hulls import sample_count, slot_count
 from torcharm.study.data import NamedArm, NamedTask, Settings, Study
 from torcharm.study.fields import field_path, first_mistake, one_line, shown_value, within
 from torcharm.study.tables import (
+    BendingTable,
     CubicShape,
     DrawnLoads,
     EvaluateTable,
+    FileActuator,
     FreeArm,
     PaperActuator,
     PaperArm,
@@ -49,11 +62,16 @@ def load_study(path: str | PathLike[str]) -> Study:
         raise ValueError(one_line(f"{source}: must be UTF-8 text, got byte {error.start + 1} that is not")) from None
     except OSError as error:
         raise ValueError(one_line(f"{source}: cannot be read: {error.strerror or error}")) from None
-    return parse_study(text, source)
+    return parse_study(text, source, Path(path).parent)
 
 
-def parse_study(text: str, source: str = "study") -> Study:
-    """A study from the text of a TOML file; `source` is what error messages call the file.
+def parse_study(text: str, source: str = "study", folder: str | PathLike[str] = ".") -> Study:
+    """A study from the text of a TOML file.
+
+    Args:
+        text: of the file.
+        source: what error messages call the file.
+        folder: where relative paths of force models start.
 
     Raises:
         ValueError: as for `load_study`.
@@ -71,7 +89,7 @@ def parse_study(text: str, source: str = "study") -> Study:
     except ValidationError as error:
         raise ValueError(one_line(f"{source}: {first_mistake(error, raw)}")) from None
     try:
-        return _study(table)
+        return _study(table, Path(folder))
     except ValueError as error:
         raise ValueError(one_line(f"{source}: {error}")) from None
 
@@ -97,13 +115,13 @@ _PAPER_ARMS: dict[str, Callable[..., ArmDesign]] = {
 }
 
 
-def _study(table: StudyTable) -> Study:
+def _study(table: StudyTable, folder: Path) -> Study:
     _check_unique("arm", table.arm)
     _check_unique("task", table.task)
     arms, tasks = [], []
     for index, entry in enumerate(table.arm):
         with within(field_path(["arm", index]), entry.name):
-            arms.append(NamedArm(entry.name, _design(entry)))
+            arms.append(NamedArm(entry.name, _design(entry, folder)))
     for index, job in enumerate(table.task):
         with within(field_path(["task", index]), job.name):
             tasks.append(NamedTask(job.name, _task(job)))
@@ -124,10 +142,10 @@ def _check_unique(section: str, tables: Sequence[PaperArm | FreeArm | ShapedTask
         seen[table.name] = index
 
 
-def _design(table: PaperArm | FreeArm) -> ArmDesign:
+def _design(table: PaperArm | FreeArm, folder: Path) -> ArmDesign:
     limit = table.max_pressure
     if isinstance(table, FreeArm):
-        actuators = tuple(_actuator(entry, index) for index, entry in enumerate(table.actuators))
+        actuators = tuple(_actuator(entry, index, folder) for index, entry in enumerate(table.actuators))
         radii = torch.tensor(table.radii, dtype=torch.float64)
     else:
         given = table.model_dump(include={"outer_radius", "inner_radius"}, exclude_none=True)
@@ -141,17 +159,32 @@ def _design(table: PaperArm | FreeArm) -> ArmDesign:
     return ArmDesign(radii, table.length, actuators, [limit] if isinstance(limit, float) else limit)
 
 
-def _actuator(table: PaperActuator | PolynomialTable, index: int) -> Actuator:
-    options = table.model_dump(exclude={"kind"}, exclude_none=True)
-    if isinstance(table, PaperActuator):
-        return Bellows(**options) if table.kind == "bellows" else McKibben(**options)
+def _actuator(table: PaperActuator | FileActuator | PolynomialTable, index: int, folder: Path) -> Actuator:
+    options = table.model_dump(exclude={"kind", "path", "bending"}, exclude_none=True)
     with within(field_path(["actuators", index])):
+        if table.bending is not None:
+            options["bending_stiffness"] = _bending(table, table.bending)
+        if isinstance(table, FileActuator):
+            model: Any = load_actuator(folder / table.path)
+            return replace(model, **options)
+        if isinstance(table, PaperActuator):
+            return Bellows(**options) if table.kind == "bellows" else McKibben(**options)
         for name in ("strain_range", "pressure_range"):
             low, high = options[name] = tuple(options[name])
             if not low < high:
                 raise ValueError(f"{name}: must be [lowest, highest], got {shown_value([low, high])}")
         options["coefficients"] = tuple(_term(row, place) for place, row in enumerate(table.coefficients))
         return PolynomialActuator(**options)
+
+
+def _bending(table: PaperActuator | PolynomialTable, bending: BendingTable) -> Bending:
+    if table.bending_stiffness is not None:
+        raise ValueError("bending: must not stand beside bending_stiffness, got both")
+    if bending.kind == "linear":
+        return LinearBending(bending.stiffness, bending.reference_pressure)
+    if bending.reference_pressure is not None:
+        raise ValueError("bending.reference_pressure: must not be given for constant bending, got one")
+    return ConstantBending(bending.stiffness)
 
 
 def _term(row: Sequence[float], index: int) -> tuple[int, int, float]:

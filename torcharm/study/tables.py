@@ -30,13 +30,28 @@ from torcharm.study.fields import (
 )
 
 
+class BendingTable(Table):
+    """A bending model in place of a number K."""
+
+    kind: Annotated[str, one_of(("linear", "constant")), Field(description="one of linear, constant")]
+    stiffness: Annotated[float, Field(description="K, a number [N·m²]")]
+    reference_pressure: Positive | None = None
+
+
 class PaperActuator(Table):
     """One of the paper's actuators, perhaps changed."""
 
     kind: str
     bending_stiffness: float | None = None
+    bending: BendingTable | None = None
     max_pressure: Positive | None = None
     force_scale: float | None = None
+
+
+class FileActuator(PaperActuator):
+    """A force model from a file of its own, perhaps changed."""
+
+    path: Annotated[str, Field(description="the path of a force model's file, from the study's folder")]
 
 
 class PolynomialTable(Table):
@@ -52,6 +67,7 @@ class PolynomialTable(Table):
     pressure_range: Annotated[Range, Field(description="[lowest, highest], the pressures characterised [kPa]")]
     max_pressure: Annotated[Positive, Field(description="the highest pressure in use [kPa]")]
     bending_stiffness: float | None = None
+    bending: BendingTable | None = None
     force_scale: float | None = None
 
 
@@ -62,9 +78,10 @@ def _named_kind(value: Any) -> Any:
 ActuatorTable = Annotated[
     Annotated[PaperActuator, Tag("<bellows>")]
     | Annotated[PaperActuator, Tag("<mckibben>")]
-    | Annotated[PolynomialTable, Tag("<polynomial>")],
+    | Annotated[PolynomialTable, Tag("<polynomial>")]
+    | Annotated[FileActuator, Tag("<file>")],
     Discriminator(by_kind),
-    kind_among("bellows", "mckibben", "polynomial"),
+    kind_among("bellows", "mckibben", "polynomial", "file"),
     BeforeValidator(_named_kind),
 ]
 

@@ -1,0 +1,1 @@
+"""How right the numbers are on stiff, degenerate and extreme scenes."""

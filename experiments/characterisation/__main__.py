@@ -1,0 +1,3 @@
+from experiments.characterisation.run import main
+
+main()

@@ -1,0 +1,222 @@
+"""Recordings of one run or several: pressure smoothed and brought to the tester's time stamps, runs pooled."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+from torcharm._inputs import check_count, check_number
+from torcharm.actuators.recordings import Array, Floats, PressureRecord, TesterRecord
+
+PAPER_SMOOTHING = 40.0
+"""σ of the paper's Gaussian smoothing of pressure, in samples of the log."""
+SMOOTHING_REACH = 2.5
+"""The Gaussian ends at so many σ: with the paper's σ it spans 201 samples."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One run on the test bench, or several, for one actuator, on the tester's time stamps.
+
+    Attributes:
+        strain: (n).
+        pressure: (n) [kPa].
+        force: (n) of one actuator [N], in torcharm's sign: positive pushes outward.
+        run: (n) which run each sample comes from, counted from 0; within a run samples are in order of time.
+        sources: each run's files.
+        settings: how they were read, for the record: names and values.
+    """
+
+    strain: Float[Floats, " n"]
+    pressure: Float[Floats, " n"]
+    force: Float[Floats, " n"]
+    run: NDArray[np.int64]
+    sources: tuple[str, ...]
+    settings: tuple[tuple[str, str | float], ...] = ()
+
+
+def smooth(values: Float[Floats, " n"], deviation: float) -> Float[Floats, " n"]:
+    """A Gaussian-weighted mean over the samples within 2.5 deviations, and at the ends over those there are.
+
+    Args:
+        values: evenly spaced.
+        deviation: σ in samples; 0 leaves the values as they are.
+    """
+    if deviation == 0:
+        return values
+    from scipy.ndimage import gaussian_filter1d
+
+    options = {"sigma": deviation, "mode": "constant", "truncate": SMOOTHING_REACH}
+    return gaussian_filter1d(values, **options) / gaussian_filter1d(np.ones_like(values), **options)
+
+
+def align(
+    tester: TesterRecord,
+    log: PressureRecord,
+    *,
+    actuators: int = 1,
+    smoothing: float = PAPER_SMOOTHING,
+    offset: float = 0.0,
+    max_gap: float | None = None,
+) -> Recording:
+    """One run: the pressure smoothed and interpolated to the tester's time stamps, the force of one actuator.
+
+    Stamps before the log's start or after its end are dropped.
+
+    Args:
+        tester, log: of the same run.
+        actuators: how many were pulled in parallel and shared the pressure.
+        smoothing: σ of the Gaussian in samples of the log; 0 for none.
+        offset: what is added to the log's time to give the tester's [ms]; see `estimate_offset`.
+        max_gap: drop stamps within pauses of the log longer than this [ms]; None bridges all of them, as the
+            paper does.
+
+    Raises:
+        ValueError: the two do not overlap in time, or a setting is out of range.
+    """
+    count = check_count("actuators", actuators, 1)
+    for name, value in (("smoothing", smoothing), ("max_gap", max_gap)):
+        if value is not None:
+            check_number(name, value, 0.0)
+    check_number("offset", offset)
+    return _aligned(tester, log, smooth(log.pressure, smoothing), count, smoothing, offset, max_gap)
+
+
+def _aligned(
+    tester: TesterRecord,
+    log: PressureRecord,
+    smoothed: Array,
+    actuators: int,
+    smoothing: float,
+    offset: float,
+    max_gap: float | None,
+) -> Recording:
+    clock = log.time + offset
+    kept = (tester.time >= clock[0]) & (tester.time <= clock[-1])
+    if not kept.any():
+        raise ValueError(
+            f"{tester.source} and {log.source}: do not overlap in time: the tester ran from "
+            f"{tester.time[0]:g} to {tester.time[-1]:g} ms, the log from {clock[0]:g} to {clock[-1]:g} ms"
+        )
+    if max_gap is not None:
+        after = np.searchsorted(clock, tester.time).clip(1, len(clock) - 1)
+        kept &= clock[after] - clock[after - 1] <= max_gap
+        if not kept.any():
+            raise ValueError(f"max_gap: leaves no sample of {tester.source} and {log.source}, got {max_gap:g} ms")
+    settings: tuple[tuple[str, str | float], ...] = (
+        ("actuators in parallel", float(actuators)),
+        ("smoothing of pressure, samples", float(smoothing)),
+        ("offset of the log, ms", float(offset)),
+        *(() if max_gap is None else (("longest pause of the log, ms", float(max_gap)),)),
+    )
+    return Recording(
+        tester.strain[kept],
+        np.interp(tester.time[kept], clock, smoothed),
+        -tester.force[kept] / actuators,
+        np.zeros(int(kept.sum()), np.int64),
+        (f"{Path(tester.source).name}, {Path(log.source).name}",),
+        settings,
+    )
+
+
+def pool(recordings: Sequence[Recording]) -> Recording:
+    """Several runs as one; settings that differ are kept run by run.
+
+    Raises:
+        ValueError: there is none.
+    """
+    if not recordings:
+        raise ValueError("recordings: must hold at least one run, got none")
+    counts = [int(one.run.max()) + 1 for one in recordings]
+    starts = np.cumsum([0, *counts[:-1]])
+    shared = [pair for pair in recordings[0].settings if all(pair in one.settings for one in recordings)]
+    own = [
+        (f"{name}, run {index + 1}", value)
+        for index, one in enumerate(recordings)
+        for name, value in one.settings
+        if (name, value) not in shared
+    ]
+    return Recording(
+        np.concatenate([one.strain for one in recordings]),
+        np.concatenate([one.pressure for one in recordings]),
+        np.concatenate([one.force for one in recordings]),
+        np.concatenate([one.run + start for one, start in zip(recordings, starts, strict=True)]),
+        tuple(source for one in recordings for source in one.sources),
+        (*shared, *own),
+    )
+
+
+def estimate_offset(
+    tester: TesterRecord,
+    log: PressureRecord,
+    *,
+    degree: int = 3,
+    smoothing: float = PAPER_SMOOTHING,
+    search: float = 2000.0,
+) -> float:
+    """The offset of the log [ms] with which a polynomial of strain and pressure fits the run's force best.
+
+    Looked for on a coarse grid within ±`search`, then by golden sections about the best of it.
+
+    Args:
+        tester, log, smoothing: as for `align`.
+        degree: of the polynomial.
+        search: how far to look [ms].
+
+    Raises:
+        ValueError: the run does not overlap in time, at the offsets in reach or at all; or a setting is out of range.
+    """
+    from scipy.optimize import minimize_scalar
+
+    from torcharm.actuators.fitting import exponents, least_squares_loss
+
+    check_count("degree", degree, 1)
+    check_number("search", search, 0.0, strict=True, unit="ms")
+    align(tester, log, smoothing=smoothing)  # for its errors
+    smoothed, powers = smooth(log.pressure, smoothing), exponents(degree)
+    # Everything is compared on the stamps that all offsets have.
+    clock = log.time
+    common = (tester.time >= clock[0] + search) & (tester.time <= clock[-1] - search)
+    if common.sum() < 10 * len(powers):
+        raise ValueError(
+            f"search: {tester.source} and {log.source} overlap too little to look {search:g} ms either way, "
+            f"got {int(common.sum())} samples"
+        )
+    time, strain, force = tester.time[common], tester.strain[common], tester.force[common]
+
+    def loss(offset: float) -> float:
+        return least_squares_loss(strain, np.interp(time, clock + offset, smoothed), force, powers)
+
+    grid = np.linspace(-search, search, 41)
+    best = int(np.argmin([loss(offset) for offset in grid]))
+    if best in (0, 40):
+        warnings.warn(
+            f"{tester.source} and {log.source}: the best offset lies at the edge of ±{search:g} ms: look further",
+            stacklevel=2,
+        )
+    bounds = grid[max(best - 1, 0)], grid[min(best + 1, 40)]
+    return float(minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 0.1}).x)
+
+
+def held_strains(recording: Recording, *, steady: float = 1e-4, apart: float = 0.01) -> list[NDArray[np.int64]]:
+    """Samples of the strains at which the tester held still, one array of indices for each, from least to most.
+
+    Args:
+        recording: one run, or several pooled: holds at equal strains go together.
+        steady: from one sample to the next, strain may move by so much.
+        apart: strains further apart than this are different holds.
+    """
+    still = np.zeros(len(recording.strain), bool)
+    still[1:] = (np.abs(np.diff(recording.strain)) <= steady) & (np.diff(recording.run) == 0)
+    # A ramp is a chain of small steps: what holds stays put over the samples around it, too.
+    reach = 25
+    ahead, behind = np.roll(recording.strain, -reach), np.roll(recording.strain, reach)
+    still &= (np.abs(ahead - recording.strain) <= steady) & (np.abs(behind - recording.strain) <= steady)
+    index = np.flatnonzero(still)
+    index = index[np.argsort(recording.strain[index], kind="stable")]
+    cuts = np.flatnonzero(np.diff(recording.strain[index]) > apart) + 1
+    return [np.sort(part) for part in np.split(index, cuts) if len(part) > 2 * reach]

@@ -1,0 +1,196 @@
+"""Bending moments that actuators bear beside their axial force.
+
+torcharm's attainable sets are exact because the moment is *affine in pressure*,
+
+    τ(k, p) = τ_0(k) + (p / p_ref) τ_1(k),    k = κ/l, the material curvature [rad/m]
+
+with any functions τ_0 and τ_1 of curvature. A moment that is not affine in pressure is refused.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import torch
+from torch import Tensor
+
+from torcharm._inputs import check_number, shown
+
+CHECKED_CURVATURES = (-30.0, -10.0, -1.0, 0.0, 1.0, 10.0, 30.0)
+"""Curvatures [rad/m] at which a user's function is checked."""
+CHECKED_SHARES = (0.25, 0.5, 0.75, 1.5)
+"""Pressures, as shares of the reference pressure, at which it is."""
+AFFINE = 1e-9
+"""By how much of its largest moment a function may be off a straight line in pressure."""
+
+
+@runtime_checkable
+class Bending(Protocol):
+    """A bending model: what an actuator's `bending_stiffness` may be instead of a number."""
+
+    @property
+    def reference_pressure(self) -> float | None:
+        """p_ref [kPa]; None stands for the actuator's own `max_pressure`."""
+        ...
+
+    def passive(self, curvature: Tensor) -> Tensor:
+        """τ_0 [N·m]: what is borne at any pressure, at material curvatures [rad/m]."""
+        ...
+
+    def active(self, curvature: Tensor) -> Tensor:
+        """τ_1 [N·m]: what is borne besides at p_ref, and in proportion at other pressures."""
+        ...
+
+
+@dataclass(frozen=True)
+class LinearBending:
+    """The paper's `τ = K (p / p_ref) κ/l`; a plain number K as `bending_stiffness` is this, too.
+
+    Attributes:
+        stiffness: K [N·m²]; negative resists bending.
+        reference_pressure: p_ref [kPa]; None stands for the actuator's `max_pressure`.
+
+    Raises:
+        ValueError: K is not finite, or p_ref not above 0.
+    """
+
+    stiffness: float
+    reference_pressure: float | None = None
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+    def passive(self, curvature: Tensor) -> Tensor:
+        """No moment without pressure."""
+        return torch.zeros_like(curvature)
+
+    def active(self, curvature: Tensor) -> Tensor:
+        """`K κ/l`."""
+        return self.stiffness * curvature
+
+
+@dataclass(frozen=True)
+class ConstantBending:
+    """`τ = K κ/l`, whatever the pressure.
+
+    Attributes:
+        stiffness: K [N·m²]; negative resists bending.
+
+    Raises:
+        ValueError: K is not finite.
+    """
+
+    stiffness: float
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+    @property
+    def reference_pressure(self) -> None:
+        """Of no importance."""
+        return None
+
+    def passive(self, curvature: Tensor) -> Tensor:
+        """`K κ/l`."""
+        return self.stiffness * curvature
+
+    def active(self, curvature: Tensor) -> Tensor:
+        """Nothing is added by pressure."""
+        return torch.zeros_like(curvature)
+
+
+@dataclass(frozen=True)
+class BendingFunction:
+    """A user's `τ(k, p)` [N·m] of material curvature [rad/m] and pressure [kPa], affine in pressure.
+
+    Of curvature it may be any function; torch's operations make it differentiable. That it is affine in pressure
+    is checked when the model is made, at a few curvatures up to 30 rad/m and pressures up to 1.5 p_ref: a
+    stiffness that grows as the square of pressure, say, is refused. Models of equal function compare
+    equal and are evaluated alike.
+
+    Attributes:
+        function: of two tensors that broadcast.
+        reference_pressure: p_ref [kPa], a pressure in the middle of what is used.
+
+    Raises:
+        ValueError: p_ref is not above 0, or the function fails, is not finite or not affine in pressure.
+    """
+
+    function: Callable[[Tensor, Tensor], Tensor]
+    reference_pressure: float
+
+    def __post_init__(self) -> None:
+        _check(self)
+        if not callable(self.function):
+            raise ValueError(f"function: must be a function of curvature and pressure, got {shown(self.function)}")
+        curvature = torch.tensor(CHECKED_CURVATURES, dtype=torch.float64)
+        try:
+            rest, full = self.passive(curvature), self._at(curvature, self.reference_pressure)
+            others = [self._at(curvature, share * self.reference_pressure) for share in CHECKED_SHARES]
+        except (TypeError, ValueError, RuntimeError, AttributeError) as error:
+            raise ValueError(
+                f"function: must take tensors of curvature and pressure and return moments, got {shown(error)}"
+            ) from None
+        size = torch.stack((rest, full, *others)).abs().amax()
+        if not bool(size.isfinite()):
+            raise ValueError(f"function: must be finite up to 30 rad/m, got moments {shown(full.tolist())}")
+        for share, moment in zip(CHECKED_SHARES, others, strict=True):
+            off = (moment - torch.lerp(rest, full, share)).abs()
+            if bool((off > AFFINE * size).any()):
+                worst = int(off.argmax())
+                raise ValueError(
+                    "function: must be affine in pressure, got a moment "
+                    f"{off[worst].item():.3g} N·m off the line between 0 and {self.reference_pressure:g} kPa "
+                    f"at {share * self.reference_pressure:g} kPa and {CHECKED_CURVATURES[worst]:g} rad/m"
+                )
+
+    def passive(self, curvature: Tensor) -> Tensor:
+        """`τ(k, 0)`."""
+        return self._at(curvature, 0.0)
+
+    def active(self, curvature: Tensor) -> Tensor:
+        """`τ(k, p_ref) - τ(k, 0)`."""
+        return self._at(curvature, self.reference_pressure) - self._at(curvature, 0.0)
+
+    def _at(self, curvature: Tensor, pressure: float) -> Tensor:
+        return self.function(curvature, torch.full_like(curvature, pressure)).expand_as(curvature)
+
+
+def _check(model: Any) -> None:
+    if hasattr(model, "stiffness"):
+        check_number("stiffness", model.stiffness)
+    if model.reference_pressure is not None:
+        check_number("reference_pressure", model.reference_pressure, 0.0, strict=True, unit="kPa")
+
+
+def bending_model(stiffness: "float | Bending") -> Bending | None:
+    """The model that stands in place of a plain number K, if one does."""
+    return stiffness if hasattr(stiffness, "active") else None  # type: ignore[return-value]
+
+
+def reference_pressure(stiffness: "float | Bending", max_pressure: float) -> float:
+    """The pressure [kPa] at which an actuator's active moment holds."""
+    model = bending_model(stiffness)
+    own = None if model is None else model.reference_pressure
+    return max_pressure if own is None else own
+
+
+def linear_stiffness(stiffness: "float | Bending") -> float | None:
+    """K [N·m²] of an active moment that is linear in curvature; None for others."""
+    if isinstance(stiffness, LinearBending):
+        return stiffness.stiffness
+    if isinstance(stiffness, ConstantBending):
+        return 0.0
+    return None if bending_model(stiffness) is not None else float(stiffness)  # type: ignore[arg-type]
+
+
+def active_moment(stiffness: "float | Bending", curvature: Tensor) -> Tensor:
+    """τ_1 [N·m]."""
+    model = bending_model(stiffness)
+    return float(stiffness) * curvature if model is None else model.active(curvature)  # type: ignore[arg-type]
+
+
+def passive_moment(stiffness: "float | Bending", curvature: Tensor) -> Tensor | None:
+    """τ_0 [N·m], or None where it is nothing."""
+    model = bending_model(stiffness)
+    return None if model is None or isinstance(model, LinearBending) else model.passive(curvature)

@@ -1,0 +1,320 @@
+"""From recordings to a force model whose quality is stated.
+
+    model = fit_recording(pool([align(read_tester(csv), read_pressure(log), actuators=4), ...]))
+
+The model is a polynomial actuator, ready for any arm; `model.quality` says how far to trust it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torcharm._inputs import TensorLike, check_choice, check_count, check_number, shown
+from torcharm.actuators.alignment import Recording
+from torcharm.actuators.bending import Bending
+from torcharm.actuators.fitting import (
+    LOSSES,
+    Array,
+    Monomials,
+    Solution,
+    correlation_length,
+    covariance,
+    exponents,
+    rising_constraints,
+    robust,
+)
+from torcharm.actuators.monotonicity import Monotonicity, monotonicity
+from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS, PolynomialActuator
+
+HIGHEST_DEGREE = 9
+MARGIN = 1e-4
+"""A constrained fit's slope is at least so much of its mean slope."""
+
+Provenance = tuple[tuple[str, str | float], ...]
+Constraints = tuple[Array, Array]
+
+
+@dataclass(frozen=True)
+class HoldOut:
+    """One run predicted by a fit to the others.
+
+    Attributes:
+        run: which, counted from 0.
+        samples: in it.
+        r_squared, rmse [N]: of the prediction.
+    """
+
+    run: int
+    samples: int
+    r_squared: float
+    rmse: float
+
+
+@dataclass(frozen=True)
+class FitQuality:
+    """How well a polynomial fits, and how well its K coefficients are known.
+
+    Attributes:
+        samples, runs: how many.
+        r_squared: 1 - Σ r² / Σ (f - mean f)².
+        rmse: root of the mean squared residual [N].
+        standard_errors: (K) of the coefficients, in their order and units.
+        covariance: (K, K) of the coefficients.
+        correlation_length: samples over which residuals were taken as correlated.
+        force_range: of the data [N].
+        loss, loss_scale [N]: of the fit; the scale is 0 for least squares.
+        constrained: whether it was held monotonic.
+        hold_out: for each run; empty if there is one run.
+        monotonicity: in pressure, over the range of the data.
+    """
+
+    samples: int
+    runs: int
+    r_squared: float
+    rmse: float
+    standard_errors: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    correlation_length: int
+    force_range: tuple[float, float]
+    loss: str
+    loss_scale: float
+    constrained: bool
+    hold_out: tuple[HoldOut, ...]
+    monotonicity: Monotonicity
+
+
+@dataclass(frozen=True)
+class FittedActuator(PolynomialActuator):
+    """A polynomial actuator that knows where it comes from and how good it is.
+
+    Attributes:
+        quality: of the fit.
+        provenance: names and values: files, settings, versions.
+    """
+
+    quality: FitQuality | None = field(default=None, repr=False)
+    provenance: Provenance = field(default=(), repr=False)
+
+
+def fit_force_model(
+    strain: TensorLike,
+    pressure: TensorLike,
+    force: TensorLike,
+    degree: int = 3,
+    *,
+    run: TensorLike | None = None,
+    loss: str = "linear",
+    loss_scale: float | None = None,
+    monotonic: bool = False,
+    correlated: int | None = None,
+    max_pressure: float | None = None,
+    bending_stiffness: float | Bending = PAPER_BENDING_STIFFNESS,
+    provenance: Provenance = (),
+) -> FittedActuator:
+    """Fit `f(ε, p) = Σ c_ij ε^i p^j`, `1 ≤ i + j ≤ degree`: no force at rest without pressure.
+
+    Standard errors hold for noise that is uneven and correlated in time (Newey and West, as of
+    `torcharm.actuators.fitting.covariance`): give samples in order of time.
+
+    Args:
+        strain, pressure [kPa], force [N]: n samples each, positive force pushing outward.
+        degree: total, 1 to 9; the paper's is 3.
+        run: n labels: samples of the same label come from one run, and stand together. None: all from one.
+        loss: of residuals, as of `scipy.optimize.least_squares`: "linear" is least squares; "huber", "soft_l1"
+            and "cauchy" bear outliers.
+        loss_scale: residual [N] at which a robust loss bends; None takes 1.345 standard deviations of the
+            residuals' bulk.
+        monotonic: whether to constrain the force to be monotonic in pressure, over the strains of the data and
+            pressures from 0 to `max_pressure` (or the data's highest).
+        correlated: samples over which noise is correlated, 1 for independent; None estimates it.
+        max_pressure: highest pressure in use [kPa]; None takes that to which the fit is monotonic at all strains of
+            the data.
+        bending_stiffness: K [N·m²] at `max_pressure`, or a bending model. A tensile test does not measure it.
+        provenance: names and values to keep with the model.
+
+    Raises:
+        ValueError: samples do not match in number, are not finite or too few to determine the coefficients, or an
+            argument is none of those allowed.
+    """
+    data = _Data.checked(strain, pressure, force, run)
+    powers = exponents(_check_options(degree, loss, loss_scale, correlated, max_pressure))
+    top = float(data.pressure.max()) if max_pressure is None else max_pressure
+    options: dict[str, Any] = {"loss": loss, "scale": loss_scale, "monotonic": monotonic, "top": top}
+    fit = _fit(data, powers, **options)
+    length = correlation_length(fit.solution.residual, data.runs) if correlated is None else correlated
+    spread = fit.covariance(data, loss, length)
+    strains = float(data.strain.min()), float(data.strain.max())
+    pressures = max(0.0, float(data.pressure.min())), max(0.0, float(data.pressure.max()))
+    coefficients = tuple((i, j, float(c)) for (i, j), c in zip(powers, fit.coefficients, strict=True))
+    shape = monotonicity(PolynomialActuator(coefficients, strains, pressures, max(pressures[1], 1e-9)))
+    if max_pressure is None:
+        max_pressure = shape.up_to if shape.up_to > pressures[0] else pressures[1]
+    quality = FitQuality(
+        samples=len(data.force),
+        runs=len(data.runs),
+        r_squared=_r_squared(data.force, fit.solution.residual),
+        rmse=_rmse(fit.solution.residual),
+        standard_errors=tuple(np.sqrt(np.diag(spread)).tolist()),
+        covariance=tuple(tuple(row) for row in spread.tolist()),
+        correlation_length=length,
+        force_range=(float(data.force.min()), float(data.force.max())),
+        loss=loss,
+        loss_scale=0.0 if loss == "linear" else fit.scale,
+        constrained=monotonic,
+        hold_out=_hold_out(data, powers, options),
+        monotonicity=shape,
+    )
+    return FittedActuator(
+        coefficients, strains, pressures, max_pressure, bending_stiffness, quality=quality, provenance=provenance
+    )
+
+
+def fit_recording(recording: Recording, degree: int = 3, **options: Any) -> FittedActuator:
+    """`fit_force_model` on one run or several pooled, with its files and settings as provenance; same options."""
+    from torcharm import __version__
+
+    files = tuple((f"run {index + 1}", source) for index, source in enumerate(recording.sources))
+    own = (("torcharm", __version__), *files, *recording.settings, *options.pop("provenance", ()))
+    return fit_force_model(
+        recording.strain, recording.pressure, recording.force, degree, run=recording.run, provenance=own, **options
+    )
+
+
+@dataclass(frozen=True)
+class _Data:
+    """n samples, runs one after another."""
+
+    strain: Array
+    pressure: Array
+    force: Array
+    runs: tuple[slice, ...]
+
+    @classmethod
+    def checked(cls, strain: TensorLike, pressure: TensorLike, force: TensorLike, run: TensorLike | None) -> "_Data":
+        columns = checked_samples(strain, pressure, force)
+        count = len(columns[0])
+        labels = np.zeros(count) if run is None else _column("run", run)
+        if len(labels) != count:
+            raise ValueError(f"run: must hold one label for each of {count} samples, got {len(labels)}")
+        edges = [0, *(np.flatnonzero(np.diff(labels)) + 1).tolist(), count]
+        runs = tuple(slice(a, b) for a, b in pairwise(edges))
+        if len(np.unique(labels)) < len(runs):
+            raise ValueError("run: samples of one run must stand together, got labels that come back")
+        return cls(*columns, runs)
+
+    def only(self, runs: Sequence[int]) -> "_Data":
+        """The samples of some runs."""
+        index = [np.arange(self.runs[k].start, self.runs[k].stop) for k in runs]
+        chosen, edges = np.concatenate(index), np.cumsum([0, *map(len, index)]).tolist()
+        slices = tuple(slice(a, b) for a, b in pairwise(edges))
+        return _Data(self.strain[chosen], self.pressure[chosen], self.force[chosen], slices)
+
+
+def checked_samples(strain: TensorLike, pressure: TensorLike, force: TensorLike) -> tuple[Array, Array, Array]:
+    """Three columns of as many finite numbers.
+
+    Raises:
+        ValueError: they are not.
+    """
+    x, y, f = (_column(n, v) for n, v in (("strain", strain), ("pressure", pressure), ("force", force)))
+    if not 0 < len(f) == len(x) == len(y):
+        raise ValueError(
+            f"strain, pressure, force: must hold one number for each sample, got {len(x)}, {len(y)}, {len(f)}"
+        )
+    return x, y, f
+
+
+def _column(name: str, value: Any) -> Array:
+    if isinstance(value, Tensor):
+        value = value.detach().cpu().numpy()
+    try:
+        column: Array = np.asarray(value, dtype=np.float64).ravel()
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}: must be numbers, got {shown(value)}") from None
+    bad = ~np.isfinite(column)
+    if bad.any():
+        raise ValueError(f"{name}: must be finite, got {column[bad][0]} at sample {int(bad.argmax())}")
+    return column
+
+
+def _check_options(
+    degree: int, loss: str, loss_scale: float | None, correlated: int | None, max_pressure: float | None
+) -> int:
+    if check_count("degree", degree, 1) > HIGHEST_DEGREE:
+        raise ValueError(f"degree: must be at most {HIGHEST_DEGREE}, got {degree}")
+    check_choice("loss", loss, LOSSES)
+    for name, value in (("loss_scale", loss_scale), ("max_pressure", max_pressure)):
+        if value is not None:
+            check_number(name, value, 0.0, strict=True)
+    if correlated is not None:
+        check_count("correlated", correlated, 1)
+    return int(degree)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """A solution for scaled monomials, and what it takes to use it."""
+
+    monomials: Monomials
+    matrix: Array
+    solution: Solution
+    weight: Array
+    scale: float
+
+    @property
+    def coefficients(self) -> Array:
+        return self.solution.coefficients / self.monomials.scale
+
+    def covariance(self, data: _Data, loss: str, length: int) -> Array:
+        spread = covariance(self.matrix, self.solution, self.weight, loss, self.scale, data.runs, length)
+        return spread / np.outer(self.monomials.scale, self.monomials.scale)
+
+
+def _fit(
+    data: _Data, powers: tuple[tuple[int, int], ...], loss: str, scale: float | None, monotonic: bool, top: float
+) -> _Fit:
+    monomials = Monomials.for_data(powers, data.strain, data.pressure)
+    matrix = monomials.values(data.strain, data.pressure)
+    none: Constraints = np.empty((0, len(powers))), np.empty(0)
+    free = robust(matrix, data.force, loss, scale, none)
+    if not monotonic:
+        return _Fit(monomials, matrix, *free)
+    box = (float(data.strain.min()), float(data.strain.max())), (0.0, top)
+    grid = np.meshgrid(*(np.linspace(*ends, 41) for ends in box))
+    slope = monomials.slopes(grid[0].ravel(), grid[1].ravel()) @ free[0].coefficients
+    sign = 1.0 if slope.mean() >= 0 else -1.0
+    margin = max(MARGIN * abs(float(slope.mean())), float(np.finfo(np.float64).tiny))
+
+    def constrained(constraints: Constraints) -> Array:
+        return robust(matrix, data.force, loss, free[2] if loss != "linear" else None, constraints)[0].coefficients
+
+    constraints = rising_constraints(monomials, box, constrained, sign, margin)
+    return _Fit(monomials, matrix, *robust(matrix, data.force, loss, free[2], constraints))
+
+
+def _hold_out(data: _Data, powers: tuple[tuple[int, int], ...], options: dict[str, Any]) -> tuple[HoldOut, ...]:
+    """Each run, predicted from the others; a run that the others cannot predict has no entry."""
+    found = []
+    for index in range(len(data.runs) if len(data.runs) > 1 else 0):
+        rest, own = data.only([k for k in range(len(data.runs)) if k != index]), data.only([index])
+        try:
+            fit = _fit(rest, powers, **options)
+        except ValueError:  # too few strains or pressures are left
+            continue
+        residual = own.force - fit.monomials.values(own.strain, own.pressure) @ fit.solution.coefficients
+        found.append(HoldOut(index, len(own.force), _r_squared(own.force, residual), _rmse(residual)))
+    return tuple(found)
+
+
+def _r_squared(force: NDArray[np.float64], residual: NDArray[np.float64]) -> float:
+    total = float(((force - force.mean()) ** 2).sum())
+    return 1 - float(residual @ residual) / total if total > 0 else 0.0
+
+
+def _rmse(residual: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(residual**2)))

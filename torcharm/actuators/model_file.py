@@ -1,0 +1,218 @@
+"""Force models as TOML files: written once after a fit, loaded by path wherever an arm is built.
+
+A file holds a kind, what that kind is made of, the units (always strain, kPa, N and N·m²), and for fits their
+quality and provenance. Floats are written so that they read back exactly: a round trip changes nothing.
+"""
+
+import json
+import tomllib
+from collections.abc import Mapping
+from dataclasses import MISSING, Field, fields, is_dataclass
+from os import PathLike
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+from torcharm._inputs import shown
+from torcharm.actuators.bending import Bending, ConstantBending, LinearBending
+from torcharm.actuators.characterisation import FittedActuator
+from torcharm.actuators.gridded import GriddedActuator
+from torcharm.actuators.mckibben import McKibben
+from torcharm.actuators.polynomial import Bellows, PolynomialActuator
+from torcharm.actuators.protocol import Actuator
+
+StrPath = str | PathLike[str]
+
+KINDS: dict[str, type[Any]] = {
+    "polynomial": PolynomialActuator,
+    "fitted polynomial": FittedActuator,
+    "gridded": GriddedActuator,
+    "bellows": Bellows,
+    "mckibben": McKibben,
+}
+BENDINGS: dict[str, type[Any]] = {"linear": LinearBending, "constant": ConstantBending}
+UNITS = {"strain": "1", "pressure": "kPa", "force": "N", "bending_stiffness": "N·m²"}
+"""Units of every model file. A coefficient of ε^i p^j is in N/kPa^j."""
+
+
+def save_actuator(path: StrPath, model: Actuator) -> None:
+    """Write a force model to a TOML file.
+
+    Raises:
+        ValueError: the model is of a kind that no file can hold: of one's own, or with a bending function.
+        OSError: the file cannot be written.
+    """
+    Path(path).write_text(actuator_text(model), encoding="utf-8", newline="\n")
+
+
+def actuator_text(model: Actuator) -> str:
+    """The text of a force model's file; errors as for `save_actuator`."""
+    kind = next((name for name, kind in KINDS.items() if type(model) is kind), None)
+    if kind is None:
+        raise ValueError(f"model: must be one of {', '.join(k.__name__ for k in KINDS.values())}, got {shown(model)}")
+    values = {f.name: getattr(model, f.name) for f in fields(model) if f.init}  # type: ignore[arg-type]
+    tables: dict[str, Any] = {"units": UNITS}
+    bending = values["bending_stiffness"]
+    if isinstance(bending, Bending):
+        name = next((name for name, kind in BENDINGS.items() if type(bending) is kind), None)
+        if name is None:
+            raise ValueError(f"bending_stiffness: a file holds a number or a {_names(BENDINGS)}, got {shown(bending)}")
+        tables["bending"] = {"kind": name, **_plain(bending)}
+        del values["bending_stiffness"]
+    if isinstance(model, FittedActuator):
+        provenance, quality = values.pop("provenance"), values.pop("quality")
+        if len(dict(provenance)) < len(provenance):
+            raise ValueError(f"provenance: must name each thing once, got {shown(provenance)}")
+        tables["provenance"] = dict(provenance)
+        if quality is not None:
+            tables["quality"] = _plain(quality)
+    head = ["# A torcharm force model.", f"kind = {_toml(kind)}", *_entries(values)]
+    return "\n".join([*head, *(line for name, table in tables.items() for line in _section(name, table))]) + "\n"
+
+
+def load_actuator(path: StrPath) -> Actuator:
+    """Read a force model from a TOML file.
+
+    Raises:
+        ValueError: the file cannot be read, is no TOML or holds no force model: one line that names file and field.
+    """
+    source = str(path)
+    try:
+        raw = tomllib.loads(Path(path).read_bytes().decode("utf-8-sig"))
+    except OSError as error:
+        raise ValueError(f"{source}: cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{source}: must be UTF-8 text, got byte {error.start + 1} that is not") from None
+    except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
+        raise ValueError(f"{source}: is not valid TOML: {' '.join(str(error).split())}") from None
+    try:
+        return _model(raw)
+    except ValueError as error:
+        raise ValueError(f"{source}: {' '.join(str(error).split())}") from None
+
+
+def _model(raw: dict[str, Any]) -> Actuator:
+    kind = KINDS[_choice("kind", raw.pop("kind", None), KINDS)]
+    units = raw.pop("units", UNITS)
+    for name, unit in units.items() if isinstance(units, dict) else [("", units)]:
+        if unit != UNITS.get(name):
+            raise ValueError(f"units.{name}: must be among {UNITS}, got {shown(unit)}")
+    if "bending" in raw:
+        if "bending_stiffness" in raw:
+            raise ValueError("bending: must not stand beside bending_stiffness, got both")
+        raw["bending_stiffness"] = _bending(raw.pop("bending"))
+    if kind is FittedActuator:
+        provenance = raw.pop("provenance", {})
+        if not isinstance(provenance, dict) or not all(isinstance(v, str | int | float) for v in provenance.values()):
+            raise ValueError(f"provenance: must be a table of texts and numbers, got {shown(provenance)}")
+        raw["provenance"] = tuple(provenance.items())
+    model: Actuator = _build(kind, raw, "")
+    return model
+
+
+def _bending(raw: Any) -> Bending:
+    if not isinstance(raw, dict):
+        raise ValueError(f"bending: must be a table, got {shown(raw)}")
+    kind = BENDINGS[_choice("bending.kind", raw.pop("kind", None), BENDINGS)]
+    model: Bending = _build(kind, raw, "bending.")
+    return model
+
+
+def _choice(field: str, value: Any, allowed: Mapping[str, Any]) -> str:
+    if not isinstance(value, str) or value not in allowed:
+        raise ValueError(f"{field}: must be one of {_names(allowed)}, got {shown(value)}")
+    return value
+
+
+def _names(allowed: Mapping[str, Any]) -> str:
+    return ", ".join(allowed)
+
+
+# Dataclasses to plain tables and back, by their annotations.
+
+
+def _plain(value: Any) -> Any:
+    """A dataclass as a dictionary, without what is None."""
+    if is_dataclass(value):
+        return {f.name: _plain(v) for f in fields(value) if (v := getattr(value, f.name)) is not None}
+    return [_plain(item) for item in value] if isinstance(value, tuple | list) else value
+
+
+def _build(kind: type[Any], raw: dict[str, Any], prefix: str) -> Any:
+    """A dataclass from a table; ValueErrors of its own constructor pass."""
+    own: dict[str, Field[Any]] = {f.name: f for f in fields(kind) if f.init}
+    for name in raw:
+        if name not in own:
+            raise ValueError(f"{prefix}{name}: unknown, allowed: {', '.join(own)}")
+    for name, f in own.items():
+        optional = f.default is not MISSING or NoneType in get_args(get_type_hints(kind)[name])
+        if name not in raw and not optional:
+            raise ValueError(f"{prefix}{name}: missing")
+    hints = get_type_hints(kind)
+    values = {name: _value(raw[name], hints[name], f"{prefix}{name}") for name in raw}
+    missing = {name: None for name, f in own.items() if name not in raw and f.default is MISSING}
+    try:
+        return kind(**values, **missing)
+    except ValueError as error:
+        raise ValueError(f"{prefix}{error}") from None
+
+
+def _value(raw: Any, hint: Any, field: str) -> Any:
+    """A plain value as its annotation asks for it."""
+    origin = get_origin(hint)
+    if origin in (Union, UnionType):
+        choices = [choice for choice in get_args(hint) if choice is not NoneType]
+        if any(choice is Bending for choice in choices):  # made already, or a number
+            return raw if isinstance(raw, Bending) else _value(raw, float, field)
+        if set(choices) == {str, float}:
+            return raw if isinstance(raw, str) else _value(raw, float, field)
+        return _value(raw, choices[0], field)
+    if origin is tuple:
+        kinds = get_args(hint)
+        if not isinstance(raw, list | tuple) or (kinds[-1] is not ... and len(raw) != len(kinds)):
+            size = "" if kinds[-1] is ... else f" of {len(kinds)}"
+            raise ValueError(f"{field}: must be a list{size}, got {shown(raw)}")
+        each = [kinds[0]] * len(raw) if kinds[-1] is ... else kinds
+        return tuple(_value(item, kind, field) for item, kind in zip(raw, each, strict=True))
+    if is_dataclass(hint):
+        if not isinstance(raw, dict):
+            raise ValueError(f"{field}: must be a table, got {shown(raw)}")
+        return _build(hint, raw, f"{field}.")  # type: ignore[arg-type]
+    if hint is float and isinstance(raw, int) and not isinstance(raw, bool):
+        return float(raw)
+    if not isinstance(raw, hint) or (isinstance(raw, bool) and hint is not bool):
+        raise ValueError(f"{field}: must be of type {hint.__name__}, got {shown(raw)}")
+    return raw
+
+
+# TOML, of the few things that a model holds.
+
+
+def _section(name: str, table: Mapping[str, Any]) -> list[str]:
+    """A table, with the tables in it after it."""
+    flat = {key: value for key, value in table.items() if not isinstance(value, dict)}
+    inner = {key: value for key, value in table.items() if isinstance(value, dict)}
+    lines = ["", f"[{name}]", *_entries(flat)]
+    return lines + [line for key, value in inner.items() for line in _section(f"{name}.{key}", value)]
+
+
+def _entries(values: Mapping[str, Any]) -> list[str]:
+    return [f"{_key(key)} = {_toml(value)}" for key, value in values.items() if value is not None]
+
+
+def _key(key: str) -> str:
+    return key if key.isascii() and key.replace("_", "").isalnum() else _toml(key)
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{_key(key)} = {_toml(item)}" for key, item in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        items = [_toml(item) for item in value]
+        nested = any(isinstance(item, list | tuple | dict) for item in value)
+        return "[\n" + "".join(f"  {item},\n" for item in items) + "]" if nested else f"[{', '.join(items)}]"
+    return repr(float(value)) if isinstance(value, float) else repr(int(value))

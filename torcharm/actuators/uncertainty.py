@@ -1,0 +1,96 @@
+"""How uncertain a result is because a force model's coefficients are: to first order, by the gradient."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torcharm._inputs import TensorLike, as_floating, check_tensor
+from torcharm.actuators.bending import Bending
+from torcharm.actuators.polynomial import PolynomialActuator
+
+
+@dataclass(frozen=True, eq=False)
+class TensorPolynomial:
+    """A polynomial force model whose coefficients are a tensor, so that results differentiate by them.
+
+    Actuators that share one of these share the coefficients. Equal to itself alone.
+
+    Attributes:
+        like: powers, ranges and limits are this model's.
+        coefficients: (K) [N] and kPa, in the order of its terms.
+
+    Raises:
+        ValueError: the coefficients do not match the terms.
+    """
+
+    like: PolynomialActuator
+    coefficients: Tensor
+
+    def __post_init__(self) -> None:
+        check_tensor("coefficients", self.coefficients, len(self.like.coefficients))
+
+    @property
+    def bending_stiffness(self) -> float | Bending:
+        """As of `like`."""
+        return self.like.bending_stiffness
+
+    @property
+    def max_pressure(self) -> float:
+        """As of `like`."""
+        return self.like.max_pressure
+
+    @property
+    def strain_range(self) -> tuple[float, float]:
+        """As of `like`."""
+        return self.like.strain_range
+
+    @property
+    def pressure_range(self) -> tuple[float, float]:
+        """As of `like`."""
+        return self.like.pressure_range
+
+    @property
+    def pressure_degree(self) -> int:
+        """The highest power of pressure."""
+        return max([0, *(j for _, j, _ in self.like.coefficients)])
+
+    def force(self, strain: Tensor, pressure: Tensor) -> Tensor:
+        """Axial force [N]; strain and pressure [kPa] broadcast."""
+        total = strain.new_zeros(()).expand(torch.broadcast_shapes(strain.shape, pressure.shape))
+        for (i, j, _), c in zip(self.like.coefficients, self.coefficients.to(strain).unbind(), strict=True):
+            total = total + c * strain**i * pressure**j
+        return total * self.like.force_scale
+
+
+def coefficient_tensor(model: PolynomialActuator) -> Float[Tensor, " K"]:
+    """A model's coefficients [N] and kPa, in the order of its terms, asking for gradients."""
+    return torch.tensor([c for *_, c in model.coefficients], dtype=torch.float64, requires_grad=True)
+
+
+def standard_deviation(
+    values: Float[Tensor, "*batch"],
+    coefficients: Float[Tensor, " K"],
+    covariance: TensorLike | Sequence[Sequence[float]],
+) -> Float[Tensor, "*batch"]:
+    """`sqrt(gᵀ Σ g)` of each value, with g its gradient by the coefficients: how far they may be off, to first order.
+
+    Args:
+        values: computed from `coefficients`, of any shape; one backward pass each.
+        coefficients: of a `TensorPolynomial`.
+        covariance: (K, K) Σ, as of `FitQuality`.
+
+    Raises:
+        ValueError: the covariance does not match, or values do not depend on the coefficients.
+    """
+    (spread,) = as_floating(covariance=covariance)
+    check_tensor("covariance", spread, len(coefficients), len(coefficients))
+    if not values.requires_grad:
+        raise ValueError("values: must depend on the coefficients, got a tensor without gradient")
+    flat = values.flatten()
+    rows = [torch.autograd.grad(value, coefficients, retain_graph=True)[0] for value in flat]
+    gradient = torch.stack(rows)
+    variance = ((gradient @ spread.to(gradient)) * gradient).sum(-1)
+    return variance.clamp(min=0).sqrt().view(values.shape)

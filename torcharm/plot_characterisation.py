@@ -1,0 +1,239 @@
+"""Pictures of force models and of the recordings they were fitted to.
+
+As in `torcharm.plot`: every function but `characterisation_figure` draws into the axes it is given, or makes
+some, and returns them; nothing is shown, and no setting is changed.
+"""
+
+from typing import Any
+
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from torcharm.actuators import Actuator
+from torcharm.actuators.alignment import Recording, held_strains
+from torcharm.actuators.characterisation import FittedActuator
+from torcharm.actuators.monotonicity import monotonicity
+
+Array = NDArray[np.float64]
+
+MODEL, DATA, WARNING = "#D55E00", "#0072B2", "#CC79A7"
+STRAINS = "viridis"
+"""Colour map of held strains; its lightness alone tells the order."""
+RESIDUALS = "PuOr"
+"""Colour map of residuals, white at zero."""
+POINTS = 81
+MOST_DOTS = 4000
+"""Samples drawn as dots; of more, every so many."""
+
+
+def force_surface(model: Actuator, recording: Recording | None = None, *, ax: Axes | None = None) -> Axes:
+    """Force over the characterised box as a surface, with the samples that it was fitted to.
+
+    Args:
+        model: any force model.
+        recording: samples to draw.
+        ax: 3-D axes to draw in; None makes some.
+
+    Raises:
+        ValueError: the axes are not 3-D.
+    """
+    axes: Any = _axes(ax, "3d")
+    strain, pressure, force = _surface(model)
+    colours = {"color": MODEL, "alpha": 0.45, "edgecolor": MODEL, "linewidth": 0.3}
+    axes.plot_surface(strain, pressure, force, rcount=17, ccount=17, shade=False, label="model", **colours)
+    if recording is not None:
+        few = slice(None, None, max(1, len(recording.force) // MOST_DOTS))
+        dots = (recording.strain[few], recording.pressure[few], recording.force[few])
+        axes.plot(*dots, ".", color=DATA, markersize=1.5, alpha=0.5, label="recorded")
+    axes.set(xlabel="strain ε", ylabel="pressure p [kPa]", zlabel="force f [N]")
+    axes.view_init(elev=22, azim=-125)
+    axes.legend(loc="upper left", fontsize="small", frameon=False, markerscale=6)
+    return axes
+
+
+def force_at_held_strains(
+    model: Actuator, recording: Recording, *, ax: Axes | None = None, max_pressure: float | None = None
+) -> Axes:
+    """Force against pressure at each strain that was held: dots are samples, lines the model, colour the strain.
+
+    Args:
+        model: any force model.
+        recording: in which strains are held (see `held_strains`).
+        ax: 2-D axes to draw in; None makes some.
+        max_pressure: where lines end [kPa]; None ends each where its samples do.
+
+    Raises:
+        ValueError: no strain is held, or the axes are not 2-D.
+    """
+    holds = held_strains(recording)
+    if not holds:
+        raise ValueError("recording: must hold the strain still at times, got none that does")
+    axes = _axes(ax)
+    levels = [float(np.median(recording.strain[hold])) for hold in holds]
+    norm = Normalize(min(levels), max(levels) if len(levels) > 1 else min(levels) + 1)
+    from matplotlib import colormaps
+
+    colours = colormaps[STRAINS]
+    every = max(1, sum(map(len, holds)) // (3 * MOST_DOTS))
+    for level, hold in zip(levels, holds, strict=True):
+        colour = colours(norm(level))
+        pressure, force = recording.pressure[hold], recording.force[hold]
+        axes.plot(pressure[::every], force[::every], ".", color=colour, markersize=1.5, alpha=0.35)
+        line = np.linspace(0, pressure.max() if max_pressure is None else max_pressure, POINTS)
+        axes.plot(line, _force(model, np.full(POINTS, level), line), color="white", linewidth=3.2)
+        axes.plot(line, _force(model, np.full(POINTS, level), line), color=colour, linewidth=1.8)
+    scale: Any = axes.figure.colorbar(_mappable(norm, colours), ax=axes, label="held strain ε")
+    scale.set_ticks(levels, labels=[f"{level:.2f}" for level in levels])
+    axes.plot([], [], ".", color="0.4", label="recorded")
+    axes.plot([], [], color="0.4", linewidth=1.8, label="model")
+    axes.set(xlabel="pressure p [kPa]", ylabel="force f of one actuator [N]")
+    axes.legend(loc="upper left", frameon=False)
+    return axes
+
+
+def residual_map(model: Actuator, recording: Recording, *, ax: Axes | None = None) -> Axes:
+    """Mean residual, recorded minus model, over strain and pressure; white where it is zero, blank without samples.
+
+    Args:
+        model: any force model.
+        recording: samples.
+        ax: 2-D axes to draw in; None makes some.
+
+    Raises:
+        ValueError: the axes are not 2-D.
+    """
+    axes = _axes(ax)
+    residual = recording.force - _force(model, recording.strain, recording.pressure)
+    bins = [np.histogram_bin_edges(v, n) for v, n in ((recording.pressure, 45), (recording.strain, 21))]
+    count, *_ = np.histogram2d(recording.pressure, recording.strain, bins)
+    total, *_ = np.histogram2d(recording.pressure, recording.strain, bins, weights=residual)
+    mean = np.ma.masked_where(count == 0, total / np.maximum(count, 1))
+    # lopsided outliers are drawn as the end of the scale
+    most = float(np.percentile(np.abs(mean.compressed()), 98)) or 1.0
+    mesh = axes.pcolormesh(bins[0], bins[1], mean.T, cmap=RESIDUALS, vmin=-most, vmax=most)
+    axes.set_facecolor("0.93")
+    axes.figure.colorbar(mesh, ax=axes, extend="both", label="recorded - model [N]")
+    rmse = float(np.sqrt((residual**2).mean()))
+    axes.set(xlabel="pressure p [kPa]", ylabel="strain ε", title=f"residuals, RMSE {rmse:.2f} N")
+    return axes
+
+
+def free_strain(model: Actuator, *, ax: Axes | None = None) -> Axes:
+    """Strain at which the actuator pushes and pulls on nothing: a muscle's free contraction, a bellows' extension.
+
+    Where the model is not monotonic in pressure the background is hatched.
+
+    Args:
+        model: any force model.
+        ax: 2-D axes to draw in; None makes some.
+
+    Raises:
+        ValueError: the axes are not 2-D.
+    """
+    axes = _axes(ax)
+    strain, pressure, force = _surface(model)
+    if force.min() < 0 < force.max():
+        axes.contour(pressure, strain, force, [0.0], colors=MODEL, linewidths=2.5)
+        axes.plot([], [], color=MODEL, linewidth=2.5, label="no force")
+    else:
+        axes.plot([], [], " ", label="force is never 0 in this range")
+    shape = monotonicity(model)
+    if not shape.monotonic:
+        assert shape.failing_strain is not None
+        assert shape.failing_pressure is not None
+        (left, right), (low, high) = shape.failing_pressure, shape.failing_strain
+        box = {"facecolor": "none", "edgecolor": WARNING, "hatch": "///", "linewidth": 0}
+        axes.fill_between([left, right], low, high, label="not monotonic in p, within", **box)
+    axes.set(xlabel="pressure p [kPa]", ylabel="free strain ε", ylim=model.strain_range)
+    axes.set_xlim(*model.pressure_range)
+    axes.legend(loc="best", frameon=False)
+    return axes
+
+
+def blocked_force(
+    model: Actuator, recording: Recording | None = None, *, strain: float = 0.0, ax: Axes | None = None
+) -> Axes:
+    """Force at a held strain, by default the neutral length, against pressure.
+
+    Args:
+        model: any force model.
+        recording: samples within 0.005 of the strain are drawn.
+        strain: ε.
+        ax: 2-D axes to draw in; None makes some.
+
+    Raises:
+        ValueError: the axes are not 2-D.
+    """
+    axes = _axes(ax)
+    if recording is not None:
+        near = np.flatnonzero(np.abs(recording.strain - strain) <= 0.005)
+        near = near[:: max(1, len(near) // MOST_DOTS)]
+        label = f"recorded, |ε - {strain:g}| ≤ 0.005"
+        axes.plot(
+            recording.pressure[near], recording.force[near], ".", color=DATA, markersize=2, alpha=0.5, label=label
+        )
+    pressure = np.linspace(*model.pressure_range, POINTS)
+    axes.plot(pressure, _force(model, np.full(POINTS, strain), pressure), color=MODEL, linewidth=2.5, label="model")
+    axes.set(xlabel="pressure p [kPa]", ylabel=f"blocked force at ε = {strain:g} [N]")
+    axes.legend(loc="best", frameon=False, markerscale=4)
+    return axes
+
+
+def characterisation_figure(model: Actuator, recording: Recording) -> Figure:
+    """One page on a fit, for `figure.savefig(path)`: held strains, surface, residuals, free strain, blocked force.
+
+    Raises:
+        ValueError: no strain is held.
+    """
+    figure = Figure(figsize=(15.0, 9.5), layout="constrained")
+    grid = figure.add_gridspec(2, 6)
+    force_at_held_strains(model, recording, ax=figure.add_subplot(grid[0, :3]))
+    force_surface(model, recording, ax=figure.add_subplot(grid[0, 3:], projection="3d"))
+    residual_map(model, recording, ax=figure.add_subplot(grid[1, :2]))
+    free_strain(model, ax=figure.add_subplot(grid[1, 2:4]))
+    blocked_force(model, recording, ax=figure.add_subplot(grid[1, 4:]))
+    figure.suptitle(_findings(model, recording), fontweight="bold")
+    return figure
+
+
+def _findings(model: Actuator, recording: Recording) -> str:
+    quality = model.quality if isinstance(model, FittedActuator) else None
+    count = f"{len(recording.force):,} samples, {int(recording.run.max()) + 1} run(s)"
+    if quality is None:
+        return count
+    shape = quality.monotonicity
+    trend = "everywhere" if shape.monotonic else f"up to {shape.up_to:.1f} kPa"
+    held_out = "".join(f", run {one.run + 1} from the others {one.r_squared:.4f}" for one in quality.hold_out)
+    return f"R² {quality.r_squared:.4f}{held_out}; RMSE {quality.rmse:.2f} N; monotonic in pressure {trend}; {count}"
+
+
+def _surface(model: Actuator) -> tuple[Array, Array, Array]:
+    """Strains, pressures and forces (POINTS, POINTS) over the model's characterised box."""
+    axes = (np.linspace(*ends, POINTS) for ends in (model.strain_range, model.pressure_range))
+    strain, pressure = np.meshgrid(*axes, indexing="ij")
+    return strain, pressure, _force(model, strain, pressure)
+
+
+@torch.no_grad()
+def _force(model: Actuator, strain: Array, pressure: Array) -> Array:
+    return np.asarray(model.force(torch.from_numpy(strain), torch.from_numpy(pressure)).detach().cpu())
+
+
+def _mappable(norm: Normalize, colours: Any) -> Any:
+    from matplotlib.cm import ScalarMappable
+
+    return ScalarMappable(norm, colours)
+
+
+def _axes(ax: Axes | None, projection: str = "rectilinear") -> Any:
+    if ax is None:
+        from matplotlib import pyplot  # here alone: what pyplot makes, it also keeps
+
+        return pyplot.subplots(figsize=(8.0, 6.0), layout="constrained", subplot_kw={"projection": projection})[1]
+    if ax.name != projection:
+        raise ValueError(f"ax: must have the projection {projection!r}, got {ax.name!r}")
+    return ax
