@@ -108,6 +108,23 @@ def test_polished_hits_lie_on_the_sets_themselves(name, metric):
     assert ends >= 4
 
 
+@pytest.mark.parametrize("polish", [False, True])
+def test_a_bending_moment_that_no_pressure_changes(polish):
+    """It shifts the sets: a signed distance of 0 at both ends."""
+    models = [ta.Bellows(bending_stiffness=ta.ConstantBending(-0.1)), ta.McKibben(), ta.McKibben(), ta.Bellows()]
+    arm = ta.ArmDesign([-0.08, -0.015, 0.015, 0.08], 0.5, models)
+    found, plain = (ta.load_capacity(a, REACHED, polish=polish) for a in (arm, ta.antagonistic_arm()))
+    assert found.converged.all()
+    assert found.attainable.any()
+    assert ((found.t_max - plain.t_max).abs() > 1e-3)[found.attainable].all()
+    for case in found.attainable.nonzero().squeeze(-1).tolist():
+        for factor, node in ((found.t_min, found.t_min_per_node), (found.t_max, found.t_max_per_node)):
+            grown = ta.Task(REACHED.twists, REACHED.tip_load[case] * factor[case])
+            distance = ta.evaluate(arm, grown, ("absolute",), signed=True, polish=polish).absolute_per_node
+            limiting = (node[case] - factor[case]).abs().argmin()
+            assert abs(distance[limiting].item()) < 1e-8
+
+
 def test_a_larger_load_has_a_smaller_factor_and_a_reversed_one_the_reversed_interval():
     arm = ta.antagonistic_arm()
     found = ta.load_capacity(arm, REACHED)

@@ -1,1 +1,1 @@
-"""How right the numbers are on stiff, degenerate and extreme scenes."""
+"""From the paper's recordings to its bellows, and what the fit does to the validation study."""

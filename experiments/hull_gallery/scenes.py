@@ -66,5 +66,5 @@ CASES = (
     Case("M = 2: slowing, side by side", _arm([-0.005, 0.005], [SLOWING, SLOWING])),
     Case("M = 4: slowing", _arm(FOUR, [SLOWING] * 4)),
     Case("M = 4: slowing and quickening", _arm(FOUR, [SLOWING, QUICKENING, QUICKENING, SLOWING])),
-    Case("M = 4: muscles squeezed past ε_crit", _arm(FOUR, [MUSCLE] * 4, SQUEEZED)),
+    Case("M = 4: muscles squeezed past ε_crit", _arm([-0.03, -INNER, INNER, 0.03], [MUSCLE] * 4, SQUEEZED)),
 )

@@ -26,12 +26,12 @@ LOADS, QUICK_LOADS = (6.0, 7.0, 8.0), (6.0,)
 HULLS: dict[str, dict[str, Any]] = {"edges, 3 points": {"hull": "edges", "samples": 3}, "exact": {"polish": True}}
 PUBLISHED = {1: (0.2343, 132.85)}
 """Absolute and relative of the published table, by shape."""
-PAPERS_COST = ta.PoseCost(node_weights="even")
+PAPERS_COST = ta.PoseCost(node_weights="uniform")
 
 
 @dataclass(frozen=True)
 class ShapeRow:
-    """One shape under one load: what is predicted, and what the search reaches; errors [m] and [rad], pressures [kPa]."""
+    """One shape under one load: what is predicted and what the search reaches [m, rad, kPa]."""
 
     shape: int
     force_x_N: float
