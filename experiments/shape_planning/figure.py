@@ -40,5 +40,6 @@ def hulls(arm: ta.ArmDesign, answers: Sequence["Answer"]) -> Figure:
             place = row * len(answers) + column + 1
             axes = figure.add_subplot(2, len(answers), place, projection="3d")
             plot.hulls_along_arm(arm, answer.task, relative=relative, ax=axes)
-            axes.set_title(f"shape {answer.number}, {'relative' if relative else 'absolute'}", fontsize=10)
+            kind = "relative" if relative else "absolute"
+            axes.set_title(f"shape {answer.number}, {kind}", fontsize=10, y=-0.16)
     return figure
