@@ -42,7 +42,7 @@ class Pictures:
     def _starts(self, path: Path) -> None:
         from matplotlib.figure import Figure
 
-        figure = Figure(figsize=(7, 4.2), layout="constrained", dpi=150)
+        figure = Figure(figsize=(7, 4.8), layout="constrained", dpi=150)
         axes = figure.subplots()
         for (name, points), marker in zip(self.batched.items(), "os", strict=False):
             x, y, _ = zip(*points, strict=True)
@@ -62,7 +62,7 @@ class Pictures:
         axes.set_ylabel("tasks more than 1 % above the best known cost [%]")
         axes.set_title("More starts find more of the best pressures (numbers: descents a search)", fontsize=10)
         axes.grid(alpha=0.3)
-        axes.legend(fontsize=8)
+        figure.legend(loc="outside lower center", ncols=2, fontsize=8)
         figure.savefig(path)
 
     def _ranks(self, path: Path) -> None:
