@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 from hull_cases import unchecked
+from scipy.optimize import root
 
 import torcharm as ta
 from experiments.benchmark_search import reference
@@ -116,12 +117,21 @@ def test_small_loads_move_the_tip_by_the_linear_compliance():
     torch.testing.assert_close(slope, compliance, rtol=1e-5, atol=1e-8)
 
 
-def test_refinement_converges_at_first_order():
-    """Wrenches are taken at the start of a segment; a midpoint rule would make it second order."""
-    arm, pressure, load = ta.antagonistic_arm(), [20.0, 30.0, 20.0, 25.0], [2.0, -3.0, 0.1]
-    tips = torch.stack([ta.solve_equilibrium(arm, pressure, load, nodes).poses[-1] for nodes in (10, 20, 40, 80)])
-    gaps = tips.diff(dim=0).norm(dim=-1)
-    assert ((gaps[:-1] / gaps[1:]) - 2).abs().max() < 0.25
+def test_refinement_converges_at_first_order_and_a_midpoint_rule_would_at_second():
+    """Wrenches are taken at the start of a segment, as the paper does."""
+    arm, pressure, load = ta.antagonistic_arm(), double([20.0, 30.0, 20.0, 25.0]), double([2.0, -3.0, 0.1])
+    tips, middles = [], []
+    for nodes in (5, 10, 20, 40):
+        found = ta.solve_equilibrium(arm, pressure, load, nodes)
+        tips.append(found.poses[-1].numpy())
+        start = np.concatenate(found.twists[:, ::2].numpy().T)
+        given = (reference.ANTAGONISTIC, pressure.numpy(), load.numpy(), True)
+        answer = root(reference.imbalance, start, given, options={"xtol": 1e-13})
+        assert np.abs(answer.fun).max() < 1e-9
+        middles.append(reference.march(*np.split(answer.x, 2))[-1])
+    for values, order in ((tips, 1), (middles, 2)):
+        gaps = np.linalg.norm(np.diff(values, axis=0), axis=1)
+        np.testing.assert_allclose(np.log2(gaps[:-1] / gaps[1:]), order, atol=0.2)
 
 
 def test_finite_shear_gives_way_to_the_load_and_vanishes_when_stiff():

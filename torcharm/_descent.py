@@ -182,7 +182,7 @@ def _advance(problem: Problem, goal: Goal, state: _State, gain: float) -> tuple[
         return torch.where(better.view(-1, *[1] * (new.ndim - 1)), new, old)
 
     damping = state.damping
-    damping = torch.where(better & (quality > 0.75), damping / 5, damping)
+    damping = torch.where(better & (quality > 0.75), damping / 10, damping)
     damping = torch.where(better & (quality < 0.25) & (state.promise > 0), damping * 3, damping)
     damping = torch.where(wrong, damping.clamp(min=1e-6) * torch.where(sound, 5.0, 10.0), damping)
     damping = damping.clamp(LEAST_DAMPING, NARROWEST)

@@ -28,32 +28,41 @@ class Pictures:
     cost: dict[str, Array] = field(default_factory=dict)
     metric: dict[tuple[str, str], Array] = field(default_factory=dict)
 
-    def save(self, folder: Path) -> None:
-        """Draw both figures."""
-        self._starts(folder / "starts.png")
-        self._ranks(folder / "ranks.png")
+    def save(self, folder: Path) -> list[str]:
+        """Draw what has been measured; the names of the files."""
+        drawn = []
+        if self.batched and self.scipy:
+            self._starts(folder / "starts.png")
+            drawn.append("starts.png")
+        if self.metric:
+            self._ranks(folder / "ranks.png")
+            drawn.append("ranks.png")
+        return drawn
 
     def _starts(self, path: Path) -> None:
         from matplotlib.figure import Figure
 
-        figure = Figure(figsize=(7, 4.2), layout="constrained", dpi=150)
+        figure = Figure(figsize=(7, 4.8), layout="constrained", dpi=150)
         axes = figure.subplots()
         for (name, points), marker in zip(self.batched.items(), "os", strict=False):
             x, y, _ = zip(*points, strict=True)
             axes.plot(
                 [1e3 * t for t in x], [100 * v for v in y], marker + "-", color=COLOURS[name], label=f"batched, {name}"
             )
-            for t, v, count in points:
-                axes.annotate(str(count), (1e3 * t, 100 * v), (3, 4), textcoords="offset points", fontsize=8)
+            for index, (t, v, count) in enumerate(points):
+                place = (4, 5) if index % 2 else (-12, -11)
+                axes.annotate(str(count), (1e3 * t, 100 * v), place, textcoords="offset points", fontsize=8)
         for name, points in self.scipy.items():
             spent = 1e3 * points[0][0]
             axes.axvline(spent, color=COLOURS[name], linestyle=":", label=f"time of scipy SLSQP, 1 start, {name}")
         axes.set_xscale("log")
+        axes.set_xticks(ticks := [20, 50, 100, 200, 500, 1000], [f"{tick:g}" for tick in ticks])
+        axes.minorticks_off()
         axes.set_xlabel("time a search [ms]")
         axes.set_ylabel("tasks more than 1 % above the best known cost [%]")
         axes.set_title("More starts find more of the best pressures (numbers: descents a search)", fontsize=10)
         axes.grid(alpha=0.3)
-        axes.legend(fontsize=8)
+        figure.legend(loc="outside lower center", ncols=2, fontsize=8)
         figure.savefig(path)
 
     def _ranks(self, path: Path) -> None:

@@ -99,13 +99,15 @@ def march(lengths: Array, curvatures: Array) -> Array:
     return np.array(poses)
 
 
-def imbalance(unknowns: Array, arm: Arm, pressure: Array, load: Array) -> Array:
-    """The 2N equations at unknowns (2N,): lengths, then curvatures."""
+def imbalance(unknowns: Array, arm: Arm, pressure: Array, load: Array, midpoint: bool = False) -> Array:
+    """The 2N equations at unknowns (2N,): lengths, then curvatures. Nodes start their segments, or halve them."""
     lengths, curvatures = np.split(unknowns, 2)
     poses = march(lengths, curvatures)
     rows = []
     for pose, length, curvature in zip(poses[:-1], lengths, curvatures, strict=True):
         axial, moment = reaction(arm, length, curvature, pressure)
+        if midpoint:
+            pose = step(pose, length, curvature, 2 * len(lengths))
         lever = poses[-1, :2] - pose[:2]
         axial += math.cos(pose[2]) * load[0] + math.sin(pose[2]) * load[1]
         moment += load[2] + lever[0] * load[1] - lever[1] * load[0]

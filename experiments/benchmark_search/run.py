@@ -6,7 +6,7 @@ Prints tables, writes results.csv (one row a measurement) and two figures beside
 import argparse
 import csv
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import permutations
 from pathlib import Path
@@ -45,22 +45,35 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a smoke run: small sizes, no file written")
     parser.add_argument("--threads", type=int, default=1, help="threads for torch (default 1)")
+    names = [part.__name__ for part in PARTS]
+    parser.add_argument("--only", nargs="+", choices=names, help="measure these parts alone, and keep the other rows")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     console = Console()
     rows: list[Row] = []
     pictures = figures.Pictures()
-    for part in (hard_points, speed, extremes, searches, large, starts, correlations):
+    for part in PARTS:
+        if options.only and part.__name__ not in options.only:
+            continue
         found = list(part(options.quick, pictures))
         console.print(as_table(found))
         rows += found
     if not options.quick:
-        with open(HERE / "results.csv", "w", newline="") as file:
+        known = {row.part for row in rows}
+        kept = [row for row in earlier() if row.part not in known] if options.only else []
+        rows = kept + rows
+        with open(HERE / "results.csv", "w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, [field.name for field in fields(Row)], lineterminator="\n")
             writer.writeheader()
             writer.writerows(asdict(row) for row in rows)
-        pictures.save(HERE)
-        console.print(f"wrote {len(rows)} rows to results.csv, and figures")
+        drawn = pictures.save(HERE)
+        console.print(f"wrote {len(rows)} rows to results.csv; drew {', '.join(drawn) or 'nothing'}")
+
+
+def earlier() -> list[Row]:
+    """The rows of results.csv."""
+    with open(HERE / "results.csv", newline="", encoding="utf-8") as file:
+        return [Row(**{**row, "value": float(row["value"])}) for row in csv.DictReader(file)]  # type: ignore[arg-type]
 
 
 def as_table(rows: list[Row]) -> Table:
@@ -334,3 +347,14 @@ def correlations(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
         for metric, value in metrics.items():
             pictures.metric[name, metric] = value
             yield Row(part, name, metric, float(spearmanr(value, cost).statistic))
+
+
+PARTS: tuple[Callable[[bool, figures.Pictures], Iterator[Row]], ...] = (
+    hard_points,
+    speed,
+    extremes,
+    searches,
+    large,
+    starts,
+    correlations,
+)
