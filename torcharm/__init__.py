@@ -17,11 +17,8 @@ from torcharm.actuators import (
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
 from torcharm.attainability import Attainability, evaluate
 from torcharm.distance.closed_form import distance_to_hull
-from torcharm.equilibrium import Equilibrium, NotConvergedError, solve_equilibrium
 from torcharm.hulls import WrenchHulls, wrench_hulls
-from torcharm.pressure_fit import PressureFit, fit_pressure
 from torcharm.rod import poses
-from torcharm.search import PressureSearch, search_pressure
 from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
 from torcharm.wrenches import reaction_wrench, required_wrench
 
@@ -36,6 +33,9 @@ if TYPE_CHECKING:
     from torcharm.distance.qp import qp_distance
     from torcharm.distance.result import HullDistance, kkt_residuals
     from torcharm.distance.scipy_solvers import nnls_distance, slsqp_distance
+    from torcharm.equilibrium import Equilibrium, NotConvergedError, solve_equilibrium
+    from torcharm.pressure_fit import PressureFit, fit_pressure
+    from torcharm.search import PressureSearch, search_pressure
 
 __version__ = "0.1.0"
 
@@ -99,10 +99,14 @@ __all__ = [
 ]
 
 _LATER = {
+    "Equilibrium": "equilibrium",
     "FitQuality": "actuators.characterisation",
     "FittedActuator": "actuators.characterisation",
     "GriddedActuator": "actuators.gridded",
     "HullDistance": "distance.result",
+    "NotConvergedError": "equilibrium",
+    "PressureFit": "pressure_fit",
+    "PressureSearch": "search",
     "Recording": "actuators.alignment",
     "TensorPolynomial": "actuators.uncertainty",
     "align": "actuators.alignment",
@@ -110,6 +114,7 @@ _LATER = {
     "estimate_offset": "actuators.alignment",
     "fit_force_model": "actuators.characterisation",
     "fit_gridded_model": "actuators.gridded",
+    "fit_pressure": "pressure_fit",
     "fit_recording": "actuators.characterisation",
     "kkt_residuals": "distance.result",
     "load_actuator": "actuators.model_file",
@@ -120,7 +125,9 @@ _LATER = {
     "read_pressure": "actuators.recordings",
     "read_tester": "actuators.recordings",
     "save_actuator": "actuators.model_file",
+    "search_pressure": "search",
     "slsqp_distance": "distance.scipy_solvers",
+    "solve_equilibrium": "equilibrium",
     "standard_deviation": "actuators.uncertainty",
 }
 
