@@ -368,3 +368,18 @@ def test_process_is_interrupted_by_a_signal():
         _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
     assert errors == b"torcharm: interrupted\n"
+
+
+def test_the_table_shows_predicted_errors_in_millimetres(tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text(
+        STUDY.replace("two tasks", "errors") + '[evaluate]\nmetrics = ["predicted_error"]\n', encoding="utf-8"
+    )
+    shown = invoke("evaluate", path, "--figure", tmp_path / "figure.png")
+    assert "[mm]" in shown
+    assert "≤ 1 mm" in shown
+    assert "shape error to expect" in shown
+    task = ta.Task(ta.affine_curvature(-3.0, 3.0), ta.sample_loads(4))
+    median = ta.evaluate(ta.bellows_arm(), task, metrics=("predicted_error",)).predicted_error.quantile(0.5)
+    assert f"{1000 * median.item():.4g}" in shown
+    assert (tmp_path / "figure-2.png").stat().st_size > 10_000

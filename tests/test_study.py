@@ -643,3 +643,34 @@ def test_load_study_reads_what_editors_write(tmp_path):
     study = load_study(str(path))
     assert study.name == "study"
     assert study.description == "κ"
+
+
+def test_a_study_of_predicted_errors(tmp_path):
+    text = """
+        name = "predicted"
+        [[arm]]
+        name = "a"
+        kind = "antagonistic"
+        [[task]]
+        name = "t"
+        shape = { kind = "affine", slope = 1.0, intercept = 1.5 }
+        loads = { count = 3 }
+        [evaluate]
+        metrics = ["predicted_error", "absolute"]
+    """
+    study = parse_study(text)
+    assert study.settings.metrics == ("absolute", "predicted_error")
+    (result,) = evaluate_study(study)
+    found = ta.evaluate(study.arms[0].design, study.tasks[0].task, metrics=("predicted_error",))
+    torch.testing.assert_close(result.metric("predicted_error"), found.predicted_error)
+    assert torch.equal(result.attainable, result.metric("absolute") <= 0)
+    path = tmp_path / "out.csv"
+    write_results(path, [result])
+    header, first, *_ = path.read_text().splitlines()
+    written = dict(zip(header.split(","), first.split(","), strict=True))
+    assert float(written["predicted_error"]) == float(found.predicted_error[0])
+
+    alone = parse_study(text.replace('"predicted_error", "absolute"', '"predicted_error"'))
+    (only,) = evaluate_study(alone)
+    assert torch.equal(only.attainable, found.predicted_error <= 1e-3)
+    assert summarise(only).worst_node is None

@@ -53,7 +53,7 @@ class Attainability:
         in_range: whether every strain, and every pressure limit, lies in the characterised range.
         converged: whether every distance is a number and, where residuals were asked for or a
             solver was, each node's answer passed its check; and whether the prediction, if it was
-            asked for, converged.
+            asked for, converged to a stable shape.
         residuals: for each metric of wrenches, those of every node's distance, if they were asked for.
     """
 
@@ -155,7 +155,7 @@ def evaluate(
     }
     converged = (per_node.isfinite() & solved).flatten(-2).all(-1)
     if prediction is not None:
-        converged = converged & prediction.converged
+        converged = converged & prediction.converged & prediction.stable
     return Attainability(
         absolute=total.get("absolute"),
         relative=total.get("relative"),

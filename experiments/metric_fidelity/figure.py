@@ -58,6 +58,7 @@ def _ladder(found: Sequence[Found], times: dict[str, float]) -> None:
         "relative": "relative",
         **{f"steps{k}": f"{k} step" + "s" * (k > 1) for k in STEPS},
     }
+    clear = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}
     looks = {"absolute": ("#D55E00", "s"), "relative": ("#CC79A7", "v")}
     for metric, timed in where.items():
         values = np.array([1 - one.spearman(metric) for one in found]).clip(1e-4)
@@ -65,7 +66,7 @@ def _ladder(found: Sequence[Found], times: dict[str, float]) -> None:
         low, middle, high = np.quantile(values, (0.0, 0.5, 1.0))
         time = times[timed] * (1.12 if metric == "relative" else 1.0)
         panel.errorbar(time, middle, ((middle - low,), (high - middle,)), fmt=marker, color=colour, capsize=4, ms=8)
-        panel.annotate(names[metric], (time, middle), xytext=(9, 4), textcoords="offset points", fontsize=9)
+        panel.annotate(names[metric], (time, middle), xytext=(9, 4), textcoords="offset points", fontsize=9, bbox=clear)
     panel.axvline(times["search"], color="0.4", ls="--", lw=1)
     panel.annotate(
         "search\n(the truth)", (times["search"], 0.5), xytext=(-8, 0), textcoords="offset points", ha="right"

@@ -43,8 +43,8 @@ class Found:
     agree: Column
     columns: Mapping[str, Column]
 
-    def spearman(self, metric: str) -> float:
-        return float(spearmanr(self.true, self.columns[metric])[0])
+    def spearman(self, metric: str, chosen: npt.NDArray[np.bool_] | slice = slice(None)) -> float:
+        return float(spearmanr(self.true[chosen], self.columns[metric][chosen])[0])
 
     def relative_error(self, metric: str, moderate: bool = True) -> float:
         """Median of |predicted - true| / true, over true errors below `MODERATE` or over all; NaN of fewer than 3."""
@@ -70,9 +70,18 @@ def measure(case: Case, known: Searched | None = None) -> Found:
         columns[f"steps{steps}"] = found.error
         columns[f"converged{steps}"], columns[f"small{steps}"] = found.converged, found.small
         columns[f"stable{steps}"] = found.stable
+    columns["held"], columns["reached"] = _ends(arm, task, found)
     columns["qp"] = qp_surrogate(arm, task)
     numbers = {name: _column(value) for name, value in columns.items()}
     return Found(case, true, agree, numbers)
+
+
+def _ends(arm: ta.ArmDesign, task: ta.Task, found: ta.PredictedError) -> tuple[torch.Tensor, torch.Tensor]:
+    """Whether the shapes predicted are equilibria, and whether continuation from zero load reaches them."""
+    held = ta.solve_equilibrium(arm, found.pressure, task.tip_load, start=found.twists)
+    reached = ta.solve_equilibrium(arm, found.pressure, task.tip_load)
+    near = [(end.twists - found.twists).abs().flatten(1).amax(-1) < 1e-3 for end in (held, reached)]
+    return near[0] & held.converged, near[1] & reached.converged
 
 
 def _searched(arm: ta.ArmDesign, task: ta.Task) -> Searched:

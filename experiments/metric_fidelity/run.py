@@ -60,7 +60,7 @@ def trust_table(found: list[measure.Found]) -> Table:
     headings = ["case", "true median [m]", "starts agree", "n < 0.1 m"]
     for steps in (*measure.STEPS, measure.LADDER):
         headings += [f"{steps}: < 0.1 m", f"{steps}: all"]
-    for heading in (*headings, "converged", "stable", "small"):
+    for heading in (*headings, "converged", "stable", "small", "held", "reached", "ρ of reached"):
         table.add_column(heading, justify="left" if heading == "case" else "right")
     for one in found:
         moderate = int((one.true < measure.MODERATE).sum())
@@ -68,7 +68,9 @@ def trust_table(found: list[measure.Found]) -> Table:
         for steps in (*measure.STEPS, measure.LADDER):
             row += [f"{one.relative_error(f'steps{steps}', moderate):.1%}" for moderate in (True, False)]
         flags = (one.columns[f"{flag}1"].mean() for flag in ("converged", "stable", "small"))
-        table.add_row(*row, *(f"{share:.0%}" for share in flags))
+        ends = (one.columns[end].mean() for end in ("held", "reached"))
+        reached = one.columns["reached"] > 0
+        table.add_row(*row, *(f"{share:.0%}" for share in (*flags, *ends)), f"{one.spearman('steps1', reached):.3f}")
     return table
 
 
