@@ -1,0 +1,1 @@
+"""Design optimisation by gradient: how good, how fast, and whether the shape gets better with the metric."""

@@ -1,6 +1,6 @@
 """Plan the paper's three shapes for one tip pose, and compare metrics with what the search reaches.
 
-Writes shapes.csv (one row a shape and load), metrics.csv (one row a shape, load, hull and power), shapes.png and
+Writes results.csv (one row a shape and load), metrics.csv (one row a shape, load, hull and power), shapes.png and
 hulls.png beside this file.
 """
 
@@ -91,10 +91,10 @@ def main() -> None:
     if options.quick:
         return
     write(HERE / "metrics.csv", metrics)
-    write(HERE / "shapes.csv", rows)
+    write(HERE / "results.csv", rows)
     for name, picture in pictures.items():
         picture.savefig(HERE / f"{name}.png", dpi=110)
-    console.print("wrote metrics.csv, shapes.csv, shapes.png and hulls.png")
+    console.print("wrote metrics.csv, results.csv, shapes.png and hulls.png")
 
 
 def plan(arm: ta.ArmDesign, count: int) -> dict[int, ta.PlannedShape]:

@@ -31,7 +31,7 @@ def hulls(task: ta.Task, answers: Sequence["Answers"]) -> Figure:
 
 def shapes(task: ta.Task, answers: Sequence["Answers"]) -> Figure:
     """Each arm's closest shapes, coloured by whether its absolute unattainability is below the median."""
-    figure = Figure(figsize=(5.5 * len(answers), 5.2), layout="constrained")
+    figure = Figure(figsize=(5.5 * len(answers), 6.4), layout="constrained")
     wanted = ta.poses(task.twists)
     for one, axes in zip(answers, figure.subplots(1, len(answers), sharey=True), strict=True):
         below = one.metric("absolute") <= one.metric("absolute").median()
@@ -48,8 +48,14 @@ def shapes(task: ta.Task, answers: Sequence["Answers"]) -> Figure:
             Line2D([], [], color=BELOW, label=f"below median: median error {near:.0f} mm"),
             Line2D([], [], color=ABOVE, linestyle="--", label=f"above median: median error {far:.0f} mm"),
         ]
-        axes.legend(handles=handles, title="absolute unattainability", loc="lower left", fontsize=8)
-        axes.set(title=one.name, xlabel="x [m]", aspect="equal")
+        axes.legend(
+            handles=handles,
+            title="absolute unattainability",
+            loc="upper center",
+            bbox_to_anchor=(0.5, -0.13),
+            fontsize=8,
+        )
+        axes.set(title=one.name, xlabel="x [m]", aspect="equal", xlim=(-0.4, 0.65), ylim=(-1.12, 0.06))
     figure.axes[0].set_ylabel("y [m]")
     figure.suptitle("The closest shapes that pressures reach under 100 loads")
     return figure
