@@ -175,7 +175,7 @@ def test_optimality_looks_only_inside_the_box():
         ({"node_weights": "middle"}, "node_weights: must be one of ramp, uniform, tip"),
         ({"node_weights": [1.0]}, "node_weights: must be one of ramp, uniform, tip, or 10 or 11 numbers"),
         ({"error_weights": (1.0, 1.0)}, "error_weights: must be three numbers"),
-        ({"error_weights": (1.0, 1.0, -1.0)}, "error_weights: must be at least 0"),
+        ({"error_weights": (1.0, 1.0, -1.0)}, "error_weights: must be a list of numbers, finite, at least 0"),
         ({"shear_stiffness": -1.0}, "shear_stiffness: must be a finite number above 0"),
         ({"method": "scipy", "scipy_method": "magic", "progress": False}, "scipy_method: must be one of L-BFGS-B"),
         ({"chunk_size": 0}, "chunk_size: must be"),

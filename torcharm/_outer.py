@@ -8,6 +8,7 @@ from math import prod
 import torch
 from torch import Tensor
 
+from torcharm._inputs import shown
 from torcharm.arm import ArmDesign
 from torcharm.task import Task
 
@@ -53,6 +54,19 @@ class OuterProduct:
         lead, tasks = len(self.design_batch), len(self.task_axes)
         order = [*range(lead), *(lead + axis for axis in self.task_axes), *range(lead + tasks, value.ndim)]
         return value.permute(order)
+
+
+def check_arm_and_task(arm: ArmDesign, task: Task) -> None:
+    """Raise unless they are a design and a task, of one dtype and on one device."""
+    for name, value, kind in (("arm", arm, ArmDesign), ("task", task, Task)):
+        if not isinstance(value, kind):
+            raise ValueError(f"{name}: must be of type {kind.__name__}, got {shown(value)}")
+    ours, theirs = arm.radii, task.twists
+    if ours.dtype != theirs.dtype or ours.device != theirs.device:
+        raise ValueError(
+            f"task: must have the arm's dtype and device, {ours.dtype} on {ours.device}, "
+            f"got {theirs.dtype} on {theirs.device}; use task.to(...)"
+        )
 
 
 def outer_product(arm: ArmDesign, task: Task) -> OuterProduct:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torcharm._inputs import check_choice, check_count, shown
 from torcharm._node_distances import Check, Residuals, node_distances, strain_excess
-from torcharm._outer import OuterProduct, map_blocks, outer_product
+from torcharm._outer import OuterProduct, check_arm_and_task, map_blocks, outer_product
 from torcharm.arm import ArmDesign
 from torcharm.distance import DistanceFunction, find_solver
 from torcharm.hulls import cross_sections, sample_count, slot_count
@@ -184,19 +184,6 @@ def _check_arguments(arm: ArmDesign, task: Task, power: int, signed: bool) -> No
         raise ValueError(f"signed: must be of type bool, got {shown(signed)}")
     if isinstance(power, bool) or not isinstance(power, int) or power not in (1, 2):
         raise ValueError(f"power: must be 1 or 2, got {shown(power)}")
-
-
-def check_arm_and_task(arm: ArmDesign, task: Task) -> None:
-    """Raise unless they are a design and a task, of one dtype and on one device."""
-    for name, value, kind in (("arm", arm, ArmDesign), ("task", task, Task)):
-        if not isinstance(value, kind):
-            raise ValueError(f"{name}: must be of type {kind.__name__}, got {shown(value)}")
-    ours, theirs = arm.radii, task.twists
-    if ours.dtype != theirs.dtype or ours.device != theirs.device:
-        raise ValueError(
-            f"task: must have the arm's dtype and device, {ours.dtype} on {ours.device}, "
-            f"got {theirs.dtype} on {theirs.device}; use task.to(...)"
-        )
 
 
 def _metrics(metrics: Sequence[str]) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from torch.utils.checkpoint import checkpoint
 
 from torcharm import mechanics, rod
 from torcharm._inputs import check_count, shown
-from torcharm._outer import Block, OuterProduct, map_blocks, outer_product
+from torcharm._outer import Block, OuterProduct, check_arm_and_task, map_blocks, outer_product
 from torcharm._predicted_minimum import FLOORS, SCREENED, Found, Tasks, minimum_over_pressures
 from torcharm.arm import ArmDesign
 from torcharm.pose_cost import PoseCost
@@ -78,15 +78,7 @@ def predict_error(
     Raises:
         ValueError: an argument is none of those allowed, or arm and task differ in dtype or device.
     """
-    for name, value, kind in (("arm", arm, ArmDesign), ("task", task, Task)):
-        if not isinstance(value, kind):
-            raise ValueError(f"{name}: must be of type {kind.__name__}, got {shown(value)}")
-    ours, theirs = arm.radii, task.twists
-    if ours.dtype != theirs.dtype or ours.device != theirs.device:
-        raise ValueError(
-            f"task: must have the arm's dtype and device, {ours.dtype} on {ours.device}, "
-            f"got {theirs.dtype} on {theirs.device}; use task.to(...)"
-        )
+    check_arm_and_task(arm, task)
     return predict_outer(outer_product(arm, task), pose_cost, steps, chunk_size)
 
 

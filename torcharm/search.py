@@ -12,14 +12,14 @@ from torcharm import mechanics, rod
 from torcharm._box import spread_points
 from torcharm._continuation import LOOKS, Problem, loaded, unloaded
 from torcharm._descent import Descended, Goal, descend
-from torcharm._inputs import as_floating, check_at_least, check_choice, check_count, check_finite, shown
-from torcharm._outer import OuterProduct, outer_product
+from torcharm._inputs import check_choice, check_count, shown
+from torcharm._outer import OuterProduct, check_arm_and_task, outer_product
 from torcharm.arm import ArmDesign
 from torcharm.equilibrium import TOLERANCES, NotConvergedError, default_chunk, solved
+from torcharm.pose_cost import PoseCost
 from torcharm.task import Task
 
 METHODS = ("batched", "scipy")
-NODE_WEIGHTS = ("ramp", "uniform", "tip")
 STARTS = {"batched": 8, "scipy": 1}
 CANDIDATES = 16
 """Pressures that compete for each start."""
@@ -124,7 +124,7 @@ def search_pressure(
     count = STARTS[method] if starts is None else check_count("starts", starts, 1)
     check_count("seed", seed, 0)
     outer = checked_outer(arm, task)
-    weight = _pose_weights(outer, node_weights, error_weights)
+    weight = PoseCost(node_weights, error_weights).weights(outer.nodes, outer.twists).sqrt()
     if shear_stiffness is not None and not (
         isinstance(shear_stiffness, (int, float)) and 0 < shear_stiffness < float("inf")
     ):
@@ -172,15 +172,7 @@ def empty_result(problem: Problem, nodes: int, starts: int) -> tuple[Tensor, ...
 
 def checked_outer(arm: ArmDesign, task: Task) -> OuterProduct:
     """Every design against every task, without their graphs."""
-    for name, value, kind in (("arm", arm, ArmDesign), ("task", task, Task)):
-        if not isinstance(value, kind):
-            raise ValueError(f"{name}: must be of type {kind.__name__}, got {shown(value)}")
-    ours, theirs = arm.radii, task.twists
-    if ours.dtype != theirs.dtype or ours.device != theirs.device:
-        raise ValueError(
-            f"task: must have the arm's dtype and device, {ours.dtype} on {ours.device}, "
-            f"got {theirs.dtype} on {theirs.device}; use task.to(...)"
-        )
+    check_arm_and_task(arm, task)
     return outer_product(arm._map(torch.Tensor.detach), task._map(torch.Tensor.detach))
 
 
@@ -188,35 +180,6 @@ def outer_poses(outer: OuterProduct) -> Tensor:
     """(B, N+1, 3) the task's poses for every design and load."""
     poses = rod.poses(outer.twists, outer.base_pose)[None, :, None]
     return poses.expand(*outer.sizes, *poses.shape[-2:]).reshape(-1, *poses.shape[-2:])
-
-
-def _pose_weights(
-    outer: OuterProduct, node_weights: str | Tensor | Sequence[float], error_weights: Sequence[float]
-) -> Tensor:
-    """(N+1, 3) square roots of `ω_i K`."""
-    nodes, like = outer.nodes, outer.twists
-    (kinds,) = as_floating(error_weights=error_weights)
-    if kinds.shape != (3,):
-        raise ValueError(f"error_weights: must be three numbers (x, y, θ), got shape {tuple(kinds.shape)}")
-    if isinstance(node_weights, str):
-        check_choice("node_weights", node_weights, NODE_WEIGHTS)
-        along = like.new_zeros(nodes + 1)
-        if node_weights == "tip":
-            along[-1] = 1.0
-        else:
-            along[:-1] = torch.linspace(0, 1, nodes).to(like) if node_weights == "ramp" else 1.0
-    else:
-        (along,) = as_floating(node_weights=node_weights)
-        if along.shape not in ((nodes,), (nodes + 1,)):
-            raise ValueError(
-                f"node_weights: must be one of {', '.join(NODE_WEIGHTS)}, or {nodes} or {nodes + 1} numbers, "
-                f"got shape {tuple(along.shape)}"
-            )
-        along = torch.cat((along, along.new_zeros(nodes + 1 - len(along))))
-    for name, value in (("error_weights", kinds), ("node_weights", along)):
-        check_finite(name, value)
-        check_at_least(name, value, 0.0)
-    return (along.to(like).unsqueeze(-1) * kinds.to(like)).sqrt()
 
 
 def flat_problem(outer: OuterProduct, shear_stiffness: float | None) -> tuple[Problem, Tensor]:

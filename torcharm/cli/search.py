@@ -38,7 +38,8 @@ def search(
     with mistakes():
         check_outputs(study, out, None)
         from torcharm._inputs import check_choice
-        from torcharm.search import METHODS, NODE_WEIGHTS
+        from torcharm.pose_cost import NODE_WEIGHTS
+        from torcharm.search import METHODS
         from torcharm.study import load_study, paper_study
 
         check_choice("--method", method, METHODS)
