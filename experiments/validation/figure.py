@@ -55,7 +55,7 @@ def shapes(task: ta.Task, answers: Sequence["Answers"]) -> Figure:
             bbox_to_anchor=(0.5, -0.13),
             fontsize=8,
         )
-        axes.set(title=one.name, xlabel="x [m]", aspect="equal", xlim=(-0.4, 0.65), ylim=(-1.12, 0.06))
+        axes.set(title=one.name, xlabel="x [m]", aspect="equal", xlim=(-0.4, 0.65), ylim=(-0.9, 0.06))
     figure.axes[0].set_ylabel("y [m]")
     figure.suptitle("The closest shapes that pressures reach under 100 loads")
     return figure
