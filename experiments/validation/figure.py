@@ -31,7 +31,7 @@ def hulls(task: ta.Task, answers: Sequence["Answers"]) -> Figure:
 
 def shapes(task: ta.Task, answers: Sequence["Answers"]) -> Figure:
     """Each arm's closest shapes, coloured by whether its absolute unattainability is below the median."""
-    figure = Figure(figsize=(5.5 * len(answers), 6.4), layout="constrained")
+    figure = Figure(figsize=(5.5 * len(answers), 7.8), layout="constrained")
     wanted = ta.poses(task.twists)
     for one, axes in zip(answers, figure.subplots(1, len(answers), sharey=True), strict=True):
         below = one.metric("absolute") <= one.metric("absolute").median()
