@@ -5,9 +5,8 @@ why.png beside this file.
 """
 
 import argparse
-import csv
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from rich.table import Table
 from torch import Tensor
 
 import torcharm as ta
+from experiments.rows import write_rows
 from torcharm.actuators import Bending
 
 HERE = Path(__file__).parent
@@ -149,8 +149,8 @@ def main() -> None:
     if options.quick:
         figure.draw_why(hulls, loads, BytesIO())
         return
-    write(HERE / "results.csv", results)
-    write(HERE / "hulls.csv", hulls)
+    write_rows(HERE / "results.csv", results)
+    write_rows(HERE / "hulls.csv", hulls)
     figure.draw_hulls(results, loads, HERE / "antagonism.png")
     figure.draw_why(hulls, loads, HERE / "why.png")
     console.print(f"wrote {len(results)} rows to results.csv, {len(hulls)} to hulls.csv, and two figures")
@@ -319,10 +319,3 @@ def positions(hulls: Sequence[Hull]) -> Table:
                 f"{100 * share:.0f} %",
             )
     return table
-
-
-def write(path: Path, rows: Sequence[Any]) -> None:
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(rows[0])])
-        writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)

@@ -4,14 +4,12 @@ Prints tables and writes results.csv beside this file: one row a measurement.
 """
 
 import argparse
-import csv
 import resource
 import statistics
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +17,10 @@ import numpy as np
 import torch
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 from scipy.optimize import minimize, nnls
 
 import torcharm as ta
+from experiments.rows import Measurement, measurements_table, write_rows
 from torcharm import hulls
 from torcharm.distance.closed_form import nearest_faces
 
@@ -30,17 +28,6 @@ Array = np.ndarray[Any, np.dtype[np.float64]]
 HERE = Path(__file__).parent
 NODES = 10
 SHAPE = ta.affine_curvature(-3.0, 3.0, length=0.5, nodes=NODES)
-
-
-@dataclass(frozen=True)
-class Row:
-    """One measurement; `value` is in `unit`."""
-
-    part: str
-    case: str
-    quantity: str
-    value: float
-    unit: str
 
 
 def main() -> None:
@@ -51,28 +38,16 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     console = Console()
-    rows: list[Row] = []
+    rows: list[Measurement] = []
     for part in (machine, validation, sweep, stages, memory, compiled, growth):
         if part is compiled and not options.compile:
             continue
         found = list(part(options.quick))
-        console.print(as_table(found))
+        console.print(measurements_table(found, 4))
         rows += found
     if not options.quick:
-        with open(HERE / "results.csv", "w", newline="") as file:
-            writer = csv.DictWriter(file, [field.name for field in fields(Row)])
-            writer.writeheader()
-            writer.writerows(asdict(row) for row in rows)
+        write_rows(HERE / "results.csv", rows)
         console.print(f"wrote {len(rows)} rows to results.csv")
-
-
-def as_table(rows: list[Row]) -> Table:
-    table = Table(title=rows[0].part, title_justify="left")
-    for heading in ("case", "quantity", "value", "unit"):
-        table.add_column(heading, justify="right" if heading == "value" else "left")
-    for row in rows:
-        table.add_row(row.case, row.quantity, f"{row.value:,.4g}", row.unit)
-    return table
 
 
 def seconds(work: Callable[[], object], repeats: int = 9) -> float:
@@ -90,21 +65,21 @@ def seconds(work: Callable[[], object], repeats: int = 9) -> float:
 # ---- the machine -------------------------------------------------------------------------
 
 
-def machine(quick: bool) -> Iterator[Row]:
+def machine(quick: bool) -> Iterator[Measurement]:
     """What the machine does at present: other times mean little without it on a shared one."""
     a, b = torch.rand(2, 100_000, dtype=torch.float64)
     out = torch.empty_like(a)
     big = seconds(lambda: torch.mul(a, b, out=out), 201) / len(a)
     small = seconds(lambda: a[:4] * 2.0, 2001)
     part = f"this machine, {torch.get_num_threads()} thread(s)"
-    yield Row(part, "product of 100,000 doubles", "time", big * 1e9, "ns an element")
-    yield Row(part, "slice and product of 4", "time", small * 1e6, "µs")
+    yield Measurement(part, "product of 100,000 doubles", "time", big * 1e9, "ns an element")
+    yield Measurement(part, "slice and product of 4", "time", small * 1e6, "µs")
 
 
 # ---- the validation study -------------------------------------------------------------
 
 
-def validation(quick: bool) -> Iterator[Row]:
+def validation(quick: bool) -> Iterator[Measurement]:
     """Absolute unattainability of 2 arms × 100 loads × 10 nodes, against a QP a node with SLSQP."""
     part = "validation study: 2 arms × 100 loads × 10 nodes, absolute"
     arms = (ta.antagonistic_arm(), ta.bellows_arm())
@@ -115,7 +90,7 @@ def validation(quick: bool) -> Iterator[Row]:
             return [ta.evaluate(arm, task, ("absolute",), **settings).absolute_per_node for arm in arms]  # type: ignore[arg-type]
 
         spent = seconds(ours, 3 if quick else 51)
-        yield Row(part, f"torcharm, {case}", "time", spent * 1e3, "ms")
+        yield Measurement(part, f"torcharm, {case}", "time", spent * 1e3, "ms")
     answers = ours()  # of the edges, which is what the baseline solves
 
     loads = slice(0, 2 if quick else 100)
@@ -135,10 +110,10 @@ def validation(quick: bool) -> Iterator[Row]:
                 worst_exact = max(worst_exact, abs(accurate - answer[load, node].item()))
                 solved += 1
     baseline = elapsed * 2000 / solved
-    yield Row(part, f"scipy SLSQP, {solved} QPs of 48 weights", "time", baseline * 1e3, "ms")
-    yield Row(part, "scipy SLSQP / torcharm, the same hulls", "ratio", baseline / spent, "times")
-    yield Row(part, "scipy SLSQP - torcharm, the same hulls", "largest difference", worst, "N")
-    yield Row(part, "scipy nnls - torcharm, the same hulls", "largest difference", worst_exact, "N")
+    yield Measurement(part, f"scipy SLSQP, {solved} QPs of 48 weights", "time", baseline * 1e3, "ms")
+    yield Measurement(part, "scipy SLSQP / torcharm, the same hulls", "ratio", baseline / spent, "times")
+    yield Measurement(part, "scipy SLSQP - torcharm, the same hulls", "largest difference", worst, "N")
+    yield Measurement(part, "scipy nnls - torcharm, the same hulls", "largest difference", worst_exact, "N")
 
 
 def all_edge_samples(arm: ta.ArmDesign) -> Array:
@@ -177,7 +152,7 @@ def nnls_distance(vertices: Array, wrench: Array) -> float:
 # ---- a sweep over designs -------------------------------------------------------------
 
 
-def sweep(quick: bool) -> Iterator[Row]:
+def sweep(quick: bool) -> Iterator[Measurement]:
     """Time a design: 4 actuators × 10 nodes × 1 load × 3 samples a curve."""
     for count in (1, 1000) if quick else (1, 1000, 10_000, 100_000):
         parameters = random_parameters(count)
@@ -185,8 +160,8 @@ def sweep(quick: bool) -> Iterator[Row]:
         forward = seconds(lambda p=parameters: sweep_total(p), repeats)  # type: ignore[misc]
         both = seconds(lambda p=parameters: sweep_gradient(p), repeats)  # type: ignore[misc]
         part = "design sweep: 4 actuators × 10 nodes × 1 load × 3 samples"
-        yield Row(part, f"{count:,} designs", "forward", forward / count * 1e6, "µs a design")
-        yield Row(part, f"{count:,} designs", "forward + backward", both / count * 1e6, "µs a design")
+        yield Measurement(part, f"{count:,} designs", "forward", forward / count * 1e6, "µs a design")
+        yield Measurement(part, f"{count:,} designs", "forward + backward", both / count * 1e6, "µs a design")
 
 
 def random_parameters(count: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -212,7 +187,7 @@ def sweep_gradient(
     return torch.autograd.grad(total(leaves).sum(), leaves)  # type: ignore[arg-type]
 
 
-def stages(quick: bool) -> Iterator[Row]:
+def stages(quick: bool) -> Iterator[Measurement]:
     """Where the time of a forward pass goes, in one block of designs."""
     count = 500 if quick else 2500
     radius, length = random_parameters(count)
@@ -233,10 +208,10 @@ def stages(quick: bool) -> Iterator[Row]:
         spent = {name: seconds(step, 21) / count * 1e6 for name, step in steps.items()}
     part = f"where a forward pass spends its time: one block of {count:,} designs"
     for name, value in spent.items():
-        yield Row(part, name, "time", value, "µs a design")
+        yield Measurement(part, name, "time", value, "µs a design")
 
 
-def memory(quick: bool) -> Iterator[Row]:
+def memory(quick: bool) -> Iterator[Measurement]:
     """Peak memory of a process that evaluates many designs × 10 nodes × 1 load, torch included."""
     for count in (10_000,) if quick else (1, 1_000_000):
         code = f"from experiments.benchmark_evaluate import run; run.print_peak({count}, {torch.get_num_threads()})"
@@ -244,8 +219,8 @@ def memory(quick: bool) -> Iterator[Row]:
         printed = subprocess.run([sys.executable, "-c", code], cwd=root, check=True, capture_output=True, text=True)
         peak, elapsed = map(float, printed.stdout.split())
         part = "memory: absolute and relative, exact hulls, default samples"
-        yield Row(part, f"{count:,} designs", "peak of the process", peak / 1024, "MiB")
-        yield Row(part, f"{count:,} designs", "time", elapsed, "s")
+        yield Measurement(part, f"{count:,} designs", "peak of the process", peak / 1024, "MiB")
+        yield Measurement(part, f"{count:,} designs", "time", elapsed, "s")
 
 
 def print_peak(count: int, threads: int) -> None:
@@ -256,7 +231,7 @@ def print_peak(count: int, threads: int) -> None:
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.perf_counter() - start)
 
 
-def compiled(quick: bool) -> Iterator[Row]:
+def compiled(quick: bool) -> Iterator[Measurement]:
     """The sweep through torch.compile, checked for equal results."""
     count = 20_000
     parameters = random_parameters(count)
@@ -264,25 +239,25 @@ def compiled(quick: bool) -> Iterator[Row]:
     part = f"torch.compile: the sweep at {count:,} designs"
     start = time.perf_counter()
     difference = (fast(parameters) - sweep_total(parameters)).abs().max().item()
-    yield Row(part, "forward", "compilation", time.perf_counter() - start, "s")
-    yield Row(part, "forward", "largest difference", difference, "N")
+    yield Measurement(part, "forward", "compilation", time.perf_counter() - start, "s")
+    yield Measurement(part, "forward", "largest difference", difference, "N")
     for name, total in (("eager", sweep_total), ("compiled", fast)):
         spent = seconds(lambda t=total: t(parameters), 5)  # type: ignore[misc]
-        yield Row(part, f"forward, {name}", "time", spent / count * 1e6, "µs a design")
+        yield Measurement(part, f"forward, {name}", "time", spent / count * 1e6, "µs a design")
     start = time.perf_counter()
     pairs = zip(sweep_gradient(parameters, fast), sweep_gradient(parameters), strict=True)
     difference = max((ours - theirs).abs().max().item() for ours, theirs in pairs)
-    yield Row(part, "forward + backward", "compilation", time.perf_counter() - start, "s")
-    yield Row(part, "forward + backward", "largest difference", difference, "N/m")
+    yield Measurement(part, "forward + backward", "compilation", time.perf_counter() - start, "s")
+    yield Measurement(part, "forward + backward", "largest difference", difference, "N/m")
     for name, total in (("eager", sweep_total), ("compiled", fast)):
         spent = seconds(lambda t=total: sweep_gradient(parameters, t), 5)  # type: ignore[misc]
-        yield Row(part, f"forward + backward, {name}", "time", spent / count * 1e6, "µs a design")
+        yield Measurement(part, f"forward + backward, {name}", "time", spent / count * 1e6, "µs a design")
 
 
 # ---- growth ---------------------------------------------------------------------------
 
 
-def growth(quick: bool) -> Iterator[Row]:
+def growth(quick: bool) -> Iterator[Measurement]:
     """Time against designs, loads, nodes and actuators, one at a time, and the power it grows with."""
     top = 2 if quick else 5
     ladders: dict[str, tuple[list[int], Callable[[int], tuple[ta.ArmDesign, ta.Task]]]] = {
@@ -297,9 +272,9 @@ def growth(quick: bool) -> Iterator[Row]:
         for size in sizes:
             arm, task = build(size)
             spent.append(seconds(lambda a=arm, t=task: ta.evaluate(a, t, ("absolute",), samples=3), 5))  # type: ignore[misc]
-            yield Row(part, f"{size:,} {name}", "time", spent[-1] * 1e3, "ms")
+            yield Measurement(part, f"{size:,} {name}", "time", spent[-1] * 1e3, "ms")
         power = np.polyfit(np.log(sizes), np.log(spent), 1)[0]
-        yield Row(part, name, "power of growth (1 is linear)", float(power), "")
+        yield Measurement(part, name, "power of growth (1 is linear)", float(power), "")
 
 
 def scene(designs: int = 1, loads: int = 1, nodes: int = NODES, actuators: int = 4) -> tuple[ta.ArmDesign, ta.Task]:

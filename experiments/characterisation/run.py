@@ -5,12 +5,10 @@ results.csv, held_strains.png, fit.png and sensitivity.png beside this file.
 """
 
 import argparse
-import csv
 import os
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -18,28 +16,17 @@ import numpy as np
 import torch
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 import torcharm as ta
 from experiments.characterisation import figure
 from experiments.characterisation.sensitivity import MILD, SHAPE, drawn_deviation, uncertain_validation, validation
 from experiments.characterisation.synthetic import TRUTH, Noise, read_runs, write_run
+from experiments.rows import Measurement, measurements_table, write_rows
 from torcharm.actuators.fitting import exponents
 
 HERE = Path(__file__).parent
 LIMIT = 50.0
 """The paper's pressure limit [kPa], at which its K holds."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """One measurement; `value` is in `unit`."""
-
-    part: str
-    case: str
-    quantity: str
-    value: float
-    unit: str
 
 
 def main() -> None:
@@ -48,7 +35,7 @@ def main() -> None:
     quick = parser.parse_args().quick
     torch.set_num_threads(1)
     console = Console()
-    rows: list[Row] = []
+    rows: list[Measurement] = []
     parts = [synthetic(quick), speed(quick)]
     folder = Path(os.environ["TORCHARM_DATA"]) / "bellows_characterisation" if "TORCHARM_DATA" in os.environ else None
     if folder is not None and folder.is_dir():
@@ -57,23 +44,11 @@ def main() -> None:
         console.print("TORCHARM_DATA names no folder with bellows_characterisation: synthetic recordings only.")
     for part in parts:
         for found in part:
-            console.print(as_table(found))
+            console.print(measurements_table(found))
             rows += found
     if not quick and len(parts) > 2:
-        with open(HERE / "results.csv", "w", newline="") as file:
-            writer = csv.DictWriter(file, [field.name for field in fields(Row)])
-            writer.writeheader()
-            writer.writerows(asdict(row) for row in rows)
+        write_rows(HERE / "results.csv", rows)
         console.print(f"wrote {len(rows)} rows to results.csv")
-
-
-def as_table(rows: list[Row]) -> Table:
-    table = Table(title=rows[0].part, title_justify="left")
-    for heading in ("case", "quantity", "value", "unit"):
-        table.add_column(heading, justify="right" if heading == "value" else "left")
-    for row in rows:
-        table.add_row(row.case, row.quantity, f"{row.value:,.5g}", row.unit)
-    return table
 
 
 def coefficients(model: ta.PolynomialActuator) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -83,7 +58,7 @@ def coefficients(model: ta.PolynomialActuator) -> np.ndarray[Any, np.dtype[np.fl
 # ---- synthetic recordings ---------------------------------------------------------------------------
 
 
-def synthetic(quick: bool) -> Iterator[list[Row]]:
+def synthetic(quick: bool) -> Iterator[list[Measurement]]:
     """Is the truth missed by as many standard errors as a Gaussian misses its mean?"""
     cases: dict[str, tuple[Noise, float, dict[str, Any]]] = {
         "white noise": (Noise(memory=0.0), 5.0, {}),
@@ -109,14 +84,18 @@ def synthetic(quick: bool) -> Iterator[list[Row]]:
     for name, values in missed.items():
         z = np.array(values)
         rows += [
-            Row(part, name, "RMS of (fit - truth) / standard error", float(np.sqrt((z**2).mean())), "1 expected"),
-            Row(part, name, "share within 2 standard errors", float((np.abs(z) < 2).mean()), "0.954 expected"),
-            Row(part, name, "largest mean of any coefficient", float(np.abs(z.mean(0)).max()), "standard errors"),
+            Measurement(
+                part, name, "RMS of (fit - truth) / standard error", float(np.sqrt((z**2).mean())), "1 expected"
+            ),
+            Measurement(part, name, "share within 2 standard errors", float((np.abs(z) < 2).mean()), "0.954 expected"),
+            Measurement(
+                part, name, "largest mean of any coefficient", float(np.abs(z.mean(0)).max()), "standard errors"
+            ),
         ]
     yield rows
 
 
-def speed(quick: bool) -> Iterator[list[Row]]:
+def speed(quick: bool) -> Iterator[list[Measurement]]:
     """Reading 10 MB of recordings and fitting them."""
     part = "time to read, align and fit, one thread, imports apart"
     with tempfile.TemporaryDirectory() as folder:
@@ -131,16 +110,16 @@ def speed(quick: bool) -> Iterator[list[Row]]:
             times.append((time.perf_counter() - start[0], time.process_time() - start[1]))
         wall, processor = np.median(times, 0)
     yield [
-        Row(part, "synthetic recordings", "size", size / 1e6, "MB"),
-        Row(part, "synthetic recordings", "time, median of 5", float(wall), "s"),
-        Row(part, "synthetic recordings", "time of the processor, median of 5", float(processor), "s"),
+        Measurement(part, "synthetic recordings", "size", size / 1e6, "MB"),
+        Measurement(part, "synthetic recordings", "time, median of 5", float(wall), "s"),
+        Measurement(part, "synthetic recordings", "time of the processor, median of 5", float(processor), "s"),
     ]
 
 
 # ---- the paper's recordings -----------------------------------------------------------------------
 
 
-def real(folder: Path, quick: bool) -> Iterator[list[Row]]:
+def real(folder: Path, quick: bool) -> Iterator[list[Measurement]]:
     testers = [ta.read_tester(folder / f"instron_run_{run}.csv") for run in (1, 2)]
     logs = [ta.read_pressure(folder / f"pressure_run_{run}.txt") for run in (1, 2)]
 
@@ -156,7 +135,7 @@ def real(folder: Path, quick: bool) -> Iterator[list[Row]]:
     found = [ta.estimate_offset(tester, log) for tester, log in zip(testers, logs, strict=True)]
     offsets = (found[0], found[1])
     part = "offset of the pressure log that fits best"
-    yield [Row(part, f"run {run + 1}", "offset", offsets[run], "ms") for run in (0, 1)]
+    yield [Measurement(part, f"run {run + 1}", "offset", offsets[run], "ms") for run in (0, 1)]
     holds = [float(np.median(paper.strain[hold])) for hold in _holds(paper)]
     variants: dict[str, ta.Actuator] = {
         "refitted as published": model,
@@ -204,7 +183,7 @@ def _limited(model: ta.Actuator) -> ta.Actuator:
     return replace(model, max_pressure=LIMIT)  # type: ignore[type-var]
 
 
-def published(model: ta.FittedActuator) -> list[Row]:
+def published(model: ta.FittedActuator) -> list[Measurement]:
     part = "the published coefficients, term by term (smoothing over 40 samples, reach 2.5 σ)"
     assert model.quality is not None
     rows = []
@@ -214,46 +193,48 @@ def published(model: ta.FittedActuator) -> list[Row]:
     ):
         term = f"ε^{i} p^{j}"
         rows += [
-            Row(part, term, "coefficient", float(ours), f"N/kPa^{j}" if j else "N"),
-            Row(part, term, "standard error", error, f"N/kPa^{j}" if j else "N"),
-            Row(part, term, "difference from published", 100 * float(share), "%"),
+            Measurement(part, term, "coefficient", float(ours), f"N/kPa^{j}" if j else "N"),
+            Measurement(part, term, "standard error", error, f"N/kPa^{j}" if j else "N"),
+            Measurement(part, term, "difference from published", 100 * float(share), "%"),
         ]
-    rows.append(Row(part, "all", "largest difference from published", 100 * float(np.abs(off).max()), "%"))
+    rows.append(Measurement(part, "all", "largest difference from published", 100 * float(np.abs(off).max()), "%"))
     return rows
 
 
-def quality(model: ta.FittedActuator, recording: ta.Recording) -> list[Row]:
+def quality(model: ta.FittedActuator, recording: ta.Recording) -> list[Measurement]:
     part, found = "quality of the fit", model.quality
     assert found is not None
     naive = ta.fit_recording(recording, max_pressure=LIMIT, correlated=1).quality
     assert naive is not None
     ratio = np.array(found.standard_errors) / naive.standard_errors
     rows = [
-        Row(part, "both runs", "R²", found.r_squared, ""),
-        Row(part, "both runs", "RMSE", found.rmse, "N"),
-        Row(part, "both runs", "samples over which noise is correlated", found.correlation_length, ""),
-        Row(part, "both runs", "standard errors / those for white noise, least", float(ratio.min()), "times"),
-        Row(part, "both runs", "standard errors / those for white noise, most", float(ratio.max()), "times"),
-        Row(part, "both runs", "monotonic in pressure up to", found.monotonicity.up_to, "kPa"),
-        Row(part, "both runs", "share of the box where it is not", found.monotonicity.failing_share, ""),
+        Measurement(part, "both runs", "R²", found.r_squared, ""),
+        Measurement(part, "both runs", "RMSE", found.rmse, "N"),
+        Measurement(part, "both runs", "samples over which noise is correlated", found.correlation_length, ""),
+        Measurement(part, "both runs", "standard errors / those for white noise, least", float(ratio.min()), "times"),
+        Measurement(part, "both runs", "standard errors / those for white noise, most", float(ratio.max()), "times"),
+        Measurement(part, "both runs", "monotonic in pressure up to", found.monotonicity.up_to, "kPa"),
+        Measurement(part, "both runs", "share of the box where it is not", found.monotonicity.failing_share, ""),
     ]
     for held in found.hold_out:
         rows += [
-            Row(part, f"run {held.run + 1} from the other", "R²", held.r_squared, ""),
-            Row(part, f"run {held.run + 1} from the other", "RMSE", held.rmse, "N"),
+            Measurement(part, f"run {held.run + 1} from the other", "R²", held.r_squared, ""),
+            Measurement(part, f"run {held.run + 1} from the other", "RMSE", held.rmse, "N"),
         ]
     return rows
 
 
-def fits(variants: dict[str, ta.Actuator]) -> list[Row]:
+def fits(variants: dict[str, ta.Actuator]) -> list[Measurement]:
     part, rows = "other ways to fit the same recordings", []
     for name, model in variants.items():
         if isinstance(model, ta.FittedActuator) and model.quality is not None:
             rows += [
-                Row(part, name, "R² on its own samples", model.quality.r_squared, ""),
-                Row(part, name, "RMSE on its own samples", model.quality.rmse, "N"),
+                Measurement(part, name, "R² on its own samples", model.quality.r_squared, ""),
+                Measurement(part, name, "RMSE on its own samples", model.quality.rmse, "N"),
             ]
-        rows.append(Row(part, name, "monotonic up to", ta.monotonicity(model, pressure_range=(0, 92)).up_to, "kPa"))
+        rows.append(
+            Measurement(part, name, "monotonic up to", ta.monotonicity(model, pressure_range=(0, 92)).up_to, "kPa")
+        )
     return rows
 
 
@@ -263,39 +244,41 @@ def moves(
     variants: dict[str, ta.Actuator],
     loads: int,
     shape: torch.Tensor,
-) -> list[Row]:
+) -> list[Measurement]:
     part, rows = f"{study}: moves from the published bellows' answers", []
     for (arm, metric), value in base.items():
-        rows.append(Row(part, f"published, {arm}, {metric}", "median", float(value.median()), "N"))
+        rows.append(Measurement(part, f"published, {arm}, {metric}", "median", float(value.median()), "N"))
     for name, model in variants.items():
         for (arm, metric), value in validation(model, loads, shape).items():
             move = (value - base[arm, metric]).abs()
             case = f"{name}, {arm}, {metric}"
             rows += [
-                Row(part, case, "median", float(value.median()), "N"),
-                Row(part, case, "median move", float(move.median()), "N"),
-                Row(part, case, "largest move", float(move.max()), "N"),
+                Measurement(part, case, "median", float(value.median()), "N"),
+                Measurement(part, case, "median move", float(move.median()), "N"),
+                Measurement(part, case, "largest move", float(move.max()), "N"),
             ]
     return rows
 
 
-def uncertainty(spread: Any) -> list[Row]:
+def uncertainty(spread: Any) -> list[Measurement]:
     part, rows = "the validation study: standard deviation from the fit's covariance, by the gradient", []
     for (arm, metric), found in spread.items():
         share = found.deviation / found.values.clamp(min=1e-9)
         rows += [
-            Row(part, f"{arm}, {metric}", "median standard deviation", float(found.deviation.median()), "N"),
-            Row(part, f"{arm}, {metric}", "largest standard deviation", float(found.deviation.max()), "N"),
-            Row(part, f"{arm}, {metric}", "median share of the value", 100 * float(share.median()), "%"),
+            Measurement(part, f"{arm}, {metric}", "median standard deviation", float(found.deviation.median()), "N"),
+            Measurement(part, f"{arm}, {metric}", "largest standard deviation", float(found.deviation.max()), "N"),
+            Measurement(part, f"{arm}, {metric}", "median share of the value", 100 * float(share.median()), "%"),
         ]
     return rows
 
 
-def check_gradient(model: ta.FittedActuator, spread: Any, quick: bool) -> list[Row]:
+def check_gradient(model: ta.FittedActuator, spread: Any, quick: bool) -> list[Measurement]:
     part, rows = "the same deviations by drawing coefficients", []
     loads, draws = (3, 20) if quick else (20, 200)
     drawn = drawn_deviation(model, loads, draws)
     for key, found in spread.items():
         ratio = found.deviation[:loads] / drawn[key]
-        rows.append(Row(part, ", ".join(key), "gradient / drawn, median over loads", float(ratio.median()), "times"))
+        rows.append(
+            Measurement(part, ", ".join(key), "gradient / drawn, median over loads", float(ratio.median()), "times")
+        )
     return rows

@@ -5,13 +5,11 @@ file. Interrupted, it goes on where it was.
 """
 
 import argparse
-import csv
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from io import BytesIO
 from itertools import product
 from pathlib import Path
-from typing import IO, Any
 
 import torch
 from rich.console import Console
@@ -21,6 +19,7 @@ from rich.table import Table
 import torcharm as ta
 from experiments.hull_gallery import scenes
 from experiments.hull_gallery.search import curve_sums, examine
+from experiments.rows import read_rows, write_rows
 
 HERE = Path(__file__).parent
 PARTIAL = HERE / "results.partial.csv"
@@ -95,8 +94,8 @@ def main() -> None:
         return
     if not options.figure:
         run_all(console, options.fresh)
-        write(HERE / "gallery.csv", gallery)
-    rows = read(HERE / "results.csv")
+        write_rows(HERE / "gallery.csv", gallery)
+    rows = read_rows(HERE / "results.csv", Row)
     console.print(as_table(rows))
     figure.draw_gallery(HERE / "gallery.png")
     figure.draw_violations(rows, HERE / "violations.png")
@@ -104,18 +103,18 @@ def main() -> None:
 
 def run_all(console: Console, fresh: bool) -> None:
     """Every case, shape and node; results are kept as they come."""
-    rows = [] if fresh or not PARTIAL.is_file() else read(PARTIAL)
+    rows = [] if fresh or not PARTIAL.is_file() else read_rows(PARTIAL, Row)
     done = {(row.case, (row.slope, row.intercept), row.node) for row in rows}
     plan = list(product(scenes.CASES, scenes.SHAPES, range(1, scenes.NODES + 1)))
     todo = [job for job in plan if (job[0].name, *job[1:]) not in done]
     try:
         for job in track(todo, f"{len(plan) - len(todo)} sets kept, searching", console=console):
             rows += search(*job)
-            write(PARTIAL, rows)
+            write_rows(PARTIAL, rows)
     except KeyboardInterrupt:
         console.print("interrupted; what was found is kept")
         raise SystemExit(130) from None
-    write(HERE / "results.csv", rows)
+    write_rows(HERE / "results.csv", rows)
     PARTIAL.unlink(missing_ok=True)
 
 
@@ -179,30 +178,3 @@ def gallery_table(rows: Sequence[GalleryRow]) -> Table:
         count = f"{sum(row.outside for row in own)} of {scenes.DRAWS * len(own)}"
         table.add_row(f"({shape[0]:g}, {shape[1]:g})", metric, count, f"{by:.3f}", f"{short:.3f}")
     return table
-
-
-# ---- files -----------------------------------------------------------------------------------
-
-
-def write(path: Path, rows: Sequence[Any]) -> None:
-    partial = path.with_name(path.name + ".new")
-    with partial.open("w", newline="") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(rows[0])])
-        writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
-    partial.replace(path)
-
-
-def read(path: Path) -> list[Row]:
-    with path.open(newline="") as file:
-        return list(_parsed(file))
-
-
-def _parsed(file: IO[str]) -> Iterator[Row]:
-    kinds = {field.name: field.type for field in fields(Row)}
-    for line in csv.DictReader(file):
-        values: dict[str, Any] = {}
-        for name, text in line.items():
-            kind = kinds[name]
-            values[name] = text == "True" if kind is bool else kind(text)  # type: ignore[operator]
-        yield Row(**values)

@@ -5,9 +5,8 @@ hulls.png beside this file.
 """
 
 import argparse
-import csv
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 import torcharm as ta
+from experiments.rows import write_rows
 from experiments.shape_planning import figure
 from torcharm.planning import PAPER_SHAPES
 
@@ -90,8 +90,8 @@ def main() -> None:
     pictures = {"shapes": figure.shapes(arm, shown), "hulls": figure.hulls(arm, shown)}
     if options.quick:
         return
-    write(HERE / "metrics.csv", metrics)
-    write(HERE / "results.csv", rows)
+    write_rows(HERE / "metrics.csv", metrics)
+    write_rows(HERE / "results.csv", rows)
     for name, picture in pictures.items():
         picture.savefig(HERE / f"{name}.png", dpi=110)
     console.print("wrote metrics.csv, results.csv, shapes.png and hulls.png")
@@ -139,13 +139,6 @@ def reach(arm: ta.ArmDesign, task: ta.Task, number: int, force: float, tip_error
         " ".join(f"{pressure:.2f}" for pressure in search.pressure.tolist()),
     )
     return Answer(number, task, search, row)
-
-
-def write(path: Path, rows: Sequence[Any]) -> None:
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(rows[0])])
-        writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
 
 
 def as_table(title: str, rows: Sequence[Any]) -> Table:

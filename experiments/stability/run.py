@@ -4,12 +4,11 @@ Prints tables; writes results.csv, one row a scene, metric, backend and dtype, a
 """
 
 import argparse
-import csv
 import importlib.util
 import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from rich.table import Table
 from torch import Tensor
 
 import torcharm as ta
+from experiments.rows import write_rows
 from experiments.stability import reference
 from experiments.stability.reference import Array, Derivative, Distances, Real
 from experiments.stability.scenes import ArmScene, HullScene, Scene, all_scenes
@@ -140,10 +140,7 @@ def main() -> None:
         console.print(line)
     if options.quick:
         return
-    with open(HERE / "results.csv", "w", newline="") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(Row)])
-        writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
+    write_rows(HERE / "results.csv", rows)
     from experiments.stability.figure import draw
 
     draw(rows, HERE / "stability.png")
