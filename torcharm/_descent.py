@@ -14,7 +14,8 @@ from torch import Tensor
 
 from torcharm import mechanics
 from torcharm._box import LEAST_DAMPING, START_DAMPING, box_step, optimality
-from torcharm._continuation import CONTRACTION, LARGEST_MOVE, Problem, _move
+from torcharm._continuation import Problem, _move
+from torcharm._tracing import CONTRACTION, LARGEST_MOVE
 
 EQUILIBRIUM = 1e-9
 """Imbalance, of the load scale, at which a cost is trusted on the way."""

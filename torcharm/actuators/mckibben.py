@@ -100,6 +100,50 @@ class McKibben:
         power = pressure * (exponent * pressure.clamp(min=_TRACE).log()).exp()
         return (contracted + gain * power) * -self.force_scale
 
+    def force_slopes(
+        self, strain: Tensor, pressure: Tensor, by_pressure: bool = True
+    ) -> tuple[Tensor, Tensor, Tensor | None]:
+        """f, ∂f/∂ε and, if wanted, ∂f/∂p; at a kink, the derivatives of `force`."""
+        compression, threshold = _compression(strain), _threshold(strain)
+        threshold_slope = ((4 * 34610.2847 * strain + 3 * 5991.799518) * strain - 2 * 1032.874471) * strain
+        threshold_slope -= 395.9792747
+        beyond = pressure - threshold
+        pulling = beyond >= 0
+        # a rate times what the pressure is beyond Z, both in pull and on the way there
+        shift = select(pulling, strain.new_tensor(_A2), strain.new_tensor(0.453137516)) + strain
+        factor = select(pulling, strain.new_tensor(_A1), strain.new_tensor(0.637225654))
+        growth = factor * shift
+        rate = growth * shift
+        force = rate * beyond
+        slope = torch.addcmul(2 * growth * beyond, rate, threshold_slope, value=-1)
+        idle = (force <= compression) & ~pulling
+        at_rest = ((4 * 265.2968218 * strain + 3 * 320.5906703) * strain + 2 * 126.11975) * strain + 21.92761236
+        force, slope = torch.where(idle, compression, force), torch.where(idle, at_rest, slope)
+        rate = rate.masked_fill_(idle, 0.0)
+        collapsed = (strain < _STRAIN_LIM) & ~pulling
+        if bool(collapsed.any()):
+            collapse = torch.where(strain >= _STRAIN_CRIT, _RISE_RATE, _COLLAPSE_RATE) * (strain - _STRAIN_CRIT)
+            rise = (pressure - _RISE_LIM).relu()
+            steep = collapse * (strain - _STRAIN_CRIT)
+            force = torch.where(collapsed, compression + steep * rise, force)
+            slope = torch.where(collapsed, at_rest + 2 * collapse * rise, slope)
+            rate = torch.where(collapsed, steep * (rise > 0), rate)
+        extended = strain >= 0
+        if bool(extended.any()):
+            x = strain.clamp(min=0)
+            slack = _B2 * x + _SLACK
+            gain, exponent = _B1 * slack.square(), _B3 * x
+            log = pressure.clamp(min=_TRACE).log()
+            power = (exponent * log).exp_()  # p^x / p
+            pull = gain * power * pressure
+            stretch = (3 * 89998.04265 * x + 2 * 836.5810641) * x + 62.59606786
+            stretch += power * pressure * (2 * _B1 * _B2 * slack) + pull * (_B3 * log)
+            force = torch.where(extended, _extension(x) + pull, force)
+            slope = torch.where(extended, stretch, slope)
+            rate = torch.where(extended, gain * (1 + exponent) * power, rate)
+        scale = -self.force_scale
+        return force.mul_(scale), slope.mul_(scale), rate.mul_(scale) if by_pressure else None
+
     def pressure_law(self, strain: Tensor) -> PressureLaw:
         """The same force as a function of pressure. Below ε_lim the model jumps at Z, where the law ends."""
         extended = strain >= 0

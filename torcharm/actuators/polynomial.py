@@ -57,6 +57,20 @@ class PolynomialActuator:
             total = total * pressure + _horner(row, strain)
         return total if len(rows) > 1 else total.expand(torch.broadcast_shapes(strain.shape, pressure.shape))
 
+    def force_slopes(
+        self, strain: Tensor, pressure: Tensor, by_pressure: bool = True
+    ) -> tuple[Tensor, Tensor, Tensor | None]:
+        """f, ∂f/∂ε and, if wanted, ∂f/∂p. Cheapest where pressure has fewer entries than strain."""
+        columns = [list(column) for column in zip(*self._rows(), strict=True)]  # a polynomial in p for each power of ε
+        at_pressure = [_horner(column, pressure) for column in columns]
+        force, by_strain = _horner_slope(at_pressure, strain)
+        if not by_pressure:
+            return force, by_strain, None
+        slopes = [_horner([j * c for j, c in enumerate(column)][1:] or [0.0], pressure) for column in columns]
+        while len(slopes) > 1 and not any(columns[len(slopes) - 1][1:]):
+            slopes.pop()
+        return force, by_strain, _horner_slope(slopes, strain, False)[0]
+
     def pressure_law(self, strain: Tensor) -> PressureLaw | None:
         """The same force as a function of pressure, up to a cubic."""
         rows = self._rows()
@@ -92,6 +106,17 @@ def _horner(row: list[float], x: Tensor) -> Tensor:
     for c in reversed(row[:degree]):
         total = total * x + c
     return total
+
+
+def _horner_slope(row: list[Tensor], x: Tensor, slope: bool = True) -> tuple[Tensor, Tensor]:
+    """`Σ row[i] x^i`, and its derivative by x if wanted."""
+    total = row[-1].expand(torch.broadcast_shapes(row[-1].shape, x.shape))
+    rate = torch.zeros_like(x)
+    for degree, c in enumerate(reversed(row[:-1])):
+        if slope:
+            rate = total.clone() if degree == 0 else torch.addcmul(total, rate, x)
+        total = torch.addcmul(c, total, x)
+    return total, rate
 
 
 BELLOWS_COEFFICIENTS: Coefficients = (

@@ -26,13 +26,16 @@ from torcharm.mechanics.kinematics import (
     to_unknowns,
 )
 from torcharm.mechanics.load import LoadPart, load_part, load_wrench
+from torcharm.mechanics.march import Arms, Marched, march, pick
 from torcharm.mechanics.sections import ActuatorPart, actuator_part, actuator_wrench
 
 __all__ = [
     "ActuatorPart",
+    "Arms",
     "Balance",
     "Kinematics",
     "LoadPart",
+    "Marched",
     "actuator_part",
     "actuator_wrench",
     "assemble",
@@ -41,6 +44,8 @@ __all__ = [
     "kinematics",
     "load_part",
     "load_wrench",
+    "march",
+    "pick",
     "pose_change",
     "pose_error",
     "pose_jacobian",
