@@ -18,6 +18,8 @@ from torcharm.arm import ArmDesign
 
 LOOKS = 200
 """Evaluations of the balance along a path, at most."""
+FIRST_FILLING = 0.3
+"""Of the pressure, taken by the first step."""
 SETTLING_STEPS = 150
 
 
@@ -118,12 +120,10 @@ class Problem:
 
 def unloaded(problem: Problem, looks: int = LOOKS) -> Traced:
     """The arm without load, one segment for all, continued from zero pressure; there, settled from straight."""
-    idle = replace(problem, pressure=torch.zeros_like(problem.pressure), tip_load=torch.zeros_like(problem.tip_load))
-    rest = settle(idle, problem.straight())
-    filled = replace(idle, pressure=problem.pressure)
-    path = trace(filled.course(loading=False), rest.unknowns.movedim(0, -1).contiguous(), 1.0, looks)
+    filled = replace(problem, tip_load=torch.zeros_like(problem.tip_load))
+    path = trace(filled.course(loading=False), problem.straight().movedim(0, -1).contiguous(), FIRST_FILLING, looks)
     path = Traced(path.unknowns.movedim(-1, 0).contiguous(), path.arrived)
-    left = ~(path.arrived & rest.arrived)
+    left = ~path.arrived
     if bool(left.any()):  # where a force model jumps, say
         still = settle(filled[left], path.unknowns[left])
         path.unknowns[left], path.arrived[left] = still

@@ -20,12 +20,13 @@ LEAST_SHARE = 1e-4
 """Of the load; where no shorter step succeeds, the branch has ended."""
 LARGEST_MOVE = 1.0
 """Longest step along the tangent, as `moves` measures: about a radian, or a third of the length."""
-SMALL_MOVE = 0.02
-"""A correction so short needs no contraction: at a kink of a force model Newton has none, however short."""
+SMALL_MOVE = 0.06
+"""A correction so short needs no contraction: at a kink of a force model Newton has none, however short.
+On the way, a Newton step so short is taken, and the path goes on from there."""
+AIMED_MOVE = 0.03
+"""Newton step for which the steps along the path are made."""
 CONTRACTION = 0.5
 """Largest ratio of the second Newton step to the first."""
-PATH_TOLERANCE = 1e-4
-"""Of the load scale, on the way to the full load."""
 CORRECTIONS = 8
 """Newton steps in a step along the path."""
 KEPT = 0.6
@@ -57,7 +58,7 @@ class Course:
     Attributes:
         arms: with the load at s = 1.
         pressure: (M, B) at s = 1 [kPa].
-        loading: whether the load grows, at full pressure; else the pressure, under the full load.
+        loading: whether the load grows, at full pressure; else the pressure, without load.
         scale: of these.
         tolerance: of the load scale, at s = 1.
     """
@@ -78,9 +79,7 @@ class Course:
             return mechanics.march(
                 self.arms, unknowns, self.pressure, share, load=self.arms.tip_load, poses=False
             )
-        return mechanics.march(
-            self.arms, unknowns, self.pressure * share, pressures=self.pressure, poses=False
-        )
+        return mechanics.relax(self.arms, unknowns, self.pressure * share, self.pressure)
 
 
 class Traced(NamedTuple):
@@ -96,7 +95,7 @@ class _Walk(NamedTuple):
     Attributes:
         element: (A,) place in the batch.
         share, step: (A,) of the path: gone so far, and to be tried.
-        base, tangent: (C, N, A) the last equilibrium, and dz/ds there.
+        base, tangent, bend: (C, N, A) the last equilibrium, dz/ds there, and half of d²z/ds², by the last two tangents.
         speed: (A,) the tangent's size.
         sign: (A,) of det J along the path; 0 before it is known.
         aim, trial: (A,) share and (C, N, A) unknowns of the attempt.
@@ -110,6 +109,7 @@ class _Walk(NamedTuple):
     step: Tensor
     base: Tensor
     tangent: Tensor
+    bend: Tensor
     speed: Tensor
     sign: Tensor
     aim: Tensor
@@ -137,6 +137,7 @@ def trace(course: Course, start: Tensor, first_step: float, looks: int) -> Trace
         none,
         none + first_step,
         start,
+        torch.zeros_like(start),
         torch.zeros_like(start),
         none,
         none,
@@ -176,8 +177,8 @@ def _advance(course: Course, walk: _Walk) -> _Walk:
     size, new_speed = course.scale.moves(look.change, look.turned)
     first = torch.where(walk.turn == 0, size, walk.first)
     ratio = torch.where(walk.turn == 1, size / first.clamp(min=1e-300), walk.ratio)
-    goal = torch.where(walk.aim >= 1, course.tolerance, max(PATH_TOLERANCE, course.tolerance))
-    there = course.scale.imbalance(look) <= goal
+    last = walk.aim >= 1
+    there = torch.where(last, course.scale.imbalance(look) <= course.tolerance, size <= SMALL_MOVE)
     moved = torch.where(there, walk.moved, walk.moved + size)
     trusted = (ratio < CONTRACTION) | (moved < SMALL_MOVE)
     same = (look.sign == walk.sign) | (walk.sign == 0)
@@ -185,29 +186,32 @@ def _advance(course: Course, walk: _Walk) -> _Walk:
     on = ~there & trusted & (moved < LARGEST_MOVE) & (walk.turn < CORRECTIONS) & ~walk.over  # a NaN is not on
 
     # Ahead from a new equilibrium, or once more from the last with a shorter step
-    stretch = (0.5 * CONTRACTION / ratio.clamp(min=1e-6)).sqrt().clamp(0.5, 4.0)
-    stretch = torch.where(moved < SMALL_MOVE / 4, stretch.clamp(min=2.0), stretch)
     started = walk.sign != 0
     taken = torch.where(started, walk.aim - walk.share, walk.step)
+    stretch = (AIMED_MOVE / first.clamp(min=1e-12)).pow(1 / 3).clamp(0.3, 4.0)
     step = torch.where(on, walk.step, taken * torch.where(good, torch.where(started, stretch, 1.0), 0.25))
     share = torch.where(good, walk.aim, walk.share)
     base = torch.where(good, walk.trial + newton, walk.base)  # the step is there, and the next ones build on it
+    bend = (new_tangent - walk.tangent) * (0.5 / taken.clamp(min=1e-12))
+    bend = torch.where(good, torch.where(started & (share < 1), bend, 0.0), walk.bend)
     tangent = torch.where(good, new_tangent, walk.tangent)
     speed = torch.where(good, new_speed, walk.speed)
     sign = torch.where(good, look.sign, walk.sign)
     ahead = torch.minimum(torch.minimum(step, LARGEST_MOVE / speed.clamp(min=1e-12)), 1 - share)
     aim = share + ahead
     aim = torch.where(aim > 1 - 1e-9, 1.0, aim)
+    guess = torch.addcmul(base, torch.addcmul(tangent, bend, ahead), ahead)
     return _Walk(
         walk.element,
         share,
         step,
         base,
         tangent,
+        bend,
         speed,
         sign,
         torch.where(on, walk.aim, aim),
-        torch.where(on, walk.trial + newton, torch.addcmul(base, tangent, ahead)),
+        torch.where(on, walk.trial + newton, guess),
         torch.where(on, walk.turn + 1, 0.0),
         torch.where(on, first, 0.0),
         torch.where(on, ratio, 0.0),

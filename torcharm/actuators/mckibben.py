@@ -122,7 +122,8 @@ class McKibben:
         rate = rate.masked_fill_(idle, 0.0)
         collapsed = (strain < _STRAIN_LIM) & ~pulling
         if bool(collapsed.any()):
-            collapse = torch.where(strain >= _STRAIN_CRIT, _RISE_RATE, _COLLAPSE_RATE) * (strain - _STRAIN_CRIT)
+            collapsing = select(strain >= _STRAIN_CRIT, strain.new_tensor(_RISE_RATE), strain.new_tensor(_COLLAPSE_RATE))
+            collapse = collapsing * (strain - _STRAIN_CRIT)
             rise = (pressure - _RISE_LIM).relu()
             steep = collapse * (strain - _STRAIN_CRIT)
             force = torch.where(collapsed, compression + steep * rise, force)
@@ -137,10 +138,10 @@ class McKibben:
             power = (exponent * log).exp_()  # p^x / p
             pull = gain * power * pressure
             stretch = (3 * 89998.04265 * x + 2 * 836.5810641) * x + 62.59606786
-            stretch += power * pressure * (2 * _B1 * _B2 * slack) + pull * (_B3 * log)
+            stretch = stretch + power * pressure * (2 * _B1 * _B2 * slack) + pull * (_B3 * log)
             force = torch.where(extended, _extension(x) + pull, force)
             slope = torch.where(extended, stretch, slope)
-            rate = torch.where(extended, gain * (1 + exponent) * power, rate)
+            rate = torch.where(extended, gain * (1 + exponent * (pressure > _TRACE)) * power, rate)
         scale = -self.force_scale
         return force.mul_(scale), slope.mul_(scale), rate.mul_(scale) if by_pressure else None
 

@@ -262,6 +262,25 @@ def march(
     return Marched(missing[:-1].amax(0), missing[-1], change, state[1:, 0], slid, rod.heading, rod.position, sign)
 
 
+def relax(arms: Arms, unknowns: Tensor, pressure: Tensor, pressures: Tensor) -> Marched:
+    """As `march` for arms that bear no load, whose sections do not know of each other; without shear and positions."""
+    own = _sections(arms, unknowns[0], unknowns[-1], pressure, True)
+    assert own.axial_rate is not None
+    assert own.moment_rate is not None
+    right = torch.stack((own.axial, (own.axial_rate * pressures).sum(1)), 1)
+    moment = torch.stack((own.moment, (own.moment_rate * pressures).sum(1)), 1)
+    missing = own.axial.abs().amax(0), own.moment.abs().amax(0)
+    a11, a12, a21, a22 = (entry.unsqueeze(1) for entry in own.stiffness)
+    determinant = torch.addcmul(a11 * a22, a12, a21, value=-1)
+    change = unknowns.new_zeros(len(unknowns), *right.shape)
+    torch.div(torch.addcmul(a12 * moment, a22, right, value=-1), determinant, out=change[0])
+    torch.div(torch.addcmul(a21 * right, a11, moment, value=-1), determinant, out=change[-1])
+    turned = change[-1].cumsum(0) / unknowns.shape[1]
+    sign = 1.0 - 2.0 * ((determinant < 0).sum((0, 1)) % 2).to(unknowns.dtype)
+    none = unknowns[:0]
+    return Marched(*missing, change, turned, none, none, none, sign)
+
+
 class _Sections(NamedTuple):
     """The reaction of the cross-sections, and its derivatives.
 
