@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torcharm import mechanics
-from torcharm._tracing import FIRST_SHARE, Course, Scale, Traced, trace
+from torcharm._tracing import FIRST_SHARE, Course, Scale, trace
 from torcharm.arm import ArmDesign
 
 LOOKS = 200
@@ -118,11 +118,18 @@ class Problem:
         return start
 
 
-def unloaded(problem: Problem, looks: int = LOOKS) -> Traced:
+class Settled(NamedTuple):
+    """Where the arms came to rest: (B, C, N), and whether they did (B,)."""
+
+    unknowns: Tensor
+    arrived: Tensor
+
+
+def unloaded(problem: Problem, looks: int = LOOKS) -> Settled:
     """The arm without load, one segment for all, continued from zero pressure; there, settled from straight."""
     filled = replace(problem, tip_load=torch.zeros_like(problem.tip_load))
     path = trace(filled.course(loading=False), problem.straight().movedim(0, -1).contiguous(), FIRST_FILLING, looks)
-    path = Traced(path.unknowns.movedim(-1, 0).contiguous(), path.arrived)
+    path = Settled(path.unknowns.movedim(-1, 0).contiguous(), path.arrived)
     left = ~path.arrived
     if bool(left.any()):  # where a force model jumps, say
         still = settle(filled[left], path.unknowns[left])
@@ -130,10 +137,10 @@ def unloaded(problem: Problem, looks: int = LOOKS) -> Traced:
     return path
 
 
-def loaded(problem: Problem, start: Tensor, looks: int = LOOKS) -> Traced:
+def loaded(problem: Problem, start: Tensor, looks: int = LOOKS) -> Settled:
     """The equilibrium of `start` (B, C, N), which bears no load, continued to the full load."""
     path = trace(problem.course(loading=True), start.movedim(0, -1).contiguous(), FIRST_SHARE, looks)
-    return Traced(path.unknowns.movedim(-1, 0).contiguous(), path.arrived)
+    return Settled(path.unknowns.movedim(-1, 0).contiguous(), path.arrived)
 
 
 def _move(problem: Problem, step: Tensor) -> Tensor:
@@ -141,13 +148,6 @@ def _move(problem: Problem, step: Tensor) -> Tensor:
     heading = step[:, -1].cumsum(-1).abs().amax(-1) / step.shape[-1]
     stretch = step[:, :-1].abs().flatten(1).amax(-1) + problem.reach * step[:, -1].abs().amax(-1)
     return torch.maximum(heading, 3 * stretch / problem.length)
-
-
-class Settled(NamedTuple):
-    """Where the arms came to rest: (B, C, N), and whether they did (B,)."""
-
-    unknowns: Tensor
-    arrived: Tensor
 
 
 def settle(problem: Problem, start: Tensor, damping: float = 0.4) -> Settled:

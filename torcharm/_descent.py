@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torcharm import mechanics
-from torcharm._box import LEAST_DAMPING, START_DAMPING, box_step, optimality
+from torcharm._box import LEAST_DAMPING, START_DAMPING, box_step
 from torcharm._tracing import CONTRACTION, KEPT, LARGEST_MOVE, Scale
 from torcharm.mechanics import Arms, Marched, pick
 
@@ -26,6 +26,8 @@ NARROWEST = 1e5
 """Damping at which the descent ends: it is held up, at a kink or where the branch ends."""
 FLOOR = 1e-14
 """Promised decrease of the cost at which the descent ends, absolute [m²]."""
+STIFF = 100.0
+"""Of a wall, over the largest entry of the normal matrix."""
 SETTLED = 1e-7
 """Newton's step at which it may end."""
 
@@ -55,8 +57,8 @@ class Goal:
         return Goal(pick(self.target, index), self.weight, self.turned)
 
     def cost(self, unknowns: Tensor, base_pose: Tensor) -> Tensor:
-        """(B,) [m²] the sum of squares at z (B, C, N)."""
-        pose = mechanics.kinematics(unknowns, base_pose).pose[:, 1:].permute(2, 1, 0)
+        """(B,) [m²] the sum of squares at z (C, N, B), from base poses (3, B)."""
+        pose = mechanics.kinematics(unknowns.movedim(-1, 0), base_pose.mT).pose[:, 1:].permute(2, 1, 0)
         return (self.error(pose) * self.weight).square().sum((0, 1))
 
     def error(self, pose: Tensor) -> Tensor:
@@ -91,6 +93,27 @@ class Goal:
         return products[0, 0], products[0, 1:], products[1:, 1:]
 
 
+@dataclass(frozen=True)
+class Searches:
+    """B searches.
+
+    Attributes:
+        arms, scale, goal: of each.
+        limits: (M, B) of pressure [kPa].
+        tolerance: of the load scale.
+    """
+
+    arms: Arms
+    scale: Scale
+    limits: Tensor
+    goal: Goal
+    tolerance: float
+
+    def __getitem__(self, index: Tensor) -> "Searches":
+        scale = Scale(*(pick(value, index) for value in self.scale))
+        return Searches(self.arms[index], scale, pick(self.limits, index), self.goal[index], self.tolerance)
+
+
 class Descended(NamedTuple):
     """Where the searches ended.
 
@@ -98,14 +121,12 @@ class Descended(NamedTuple):
         place: (M, B) pressures as shares of their limits.
         unknowns: (C, N, B).
         cost: (B,) infinite where no equilibrium was reached.
-        optimality: (B,) see `_box.optimality`; of the gradient by pressures as shares of their limits.
         ended: (B,) whether the descent ended by itself.
     """
 
     place: Tensor
     unknowns: Tensor
     cost: Tensor
-    optimality: Tensor
     ended: Tensor
 
 
@@ -133,17 +154,17 @@ class _State(NamedTuple):
 
 
 def descend(
-    arms: Arms, scale: Scale, limits: Tensor, goal: Goal, place: Tensor, unknowns: Tensor, *, gain: float, looks: int
+    searches: Searches, place: Tensor, unknowns: Tensor, *, gain: float, looks: int, wall: Tensor | None = None
 ) -> Descended:
     """Follow the cost down from starts that are equilibria, or nearly.
 
     Args:
-        arms, scale, goal: B of them.
-        limits: (M, B) of pressure [kPa].
+        searches: B of them.
         place: (M, B) pressures to start from, as shares of the limits.
         unknowns: (C, N, B) the equilibria there.
         gain: promised decrease of the cost, relative, at which the descent ends.
         looks: evaluations of the balance, at most.
+        wall: (M, B) normals, along which the pressures are held.
     """
     size, count = place.shape
     components, nodes, _ = unknowns.shape
@@ -168,9 +189,10 @@ def descend(
         none,
         none.bool(),
     )
-    out = Descended(place.clone(), unknowns.clone(), state.cost.clone(), state.cost.clone(), none.bool())
+    out = Descended(place.clone(), unknowns.clone(), state.cost.clone(), none.bool())
+    own = searches
     for _ in range(looks):
-        state = _advance(arms, scale, limits, goal, state, gain)
+        state = _advance(own, state, gain, wall)
         left = len(state.over) - int(state.over.sum())
         if left > KEPT * len(state.over):
             continue
@@ -179,7 +201,8 @@ def descend(
             return out
         on = (~state.over).nonzero().squeeze(-1)
         state = _State(*(pick(value, on) for value in state))
-        arms, scale, goal, limits = arms[on], Scale(*(pick(x, on) for x in scale)), goal[on], pick(limits, on)
+        own = own[on]
+        wall = pick(wall, on)
     _store(out, state)
     return out
 
@@ -187,12 +210,12 @@ def descend(
 def _store(out: Descended, state: _State) -> None:
     at = state.element
     out.place[:, at], out.unknowns[:, :, at], out.cost[at] = state.place, state.unknowns, state.cost
-    out.optimality[at] = 2 * optimality(state.gradient.mT, state.place.mT)
     out.ended[at] = state.cost.isfinite() & state.over
 
 
-def _advance(arms: Arms, scale: Scale, limits: Tensor, goal: Goal, state: _State, gain: float) -> _State:
+def _advance(own: Searches, state: _State, gain: float, wall: Tensor | None) -> _State:
     """One evaluation of the balance for each, and what follows. What is over stays as it is."""
+    arms, scale, limits, goal = own.arms, own.scale, own.limits, own.goal
     look = mechanics.march(arms, state.trial, state.trial_place * limits, each_pressure=limits)
     newton = look.change[:, :, 0]
     size = scale.moves(look.change[:, :, :1], look.turned[:, :1])[0]
@@ -226,7 +249,11 @@ def _advance(arms: Arms, scale: Scale, limits: Tensor, goal: Goal, state: _State
     # decreases that are next to nothing, one after the other
     stalled = torch.where(better, torch.where(drop < gain * cost, state.stalled + 1, 0.0), state.stalled)
 
-    step = box_step(normal.permute(2, 0, 1), gradient.mT, place.mT, damping).mT
+    bound = normal
+    if wall is not None:
+        stiff = STIFF * normal.diagonal(dim1=0, dim2=1).amax(-1)
+        bound = normal + stiff * wall.unsqueeze(0) * wall.unsqueeze(1)
+    step = box_step(bound.permute(2, 0, 1), gradient.mT, place.mT, damping).mT
     curved = (step * (normal * step).sum(1)).sum(0)
     dz, dturn = (motion * step).sum(2), (turned * step).sum(1)
     # Too far along the tangent to come back from: shorter

@@ -83,10 +83,14 @@ class Course:
 
 
 class Traced(NamedTuple):
-    """Where the paths ended: (C, N, B), and whether at their end (B,)."""
+    """Where the paths ended: (C, N, B), and whether at their end (B,); and their quickest points, which are next to a
+    bifurcation if there is any: z and dz/ds (C, N, B), and s (B,)."""
 
     unknowns: Tensor
     arrived: Tensor
+    quick: Tensor
+    rush: Tensor
+    share: Tensor
 
 
 class _Walk(NamedTuple):
@@ -101,6 +105,7 @@ class _Walk(NamedTuple):
         aim, trial: (A,) share and (C, N, A) unknowns of the attempt.
         turn: (A,) Newton steps made.
         first, ratio, moved: (A,) size of the first step, of the second over the first, and of all together.
+        quick, rush, haste, when: the quickest equilibrium so far, its tangent and speed, and the share.
         over: (A,) whether the path is at its end, or can be followed no further.
     """
 
@@ -119,9 +124,15 @@ class _Walk(NamedTuple):
     ratio: Tensor
     moved: Tensor
     over: Tensor
+    quick: Tensor
+    rush: Tensor
+    haste: Tensor
+    when: Tensor
 
 
-def trace(course: Course, start: Tensor, first_step: float, looks: int) -> Traced:
+def trace(
+    course: Course, start: Tensor, first_step: float, looks: int, least_share: float = LEAST_SHARE
+) -> Traced:
     """Follow the equilibria of s = 0 to s = 1, as far as they go.
 
     Args:
@@ -129,6 +140,7 @@ def trace(course: Course, start: Tensor, first_step: float, looks: int) -> Trace
         start: (C, N, B), near enough to the equilibrium at s = 0 for Newton's method.
         first_step: share that the first step tries.
         looks: evaluations of the balance, at most.
+        least_share: where no longer step succeeds, the path has ended.
     """
     count = start.shape[-1]
     none = start.new_zeros(count)
@@ -148,11 +160,15 @@ def trace(course: Course, start: Tensor, first_step: float, looks: int) -> Trace
         none,
         none,
         none.bool(),
+        start,
+        torch.zeros_like(start),
+        none,
+        none,
     )
-    out = Traced(start.clone(), none.bool())
+    out = Traced(start.clone(), none.bool(), start.clone(), torch.zeros_like(start), none.clone())
     own = course
     for _ in range(looks):
-        walk = _advance(own, walk)
+        walk = _advance(own, walk, least_share)
         left = len(walk.over) - int(walk.over.sum())
         if left > KEPT * len(walk.over):
             continue
@@ -168,9 +184,11 @@ def trace(course: Course, start: Tensor, first_step: float, looks: int) -> Trace
 def _store(out: Traced, walk: _Walk) -> None:
     out.unknowns[:, :, walk.element] = walk.base
     out.arrived[walk.element] = walk.share >= 1
+    out.quick[:, :, walk.element], out.rush[:, :, walk.element] = walk.quick, walk.rush
+    out.share[walk.element] = walk.when
 
 
-def _advance(course: Course, walk: _Walk) -> _Walk:
+def _advance(course: Course, walk: _Walk, least_share: float) -> _Walk:
     """One evaluation of the balance for each, and what follows from it. What is over stays as it is."""
     look = course.look(walk.trial, walk.aim)
     newton, new_tangent = look.change.unbind(2)
@@ -197,6 +215,7 @@ def _advance(course: Course, walk: _Walk) -> _Walk:
     tangent = torch.where(good, new_tangent, walk.tangent)
     speed = torch.where(good, new_speed, walk.speed)
     sign = torch.where(good, look.sign, walk.sign)
+    faster = good & (new_speed > walk.haste)
     ahead = torch.minimum(torch.minimum(step, LARGEST_MOVE / speed.clamp(min=1e-12)), 1 - share)
     aim = share + ahead
     aim = torch.where(aim > 1 - 1e-9, 1.0, aim)
@@ -216,5 +235,9 @@ def _advance(course: Course, walk: _Walk) -> _Walk:
         torch.where(on, first, 0.0),
         torch.where(on, ratio, 0.0),
         torch.where(on, moved, 0.0),
-        walk.over | ~(on | ((sign != 0) & (share < 1) & (step >= LEAST_SHARE))),
+        walk.over | ~(on | ((sign != 0) & (share < 1) & (step >= least_share))),
+        torch.where(faster, base, walk.quick),
+        torch.where(faster, new_tangent, walk.rush),
+        torch.where(faster, new_speed, walk.haste),
+        torch.where(faster, share, walk.when),
     )
