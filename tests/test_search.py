@@ -150,7 +150,8 @@ def test_box_step_solves_bounded_least_squares():
     right = 0
     for _ in range(40):
         a, b, place = generator.normal(size=(6, 4)), generator.normal(size=6), generator.random(4)
-        step = box_step(double(a.T @ a), double(a.T @ b), double(place), double(1e-14))
+        rows = (double(values).unsqueeze(-1) for values in (a.T @ a, a.T @ b, place))
+        step = box_step(*rows, double([1e-14])).squeeze(-1)
         answer = lsq_linear(a, a @ place - b, (0, 1), tol=1e-14).x
         end = place + step.numpy()
         assert (end >= -1e-12).all()

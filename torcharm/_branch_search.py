@@ -332,7 +332,7 @@ def _trials(block: _Block, best: Reached, free: Tensor) -> Tensor:
     _, gradient, matrix = own.goal.model(look)
     for damping in DAMPINGS:
         amount = torch.full_like(length, damping)
-        trials.append(place + box_step(matrix.permute(2, 0, 1), gradient.mT, place.mT, amount).mT)
+        trials.append(place + box_step(matrix, gradient, place, amount))
     trials += [torch.lerp(place, free, part) for part in SHORTENED]
     return torch.stack(trials, 1).nan_to_num(nan=0.5).clamp(0, 1)
 

@@ -253,7 +253,7 @@ def _advance(own: Searches, state: _State, gain: float, wall: Tensor | None) -> 
     if wall is not None:
         stiff = STIFF * normal.diagonal(dim1=0, dim2=1).amax(-1)
         bound = normal + stiff * wall.unsqueeze(0) * wall.unsqueeze(1)
-    step = box_step(bound.permute(2, 0, 1), gradient.mT, place.mT, damping).mT
+    step = box_step(bound, gradient, place, damping)
     curved = (step * (normal * step).sum(1)).sum(0)
     dz, dturn = (motion * step).sum(2), (turned * step).sum(1)
     # Too far along the tangent to come back from: shorter

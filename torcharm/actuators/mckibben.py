@@ -39,6 +39,13 @@ def _recovery(x: Tensor) -> Tensor:
     return 0.637225654 * (0.453137516 + x).square()
 
 
+_CONTRACTION = (
+    (0.0, 21.92761236, 126.11975, 320.5906703, 265.2968218),
+    (21.92761236, 2 * 126.11975, 3 * 320.5906703, 4 * 265.2968218, 0.0),
+    (0.0, -395.9792747, -1032.874471, 5991.799518, 34610.2847),
+    (-395.9792747, -2 * 1032.874471, 3 * 5991.799518, 4 * 34610.2847, 0.0),
+)
+"""C, C', Z and Z' by powers of the strain."""
 _AT_LIM = torch.tensor(_STRAIN_LIM, dtype=torch.float64)
 _RECOVERY_LIM = _recovery(_AT_LIM).item()
 _RISE_LIM = (_compression(_AT_LIM) / _recovery(_AT_LIM) + _threshold(_AT_LIM)).item()
@@ -104,20 +111,20 @@ class McKibben:
         self, strain: Tensor, pressure: Tensor, by_pressure: bool = True
     ) -> tuple[Tensor, Tensor, Tensor | None]:
         """f, ∂f/∂ε and, if wanted, ∂f/∂p; at a kink, the derivatives of `force`."""
-        compression, threshold = _compression(strain), _threshold(strain)
-        threshold_slope = ((4 * 34610.2847 * strain + 3 * 5991.799518) * strain - 2 * 1032.874471) * strain
-        threshold_slope -= 395.9792747
+        square = strain * strain
+        powers = torch.stack((torch.ones_like(strain), strain, square, square * strain, square * square))
+        table = strain.new_tensor(_CONTRACTION) @ powers.flatten(1)
+        compression, at_rest, threshold, threshold_slope = table.unflatten(1, strain.shape).unbind(0)
         beyond = pressure - threshold
         pulling = beyond >= 0
         # a rate times what the pressure is beyond Z, both in pull and on the way there
-        shift = select(pulling, strain.new_tensor(_A2), strain.new_tensor(0.453137516)) + strain
-        factor = select(pulling, strain.new_tensor(_A1), strain.new_tensor(0.637225654))
-        growth = factor * shift
+        pulls = pulling.to(strain.dtype)
+        shift = torch.add(strain, pulls, alpha=_A2 - 0.453137516).add_(0.453137516)
+        growth = pulls.mul_(_A1 - 0.637225654).add_(0.637225654).mul_(shift)
         rate = growth * shift
         force = rate * beyond
         slope = torch.addcmul(2 * growth * beyond, rate, threshold_slope, value=-1)
         idle = (force <= compression) & ~pulling
-        at_rest = ((4 * 265.2968218 * strain + 3 * 320.5906703) * strain + 2 * 126.11975) * strain + 21.92761236
         force, slope = torch.where(idle, compression, force), torch.where(idle, at_rest, slope)
         rate = rate.masked_fill_(idle, 0.0)
         collapsed = (strain < _STRAIN_LIM) & ~pulling

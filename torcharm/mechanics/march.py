@@ -136,7 +136,6 @@ def march(
     share: Tensor | None = None,
     *,
     each_pressure: Tensor | None = None,
-    pressures: Tensor | None = None,
     load: Tensor | None = None,
     poses: bool = True,
 ) -> Marched:
@@ -148,118 +147,110 @@ def march(
         pressure: (M, B) [kPa].
         share: (B,) of the tip load that acts; None is all.
         each_pressure: (M, B) changes of pressure: adds M right sides, one for each.
-        pressures: (M, B) changes of pressure, all at once: adds one right side.
-        load: (3, B) a change of the load: adds one right side; or to that of `pressures`.
+        load: (3, B) a change of the load: adds one right side.
         poses: whether the changes of positions are wanted.
     """
     components, count, batch = unknowns.shape
     step, shear = 1.0 / count, arms.shear_stiffness
     sums = unknowns.new_ones(count, count).tril()
-    acting = arms.tip_load if share is None else arms.tip_load * share
-    force_x, force_y, tip_moment = acting
+    force_x, force_y, tip_moment = (arms.tip_load if share is None else arms.tip_load * share).unbind(0)
     rod = _rod(unknowns, arms.base_pose, sums)
-    carried = rod.position[0] * force_y - rod.position[1] * force_x  # p × F after the segments
-    lifted = rod.stride[0] * force_y - rod.stride[1] * force_x
-    axial = rod.cos * force_x + rod.sin * force_y
-    across = rod.cos * force_y - rod.sin * force_x
-    own = _sections(arms, unknowns[0], unknowns[-1], pressure, each_pressure is not None or pressures is not None)
+    x, y = rod.position.unbind(0)
+    stride_x, stride_y = rod.stride.unbind(0)
+    length_x, length_y = rod.by_length.unbind(0)
+    curve_x, curve_y = rod.by_curvature.unbind(0)
+    axial = (rod.cos * force_x).addcmul_(rod.sin, force_y)
+    across = (rod.cos * force_y).addcmul_(rod.sin, force_x, value=-1)
+    behind_x, behind_y = x - stride_x, y - stride_y
+    lever_x, lever_y = x[-1] - behind_x, y[-1] - behind_y
+    carried = torch.addcmul(tip_moment, lever_x, force_y).addcmul_(lever_y, force_x, value=-1)
+    own = _sections(arms, unknowns[0], unknowns[-1], pressure, each_pressure is not None)
 
-    # Right sides: that of u, R, and the others
-    single = pressures is not None or load is not None
-    total = 2 + (0 if each_pressure is None else len(each_pressure)) + single
-    right = unknowns.new_empty(components, count, total, batch)
-    right[:, :, 0] = 0
-    right[-1, :, 0] = 1
-    right[0, :, 1] = own.axial + axial
-    right[-1, :, 1] = own.moment + (carried[-1] + tip_moment) - carried + lifted
-    sideways = acting.new_zeros(())
-    if shear is not None:
-        sideways = across / (shear * len(arms.models))  # γ where the arm is at rest
-        right[1, :, 1] = across - (shear * len(arms.models)) * unknowns[1]
-    missing = right[:, :, 1].abs().amax(1)
-    if own.axial_rate is not None and own.moment_rate is not None:
-        if each_pressure is not None:
-            torch.mul(own.axial_rate, each_pressure, out=right[0, :, 2:total - single])
-            torch.mul(own.moment_rate, each_pressure, out=right[-1, :, 2:total - single])
-            if shear is not None:
-                right[1, :, 2:total - single] = 0
-        if single:
-            right[:, :, -1] = 0
-        if pressures is not None:
-            right[0, :, -1] = (own.axial_rate * pressures).sum(1)
-            right[-1, :, -1] = (own.moment_rate * pressures).sum(1)
-    elif single:
-        right[:, :, -1] = 0
+    # Right sides (N, K, B): that of u, R, and the others
+    axial_miss, moment_miss = own.axial + axial, own.moment + carried
+    none = torch.zeros_like(axial_miss)
+    axials, moments = [none, axial_miss], [none + 1, moment_miss]
+    sideways = [none, across - (shear * len(arms.models)) * unknowns[1]] if shear is not None else []
     if load is not None:
-        right[0, :, -1] += rod.cos * load[0] + rod.sin * load[1]
-        lever = rod.position[:, -1:] - rod.position + rod.stride
-        right[-1, :, -1] += load[2] + lever[0] * load[1] - lever[1] * load[0]
-        if shear is not None:
-            right[1, :, -1] += rod.cos * load[1] - rod.sin * load[0]
+        load_x, load_y, load_moment = load.unbind(0)
+        axials.append((rod.cos * load_x).addcmul_(rod.sin, load_y))
+        moments.append(torch.addcmul(load_moment, lever_x, load_y).addcmul_(lever_y, load_x, value=-1))
+        sideways += [rod.cos * load_y - rod.sin * load_x] if sideways else []
+    right, right_moment = torch.stack(axials, 1), torch.stack(moments, 1)
+    if each_pressure is not None and own.axial_rate is not None and own.moment_rate is not None:
+        right = torch.cat((right, own.axial_rate * each_pressure), 1)
+        right_moment = torch.cat((right_moment, own.moment_rate * each_pressure), 1)
+        sideways += [none] * len(each_pressure) if sideways else []
 
     # Each section by itself
     a11, a12, a21, a22 = own.stiffness
     determinant = torch.addcmul(a11 * a22, a12, a21, value=-1)
-    inverse = torch.stack((a22, -a12, -a21, a11)).div_(determinant)
-    i11, i12, i21, i22 = inverse.unsqueeze(2)
-    free = torch.empty_like(right)
-    torch.mul(i11, right[0], out=free[0]).addcmul_(i12, right[-1]).neg_()
-    torch.mul(i21, right[0], out=free[-1]).addcmul_(i22, right[-1]).neg_()
-    bowed = inverse[::2] * across  # -δz by δθ
-    lift_length = rod.by_length[0] * force_y - rod.by_length[1] * force_x  # δw by δz
-    lift_curvature = rod.by_curvature[0] * force_y - rod.by_curvature[1] * force_x
+    i11, i12, i21, i22 = torch.stack((a22, a12.neg(), a21.neg(), a11)).div_(determinant).unbind(0)
+    first, second = i12.unsqueeze(1), i22.unsqueeze(1)
+    free_length = torch.mul(i11.unsqueeze(1), right).addcmul_(first, right_moment).neg_()
+    free_curvature = torch.mul(i21.unsqueeze(1), right).addcmul_(second, right_moment).neg_()
+    bow_length, bow_curvature = i11 * across, i21 * across  # -δz by δθ
+    lift_length = (length_x * force_y).addcmul_(length_y, force_x, value=-1)  # δw by δz
+    lift_curvature = (curve_x * force_y).addcmul_(curve_y, force_x, value=-1)
 
     # The march
-    transfer = unknowns.new_empty(count, 2, 2, batch)  # by column, row
-    torch.mul(bowed[1], -step, out=transfer[:, 0, 0]).add_(1)
-    torch.mul(inverse[3], step, out=transfer[:, 1, 0])
-    falling = -(rod.stride[0] * force_x + rod.stride[1] * force_y)
-    falling.addcmul_(lift_length, bowed[0], value=-1).addcmul_(lift_curvature, bowed[1], value=-1)
-    transfer[:, 0, 1] = falling
-    transfer[:, 1, 1] = (lift_length * inverse[1]).addcmul_(lift_curvature, inverse[3]).add_(1)
-    forced = unknowns.new_empty(count, 2, total, batch)
-    torch.mul(free[-1], step, out=forced[:, 0])
-    torch.mul(free[0], lift_length.unsqueeze(1), out=forced[:, 1]).addcmul_(free[-1], lift_curvature.unsqueeze(1))
+    falling = (stride_x * force_x).addcmul_(stride_y, force_y)
+    falling.addcmul_(lift_length, bow_length).addcmul_(lift_curvature, bow_curvature).neg_()
+    forced = (free_length * lift_length.unsqueeze(1)).addcmul_(free_curvature, lift_curvature.unsqueeze(1))
     if shear is not None:
         each = 1.0 / (shear * len(arms.models))
-        torch.mul(right[1], each, out=free[1])
-        yielding = axial * each  # -δγ by δθ
-        lift_shear = -(rod.by_length[1] * force_y + rod.by_length[0] * force_x)
-        transfer[:, 0, 1].addcmul_(lift_shear, yielding, value=-1)
-        forced[:, 1].addcmul_(free[1], lift_shear.unsqueeze(1))
-    state = unknowns.new_empty(count + 1, 2, total, batch)
+        free_shear, yielding = torch.stack(sideways, 1) * each, axial * each  # and -δγ by δθ
+        lift_shear = -(length_y * force_y + length_x * force_x)
+        falling.addcmul_(lift_shear, yielding, value=-1)
+        forced.addcmul_(free_shear, lift_shear.unsqueeze(1))
+    stay = torch.mul(bow_curvature, -step).add_(1)
+    rise = torch.addcmul(lift_length * i12, lift_curvature, i22).add_(1)
+    # rows (1 - h·, ·) act on δθ, rows (h·, 1 + ·) on δw
+    transfer = torch.stack((stay, falling, i22 * step, rise), 1).view(2 * count, 2, 1, batch).unbind(0)
+    pushes = torch.stack((free_curvature * step, forced), 1)
+    state = torch.empty((count + 1, *pushes.shape[1:]), dtype=pushes.dtype, device=pushes.device)
     state[0] = 0
-    state[1] = forced[0]
-    rows = state.unbind(0)[1:]
-    for before, after, push, part in zip(
-        rows[:-1], rows[1:], forced.unbind(0)[1:], transfer.unsqueeze(3).unbind(0)[1:], strict=True
-    ):
-        torch.addcmul(push, part[0], before[0], out=after).addcmul_(part[1], before[1])
+    state[1] = pushes[0]
+    after, single, push = state.unbind(0), state.flatten(0, 1).unbind(0), pushes.unbind(0)
+    for node in range(1, count):
+        torch.addcmul(push[node], transfer[2 * node], single[2 * node], out=after[node + 1])
+        after[node + 1].addcmul_(transfer[2 * node + 1], single[2 * node + 1])
 
     # The tip closes it: δw is δu
-    closing = 1 - state[-1, 1, 0]
-    tip = state[-1, 1, 1:] / closing
+    last = single[-1]
+    closing = 1 - last[0]
+    tip = last[1:] / closing
     state = torch.addcmul(state[:, :, 1:], state[:, :, :1], tip)
     turned, raised = state[:-1].unbind(1)
-    change = torch.addcmul(free[:, :, 1:], free[:, :, :1], tip)
-    change[0].addcmul_(bowed[0].unsqueeze(1), turned, value=-1).addcmul_(i12, raised)
-    change[-1].addcmul_(bowed[1].unsqueeze(1), turned, value=-1).addcmul_(i22, raised)
-    if shear is not None:
-        change[1].addcmul_(yielding.unsqueeze(1), turned, value=-1)
+    d_length = torch.addcmul(free_length[:, 1:], free_length[:, :1], tip)
+    d_length.addcmul_(bow_length.unsqueeze(1), turned, value=-1).addcmul_(first, raised)
+    d_curvature = torch.addcmul(free_curvature[:, 1:], free_curvature[:, :1], tip)
+    d_curvature.addcmul_(bow_curvature.unsqueeze(1), turned, value=-1).addcmul_(second, raised)
     sign = closing.sign() * (1 - 2 * ((determinant < 0).sum(0) % 2)).to(closing.dtype)
-    if shear is not None and count % 2:
-        sign = -sign
+    parts, force_missing = [d_length, d_curvature], axial_miss.abs().amax(0)
+    if shear is not None:
+        d_shear = torch.addcmul(free_shear[:, 1:], yielding.unsqueeze(1), turned, value=-1)
+        parts.insert(1, d_shear)
+        force_missing = torch.maximum(force_missing, sideways[1].abs().amax(0))
+        sign = -sign if count % 2 else sign
     slid = state[:0]
     if poses:
-        slid = unknowns.new_empty(2, *turned.shape)
-        torch.mul(turned, -rod.stride[1].unsqueeze(1), out=slid[0])
-        torch.mul(turned, rod.stride[0].unsqueeze(1), out=slid[1])
-        slid.addcmul_(change[0], rod.by_length.unsqueeze(2)).addcmul_(change[-1], rod.by_curvature.unsqueeze(2))
+        slid = torch.stack((turned * -stride_y.unsqueeze(1), turned * stride_x.unsqueeze(1)))
+        slid.addcmul_(d_length, rod.by_length.unsqueeze(2)).addcmul_(d_curvature, rod.by_curvature.unsqueeze(2))
         if shear is not None:
-            slid[0].addcmul_(change[1], rod.by_length[1].unsqueeze(1), value=-1)
-            slid[1].addcmul_(change[1], rod.by_length[0].unsqueeze(1))
+            slid[0].addcmul_(d_shear, length_y.unsqueeze(1), value=-1)
+            slid[1].addcmul_(d_shear, length_x.unsqueeze(1))
         slid = (sums @ slid.flatten(2)).view_as(slid)
-    return Marched(missing[:-1].amax(0), missing[-1], change, state[1:, 0], slid, rod.heading, rod.position, sign)
+    return Marched(
+        force_missing,
+        moment_miss.abs().amax(0),
+        torch.stack(parts),
+        state[1:, 0],
+        slid,
+        rod.heading,
+        rod.position,
+        sign,
+    )
 
 
 def relax(arms: Arms, unknowns: Tensor, pressure: Tensor, pressures: Tensor) -> Marched:
