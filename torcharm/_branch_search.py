@@ -23,9 +23,9 @@ from torcharm.mechanics import pick
 
 CANDIDATES = 2
 """Pressures that are loaded, for each start."""
-POOL = 8
+POOL = 4
 """Pressures that compete, to first order at the task shape, for each start that is guided."""
-LOOKS, LEAST_SHARE = 50, 4e-3
+LOOKS, LEAST_SHARE = 40, 4e-3
 """Of paths: evaluations of the balance at most, and the share of the load below which they are given up."""
 DESCENT_LOOKS, AGAIN_LOOKS, WALL_LOOKS = 20, 12, 8
 """Evaluations of the balance in a descent; in one that goes on; in one along a boundary."""
@@ -37,8 +37,10 @@ FLIPS = 10
 """Steps across a boundary, from a hundredth of the box to all of it and more."""
 PARTS, OFFSETS = (1.0, 0.3), (0.0, 0.03, 0.1, 0.3)
 """Of a step along a boundary: parts that are tried, and moves away from it, in lengths of the step."""
-DAMPINGS = (1e-4, 1e-2, 1e-1, 1.0, 10.0, 100.0)
+DAMPINGS = (1.0, 10.0, 100.0)
 """Of the steps regardless of it."""
+AHEAD = ((1.0, 0.0), (1.0, 0.1), (3.0, 0.0), (3.0, 0.1))
+"""Once more as far as the last time: how many times, and how far away from the boundary besides."""
 SHORTENED = (0.3, 0.1)
 """Parts of a descent that was not confirmed."""
 LEAST_STEP = 1e-3
@@ -150,12 +152,12 @@ def search_block(problem: Problem, goal: Goal, shape: Tensor, starts: int, hops:
     end = descend(own[many], begun.place, begun.unknowns, gain=GAIN, looks=DESCENT_LOOKS)
     found = block[many].reach(end.place)
     state = _State.of(begun, end, found, total)
-    if hops:
-        _across(block, state, end, found)
+    crossings = _crossings(block, state, end, found)
     for _ in range(hops):
         if not bool(state.active.any()):
             break
-        _work(block, state)
+        _work(block, state, crossings)
+        crossings = None
     return _finish(problem, block, state)
 
 
@@ -166,6 +168,7 @@ def _begin(block: _Block, wanted: Tensor, starts: int, seed: int) -> Reached:
     size = len(own.limits)
     like = own.limits
     guided, spread = starts, spread_points(starts * (CANDIDATES - 1), size, like, seed)
+    spread[1:] = (1.6 * spread[1:] - 0.3).clamp(0, 1)
     pool = torch.rand(guided * POOL, size, generator=torch.Generator().manual_seed(seed)).to(like)
     pool = (1.2 * pool - 0.1).clamp(0, 1)  # the bounds are where optima like to be
     expected = _expected_cost(own, wanted, pool).unflatten(0, (guided, POOL))
@@ -207,7 +210,8 @@ class _State:
     """Where T searches are.
 
     Attributes:
-        best: what is the best of what is confirmed.
+        best: of what is confirmed.
+        before: (M, T) the place before it.
         converged: (T,) whether it is the end of a descent.
         active: (T,) whether there is more to do.
         held: (T,) whether the descent from there leads over a boundary.
@@ -215,6 +219,7 @@ class _State:
     """
 
     best: Reached
+    before: Tensor
     converged: Tensor
     active: Tensor
     held: Tensor
@@ -234,7 +239,7 @@ class _State:
         warm = torch.where(same, float("inf"), end.cost).view(-1, total).amin(0)
         held = _worth(warm, best.cost)
         start = torch.minimum(found.cost, begun.cost).view(-1, total)
-        return _State(best, converged & ~held, ~converged | held, held, start)
+        return _State(best, best.place.clone(), converged & ~held, ~converged | held, held, start)
 
 
 def _same(found: Reached, unknowns: Tensor) -> Tensor:
@@ -247,19 +252,15 @@ def _worth(cost: Tensor, best: Tensor) -> Tensor:
     return cost < best * (1 - 1e-4) - 1e-12
 
 
-def _across(block: _Block, state: _State, end: Descended, found: Reached) -> None:
-    """Where the best descent was not confirmed: cross the boundary from its end, against the way the arm gives."""
-    total = len(state.held)
-    rows = state.held.nonzero().squeeze(-1)
-    if not len(rows):
-        return
+def _crossings(block: _Block, state: _State, end: Descended, found: Reached) -> Tensor:
+    """(M, Q, H) pressures to try where the best descent was not confirmed: across the boundary from its end, against
+    the way the arm gives there."""
+    total, rows = len(state.held), state.held.nonzero().squeeze(-1)
     warm = torch.where(_same(found, end.unknowns), float("inf"), end.cost).view(-1, total)
     wrong = found.at(warm.argmin(0)[rows] * total + rows)
     normal = _normal(block[rows], wrong)
     reach = torch.logspace(-2, 0.2, FLIPS).to(normal)
-    places = (wrong.place.unsqueeze(1) - reach.unsqueeze(-1) * normal.unsqueeze(1)).clamp(0, 1).flatten(1)
-    many = rows.repeat(FLIPS)
-    _take(state, many, block[many].reach(places, wrong.rest.repeat(1, 1, FLIPS)))
+    return (wrong.place.unsqueeze(1) - reach.unsqueeze(-1) * normal.unsqueeze(1)).clamp(0, 1)
 
 
 def _normal(block: _Block, at: Reached) -> Tensor:
@@ -277,8 +278,8 @@ def _normal(block: _Block, at: Reached) -> Tensor:
     return normal / normal.norm(dim=0).clamp(min=1e-300)
 
 
-def _take(state: _State, rows: Tensor, found: Reached) -> Tensor:
-    """The best of what was found for some of the searches (B,), where it is better; returns the places taken."""
+def _take(state: _State, rows: Tensor, found: Reached) -> None:
+    """The best of what was found for some of the searches (B,), where it is better."""
     total = len(state.held)
     order = found.cost.argsort(stable=True)
     first = torch.full((total,), -1, dtype=torch.long, device=rows.device)
@@ -288,37 +289,33 @@ def _take(state: _State, rows: Tensor, found: Reached) -> Tensor:
     better = found.cost[taken] < state.best.cost[have]
     have, taken = have[better], taken[better]
     state.best.put(have, found.at(taken))
-    state.converged[have] = False
-    return taken
 
 
-def _work(block: _Block, state: _State) -> None:
-    """Descend further from the best; and where that leads over a boundary, along it."""
+def _work(block: _Block, state: _State, crossings: Tensor | None) -> None:
+    """Descend further from the best; and where that leads over a boundary, along it, or first of all across it."""
     rows = state.active.nonzero().squeeze(-1)
-    part, best = block[rows], state.best.at(rows)
+    part, best, before = block[rows], state.best.at(rows), pick(state.before, rows)
     end = descend(part.searches, best.place, best.unknowns, gain=GAIN, looks=AGAIN_LOOKS)
     at = state.held[rows].nonzero().squeeze(-1)
     held = rows[at]
-    places, owners = [end.place], [rows]
-    if len(held):
-        trials = _trials(block[held], best.at(at), pick(end.place, at))
-        places.append(trials.flatten(1))
-        owners.append(held.repeat(trials.shape[1]))
-    many = torch.cat(owners)
-    found = block[many].reach(torch.cat(places, 1), pick(state.best.rest, many))
-    taken = _take(state, many, found)
+    trials = crossings
+    if trials is None:
+        trials = _trials(block[held], best.at(at), pick(before, at), pick(end.place, at))
+    many = torch.cat((rows, held.repeat(trials.shape[1])))
+    places = torch.cat((end.place, trials.flatten(1)), 1)
+    state.before[:, rows] = best.place
+    found = block[many].reach(places, pick(state.best.rest, many))
+    _take(state, many, found)
     count = len(rows)
     own_end = found.at(torch.arange(count, device=rows.device))
     same = _same(own_end, end.unknowns)
-    ends = torch.zeros_like(state.active)
-    ends[many[taken]] = taken < count
-    done = same & end.ended & (ends[rows] | (own_end.cost <= state.best.cost[rows]))
+    done = same & end.ended & (own_end.cost <= state.best.cost[rows])
     state.converged[rows] = done
     state.held[rows] = ~same & _worth(end.cost, state.best.cost[rows])
     state.active[rows] = ~done
 
 
-def _trials(block: _Block, best: Reached, free: Tensor) -> Tensor:
+def _trials(block: _Block, best: Reached, before: Tensor, free: Tensor) -> Tensor:
     """(M, Q, H) pressures to try from the best confirmed of H searches, where the descent to `free` (M, H) leads
     over a boundary: along the boundary and away from it, and towards it in steps of any length."""
     own, place = block.searches, best.place
@@ -334,6 +331,9 @@ def _trials(block: _Block, best: Reached, free: Tensor) -> Tensor:
         amount = torch.full_like(length, damping)
         trials.append(place + box_step(matrix, gradient, place, amount))
     trials += [torch.lerp(place, free, part) for part in SHORTENED]
+    ahead = place - before
+    for factor, offset in AHEAD:
+        trials.append(place + factor * (ahead + offset * ahead.norm(dim=0) * inner))
     return torch.stack(trials, 1).nan_to_num(nan=0.5).clamp(0, 1)
 
 

@@ -25,6 +25,8 @@ SMALL_MOVE = 0.06
 On the way, a Newton step so short is taken, and the path goes on from there."""
 AIMED_MOVE = 0.03
 """Newton step for which the steps along the path are made."""
+UNLOADED = 4.0
+"""Times as much of both, without load: sections do not know of each other, and there are no branches to miss."""
 CONTRACTION = 0.5
 """Largest ratio of the second Newton step to the first."""
 CORRECTIONS = 8
@@ -195,10 +197,11 @@ def _advance(course: Course, walk: _Walk, least_share: float) -> _Walk:
     size, new_speed = course.scale.moves(look.change, look.turned)
     first = torch.where(walk.turn == 0, size, walk.first)
     ratio = torch.where(walk.turn == 1, size / first.clamp(min=1e-300), walk.ratio)
+    ease = 1.0 if course.loading else UNLOADED
     last = walk.aim >= 1
-    there = torch.where(last, course.scale.imbalance(look) <= course.tolerance, size <= SMALL_MOVE)
+    there = torch.where(last, course.scale.imbalance(look) <= course.tolerance, size <= ease * SMALL_MOVE)
     moved = torch.where(there, walk.moved, walk.moved + size)
-    trusted = (ratio < CONTRACTION) | (moved < SMALL_MOVE)
+    trusted = (ratio < CONTRACTION) | (moved < ease * SMALL_MOVE)
     same = (look.sign == walk.sign) | (walk.sign == 0)
     good = there & trusted & same & new_speed.isfinite() & ~walk.over
     on = ~there & trusted & (moved < LARGEST_MOVE) & (walk.turn < CORRECTIONS) & ~walk.over  # a NaN is not on
@@ -206,7 +209,7 @@ def _advance(course: Course, walk: _Walk, least_share: float) -> _Walk:
     # Ahead from a new equilibrium, or once more from the last with a shorter step
     started = walk.sign != 0
     taken = torch.where(started, walk.aim - walk.share, walk.step)
-    stretch = (AIMED_MOVE / first.clamp(min=1e-12)).pow(1 / 3).clamp(0.3, 4.0)
+    stretch = (ease * AIMED_MOVE / first.clamp(min=1e-12)).pow(1 / 3).clamp(0.3, 4.0)
     step = torch.where(on, walk.step, taken * torch.where(good, torch.where(started, stretch, 1.0), 0.25))
     share = torch.where(good, walk.aim, walk.share)
     base = torch.where(good, walk.trial + newton, walk.base)  # the step is there, and the next ones build on it

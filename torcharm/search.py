@@ -66,7 +66,7 @@ def search_pressure(
     method: str = "batched",
     *,
     starts: int | None = None,
-    hops: int = 2,
+    hops: int = 3,
     node_weights: str | Tensor | Sequence[float] = "ramp",
     error_weights: Sequence[float] = (1.0, 1.0, 0.05),
     shear_stiffness: float | None = None,
