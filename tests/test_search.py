@@ -31,15 +31,15 @@ def cost_at(arm, task, pressure, weights):
     return total
 
 
-@pytest.mark.parametrize("name", ARMS)
-def test_tasks_that_are_held_are_found(name):
+@pytest.mark.parametrize(("name", "bound"), [("antagonistic", 1e-12), ("bellows", 1e-10)])
+def test_tasks_that_are_held_are_found(name, bound):
     arm = ARMS[name]
     pressure, load = 0.6 * arm.max_pressure * double([0.5, 0.8, 0.4, 1.0]), double([1.0, -2.0, 0.1])
     task = held_task(arm, pressure, load)
-    found = ta.search_pressure(arm, task, starts=4, hops=0)
+    found = ta.search_pressure(arm, task, starts=4, hops=1)
     # Four alike bellows bear on two components of a wrench: along two directions of pressure the cost is all but
-    # flat, and the descent ends on a promise of 1e-14 m². The bound is a tip some 10 µm off.
-    assert found.cost < 1e-10
+    # flat, and the descent ends on a promise of 1e-14 m². Their bound is a tip some 10 µm off.
+    assert found.cost < bound
     assert found.tip_error < 2e-5
     assert found.converged
     assert found.optimality < 1e-6

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torcharm import mechanics
 from torcharm._box import box_step, optimality, spread_points
-from torcharm._continuation import FIRST_FILLING, Problem
+from torcharm._continuation import FIRST_FILLING, Problem, resting
 from torcharm._descent import Descended, Goal, Searches, descend
 from torcharm._tracing import FIRST_SHARE, Course, trace
 from torcharm.equilibrium import solved
@@ -27,8 +27,8 @@ POOL = 4
 """Pressures that compete, to first order at the task shape, for each start that is guided."""
 LOOKS, LEAST_SHARE = 40, 4e-3
 """Of paths: evaluations of the balance at most, and the share of the load below which they are given up."""
-DESCENT_LOOKS, AGAIN_LOOKS, WALL_LOOKS = 20, 12, 8
-"""Evaluations of the balance in a descent; in one that goes on; in one along a boundary."""
+DESCENT_LOOKS, ONLY_LOOKS, AGAIN_LOOKS, WALL_LOOKS = 20, 80, 12, 8
+"""Evaluations of the balance in a descent; in one without further rounds; in one that goes on; along a boundary."""
 GAIN, WALL_GAIN = 1e-9, 1e-4
 """Relative decrease of the cost at which they end."""
 SAME_SHAPE = 1e-6
@@ -79,18 +79,18 @@ class Reached(NamedTuple):
 
 @dataclass(frozen=True)
 class _Block:
-    """T searches, with what continuation starts from: straight arms (C, 1, T)."""
+    """T searches, with what continuation starts from: idle arms (C, 1, T), without load or pressure."""
 
     searches: Searches
-    straight: Tensor
+    idle: Tensor
     nodes: int
 
     def __getitem__(self, index: Tensor) -> "_Block":
-        return _Block(self.searches[index], pick(self.straight, index), self.nodes)
+        return _Block(self.searches[index], pick(self.idle, index), self.nodes)
 
     def rest(self, place: Tensor) -> tuple[Tensor, Tensor]:
         """The unloaded arms (C, 1, B) at (M, B), continued from zero pressure; and whether there."""
-        path = trace(self._course(place, False), self.straight, FIRST_FILLING, LOOKS, LEAST_SHARE)
+        path = trace(self._course(place, False), self.idle, FIRST_FILLING, LOOKS, LEAST_SHARE)
         return path.unknowns, path.arrived
 
     def rest_near(self, place: Tensor, near: Tensor) -> tuple[Tensor, Tensor]:
@@ -143,16 +143,16 @@ def search_block(problem: Problem, goal: Goal, shape: Tensor, starts: int, hops:
     """
     arms = problem.arms
     own = Searches(arms, problem.scale, problem.arm.max_pressure.mT.contiguous(), goal, problem.tolerance)
-    block = _Block(own, problem.straight().movedim(0, -1).contiguous(), shape.shape[-1])
+    block = _Block(own, resting(problem).unknowns.movedim(0, -1).contiguous(), shape.shape[-1])
     wanted = shape.movedim(0, -1).contiguous()
     begun = _begin(block, wanted, starts, seed)
     total, count = len(problem.pressure), starts
     every = torch.arange(total, device=shape.device)
     many = every.repeat(count)
-    end = descend(own[many], begun.place, begun.unknowns, gain=GAIN, looks=DESCENT_LOOKS)
+    end = descend(own[many], begun.place, begun.unknowns, gain=GAIN, looks=DESCENT_LOOKS if hops else ONLY_LOOKS)
     found = block[many].reach(end.place)
     state = _State.of(begun, end, found, total)
-    crossings = _crossings(block, state, end, found)
+    crossings: Tensor | None = _crossings(block, state, end, found)
     for _ in range(hops):
         if not bool(state.active.any()):
             break
@@ -187,7 +187,7 @@ def _begin(block: _Block, wanted: Tensor, starts: int, seed: int) -> Reached:
         return begun
     first = pool[expected.flatten(0, 1).argmin(0)].mT
     none = wanted.new_full((total,), float("inf"))
-    at_shape = Reached(first, none, wanted, block.straight, wanted, torch.zeros_like(wanted), torch.zeros_like(none))
+    at_shape = Reached(first, none, wanted, block.idle, wanted, torch.zeros_like(wanted), torch.zeros_like(none))
     return Reached(*(torch.cat(pair, -1) for pair in zip(begun, at_shape, strict=True)))
 
 
@@ -269,9 +269,7 @@ def _normal(block: _Block, at: Reached) -> Tensor:
     Next to a bifurcation all changes are along one vector, with the tangent; whoever goes along it stays on the branch.
     """
     own = block.searches
-    look = mechanics.march(
-        own.arms, at.quick, at.place * own.limits, at.share, each_pressure=own.limits, poses=False
-    )
+    look = mechanics.march(own.arms, at.quick, at.place * own.limits, at.share, each_pressure=own.limits, poses=False)
     rush = at.rush.clone()
     rush[:-1] /= own.scale.length**2
     normal = (look.change[:, :, 1:] * rush.unsqueeze(2)).sum((0, 1)).nan_to_num()

@@ -125,16 +125,28 @@ class Settled(NamedTuple):
     arrived: Tensor
 
 
+def resting(problem: Problem) -> Settled:
+    """The arm without load or pressure, one segment for all: straight if that is at rest, else settled from there."""
+    none = torch.zeros_like(problem.pressure), torch.zeros_like(problem.tip_load)
+    idle = replace(problem, pressure=none[0], tip_load=none[1])
+    unknowns = problem.straight()
+    arrived = idle.imbalance(idle.residual(unknowns)) <= problem.tolerance
+    left = ~arrived
+    if bool(left.any()):
+        unknowns[left], arrived[left] = settle(idle[left], unknowns[left])
+    return Settled(unknowns, arrived)
+
+
 def unloaded(problem: Problem, looks: int = LOOKS) -> Settled:
     """The arm without load, one segment for all, continued from zero pressure; there, settled from straight."""
+    rest = resting(problem)
     filled = replace(problem, tip_load=torch.zeros_like(problem.tip_load))
-    path = trace(filled.course(loading=False), problem.straight().movedim(0, -1).contiguous(), FIRST_FILLING, looks)
-    path = Settled(path.unknowns.movedim(-1, 0).contiguous(), path.arrived)
-    left = ~path.arrived
+    path = trace(filled.course(loading=False), rest.unknowns.movedim(0, -1).contiguous(), FIRST_FILLING, looks)
+    found = Settled(path.unknowns.movedim(-1, 0).contiguous(), path.arrived & rest.arrived)
+    left = ~found.arrived
     if bool(left.any()):  # where a force model jumps, say
-        still = settle(filled[left], path.unknowns[left])
-        path.unknowns[left], path.arrived[left] = still
-    return path
+        found.unknowns[left], found.arrived[left] = settle(filled[left], found.unknowns[left])
+    return found
 
 
 def loaded(problem: Problem, start: Tensor, looks: int = LOOKS) -> Settled:

@@ -2,9 +2,9 @@
 
 Projected Levenberg-Marquardt on the pose errors, in pressures and twists together: a step changes the pressures, moves
 the twists by their implicit derivative, and takes the Newton step that was due. One evaluation of the balance
-serves both methods, and poses count as Newton's step corrects them, so that no time is spent on settling. Where Newton's
-step is not small, or the determinant of the stiffness changes its sign, the step was too long. Each element goes
-at its own pace. The batch comes last, as in `mechanics.march`.
+serves both methods, and poses count as Newton's step corrects them, so that no time is spent on settling. Where
+Newton's step is not small, or the determinant of the stiffness changes its sign, the step was too long. Each element
+goes at its own pace. The batch comes last, as in `mechanics.march`.
 """
 
 from dataclasses import dataclass
@@ -79,9 +79,7 @@ class Goal:
             cos, sin = pose[2].cos().unsqueeze(1), pose[2].sin().unsqueeze(1)
             x, y, turn = columns
             first, second = error[:2].unsqueeze(2)
-            columns = torch.stack(
-                (cos * x + sin * y - second * turn, cos * y - sin * x + first * turn, turn)
-            )
+            columns = torch.stack((cos * x + sin * y - second * turn, cos * y - sin * x + first * turn, turn))
         columns[:, :, 0] += error
         columns = (columns * self.weight.unsqueeze(2)).flatten(0, 1)
         size = columns.shape[1]

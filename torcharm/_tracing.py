@@ -78,9 +78,7 @@ class Course:
     def look(self, unknowns: Tensor, share: Tensor) -> Marched:
         """The balance at z and s, with Newton's step and the tangent dz/ds as its two changes."""
         if self.loading:
-            return mechanics.march(
-                self.arms, unknowns, self.pressure, share, load=self.arms.tip_load, poses=False
-            )
+            return mechanics.march(self.arms, unknowns, self.pressure, share, load=self.arms.tip_load, poses=False)
         return mechanics.relax(self.arms, unknowns, self.pressure * share, self.pressure)
 
 
@@ -132,9 +130,7 @@ class _Walk(NamedTuple):
     when: Tensor
 
 
-def trace(
-    course: Course, start: Tensor, first_step: float, looks: int, least_share: float = LEAST_SHARE
-) -> Traced:
+def trace(course: Course, start: Tensor, first_step: float, looks: int, least_share: float = LEAST_SHARE) -> Traced:
     """Follow the equilibria of s = 0 to s = 1, as far as they go.
 
     Args:

@@ -129,7 +129,9 @@ class McKibben:
         rate = rate.masked_fill_(idle, 0.0)
         collapsed = (strain < _STRAIN_LIM) & ~pulling
         if bool(collapsed.any()):
-            collapsing = select(strain >= _STRAIN_CRIT, strain.new_tensor(_RISE_RATE), strain.new_tensor(_COLLAPSE_RATE))
+            collapsing = select(
+                strain >= _STRAIN_CRIT, strain.new_tensor(_RISE_RATE), strain.new_tensor(_COLLAPSE_RATE)
+            )
             collapse = collapsing * (strain - _STRAIN_CRIT)
             rise = (pressure - _RISE_LIM).relu()
             steep = collapse * (strain - _STRAIN_CRIT)

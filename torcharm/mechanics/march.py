@@ -85,11 +85,10 @@ def _rod(unknowns: Tensor, base_pose: Tensor, sums: Tensor) -> _Rod:
     half = curvature * (step / 2)
     middle = heading - half
     cos, sin = middle.cos(), middle.sin()
-    least = torch.finfo(half.dtype).eps ** 0.375  # nearer to zero the quotients are as at zero
-    held = torch.where(half.abs() < least, half.new_tensor(least), half)
-    cos_half, sin_half = held.cos(), held.sin()
-    ratio = sin_half / held
-    slope = (cos_half - ratio).div_(held).mul_(step**2 / 2)
+    cos_half, sin_half = half.cos(), half.sin()
+    ratio = torch.where(half == 0, 1.0, sin_half / half)
+    least = torch.finfo(half.dtype).eps ** 0.375  # nearer to zero the difference is of rounding, and a series exact
+    slope = torch.where(half.abs() < least, half / -3, (cos_half - ratio) / half).mul_(step**2 / 2)
     scale = ratio.mul_(step)
     by_length = torch.stack((cos * scale, sin * scale))
     a, b = by_length
