@@ -35,7 +35,7 @@ class PressureSearch:
         residual: (*batch) its imbalance, as of `solve_equilibrium`.
         continued: (*batch) whether continuation from zero load reaches it.
         converged: (*batch) whether it is an equilibrium, and the descent to it came to its end. False where the best
-            descent leads on, to where continuation does not follow: the best pressure then is next to a jump of the cost.
+            descent leads on to where continuation does not follow: the pressure then is next to a jump of the cost.
         optimality: (*batch) first-order optimality [m²]: the largest entry of the projected gradient, by pressures as
             shares of their limits. At a kink of a force model it does not vanish.
         start_cost: (*batch, S) what each start came to by itself, without rounds; infinite where it failed.
@@ -86,8 +86,9 @@ def search_pressure(
     "batched" descends from all starts of all tasks at once, by projected Levenberg-Marquardt steps in pressures and
     shapes together. Of pressures that are promising to first order at the task shape, or spread over the box, the best
     are its starts, and one more descent begins at the task shape itself. Ends are confirmed by continuation. Under
-    compression it may lead elsewhere: an arm buckles to one side or to the other, and the best pressures often lie where
-    that is decided. There the cost jumps; the search goes on along the boundary, in rounds, and is not `converged`.
+    compression it may lead elsewhere: an arm buckles to one side or to the other, and the best pressures often lie
+    where that is decided. There the cost jumps; the search goes on along the boundary, in rounds, and is not
+    `converged`.
     "scipy" is the paper's baseline, one pressure at a time: `scipy.optimize.minimize` with finite differences, from
     the middle of the box and, for more starts, from points spread over it.
 
@@ -96,8 +97,8 @@ def search_pressure(
         task: tasks, of any batch shape; the search is an outer product.
         method: "batched" or "scipy".
         starts: S, the number of descents; None takes 4 (batched) or 1 (scipy).
-        hops: rounds at most, after the first descents, for what is not at its end: descents that go on, and moves across
-            and along boundaries (batched).
+        hops: rounds at most, after the first descents, for what is not at its end: descents that go on, and moves
+            across and along boundaries (batched).
         node_weights: ω. "ramp" is `linspace(0, 1, N)` on nodes 1 to N (the paper's validation), "uniform" ones on these
             (its shape study), "tip" the tip alone; or N or N+1 numbers, the last of N+1 for the tip.
         error_weights: K's diagonal, on x², y² [1] and θ² [m²/rad²]; (1, 1, 0) counts positions only.

@@ -46,8 +46,8 @@ class Arms:
     @staticmethod
     def of(arm: ArmDesign, tip_load: Tensor, base_pose: Tensor, shear_stiffness: float | None) -> "Arms":
         """From B designs, loads (B, 3) and base poses (B, 3)."""
-        rows = (arm.radii.mT.unsqueeze(1), arm.length.mT.unsqueeze(1), tip_load.mT, base_pose.mT)
-        return Arms(arm.actuators, *(row.contiguous() for row in rows), shear_stiffness)
+        radii, length = (row.mT.unsqueeze(1).contiguous() for row in (arm.radii, arm.length))
+        return Arms(arm.actuators, radii, length, tip_load.mT.contiguous(), base_pose.mT.contiguous(), shear_stiffness)
 
     def __getitem__(self, index: Tensor) -> "Arms":
         return Arms(*(pick(getattr(self, field.name), index) for field in fields(self)))
@@ -149,7 +149,7 @@ def march(
         load: (3, B) a change of the load: adds one right side.
         poses: whether the changes of positions are wanted.
     """
-    components, count, batch = unknowns.shape
+    count, batch = unknowns.shape[-2:]
     step, shear = 1.0 / count, arms.shear_stiffness
     sums = unknowns.new_ones(count, count).tril()
     force_x, force_y, tip_moment = (arms.tip_load if share is None else arms.tip_load * share).unbind(0)
@@ -316,8 +316,10 @@ def _sections(arms: Arms, length: Tensor, curvature: Tensor, pressure: Tensor, r
             a21 = torch.addcmul(a21, curvature, squeezed.sum(0), value=-1)
             a22.add_(total).addcmul_(curvature, squeezed.mul_(radii).sum(0))
         else:
-            given = (curvature.unsqueeze(0), own, neutral, pressure / reference)
-            bend = bending_moments(arms.models, *(value.movedim(-1, 0) for value in given), create_graph=False)
+            kappa, own_length, start, share = (
+                value.movedim(-1, 0) for value in (curvature.unsqueeze(0), own, neutral, pressure / reference)
+            )
+            bend = bending_moments(arms.models, kappa, own_length, start, share, create_graph=False)
             tau, active, slope, per_length, squeezed = (value.movedim(0, -1) for value in bend)
             squeezed = slope * squeezed
             moment = moment + tau.sum(0)
