@@ -84,6 +84,31 @@ def test_as_good_as_scipy_from_the_middle():
     assert theirs.start_cost.shape == (2, 1)
 
 
+VALIDATION = ta.affine_curvature(-3.0, 3.0, nodes=10)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_what_is_returned_is_what_continuation_reaches(name):
+    arm, tasks = ARMS[name], ta.Task(VALIDATION, ta.sample_loads(12))
+    found = ta.search_pressure(arm, tasks, hops=1)
+    reached = ta.solve_equilibrium(arm, found.pressure, tasks.tip_load)
+    assert reached.converged.all()
+    torch.testing.assert_close(found.twists, reached.twists, rtol=0, atol=1e-7)
+    assert (found.residual <= 1e-10).all()
+    assert (found.continued == reached.continued).all()
+    assert (found.cost <= found.start_cost.amin(-1) + 1e-12).all()
+
+
+def test_rounds_help_where_the_branch_ends():
+    # the paper's fourth load, which bends the arm to the other side of what the task wants; scipy ends at 0.2354 m²
+    arm, task = ARMS["bellows"], ta.Task(VALIDATION, ta.sample_loads(4)[3])
+    first, more = (ta.search_pressure(arm, task, hops=hops) for hops in (0, 3))
+    assert more.cost < 0.2354
+    assert more.cost < first.cost
+    assert not more.converged  # next to a jump of the cost
+    assert more.continued
+
+
 def test_scipy_finds_a_held_task():
     arm = ARMS["bellows"]
     task = held_task(arm, [20.0, 30.0, 25.0, 25.0], double([0.5, -1.0, 0.05]), nodes=3)

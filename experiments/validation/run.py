@@ -24,7 +24,7 @@ HERE = Path(__file__).parent
 ARMS: dict[str, Callable[[], ta.ArmDesign]] = {"antagonistic": ta.antagonistic_arm, "bellows-only": ta.bellows_arm}
 SHAPE = ta.affine_curvature(-3.0, 3.0, length=0.5, nodes=10)
 LOADS, QUICK_LOADS = 100, 4
-BASELINE_LOADS, QUICK_BASELINE_LOADS = 5, 1
+BASELINE_LOADS, QUICK_BASELINE_LOADS = 10, 1
 """Loads an arm of which scipy's search, one pressure at a time, is timed."""
 PAPER_SECONDS = {"hulls": 108.0, "search": 8766.0}
 """Of the published MATLAB, for two arms and 100 loads; on another machine."""
