@@ -106,6 +106,7 @@ def measure(task: ta.Task, baseline_loads: int) -> tuple[list[Answers], list[Fig
     """All answers, and how long each took: hulls, prediction and search side by side in one run."""
     arms = {name: make() for name, make in ARMS.items()}
     ta.evaluate(arms["antagonistic"], task)  # loads and warms what is loaded late
+    ta.search_pressure(arms["antagonistic"], ta.Task(SHAPE, task.tip_load[:1]))
     spent: dict[str, float] = {}
     count = len(arms) * len(task.tip_load)
 
