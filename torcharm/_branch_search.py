@@ -27,7 +27,7 @@ POOL = 4
 """Pressures that compete, to first order at the task shape, for each start that is guided."""
 LOOKS, LEAST_SHARE = 40, 4e-3
 """Of paths: evaluations of the balance at most, and the share of the load below which they are given up."""
-DESCENT_LOOKS, ONLY_LOOKS, AGAIN_LOOKS, WALL_LOOKS = 20, 80, 12, 8
+DESCENT_LOOKS, ONLY_LOOKS, AGAIN_LOOKS, WALL_LOOKS = 20, 200, 12, 8
 """Evaluations of the balance in a descent; in one without further rounds; in one that goes on; along a boundary."""
 GAIN, WALL_GAIN = 1e-9, 1e-4
 """Relative decrease of the cost at which they end."""

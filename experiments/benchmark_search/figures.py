@@ -53,6 +53,8 @@ class Pictures:
                 place = (4, 5) if index % 2 else (-12, -11)
                 axes.annotate(plan, (1e3 * t, 100 * v), place, textcoords="offset points", fontsize=8)
         for name, points in self.scipy.items():
+            if not points:
+                continue
             spent = 1e3 * points[0][0]
             axes.axvline(spent, color=COLOURS[name], linestyle=":", label=f"time of scipy SLSQP, 1 start, {name}")
         axes.set_xscale("log")
