@@ -118,8 +118,8 @@ class _Block:
 
 
 class Searched(NamedTuple):
-    """What T searches found: as of `PressureSearch`, with pressures as shares of the limits (T, M) and the
-    unknowns (T, C, N)."""
+    """What T searches found, as of `PressureSearch`: with pressures as shares of the limits (T, M) and the unknowns
+    (T, C, N)."""
 
     place: Tensor
     cost: Tensor

@@ -1,4 +1,4 @@
-"""Paths of equilibria, followed by pseudo-arclength-free continuation: many arms, each at its own pace.
+"""Paths of equilibria as load or pressure grows, followed for many arms at once, each at its own pace.
 
 A step along the tangent, then Newton's method, accepted only where Newton contracts at once (Deuflhard, *Newton Methods
 for Nonlinear Problems*, 2004, ch. 5) and the determinant of the stiffness keeps its sign. Both guard against landing
