@@ -99,6 +99,15 @@ def test_what_is_returned_is_what_continuation_reaches(name):
     assert (found.cost <= found.start_cost.amin(-1) + 1e-12).all()
 
 
+def test_single_precision():
+    arm, tasks = ARMS["antagonistic"], ta.Task(ta.affine_curvature(-1.0, 2.0, nodes=4), ta.sample_loads(3) / 4)
+    coarse = ta.ArmDesign(arm.radii.float(), arm.length.float(), arm.actuators)
+    found = ta.search_pressure(coarse, tasks.to(torch.float32), hops=1)
+    exact = ta.search_pressure(arm, tasks, hops=1)
+    assert found.cost.dtype == torch.float32
+    torch.testing.assert_close(found.cost.double(), exact.cost, rtol=1e-2, atol=1e-5)
+
+
 def test_rounds_help_where_the_branch_ends():
     # the paper's fourth load, which bends the arm to the other side of what the task wants; scipy ends at 0.2354 m²
     arm, task = ARMS["bellows"], ta.Task(VALIDATION, ta.sample_loads(4)[3])

@@ -31,8 +31,8 @@ DESCENT_LOOKS, ONLY_LOOKS, AGAIN_LOOKS, WALL_LOOKS = 20, 200, 12, 8
 """Evaluations of the balance in a descent; in one without further rounds; in one that goes on; along a boundary."""
 GAIN, WALL_GAIN = 1e-9, 1e-4
 """Relative decrease of the cost at which they end."""
-SAME_SHAPE = 1e-6
-"""Twists [m, rad] that differ by less are of one branch."""
+SAME_SHAPE, COARSE_SHAPE = 1e-6, 1e-2
+"""Twists [m, rad] that differ by less are of one branch; in single precision."""
 FLIPS = 10
 """Steps across a boundary, from a hundredth of the box to all of it and more."""
 PARTS, OFFSETS = (1.0, 0.3), (0.0, 0.03, 0.1, 0.3)
@@ -101,7 +101,7 @@ class _Block:
             look = mechanics.relax(course.arms, near, course.pressure, course.pressure)
             near = near + look.change[:, :, 0]
             size = course.scale.moves(look.change[:, :, :1], look.turned[:, :1])[0]
-        return near, size <= SAME_SHAPE
+        return near, size <= (SAME_SHAPE if near.dtype == torch.float64 else COARSE_SHAPE)
 
     def _course(self, place: Tensor, loading: bool) -> Course:
         own = self.searches
@@ -244,7 +244,8 @@ class _State:
 
 def _same(found: Reached, unknowns: Tensor) -> Tensor:
     """(B,) whether continuation reaches these equilibria (C, N, B)."""
-    return found.cost.isfinite() & ((found.unknowns - unknowns).abs().amax((0, 1)) < 10 * SAME_SHAPE)
+    near = 10 * SAME_SHAPE if unknowns.dtype == torch.float64 else COARSE_SHAPE
+    return found.cost.isfinite() & ((found.unknowns - unknowns).abs().amax((0, 1)) < near)
 
 
 def _worth(cost: Tensor, best: Tensor) -> Tensor:
@@ -339,7 +340,8 @@ def _finish(problem: Problem, block: _Block, state: _State) -> Searched:
     """Make sure that it is `solve_equilibrium`'s; where nothing was confirmed, take that of the best start."""
     best, own = state.best, block.searches
     rest, still = block.rest(best.place)
-    sure = still & best.cost.isfinite() & ((rest - best.rest).abs().amax((0, 1)) < SAME_SHAPE)
+    near = SAME_SHAPE if rest.dtype == torch.float64 else COARSE_SHAPE
+    sure = still & best.cost.isfinite() & ((rest - best.rest).abs().amax((0, 1)) < near)
     unknowns, cost, continued = best.unknowns.clone(), best.cost.clone(), sure.clone()
     left = (~sure).nonzero().squeeze(-1)
     if len(left):

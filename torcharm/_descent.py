@@ -30,6 +30,8 @@ STIFF = 100.0
 """Of a wall, over the largest entry of the normal matrix."""
 SETTLED = 1e-7
 """Newton's step at which it may end."""
+ROUNDING = 50.0
+"""Machine epsilons below which neither decreases nor steps mean anything."""
 
 
 @dataclass(frozen=True)
@@ -188,9 +190,9 @@ def descend(
         none.bool(),
     )
     out = Descended(place.clone(), unknowns.clone(), state.cost.clone(), none.bool())
-    own = searches
+    own, least = searches, ROUNDING * torch.finfo(place.dtype).eps
     for _ in range(looks):
-        state = _advance(own, state, gain, wall)
+        state = _advance(own, state, max(gain, least), max(SETTLED, least), wall)
         left = len(state.over) - int(state.over.sum())
         if left > KEPT * len(state.over):
             continue
@@ -211,7 +213,7 @@ def _store(out: Descended, state: _State) -> None:
     out.ended[at] = state.cost.isfinite() & state.over
 
 
-def _advance(own: Searches, state: _State, gain: float, wall: Tensor | None) -> _State:
+def _advance(own: Searches, state: _State, gain: float, settled: float, wall: Tensor | None) -> _State:
     """One evaluation of the balance for each, and what follows. What is over stays as it is."""
     arms, scale, limits, goal = own.arms, own.scale, own.limits, own.goal
     look = mechanics.march(arms, state.trial, state.trial_place * limits, each_pressure=limits)
@@ -259,8 +261,8 @@ def _advance(own: Searches, state: _State, gain: float, wall: Tensor | None) -> 
     short = (0.7 * LARGEST_MOVE / length.clamp(min=1e-12)).clamp(max=1.0)
     promise = -((gradient * step).sum(0) * 2 + curved) * short
     # A cost that was corrected too much is in the way: look at the best point once more
-    again = wrong & (unsettled > SETTLED) & best.isfinite() & ~better
-    done = ((promise <= gain * best + FLOOR) & (unsettled <= SETTLED)) | (stalled >= 5)
+    again = wrong & (unsettled > settled) & best.isfinite() & ~better
+    done = ((promise <= gain * best + FLOOR) & (unsettled <= settled)) | (stalled >= 5)
     hopeless = best.isinf() | (damping >= NARROWEST)
     trial_place = torch.where(again, place, torch.addcmul(place, step, short).clamp(0, 1))
     trial = torch.where(again, unknowns, torch.addcmul(unknowns, dz, short))
