@@ -6,7 +6,7 @@ from torch.quasirandom import SobolEngine
 
 START_DAMPING = 1e-2
 LEAST_DAMPING = 1e-12
-SWEEPS = 2
+SWEEPS = 1
 """Over the variables of a step."""
 
 
@@ -15,48 +15,55 @@ def box_step(normal: Tensor, gradient: Tensor, place: Tensor, damping: Tensor) -
 
     Variables that the step would carry out are stopped at their bound and the step is found anew for the others,
     until none leaves: M times at most. Sweeps over the variables, one after the other, then free what was stopped
-    too early, and make the step one of descent in any case.
+    too early, and make the step one of descent in any case. The batch comes last.
 
     Args:
-        normal: (..., M, M) AᵀA.
-        gradient: (..., M) Aᵀr.
-        place: (..., M) within the box.
-        damping: (...) share of the largest diagonal entry that is added to the diagonal.
+        normal: (M, M, B) AᵀA.
+        gradient: (M, B) Aᵀr.
+        place: (M, B) within the box.
+        damping: (B,) share of the largest diagonal entry that is added to the diagonal.
 
     Returns:
-        (..., M).
+        (M, B).
     """
-    count = place.shape[-1]
-    size = normal.diagonal(dim1=-2, dim2=-1).amax(-1).clamp(min=1e-300)
-    eye = torch.eye(count, dtype=place.dtype, device=place.device)
-    matrix = normal + (damping * size)[..., None, None] * eye
+    count = len(place)
+    size = normal.diagonal(dim1=0, dim2=1).amax(-1).clamp(min=1e-300)
+    matrix = normal.clone()
+    matrix.diagonal(dim1=0, dim2=1).add_((damping * size).unsqueeze(-1))
+    low, high = -place, 1 - place
     held = ((place <= 0) & (gradient > 0)) | ((place >= 1) & (gradient < 0))
     step = torch.zeros_like(place)
     for _ in range(count):
-        free = (~held).to(place.dtype)
-        reduced = matrix * free.unsqueeze(-1) * free.unsqueeze(-2) + torch.diag_embed(
-            held.to(place.dtype) * size[..., None]
-        )
-        right = -(gradient + (matrix @ (step * held).unsqueeze(-1)).squeeze(-1)) * free
-        answer, _ = torch.linalg.solve_ex(reduced, right.unsqueeze(-1))
-        answer = torch.where(held, step, answer.squeeze(-1))
-        step = answer.clamp(-place, 1 - place)
-        leaves = (step != answer) & ~held
+        answer = torch.where(held, step, _solve(matrix, gradient, step, held, size))
+        step = torch.minimum(torch.maximum(answer, low), high)
+        leaves = step != answer
         if not bool(leaves.any()):
             break
         held = held | leaves
-    model = (step * (2 * gradient + (matrix @ step.unsqueeze(-1)).squeeze(-1))).sum(-1)
-    step = torch.where((model < 0).unsqueeze(-1), step, torch.zeros_like(step))
-    slope = gradient + (matrix @ step.unsqueeze(-1)).squeeze(-1)
-    places, moves = place.unbind(-1), list(step.unbind(-1))
+    slope = gradient + (matrix * step).sum(1)
+    step = torch.where((step * (gradient + slope)).sum(0) < 0, step, 0.0)
     for _ in range(SWEEPS):
-        for index, at in enumerate(places):
-            column = matrix[..., index]
-            wanted = moves[index] - slope[..., index] / column[..., index]
-            moved = torch.minimum(torch.maximum(wanted, -at), 1 - at)
-            slope = slope + (moved - moves[index]).unsqueeze(-1) * column
-            moves[index] = moved
-    return torch.stack(moves, -1)
+        slope = gradient + (matrix * step).sum(1)
+        for index in range(count):
+            wanted = step[index] - slope[index] / matrix[index, index]
+            moved = torch.minimum(torch.maximum(wanted, low[index]), high[index])
+            slope = torch.addcmul(slope, matrix[index], moved - step[index])
+            step[index] = moved
+    return step
+
+
+def _solve(matrix: Tensor, gradient: Tensor, step: Tensor, held: Tensor, size: Tensor) -> Tensor:
+    """(M, B) the minimum over the variables that are free, by elimination without pivots: the matrix is positive."""
+    free = (~held).to(matrix.dtype)
+    right = (gradient + (matrix * (step * held)).sum(1)) * -free
+    both = free.unsqueeze(0) * free.unsqueeze(1)
+    reduced = torch.cat((matrix * both, right.unsqueeze(1)), 1)
+    reduced.diagonal(dim1=0, dim2=1).add_((held * size).mT)
+    for index in range(len(matrix)):
+        row = reduced[index] / reduced[index, index]
+        reduced = torch.addcmul(reduced, reduced[:, index : index + 1], row, value=-1)
+        reduced[index] = row
+    return reduced[:, -1]
 
 
 def optimality(gradient: Tensor, place: Tensor) -> Tensor:

@@ -1,9 +1,10 @@
 """Descent to the pressure that brings an arm closest to a shape: many problems and starts in one batch.
 
-Projected Levenberg-Marquardt on the pose errors, along the equilibria: a pressure step moves the twists by their
-implicit derivative, Newton's method brings them back to equilibrium, and what fails to come back, or lands on
-another branch, counts as a step too long. One evaluation of the balance serves both methods; each element goes at
-its own pace.
+Projected Levenberg-Marquardt on the pose errors, in pressures and twists together: a step changes the pressures, moves
+the twists by their implicit derivative, and takes the Newton step that was due. One evaluation of the balance
+serves both methods, and poses count as Newton's step corrects them, so that no time is spent on settling. Where
+Newton's step is not small, or the determinant of the stiffness changes its sign, the step was too long. Each element
+goes at its own pace. The batch comes last, as in `mechanics.march`.
 """
 
 from dataclasses import dataclass
@@ -13,16 +14,24 @@ import torch
 from torch import Tensor
 
 from torcharm import mechanics
-from torcharm._box import LEAST_DAMPING, START_DAMPING, box_step, optimality
-from torcharm._continuation import CONTRACTION, LARGEST_MOVE, Problem, _move
+from torcharm._box import LEAST_DAMPING, START_DAMPING, box_step
+from torcharm._tracing import CONTRACTION, KEPT, LARGEST_MOVE, Scale
+from torcharm.mechanics import Arms, Marched, pick
 
-EQUILIBRIUM = 1e-9
-"""Imbalance, of the load scale, at which a cost is trusted on the way."""
-NEWTON_STEPS = 6
+NEAR = 0.05
+"""Newton's step, as `Scale.moves` measures, up to which poses are trusted once it corrects them."""
+NEWTON_STEPS = 5
+"""Of these, one after the other, where the step is longer."""
 NARROWEST = 1e5
 """Damping at which the descent ends: it is held up, at a kink or where the branch ends."""
 FLOOR = 1e-14
-"""The same, absolute [m²]."""
+"""Promised decrease of the cost at which the descent ends, absolute [m²]."""
+STIFF = 100.0
+"""Of a wall, over the largest entry of the normal matrix."""
+SETTLED = 1e-7
+"""Newton's step at which it may end."""
+ROUNDING = 50.0
+"""Machine epsilons below which neither decreases nor steps mean anything."""
 
 
 @dataclass(frozen=True)
@@ -30,41 +39,94 @@ class Goal:
     """What B searches aim at.
 
     Attributes:
-        target: (B, N+1, 3) poses.
-        weight: (B, N+1, 3) square roots of the weights on their errors.
+        target: (3, N, B) poses after the segments.
+        weight: (3, N, 1) square roots of the weights on their errors.
+        turned: whether errors along and across the arm weigh differently, so that they are told apart.
     """
 
     target: Tensor
     weight: Tensor
+    turned: bool
+
+    @staticmethod
+    def of(target: Tensor, weight: Tensor) -> "Goal":
+        """From poses (B, N+1, 3), the base's among them, and square roots of weights (N+1, 3)."""
+        rows = target[:, 1:].permute(2, 1, 0).contiguous()
+        root = weight[1:].mT.unsqueeze(-1).contiguous()
+        return Goal(rows, root, not torch.equal(root[0], root[1]))
 
     def __getitem__(self, index: Tensor) -> "Goal":
-        return Goal(self.target[index], self.weight[index])
+        return Goal(pick(self.target, index), self.weight, self.turned)
 
-    def residual(self, pose: Tensor) -> tuple[Tensor, Tensor]:
-        """Weighted errors (B, N+1, 3), and their derivative by the poses (B, N+1, 3, 3)."""
-        error, slope = mechanics.pose_error(pose, self.target)
-        return self.weight * error, self.weight.unsqueeze(-1) * slope
+    def cost(self, unknowns: Tensor, base_pose: Tensor) -> Tensor:
+        """(B,) [m²] the sum of squares at z (C, N, B), from base poses (3, B)."""
+        pose = mechanics.kinematics(unknowns.movedim(-1, 0), base_pose.mT).pose[:, 1:].permute(2, 1, 0)
+        return (self.error(pose) * self.weight).square().sum((0, 1))
 
-    def cost(self, pose: Tensor) -> Tensor:
-        """(B,) the sum of squares."""
-        return self.residual(pose)[0].square().sum((-1, -2))
+    def error(self, pose: Tensor) -> Tensor:
+        """(3, N, B) of poses, the target seen from them; in the world frame where that makes no difference."""
+        gap = self.target - pose
+        if not self.turned:
+            return gap
+        cos, sin = pose[2].cos(), pose[2].sin()
+        return torch.stack((cos * gap[0] + sin * gap[1], cos * gap[1] - sin * gap[0], gap[2]))
+
+    def model(self, look: Marched) -> tuple[Tensor, Tensor, Tensor]:
+        """The cost (B,) after Newton's step, and of its Gauss-Newton model by the M other changes the half gradient
+        (M, B) and the matrix (M, M, B)."""
+        columns = torch.cat((look.slid, look.turned.unsqueeze(0))).neg_()  # (3, N, 1+M, B)
+        pose = torch.cat((look.position, look.heading.unsqueeze(0)))
+        error = self.error(pose)
+        if self.turned:
+            cos, sin = pose[2].cos().unsqueeze(1), pose[2].sin().unsqueeze(1)
+            x, y, turn = columns
+            first, second = error[:2].unsqueeze(2)
+            columns = torch.stack((cos * x + sin * y - second * turn, cos * y - sin * x + first * turn, turn))
+        columns[:, :, 0] += error
+        columns = (columns * self.weight.unsqueeze(2)).flatten(0, 1)
+        size = columns.shape[1]
+        products = columns.new_empty(size, size, columns.shape[-1])
+        for k in range(size):
+            row = (columns[:, k : k + 1] * columns[:, k:]).sum(0)
+            products[k, k:] = row
+            products[k:, k] = row
+        return products[0, 0], products[0, 1:], products[1:, 1:]
+
+
+@dataclass(frozen=True)
+class Searches:
+    """B searches.
+
+    Attributes:
+        arms, scale, goal: of each.
+        limits: (M, B) of pressure [kPa].
+        tolerance: of the load scale.
+    """
+
+    arms: Arms
+    scale: Scale
+    limits: Tensor
+    goal: Goal
+    tolerance: float
+
+    def __getitem__(self, index: Tensor) -> "Searches":
+        scale = Scale(*(pick(value, index) for value in self.scale))
+        return Searches(self.arms[index], scale, pick(self.limits, index), self.goal[index], self.tolerance)
 
 
 class Descended(NamedTuple):
     """Where the searches ended.
 
     Attributes:
-        place: (B, M) pressures as shares of their limits.
-        unknowns: (B, C, N).
+        place: (M, B) pressures as shares of their limits.
+        unknowns: (C, N, B).
         cost: (B,) infinite where no equilibrium was reached.
-        optimality: (B,) see `_box.optimality`; of the gradient by pressures as shares of their limits.
         ended: (B,) whether the descent ended by itself.
     """
 
     place: Tensor
     unknowns: Tensor
     cost: Tensor
-    optimality: Tensor
     ended: Tensor
 
 
@@ -75,11 +137,12 @@ class _State(NamedTuple):
     place: Tensor
     unknowns: Tensor
     cost: Tensor
-    optimality: Tensor
+    unsettled: Tensor  # size of the Newton step that led here
     sign: Tensor
     normal: Tensor
     gradient: Tensor
-    motion: Tensor  # (A, C, N, M) dz by the place
+    motion: Tensor  # (C, N, M, A) dz by the place
+    turned: Tensor  # (N, M, A)
     damping: Tensor
     promise: Tensor
     trial_place: Tensor
@@ -87,35 +150,36 @@ class _State(NamedTuple):
     turn: Tensor
     first: Tensor
     stalled: Tensor
-
-    def at(self, index: Tensor) -> "_State":
-        """These elements."""
-        return _State(*(value[index] for value in self))
+    over: Tensor
 
 
-def descend(problem: Problem, goal: Goal, place: Tensor, unknowns: Tensor, *, gain: float, looks: int) -> Descended:
-    """Follow the cost down from starts that are equilibria.
+def descend(
+    searches: Searches, place: Tensor, unknowns: Tensor, *, gain: float, looks: int, wall: Tensor | None = None
+) -> Descended:
+    """Follow the cost down from starts that are equilibria, or nearly.
 
     Args:
-        problem: B, of which the pressures do not count.
-        goal: of each.
-        place: (B, M) pressures to start from, as shares of the limits.
-        unknowns: (B, C, N) the equilibria there.
+        searches: B of them.
+        place: (M, B) pressures to start from, as shares of the limits.
+        unknowns: (C, N, B) the equilibria there.
         gain: promised decrease of the cost, relative, at which the descent ends.
         looks: evaluations of the balance, at most.
+        wall: (M, B) normals, along which the pressures are held.
     """
-    count, size = place.shape
+    size, count = place.shape
+    components, nodes, _ = unknowns.shape
     none = place.new_zeros(count)
     state = _State(
         torch.arange(count, device=place.device),
         place,
         unknowns,
         none + float("inf"),
-        none + float("inf"),
         none,
-        place.new_zeros(count, size, size),
+        none,
+        place.new_zeros(size, size, count),
         torch.zeros_like(place),
-        place.new_zeros(*unknowns.shape, size),
+        place.new_zeros(components, nodes, size, count),
+        place.new_zeros(nodes, size, count),
         none + START_DAMPING,
         none,
         place,
@@ -123,98 +187,102 @@ def descend(problem: Problem, goal: Goal, place: Tensor, unknowns: Tensor, *, ga
         none,
         none,
         none,
+        none.bool(),
     )
-    out = Descended(place.clone(), unknowns.clone(), state.cost.clone(), state.cost.clone(), none.bool())
-    own, aims = problem, goal
+    out = Descended(place.clone(), unknowns.clone(), state.cost.clone(), none.bool())
+    own, least = searches, ROUNDING * torch.finfo(place.dtype).eps
     for _ in range(looks):
-        state, under_way = _advance(own, aims, state, gain)
-        if bool(under_way.all()):
+        state = _advance(own, state, max(gain, least), max(SETTLED, least), wall)
+        left = len(state.over) - int(state.over.sum())
+        if left > KEPT * len(state.over):
             continue
-        _store(out, state.at(~under_way), ended=True)
-        if not bool(under_way.any()):
+        _store(out, state)
+        if left == 0:
             return out
-        state, own, aims = state.at(under_way), own[under_way], aims[under_way]
-    _store(out, state, ended=False)
+        on = (~state.over).nonzero().squeeze(-1)
+        state = _State(*(pick(value, on) for value in state))
+        own = own[on]
+        wall = pick(wall, on)
+    _store(out, state)
     return out
 
 
-def _store(out: Descended, state: _State, *, ended: bool) -> None:
+def _store(out: Descended, state: _State) -> None:
     at = state.element
-    out.place[at], out.unknowns[at], out.cost[at] = state.place, state.unknowns, state.cost
-    out.optimality[at], out.ended[at] = state.optimality, state.cost.isfinite() & ended
+    out.place[:, at], out.unknowns[:, :, at], out.cost[at] = state.place, state.unknowns, state.cost
+    out.ended[at] = state.cost.isfinite() & state.over
 
 
-def _advance(problem: Problem, goal: Goal, state: _State, gain: float) -> tuple[_State, Tensor]:
-    """One evaluation of the balance for each, and what follows; whether any is to follow."""
-    limits = problem.arm.max_pressure
-    found = mechanics.balance(
-        problem.arm,
-        state.trial,
-        state.trial_place * limits,
-        problem.tip_load,
-        problem.base_pose,
-        problem.shear_stiffness,
-    )
-    right = torch.cat((found.residual.unsqueeze(-1), found.by_pressure * limits[:, None, None, :]), -1)
-    answer, sign = mechanics.solve_signed(found.stiffness, -right)
-    newton, motion = answer[..., 0], answer[..., 1:]
-    size = _move(problem, newton)
-    there = problem.imbalance(found.residual) <= max(EQUILIBRIUM, problem.tolerance)
+def _advance(own: Searches, state: _State, gain: float, settled: float, wall: Tensor | None) -> _State:
+    """One evaluation of the balance for each, and what follows. What is over stays as it is."""
+    arms, scale, limits, goal = own.arms, own.scale, own.limits, own.goal
+    look = mechanics.march(arms, state.trial, state.trial_place * limits, each_pressure=limits)
+    newton = look.change[:, :, 0]
+    size = scale.moves(look.change[:, :, :1], look.turned[:, :1])[0]
+    near = size <= NEAR
     first = torch.where(state.turn == 0, size, state.first)
-    contracts = (state.turn != 1) | (size < CONTRACTION * first) | (size < 1e-2)
-    on = ~there & contracts & (size < LARGEST_MOVE) & (state.turn < NEWTON_STEPS)
+    on = ~near & ((state.turn != 1) | (size < CONTRACTION * first)) & (size < LARGEST_MOVE)
+    on &= (state.turn < NEWTON_STEPS) & ~state.over
 
     # The model of the cost at the trial point, of use where it is accepted
-    error, slope = goal.residual(found.kinematics.pose)
-    cost = error.square().sum((-1, -2))
-    poses = mechanics.pose_change(found.kinematics, motion).movedim(-3, -2)  # (A, N+1, 3, M)
-    rates = (slope @ poses).flatten(1, 2)
-    gradient = (rates.mT @ error.flatten(1).unsqueeze(-1)).squeeze(-1)
-    normal = rates.mT @ rates
-
-    branch = (sign == state.sign) | (state.sign == 0)
-    sound = there & branch & cost.isfinite() & gradient.isfinite().all(-1)
+    cost, gradient, normal = goal.model(look)
+    branch = (look.sign == state.sign) | (state.sign == 0)
+    sound = near & branch & cost.isfinite() & gradient.isfinite().all(0) & ~state.over
     better = sound & (cost < state.cost)
-    quality = (state.cost - cost) / state.promise.clamp(min=1e-300)
+    drop = state.cost - cost
+    quality = drop / state.promise.clamp(min=1e-300)
     wrong = ~on & ~better
-
-    def taken(new: Tensor, old: Tensor) -> Tensor:
-        return torch.where(better.view(-1, *[1] * (new.ndim - 1)), new, old)
 
     damping = state.damping
     damping = torch.where(better & (quality > 0.75), damping / 10, damping)
     damping = torch.where(better & (quality < 0.25) & (state.promise > 0), damping * 3, damping)
     damping = torch.where(wrong, damping.clamp(min=1e-6) * torch.where(sound, 5.0, 10.0), damping)
     damping = damping.clamp(LEAST_DAMPING, NARROWEST)
-    base = state._replace(
-        place=taken(state.trial_place, state.place),
-        unknowns=taken(state.trial, state.unknowns),
-        cost=taken(cost, state.cost),
-        optimality=taken(2 * optimality(gradient, state.trial_place), state.optimality),
-        sign=taken(sign, state.sign),
-        normal=taken(normal, state.normal),
-        gradient=taken(gradient, state.gradient),
-        motion=taken(motion, state.motion),
-        damping=damping,
-        # decreases that are next to nothing, one after the other
-        stalled=torch.where(
-            better & (state.cost - cost < gain * cost), state.stalled + 1, torch.where(better, 0.0, state.stalled)
-        ),
-    )
-    step = box_step(base.normal, base.gradient, base.place, base.damping)
-    model = (base.gradient * step).sum(-1) * 2 + (step * (base.normal @ step.unsqueeze(-1)).squeeze(-1)).sum(-1)
-    dz = (base.motion * step[:, None, None, :]).sum(-1)
+    place = torch.where(better, state.trial_place, state.place)
+    unknowns = torch.where(better, state.trial + newton, state.unknowns)
+    best = torch.where(better, cost, state.cost)
+    unsettled = torch.where(better, size, state.unsettled)
+    normal = torch.where(better, normal, state.normal)
+    gradient = torch.where(better, gradient, state.gradient)
+    motion = torch.where(better, look.change[:, :, 1:], state.motion)
+    turned = torch.where(better, look.turned[:, 1:], state.turned)
+    # decreases that are next to nothing, one after the other
+    stalled = torch.where(better, torch.where(drop < gain * cost, state.stalled + 1, 0.0), state.stalled)
+
+    bound = normal
+    if wall is not None:
+        stiff = STIFF * normal.diagonal(dim1=0, dim2=1).amax(-1)
+        bound = normal + stiff * wall.unsqueeze(0) * wall.unsqueeze(1)
+    step = box_step(bound, gradient, place, damping)
+    curved = (step * (normal * step).sum(1)).sum(0)
+    dz, dturn = (motion * step).sum(2), (turned * step).sum(1)
     # Too far along the tangent to come back from: shorter
-    scale = (0.7 * LARGEST_MOVE / _move(problem, dz).clamp(min=1e-12)).clamp(max=1.0)
-    step, dz = scale[:, None] * step, scale[:, None, None] * dz
-    promise = -model * scale
-    after = base._replace(
-        promise=torch.where(on, state.promise, promise),
-        trial_place=torch.where(on[:, None], state.trial_place, (base.place + step).clamp(0, 1)),
-        trial=torch.where(on[:, None, None], state.trial + newton, base.unknowns + dz),
-        turn=torch.where(on, state.turn + 1, torch.zeros_like(state.turn)),
-        first=first,
+    length = scale.moves(dz.unsqueeze(2), dturn.unsqueeze(1))[0]
+    short = (0.7 * LARGEST_MOVE / length.clamp(min=1e-12)).clamp(max=1.0)
+    promise = -((gradient * step).sum(0) * 2 + curved) * short
+    # A cost that was corrected too much is in the way: look at the best point once more
+    again = wrong & (unsettled > settled) & best.isfinite() & ~better
+    done = ((promise <= gain * best + FLOOR) & (unsettled <= settled)) | (stalled >= 5)
+    hopeless = best.isinf() | (damping >= NARROWEST)
+    trial_place = torch.where(again, place, torch.addcmul(place, step, short).clamp(0, 1))
+    trial = torch.where(again, unknowns, torch.addcmul(unknowns, dz, short))
+    return _State(
+        state.element,
+        place,
+        unknowns,
+        torch.where(again, float("inf"), best),
+        torch.where(again, 0.0, unsettled),
+        torch.where(better, look.sign, state.sign),
+        normal,
+        gradient,
+        motion,
+        turned,
+        damping,
+        torch.where(on, state.promise, torch.where(again, 0.0, promise)),
+        torch.where(on, state.trial_place, trial_place),
+        torch.where(on, state.trial + newton, trial),
+        torch.where(on, state.turn + 1, 0.0),
+        first,
+        stalled,
+        state.over | (~on & ~again & (hopeless | done)),
     )
-    hopeless = base.cost.isinf() | (base.damping >= NARROWEST)
-    done = (promise <= gain * base.cost + FLOOR) | (base.stalled >= 5)
-    return after, on | ~(hopeless | done)

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torcharm import mechanics
-from torcharm._box import spread_points
+from torcharm._box import optimality, spread_points
 from torcharm._continuation import Problem, loaded, settle, unloaded
 from torcharm._descent import Goal
 from torcharm._inputs import check_choice
@@ -54,7 +54,7 @@ def _search(problem: Problem, goal: Goal, nodes: int, places: Tensor, method: st
         else:
             unknowns = settled.unknowns
         warm[:] = [unknowns]
-        return float(goal.cost(mechanics.kinematics(unknowns, problem.base_pose).pose))
+        return float(goal.cost(unknowns.movedim(0, -1), problem.base_pose.mT))
 
     ends, costs, success = [], [], []
     with torch.no_grad():
@@ -74,10 +74,11 @@ def _search(problem: Problem, goal: Goal, nodes: int, places: Tensor, method: st
             base_pose=problem.base_pose,
             shear_stiffness=problem.shear_stiffness,
         )
-        confirmed = torch.where(true.converged, goal.cost(true.poses), float("inf"))
+        reached = mechanics.to_unknowns(true.twists, shear=problem.components == 3).movedim(0, -1)
+        confirmed = torch.where(true.converged, goal.cost(reached, problem.base_pose.mT), float("inf"))
         best = int(confirmed.argmin())
         slope = _slope(replace(problem, pressure=place[best, None] * limits), goal, true.twists[best, None])
-        reached = (place[best] - (place[best] - slope).clamp(0, 1)).abs().amax()
+        steepest = optimality(slope, place[best])
     pick = slice(best, best + 1)
     same = (confirmed[best] - costs[best]).abs() <= 1e-6 * (1 + confirmed[best])
     converged = true.converged[pick] & success[best] & same
@@ -88,7 +89,7 @@ def _search(problem: Problem, goal: Goal, nodes: int, places: Tensor, method: st
         true.residual[pick],
         true.continued[pick],
         converged,
-        reached.view(1),
+        steepest.view(1),
         confirmed.unsqueeze(0),
         true.in_range[pick],
     )
@@ -96,9 +97,7 @@ def _search(problem: Problem, goal: Goal, nodes: int, places: Tensor, method: st
 
 def _slope(problem: Problem, goal: Goal, twists: Tensor) -> Tensor:
     """(M,) the cost's derivative by pressures as shares of the limits, by the implicit function theorem."""
-    unknowns = mechanics.to_unknowns(twists, shear=problem.components == 3)
-    found = problem.balance(unknowns)
-    motion = -mechanics.solve(found.stiffness, found.by_pressure * problem.arm.max_pressure[:, None, None, :])
-    error, slope = goal.residual(found.kinematics.pose)
-    rates = (slope @ mechanics.pose_change(found.kinematics, motion).movedim(-3, -2)).flatten(1, 2)
-    return 2 * (rates.mT @ error.flatten(1).unsqueeze(-1)).flatten()
+    unknowns = mechanics.to_unknowns(twists, shear=problem.components == 3).movedim(0, -1)
+    limits = problem.arm.max_pressure.mT
+    _, gradient, _ = goal.model(mechanics.march(problem.arms, unknowns, problem.pressure.mT, each_pressure=limits))
+    return 2 * gradient[:, 0]

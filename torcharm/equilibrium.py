@@ -245,7 +245,7 @@ def solved(problem: Problem, nodes: int, start: Tensor | None = None, looks: int
             unknowns[snapped] = settle(problem[snapped], unknowns[snapped]).unknowns
     residual = problem.imbalance(problem.residual(unknowns))
     converged = residual <= problem.tolerance  # false for a NaN
-    return Solved(unknowns, residual, converged, continued & converged, *_strain_excess(problem, unknowns))
+    return Solved(unknowns, residual, converged, continued & converged, *strain_excess(problem, unknowns))
 
 
 def detached(problem: Problem) -> Problem:
@@ -260,7 +260,7 @@ def detached(problem: Problem) -> Problem:
     )
 
 
-def _strain_excess(problem: Problem, unknowns: Tensor) -> tuple[Tensor, Tensor]:
+def strain_excess(problem: Problem, unknowns: Tensor) -> tuple[Tensor, Tensor]:
     """The largest strain beyond its range, and whether strains and pressures are within theirs."""
     models = problem.arm.actuators
     length, curvature = unknowns[:, :1], unknowns[:, -1:]

@@ -112,7 +112,7 @@ def _fit(problem: Problem, shape: Tensor, scale: Tensor, places: Tensor) -> tupl
     for _ in range(STEPS):
         gradient = (rates.mT @ miss.flatten(1).unsqueeze(-1)).squeeze(-1)
         normal = rates.mT @ rates
-        step = box_step(normal, gradient, place, damping)
+        step = box_step(normal.movedim(0, -1), gradient.mT, place.mT, damping).mT
         promise = -(2 * (gradient * step).sum(-1) + (step * (normal @ step.unsqueeze(-1)).squeeze(-1)).sum(-1))
         done = done | (promise <= GAIN * cost + 1e-30) | (damping > 1e8)
         if bool(done.all()):

@@ -3,36 +3,25 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import prod
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torcharm import mechanics, rod
-from torcharm._box import spread_points
-from torcharm._continuation import LOOKS, Problem, loaded, unloaded
-from torcharm._descent import Descended, Goal, descend
+from torcharm._branch_search import search_block
+from torcharm._continuation import Problem
+from torcharm._descent import Goal
 from torcharm._inputs import check_choice, check_count, shown
 from torcharm._outer import OuterProduct, check_arm_and_task, outer_product
 from torcharm.arm import ArmDesign
-from torcharm.equilibrium import TOLERANCES, NotConvergedError, default_chunk, solved
+from torcharm.equilibrium import TOLERANCES, NotConvergedError, default_chunk, strain_excess
 from torcharm.pose_cost import PoseCost
 from torcharm.task import Task
 
 METHODS = ("batched", "scipy")
-STARTS = {"batched": 8, "scipy": 1}
-CANDIDATES = 16
-"""Pressures that compete for each start."""
-ROUGH_GAIN, ROUGH_LOOKS = 1e-3, 30
-"""Of the descents from all starts: relative decrease at which they end, and evaluations of the balance."""
-START_LOOKS = 40
-"""Evaluations of the balance on the way to a start."""
-FINE_GAIN, FINE_LOOKS = 1e-12, 80
-"""The same, of the descent from the best of them."""
-REPAIRS = 2
-"""Times that a descent which left the branch is begun anew from the branch."""
-SAME_SHAPE = 1e-6
-"""Twists [m, rad] that differ by less are of one branch."""
+STARTS = {"batched": 4, "scipy": 1}
+CHUNK_SHARE = 4
+"""Work on a start, in equilibria at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,10 +34,11 @@ class PressureSearch:
         twists: (*batch, N, 3) the equilibrium at this pressure [m, m, rad].
         residual: (*batch) its imbalance, as of `solve_equilibrium`.
         continued: (*batch) whether continuation from zero load reaches it.
-        converged: (*batch) whether it is an equilibrium, and the descent to it came to its end.
+        converged: (*batch) whether it is an equilibrium, and the descent to it came to its end. False where the best
+            descent leads on to where continuation does not follow: the pressure then is next to a jump of the cost.
         optimality: (*batch) first-order optimality [m²]: the largest entry of the projected gradient, by pressures as
             shares of their limits. At a kink of a force model it does not vanish.
-        start_cost: (*batch, S) what each start came to; infinite where it failed.
+        start_cost: (*batch, S) what each start came to by itself, without rounds; infinite where it failed.
         in_range: (*batch) as of `solve_equilibrium`.
         tip_error: (*batch) distance of the tip from the task's [m].
     """
@@ -77,7 +67,7 @@ def search_pressure(
     method: str = "batched",
     *,
     starts: int | None = None,
-    hops: int = 2,
+    hops: int = 3,
     node_weights: str | Tensor | Sequence[float] = "ramp",
     error_weights: Sequence[float] = (1.0, 1.0, 0.05),
     shear_stiffness: float | None = None,
@@ -93,23 +83,27 @@ def search_pressure(
     equilibrium under the task's load. The cost is not convex: both methods find local minima, the best of several
     starts. The shape returned is the one that continuation from zero load reaches (see `solve_equilibrium`).
 
-    "batched" descends from all starts of all tasks at once, by projected Levenberg-Marquardt with implicit
-    derivatives along warm-started equilibria. Half of its starts are the best of many pressures by the error to first
-    order at the task shape, the others are spread over the box. "scipy" is the paper's baseline, one pressure at a
-    time: `scipy.optimize.minimize` with finite differences, from the middle of the box and, for more starts, from
-    points spread over it.
+    "batched" descends from all starts of all tasks at once, by projected Levenberg-Marquardt steps in pressures and
+    shapes together. Of pressures that are promising to first order at the task shape, or spread over the box, the best
+    are its starts, and one more descent begins at the task shape itself. Ends are confirmed by continuation. Under
+    compression it may lead elsewhere: an arm buckles to one side or to the other, and the best pressures often lie
+    where that is decided. There the cost jumps; the search goes on along the boundary, in rounds, and is not
+    `converged`.
+    "scipy" is the paper's baseline, one pressure at a time: `scipy.optimize.minimize` with finite differences, from
+    the middle of the box and, for more starts, from points spread over it.
 
     Args:
         arm: designs, of any batch shape.
         task: tasks, of any batch shape; the search is an outer product.
         method: "batched" or "scipy".
-        starts: S; None takes 8 (batched) or 1 (scipy).
-        hops: times that as many more descents start around the best so far (batched).
+        starts: S, the number of descents; None takes 4 (batched) or 1 (scipy).
+        hops: rounds at most, after the first descents, for what is not at its end: descents that go on, and moves
+            across and along boundaries (batched).
         node_weights: ω. "ramp" is `linspace(0, 1, N)` on nodes 1 to N (the paper's validation), "uniform" ones on these
             (its shape study), "tip" the tip alone; or N or N+1 numbers, the last of N+1 for the tip.
         error_weights: K's diagonal, on x², y² [1] and θ² [m²/rad²]; (1, 1, 0) counts positions only.
         shear_stiffness: as for `solve_equilibrium`.
-        seed: of the spread starts.
+        seed: of the pressures that are drawn.
         scipy_method: a bounded method of `scipy.optimize.minimize`.
         progress: whether to show a bar; None shows one for "scipy", on a terminal.
         raise_on_failure: makes it an error if any search does not converge.
@@ -131,22 +125,22 @@ def search_pressure(
         raise ValueError(f"shear_stiffness: must be a finite number above 0, or None, got {shown(shear_stiffness)}")
     problem, shape = flat_problem(outer, shear_stiffness)
     target = outer_poses(outer)
-    goal = Goal(target, weight.expand(len(target), *weight.shape))
+    goal = Goal.of(target, weight)
     total = len(problem.pressure)
     if method == "scipy":
         from torcharm._search_scipy import search_one_by_one
 
         found = search_one_by_one(problem, goal, outer.nodes, count, seed, scipy_method, progress)
     else:
-        chunk = max(1, default_chunk(outer.nodes, problem.components) // count)
+        chunk = max(1, default_chunk(outer.nodes, problem.components) // (CHUNK_SHARE * count))
         chunk = chunk if chunk_size is None else check_count("chunk_size", chunk_size, 1)
         index = torch.arange(total, device=weight.device).split(chunk)
         with torch.no_grad():
-            parts = [_search_block(problem[at], goal[at], shape[at], count, hops, seed) for at in index if total]
+            parts = [_block(problem[at], goal[at], shape[at], count, hops, seed) for at in index if total]
         found = tuple(torch.cat(column) for column in zip(*parts, strict=True))
-        found = found or empty_result(problem, outer.nodes, count * (1 + hops))
+        found = found or empty_result(problem, outer.nodes, count)
     tip = rod.poses(found[2], problem.base_pose)[:, -1, :2]
-    found = (*found, (tip - goal.target[:, -1, :2]).norm(dim=-1))
+    found = (*found, (tip - goal.target[:2, -1].mT).norm(dim=-1))
     result = PressureSearch(*(outer.unflatten(value.reshape(*outer.sizes, *value.shape[1:])) for value in found))
     failed = total - int(result.converged.sum())
     if raise_on_failure and failed:
@@ -200,170 +194,22 @@ def flat_problem(outer: OuterProduct, shear_stiffness: float | None) -> tuple[Pr
     return problem, mechanics.to_unknowns(spread(outer.twists, 1), shear=shear_stiffness is not None)
 
 
-# The batched search
-
-
-def _search_block(problem: Problem, goal: Goal, shape: Tensor, starts: int, hops: int, seed: int) -> tuple[Tensor, ...]:
-    nodes = shape.shape[-1]
-    places = _starts(problem, goal, shape, starts, seed)  # (B, S, M)
-    found = _from_starts(problem, goal, nodes, places)
-    for hop in range(hops):
-        around = _around_best(found, starts, seed + 1 + hop)
-        more = _from_starts(problem, goal, nodes, around)
-        found = Descended(*(torch.cat(pair, 1) for pair in zip(found, more, strict=True)))
-    return _best(problem, goal, found)
-
-
-def _from_starts(problem: Problem, goal: Goal, nodes: int, places: Tensor) -> Descended:
-    """Where the descents from (B, S, M) shares of the limits end, all tensors (B, S, ...)."""
-    total, starts = places.shape[:2]
-    every = torch.arange(total, device=places.device).repeat_interleave(starts)
-    many, aims, place = problem[every], goal[every], places.flatten(0, 1)
-    many = replace(many, pressure=place * many.arm.max_pressure)
-    begun = loaded(many, unloaded(many, START_LOOKS).unknowns.expand(-1, -1, nodes).contiguous(), START_LOOKS)
-    end = descend(
-        many, aims, place, begun.unknowns, gain=ROUGH_GAIN, looks=ROUGH_LOOKS
-    )  # what is no equilibrium yet becomes one, or fails
-    return Descended(*(value.unflatten(0, (total, starts)) for value in end))
-
-
-def _around_best(found: Descended, starts: int, seed: int) -> Tensor:
-    """(B, S, M) places around the best so far: near it, where a descent was held up by the end of its branch."""
-    best = found.cost.argmin(-1)
-    middle = found.place[torch.arange(len(best), device=best.device), best].unsqueeze(1)
-    generator = torch.Generator().manual_seed(seed)
-    noise = torch.randn(starts, middle.shape[-1], generator=generator).to(middle)
-    reach = torch.logspace(-1.5, -0.3, starts).to(middle).unsqueeze(-1)
-    return (middle + reach * noise).clamp(0, 1)
-
-
-def _starts(problem: Problem, goal: Goal, shape: Tensor, starts: int, seed: int) -> Tensor:
-    """(B, S, M) shares of the limits: the best by the error to first order, one of each lot, and points spread out."""
-    size = problem.pressure.shape[-1]
-    guided = (starts + 1) // 2
-    spread = spread_points(starts - guided + 1, size, shape, seed)[: starts - guided]
-    pool = torch.rand(guided * CANDIDATES, size, generator=torch.Generator().manual_seed(seed)).to(shape)
-    pool = (1.2 * pool - 0.1).clamp(0, 1)  # the bounds are where optima like to be
-    expected = _expected_cost(problem, goal, shape, pool).unflatten(1, (guided, CANDIDATES))
-    chosen = expected.nan_to_num(nan=float("inf")).argmin(-1)  # (B, G)
-    lots = pool.unflatten(0, (guided, CANDIDATES))
-    best = lots[torch.arange(guided, device=pool.device), chosen]
-    return torch.cat((best, spread.expand(len(best), -1, -1)), 1)
-
-
-def _expected_cost(problem: Problem, goal: Goal, shape: Tensor, places: Tensor) -> Tensor:
-    """(B, Q) the cost of Q pressures to first order at the task shape: twists move by `-J⁻¹R`."""
-    motion = mechanics.kinematics(shape, problem.base_pose)
-    load = mechanics.load_part(motion, problem.tip_load, shear=problem.components == 3)
-    columns = []
-    for place in places:
-        own = mechanics.actuator_part(
-            problem.arm, shape, place * problem.arm.max_pressure, problem.shear_stiffness, pressure_slope=False
-        )
-        right = (own.wrench + load.wrench).unsqueeze(-1)
-        change = -mechanics.solve(mechanics.assemble(load.stiffness, own.stiffness), right)
-        moved = mechanics.pose_change(motion, change).squeeze(-1).mT  # (B, N+1, 3)
-        columns.append((goal.weight * moved).square().sum((-1, -2)))
-    return torch.stack(columns, 1)
-
-
-def _best(problem: Problem, goal: Goal, found: Descended) -> tuple[Tensor, ...]:
-    """The best start of each, descended to the end, and confirmed by continuation from zero load.
-
-    Where continuation leads elsewhere, all starts of that search take the equilibria it leads to, and the best of
-    them descends anew; what was confirmed before is kept if it is better.
-    """
-    total, starts = found.cost.shape
-    row = torch.arange(total, device=found.cost.device)
-    _refine(problem, goal, found, row)
-    kept = _check(problem, goal, found, row, found.cost.argmin(-1))
-    lost = row[~kept.same]
-    for turn in range(REPAIRS):
-        if not len(lost):
-            break
-        if turn == 0:
-            rows, each = lost.repeat_interleave(starts), torch.arange(starts, device=row.device).repeat(len(lost))
-            true = _check(problem, goal, found, rows, each, START_LOOKS)
-            found.unknowns[rows, each], found.cost[rows, each] = true.unknowns, true.cost
-            found.ended[rows, each] &= true.same
-            best = found.cost[lost].argmin(-1)
-            picked = _Checked(*(x.unflatten(0, (len(lost), starts))[torch.arange(len(lost)), best] for x in true))
-            _keep(kept, lost, picked)
-        _refine(problem, goal, found, lost)
-        best = found.cost[lost].argmin(-1)
-        again = _check(problem, goal, found, lost, best)
-        _keep(kept, lost, again)
-        found.unknowns[lost, best], found.cost[lost, best] = again.unknowns, again.cost
-        lost = lost[~again.same]
+def _block(problem: Problem, goal: Goal, shape: Tensor, starts: int, hops: int, seed: int) -> tuple[Tensor, ...]:
+    """The columns of `PressureSearch`, but for the last, of some of the searches."""
+    found = search_block(problem, goal, shape, starts, hops, seed)
+    pressure = found.place * problem.arm.max_pressure
+    there = replace(problem, pressure=pressure)
+    residual = there.imbalance(there.residual(found.unknowns))
+    within = strain_excess(there, found.unknowns)[1]
+    sound = residual <= problem.tolerance
     return (
-        kept.place * problem.arm.max_pressure,
-        kept.cost,
-        mechanics.to_twists(kept.unknowns),
-        kept.residual,
-        kept.continued,
-        kept.same & kept.ended,
-        kept.optimality,
-        found.cost,
-        kept.in_range,
-    )
-
-
-def _refine(problem: Problem, goal: Goal, found: Descended, row: Tensor) -> None:
-    """Descend to the end from the best start of some of the searches."""
-    at = (row, found.cost[row].argmin(-1))
-    end = descend(problem[row], goal[row], found.place[at], found.unknowns[at], gain=FINE_GAIN, looks=FINE_LOOKS)
-    better = end.cost <= found.cost[at]
-    place = (at[0][better], at[1][better])
-    for old, new in zip(found, end, strict=True):
-        old[place] = new[better]
-
-
-def _keep(kept: "_Checked", row: Tensor, new: "_Checked") -> None:
-    """Replace what was kept where the new is cheaper, or where the kept is none of a descent's ends."""
-    better = (new.cost < kept.cost[row]) | ((new.cost <= kept.cost[row] * (1 + 1e-12)) & new.same)
-    for old, fresh in zip(kept, new, strict=True):
-        old[row[better]] = fresh[better]
-
-
-class _Checked(NamedTuple):
-    """Points (A,) of searches, with the equilibria that continuation from zero load reaches there.
-
-    Attributes:
-        place, unknowns, cost: as of `Descended`, at this equilibrium.
-        residual, continued, in_range: of it.
-        same: whether it is that of the descent.
-        ended, optimality: of the descent.
-    """
-
-    place: Tensor
-    unknowns: Tensor
-    cost: Tensor
-    residual: Tensor
-    continued: Tensor
-    in_range: Tensor
-    same: Tensor
-    ended: Tensor
-    optimality: Tensor
-
-
-def _check(problem: Problem, goal: Goal, found: Descended, row: Tensor, start: Tensor, looks: int = LOOKS) -> _Checked:
-    """Solve for the equilibria at some of the pressures, from zero load."""
-    at = (row, start)
-    part = problem[row]
-    place, unknowns = found.place[at], found.unknowns[at]
-    part = replace(part, pressure=place * part.arm.max_pressure)
-    settled = solved(part, unknowns.shape[-1], looks=looks)
-    same = settled.converged & ((settled.unknowns - unknowns).abs().flatten(1).amax(-1) < SAME_SHAPE)
-    pose = mechanics.kinematics(settled.unknowns, part.base_pose).pose
-    cost = torch.where(settled.converged, goal[row].cost(pose), float("inf"))
-    return _Checked(
-        place,
-        settled.unknowns,
-        cost,
-        settled.residual,
-        settled.continued,
-        settled.in_range,
-        same,
-        found.ended[at],
-        found.optimality[at],
+        pressure,
+        torch.where(sound, found.cost, float("inf")),
+        mechanics.to_twists(found.unknowns),
+        residual,
+        found.continued & sound,
+        found.converged & sound,
+        found.optimality,
+        found.start_cost,
+        within,
     )

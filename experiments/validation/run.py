@@ -24,7 +24,7 @@ HERE = Path(__file__).parent
 ARMS: dict[str, Callable[[], ta.ArmDesign]] = {"antagonistic": ta.antagonistic_arm, "bellows-only": ta.bellows_arm}
 SHAPE = ta.affine_curvature(-3.0, 3.0, length=0.5, nodes=10)
 LOADS, QUICK_LOADS = 100, 4
-BASELINE_LOADS, QUICK_BASELINE_LOADS = 5, 1
+BASELINE_LOADS, QUICK_BASELINE_LOADS = 10, 1
 """Loads an arm of which scipy's search, one pressure at a time, is timed."""
 PAPER_SECONDS = {"hulls": 108.0, "search": 8766.0}
 """Of the published MATLAB, for two arms and 100 loads; on another machine."""
@@ -106,6 +106,7 @@ def measure(task: ta.Task, baseline_loads: int) -> tuple[list[Answers], list[Fig
     """All answers, and how long each took: hulls, prediction and search side by side in one run."""
     arms = {name: make() for name, make in ARMS.items()}
     ta.evaluate(arms["antagonistic"], task)  # loads and warms what is loaded late
+    ta.search_pressure(arms["antagonistic"], ta.Task(SHAPE, task.tip_load[:1]))
     spent: dict[str, float] = {}
     count = len(arms) * len(task.tip_load)
 

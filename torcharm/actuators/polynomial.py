@@ -57,6 +57,24 @@ class PolynomialActuator:
             total = total * pressure + _horner(row, strain)
         return total if len(rows) > 1 else total.expand(torch.broadcast_shapes(strain.shape, pressure.shape))
 
+    def force_slopes(
+        self, strain: Tensor, pressure: Tensor, by_pressure: bool = True
+    ) -> tuple[Tensor, Tensor, Tensor | None]:
+        """f, ∂f/∂ε and, if wanted, ∂f/∂p. Cheapest where pressure has fewer entries than strain."""
+        table = strain.new_tensor(self._rows()).mT  # (powers of ε, powers of p)
+        degrees = range(1, table.shape[1])
+        powers = torch.stack([pressure**degree for degree in range(table.shape[1])])
+        row = (table @ powers.flatten(1)).unflatten(1, pressure.shape).unbind(0)
+        force, by_strain = _horner_slope(row, strain)
+        if not by_pressure:
+            return force, by_strain, None
+        if not degrees:
+            return force, by_strain, torch.zeros_like(force)
+        slope = table[:, 1:] * table.new_tensor([float(degree) for degree in degrees])
+        last = max([0, *(i for i, j, c in self.coefficients if j > 0 and c != 0)])
+        row = (slope[: last + 1] @ powers[:-1].flatten(1)).unflatten(1, pressure.shape).unbind(0)
+        return force, by_strain, _horner_slope(row, strain, False)[0]
+
     def pressure_law(self, strain: Tensor) -> PressureLaw | None:
         """The same force as a function of pressure, up to a cubic."""
         rows = self._rows()
@@ -92,6 +110,18 @@ def _horner(row: list[float], x: Tensor) -> Tensor:
     for c in reversed(row[:degree]):
         total = total * x + c
     return total
+
+
+def _horner_slope(row: tuple[Tensor, ...], x: Tensor, slope: bool = True) -> tuple[Tensor, Tensor]:
+    """`Σ row[i] x^i`, and its derivative by x if wanted."""
+    if len(row) == 1:
+        return row[0] + torch.zeros_like(x), torch.zeros_like(x)
+    total, rate = torch.addcmul(row[-2], row[-1], x), row[-1]
+    for c in reversed(row[:-2]):
+        if slope:
+            rate = torch.addcmul(total, rate, x)
+        total = torch.addcmul(c, total, x)
+    return total, rate + torch.zeros_like(x) if len(row) == 2 else rate
 
 
 BELLOWS_COEFFICIENTS: Coefficients = (

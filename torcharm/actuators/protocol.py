@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
+import torch
 from torch import Tensor
 
 from torcharm._inputs import shown
@@ -139,3 +140,21 @@ def pressure_law(actuator: Actuator, strain: Tensor) -> PressureLaw | None:
     """The force as a function of pressure, if the model writes it so."""
     law: PressureLaw | None = actuator.pressure_law(strain) if hasattr(actuator, "pressure_law") else None
     return law
+
+
+def force_slopes(
+    actuator: Actuator, strain: Tensor, pressure: Tensor, by_pressure: bool = True
+) -> tuple[Tensor, Tensor, Tensor | None]:
+    """f, ∂f/∂ε and, if wanted, ∂f/∂p, detached: written out by the model, or by autograd."""
+    if hasattr(actuator, "force_slopes"):
+        found: tuple[Tensor, Tensor, Tensor | None] = actuator.force_slopes(strain, pressure, by_pressure)
+        return found
+    with torch.enable_grad():
+        strain = strain.detach().requires_grad_()
+        pressure = pressure.detach().expand_as(strain).clone().requires_grad_(by_pressure)
+        force = actuator.force(strain, pressure).expand_as(strain)
+        wanted = (strain, pressure) if by_pressure else (strain,)
+        slopes: tuple[Tensor, ...] = tuple(torch.zeros_like(strain) for _ in wanted)  # of a constant force
+        if force.requires_grad:
+            slopes = torch.autograd.grad(force.sum(), wanted, allow_unused=True, materialize_grads=True)
+    return force.detach(), slopes[0], slopes[1] if by_pressure else None

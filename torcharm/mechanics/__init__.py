@@ -26,13 +26,16 @@ from torcharm.mechanics.kinematics import (
     to_unknowns,
 )
 from torcharm.mechanics.load import LoadPart, load_part, load_wrench
+from torcharm.mechanics.march import Arms, Marched, march, pick, relax
 from torcharm.mechanics.sections import ActuatorPart, actuator_part, actuator_wrench
 
 __all__ = [
     "ActuatorPart",
+    "Arms",
     "Balance",
     "Kinematics",
     "LoadPart",
+    "Marched",
     "actuator_part",
     "actuator_wrench",
     "assemble",
@@ -41,9 +44,12 @@ __all__ = [
     "kinematics",
     "load_part",
     "load_wrench",
+    "march",
+    "pick",
     "pose_change",
     "pose_error",
     "pose_jacobian",
+    "relax",
     "solve",
     "solve_signed",
     "to_twists",
