@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from torcharm._inputs import check_choice, check_count, shown
-from torcharm._node_distances import Check, Residuals, node_distances, strain_excess
+from torcharm._node_distances import Check, Residuals, node_distances
 from torcharm._outer import OuterProduct, check_arm_and_task, map_blocks, outer_product
+from torcharm._sampled_distances import required_by_metric, strain_excess
 from torcharm.arm import ArmDesign
 from torcharm.distance import DistanceFunction, find_solver
 from torcharm.hulls import cross_sections, sample_count, slot_count
@@ -224,7 +225,8 @@ def _per_node(outer: OuterProduct, check: Check, chunk_size: int | None) -> tupl
         blocks: tuple[Tensor, ...] = (real.new_zeros(outer.sizes), real, ~flag, *audit)
     else:
         recompute = prod(outer.sizes) > chunk_size
-        blocks = map_blocks(outer, chunk_size, lambda block: node_distances(block, check, recompute))
+        required = required_by_metric(outer, check.metrics, check.scale)
+        blocks = map_blocks(outer, chunk_size, lambda block: node_distances(block, required, check, recompute))
     return tuple(outer.unflatten(block) for block in blocks)
 
 
