@@ -27,6 +27,9 @@ MOST_EDGE_ACTUATORS = 12
 ROUNDINGS = (32.0, 3e4, 3e7)
 """Multiples of the rounding error within which samples may count as equally far along a normal."""
 
+AT_ONCE = 300_000
+"""Up to so many slopes between samples are taken at once: below it calls cost more than arithmetic."""
+
 Pair = tuple[Tensor, Tensor]
 
 
@@ -329,6 +332,8 @@ def _envelope_targets(grid: Tensor, force: Tensor) -> Tensor:
     A sample is on the lower envelope if every slope to its right exceeds every slope to its left;
     on the upper, the other way round. The lower is walked rightwards, the upper back.
     """
+    if grid.shape[1:] == (1, 1) and force.numel() * len(force) <= AT_ONCE:
+        return _envelope_targets_at_once(grid, force)
     count = len(force)
     left_max, right_max = force.new_full((2, *force.shape), -torch.inf)
     left_min, right_min = force.new_full((2, *force.shape), torch.inf)
@@ -352,6 +357,25 @@ def _envelope_targets(grid: Tensor, force: Tensor) -> Tensor:
         target[slot].lerp_(after, lower[slot])
         after = reached
     return target.long()
+
+
+def _envelope_targets_at_once(grid: Tensor, force: Tensor) -> Tensor:
+    """The same of few curves on one grid, from all slopes at once: a tenth of the calls, of ten times the size."""
+    count = len(grid)
+    own = torch.arange(count, device=force.device).view(-1, 1, 1)
+    run = grid.unsqueeze(0) - grid.unsqueeze(1)
+    slope = (force.unsqueeze(0) - force.unsqueeze(1)).div_(torch.where(run == 0, 1.0, run))
+    not_right = torch.where(run > 0, 0.0, torch.inf).to(force.dtype)
+    not_left = not_right.transpose(0, 1)
+    right_min, right_max = (slope + not_right).amin(1), (slope - not_right).amax(1)
+    left_min, left_max = (slope + not_left).amin(1), (slope - not_left).amax(1)
+    lower, upper = right_min > left_max, right_max < left_min
+    after = torch.where(lower, own, count - 1)[1:].flip(0).cummin(0).values.flip(0)
+    back = torch.where(upper, own, 0)[:-1].cummax(0).values
+    target = own.expand_as(force).clone()
+    target[1:] = torch.where(upper[1:], back, target[1:])
+    target[:-1] = torch.where(lower[:-1], after, target[:-1])
+    return target
 
 
 def _leftmost(curves: Curves) -> tuple[Tensor, Tensor]:

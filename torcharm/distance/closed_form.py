@@ -178,7 +178,7 @@ def face_distance(polygons: Polygons, faces: NearestFaces, x: Tensor, y: Tensor,
     assert faces.slot is not None
     length = signed_length(faces.square, faces.inside, faces.blur, signed=signed)
     sides = torch.stack((polygons.x, polygons.y, polygons.edge_x, polygons.edge_y))
-    answer: Tensor = _FaceDistance.apply(length, faces.slot, sides, torch.stack((x, y)))  # type: ignore[no-untyped-call]
+    answer: Tensor = _FaceDistance.apply(length, faces.slot, sides, torch.stack((x, y)))
     return answer
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -58,8 +59,14 @@ class Polytope:
     def design(self, point: Tensor) -> ArmDesign:
         """Designs of batch shape (...) from scaled values (..., F), differentiable."""
         values = (point @ self.spread.T + self.fixed).to(self.arm.radii)
-        radii, length, limit = values.unflatten(-1, (3, -1)).unbind(-2)
-        return ArmDesign(radii, length, self.arm.actuators, limit)
+        parts = values.unflatten(-1, (3, -1)).unbind(-2)
+        held = self.fixed_fields
+        return self.arm.with_values(*(part.detach() if own else part for part, own in zip(parts, held, strict=True)))
+
+    @cached_property
+    def fixed_fields(self) -> tuple[bool, ...]:
+        """Whether radii, lengths and limits have no free values: gradients need not follow them."""
+        return tuple((self.spread.unflatten(0, (3, -1)) == 0).flatten(1).all(-1).tolist())
 
     def project(self, point: Tensor) -> Tensor:
         """The nearest feasible points (S, F) to points (S, F)."""
