@@ -25,6 +25,8 @@ from torcharm.task import Task
 Array = npt.NDArray[np.float64]
 THICKNESS = 1e-9
 """Free values whose bounds lie closer, as a fraction of their size, are fixed."""
+FEASIBLE = 1e-9
+"""A point that is no further outside, in scaled values, shows that the polytope is not empty."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +40,6 @@ class Polytope:
         rows: (C, F) A, each row of length 1.
         bound: (C,) b.
         names: C words, what each constraint is.
-        centre: (F,) the middle of the largest ball inside.
-        radius: of that ball; 0 if the polytope is flat.
     """
 
     arm: ArmDesign
@@ -48,13 +48,27 @@ class Polytope:
     rows: Tensor
     bound: Tensor
     names: tuple[str, ...]
-    centre: Tensor
-    radius: float
 
     @property
     def dimension(self) -> int:
         """F."""
         return self.spread.shape[1]
+
+    @property
+    def centre(self) -> Tensor:
+        """(F,) the middle of the largest ball inside."""
+        return self._ball[0]
+
+    @property
+    def radius(self) -> float:
+        """Of that ball; 0 if the polytope is flat."""
+        return self._ball[1]
+
+    @cached_property
+    def _ball(self) -> tuple[Tensor, float]:
+        centre, radius = _middle(Rows(self.rows.numpy(), self.bound.numpy(), self.names))
+        assert centre is not None
+        return torch.from_numpy(centre), radius
 
     def design(self, point: Tensor) -> ArmDesign:
         """Designs of batch shape (...) from scaled values (..., F), differentiable."""
@@ -114,13 +128,14 @@ def feasible_designs(space: DesignSpace, arm: ArmDesign, tasks: Sequence[Task]) 
     spread, base = frame.spread * (frame.high - frame.low), frame.fixed + frame.spread @ frame.low
     parts = (spacing_rows(space, arm), strain_rows(space, arm, tasks))
     rows = _scaled(parts, spread, base)
-    centre, radius = _middle(rows)
-    if centre is None:
-        raise ValueError(_contradiction(rows, spread, base, arm, parts[1]))
     maps, origin, matrix, bound = (
         torch.from_numpy(np.ascontiguousarray(value)) for value in (spread, base, rows.matrix, rows.bound)
     )
-    return Polytope(arm.flatten()[0], maps, origin, matrix, bound, rows.names, torch.from_numpy(centre), radius)
+    found = Polytope(arm.flatten()[0], maps, origin, matrix, bound, rows.names)
+    # A feasible design near the given one says that there is one, sooner than a linear program does.
+    if bool(found.violation(found.nearest(arm.flatten()[:1])).amax() > FEASIBLE) and _middle(rows)[0] is None:
+        raise ValueError(_contradiction(rows, spread, base, arm, parts[1]))
+    return found
 
 
 def _scaled(parts: Sequence[Rows], spread: Array, base: Array) -> Rows:
