@@ -122,7 +122,7 @@ def optimise_architectures(
         begun=begun,
         seconds=seconds,
     )
-    reasons = end_reasons(state.reason, stopped)
+    reasons = end_reasons(state.reason)
     found = []
     for index, own in enumerate(arms):
         mine = slice(index * each, (index + 1) * each)

@@ -6,6 +6,9 @@ Both take the step that minimises a quadratic model within the constraints,
 
 with H from differences of gradients (BFGS, damped; Nocedal & Wright, procedure 18.2) or from their running
 squares (Adam). A start is a row of the state; those that have ended no longer cost anything.
+
+The first start of each polytope, which is the feasible design nearest to the given one, descends before the others:
+a first answer comes as soon as if there were no others, which then descend together.
 """
 
 from collections.abc import Callable
@@ -46,6 +49,7 @@ class State:
         fresh: (S,) whether the Hessian is still a guess.
         idle: (S,) iterations without progress.
         age: (S,) iterations in this stage.
+        steps: (S,) iterations in all; -1 before the start has been judged.
         reason: (S,) why it ended; GOING while it has not.
     """
 
@@ -64,14 +68,19 @@ class State:
     fresh: Tensor
     idle: Tensor
     age: Tensor
+    steps: Tensor
     reason: Tensor
 
     def rows(self, index: Tensor) -> "State":
-        """Some of the starts."""
+        """Some of the starts, in ascending order."""
+        if len(index) == len(self.owner):
+            return self
         return State(*(getattr(self, field.name)[index] for field in fields(self)))
 
     def with_rows(self, index: Tensor, part: "State") -> "State":
-        """The state with some of its starts replaced."""
+        """The state with some of its starts, in ascending order, replaced."""
+        if len(index) == len(self.owner):
+            return part
         columns = {}
         for field in fields(self):
             column = getattr(self, field.name).clone()
@@ -80,12 +89,12 @@ class State:
         return State(**columns)
 
 
-def begin(problem: Problem, point: Tensor, owner: Tensor) -> State:
-    """The state of starts at feasible points (S, F)."""
+def blank(point: Tensor, owner: Tensor) -> State:
+    """The state of starts at feasible points (S, F) that have not been judged."""
     size, free = point.shape
     hot = torch.full((size,), torch.inf, dtype=torch.float64)
     count = torch.zeros(size, dtype=torch.long)
-    state = State(
+    return State(
         owner,
         point,
         hot,
@@ -101,12 +110,30 @@ def begin(problem: Problem, point: Tensor, owner: Tensor) -> State:
         torch.ones(size, dtype=torch.bool),
         count,
         count,
+        count - 1,
         count,
     )
+
+
+def begin(problem: Problem, point: Tensor, owner: Tensor) -> State:
+    """The state of starts at feasible points (S, F), judged."""
+    return _begun(problem, blank(point, owner))
+
+
+def _begun(problem: Problem, state: State) -> State:
     if problem.objective.over in SMOOTHED:
-        spread = problem.judge(point, owner, state.temperature, gradient=False).spread
+        spread = problem.judge(state.point, state.owner, state.temperature, gradient=False).spread
         state = replace(state, temperature=COOLING[0] * spread.clamp(min=1e-9))
-    return _judged_again(problem, state)
+    return _judged_again(problem, replace(state, steps=torch.zeros_like(state.steps)))
+
+
+def turn(state: State) -> Tensor:
+    """Indices of the starts whose turn it is: those that are going of the first of each polytope, or else of all."""
+    going = state.reason == GOING
+    first = torch.ones_like(going)
+    first[1:] = state.owner[1:] != state.owner[:-1]
+    ahead = going & first
+    return (ahead if bool(ahead.any()) else going).nonzero().squeeze(-1)
 
 
 def _judged_again(problem: Problem, state: State) -> State:
@@ -132,24 +159,29 @@ def _noted(state: State, point: Tensor, judged: Judged) -> State:
 
 
 def advance(problem: Problem, state: State, method: str, tolerance: float, total: int) -> tuple[State, int]:
-    """One iteration of all starts that are going; also the number of designs evaluated.
+    """One iteration of the starts whose turn it is; also the number of designs evaluated.
 
     Args:
         tolerance: a start is optimal when its model promises less, as a fraction of its value, and stalled
             when it has gained less for some iterations.
-        total: iterations planned for each stage (Adam's rate falls over them).
+        total: iterations of a start, at most (Adam's rate falls over them).
     """
-    going = (state.reason == GOING).nonzero().squeeze(-1)
-    part = state.rows(going)
-    before = part.smooth
+    going = turn(state)
+    part = given = state.rows(going)
+    fresh = (part.steps < 0).nonzero().squeeze(-1)
+    if len(fresh):
+        return state.with_rows(going, part.with_rows(fresh, _begun(problem, part.rows(fresh)))), len(fresh)
     step = {"bfgs": _bfgs, "adam": _adam}[method]
     part, evaluations = step(problem, part, tolerance, total)
-    gain = before - part.smooth if method == "bfgs" else _gain_of_best(state.rows(going), part)
+    gain = given.smooth - part.smooth if method == "bfgs" else _gain_of_best(given, part)
     slow = gain <= tolerance * part.smooth.abs().clamp(min=1e-9)
     idle = torch.where(slow, part.idle + 1, 0)
     ended = (part.reason == GOING) & (idle >= PATIENCE[method])
-    part = replace(part, idle=idle, age=part.age + 1, reason=torch.where(ended, STALLED, part.reason))
+    reason = torch.where(ended, STALLED, part.reason)
+    part = replace(part, idle=idle, age=part.age + 1, steps=part.steps + 1, reason=reason)
     part, more = _next_stage(problem, part)
+    out = (part.reason == GOING) & (part.steps >= total)
+    part = replace(part, reason=torch.where(out, LIMIT, part.reason))
     return state.with_rows(going, part), evaluations + more
 
 

@@ -13,7 +13,7 @@ from torcharm.arm import ArmDesign
 from torcharm.attainability import evaluate
 from torcharm.optimise.archive import fingerprint
 from torcharm.optimise.baselines import SCIPY_METHODS, run_scipy
-from torcharm.optimise.descent import GOING, LIMIT, REASONS, projected_gradient
+from torcharm.optimise.descent import REASONS, projected_gradient
 from torcharm.optimise.feasible import Polytope, feasible_designs
 from torcharm.optimise.objective import Objective, Problem
 from torcharm.optimise.result import History, OptimisedDesign
@@ -23,6 +23,8 @@ from torcharm.optimise.stationarity import stationarity
 from torcharm.task import Task
 
 BATCHED_METHODS = ("bfgs", "adam")
+SCHEME = 2
+"""Of descent: checkpoints of another one are not gone on from."""
 METHODS = (*BATCHED_METHODS, *SCIPY_METHODS)
 ITERATIONS = {
     "bfgs": 200,
@@ -52,8 +54,9 @@ def optimise_design(
 ) -> OptimisedDesign:
     """The best design found from a given one, within constraints, on all tasks.
 
-    All starts descend in one batch: the first are the feasible designs nearest to the given ones, the others
-    lie anywhere among the feasible designs. Ctrl-C ends the search and returns what was found until then.
+    The first starts are the feasible designs nearest to the given ones, the others lie anywhere among the feasible
+    designs. The very first descends by itself, so that an answer comes soon; the others then descend in one batch.
+    Ctrl-C ends the search and returns what was found until then.
 
     Args:
         arm: a design, or a batch of designs to start from.
@@ -65,7 +68,7 @@ def optimise_design(
             "batched_differential_evolution" judges whole populations in one call) or "nelder_mead", for comparison.
         starts: at least as many as designs are given. Differential evolution has its own population.
         seed: of the random starts.
-        iterations: at most; None chooses.
+        iterations: of a start, at most; None chooses.
         tolerance: relative gain not worth another step.
         seconds: after which to stop, counted from the call; None sets no limit.
         checkpoint: a file from which to go on, if it is there, and in which to keep what has been done; of batched
@@ -112,7 +115,7 @@ def optimise_design(
             begun=begun,
             seconds=seconds,
         )
-        ends, values, reasons = state.best_point, state.best_value, end_reasons(state.reason, stopped)
+        ends, values, reasons = state.best_point, state.best_value, end_reasons(state.reason)
     return outcome(problem, 0, arm, space, points, ends, values, reasons, log, method, stopped)
 
 
@@ -162,13 +165,12 @@ def problem_name(arm: ArmDesign, tasks: Sequence[Task], *settings: Any) -> str:
     """What tells this problem from others, for checkpoints."""
     tensors = [tensor for task in tasks for tensor in (task.twists, task.tip_load, task.base_pose)]
     models = [repr(model) for model in arm.actuators]
-    return fingerprint(torch.from_numpy(given_values(arm)), *tensors, models, *settings)
+    return fingerprint(torch.from_numpy(given_values(arm)), *tensors, models, *settings, SCHEME)
 
 
-def end_reasons(reason: Tensor, stopped: str) -> list[str]:
+def end_reasons(reason: Tensor) -> list[str]:
     """Why each start ended, in words."""
-    last = GOING if stopped != "finished" else LIMIT
-    return [REASONS[last if code == GOING else code] for code in reason.tolist()]
+    return [REASONS[code] for code in reason.tolist()]
 
 
 def outcome(

@@ -99,6 +99,8 @@ class Polytope:
 
     def sample(self, count: int, seed: int, steps: int = 50) -> Tensor:
         """Points (count, F) spread over the polytope: hit-and-run walks from its middle."""
+        if count == 0:
+            return self.rows.new_zeros(0, self.dimension)
         generator = torch.Generator().manual_seed(seed)
         point = self.centre.expand(count, -1).clone()
         for _ in range(steps):

@@ -34,7 +34,7 @@ class History:
     Attributes:
         evaluations: (I+1,) designs evaluated so far.
         seconds: (I+1,) so far, from the call, all preparations included.
-        values: (I+1, S) the best value of each start so far.
+        values: (I+1, S) the best value of each start so far, infinite until it has its turn.
     """
 
     evaluations: Tensor

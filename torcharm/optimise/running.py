@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.optimise.archive import read_archive, write_archive
-from torcharm.optimise.descent import GOING, State, advance, begin
+from torcharm.optimise.descent import GOING, State, advance, blank
 from torcharm.optimise.objective import Problem
 
 SAVE_EVERY = 10.0
@@ -96,13 +96,13 @@ def descend(
     state, log = _resumed(checkpoint, name)
     earlier = log.seconds[-1] if log.seconds else 0.0
     if state is None:
-        state = begin(problem, points, owner)
-        log.add(len(points), time.perf_counter() - begun, state.best_value)
+        state, count = advance(problem, blank(points, owner), method, tolerance, iterations)
+        log.add(count, time.perf_counter() - begun, state.best_value)
     saved = time.perf_counter()
     stopped = "finished"
-    with bar(progress, iterations) as show:
+    with bar(progress, iterations * (1 if len(points) == len(problem.polytopes) else 2)) as show:
         try:
-            while len(log.seconds) <= iterations and bool((state.reason == GOING).any()):
+            while bool((state.reason == GOING).any()):
                 state, count = advance(problem, state, method, tolerance, iterations)
                 now = time.perf_counter()
                 log.add(log.evaluations[-1] + count, earlier + now - begun, state.best_value)
