@@ -22,6 +22,7 @@ FEW = 32
 """Up to so many programs are solved one by one, which is also the more accurate; a batch of more takes less time."""
 MOST_STEPS = 60
 TOLERANCE = 1e-11
+EPS = 64 * float(np.finfo(np.float64).eps)
 CHECKED = 1e-10
 """By how much the answer of an active set may be outside, relative to its size."""
 _SHORTEN = 0.995
@@ -112,7 +113,8 @@ def _by_active_set(hessian: Array, gradient: Array, rows: Array, room: Array) ->
         dual[active] = pull
     step = inverse.T @ (walls.T @ dual - free)
     off = (rows @ step - room).max()
-    return (step, unit * dual) if off <= CHECKED * (1 + np.abs(step).max()) else None
+    size = 1 + np.abs(step).max() + EPS / CHECKED * np.abs(height).max()
+    return (step, unit * dual) if off <= CHECKED * size else None
 
 
 def _by_interior_points(hessian: Tensor, gradient: Tensor, rows: Tensor, room: Tensor) -> Step:
