@@ -24,7 +24,7 @@ GOING, OPTIMAL, STALLED, LIMIT, FAILED = range(5)
 REASONS = ("going", "optimal", "stalled", "iterations", "failed")
 COOLING = (0.1, 0.01, 1e-3)
 """Temperatures of smoothed aggregates, as fractions of the values' size when a stage begins."""
-FIRST_STEP = 0.5
+FIRST_STEP = 1.0
 """About how far the first step goes, of the distance between bounds."""
 SUFFICIENT = 1e-4
 MOST_HALVINGS = 15
@@ -284,7 +284,7 @@ def _updated(hessian: Tensor, step: Tensor, change: Tensor, fresh: Tensor) -> Te
     """BFGS's update, damped so that it stays positive definite; a guess is first scaled to what was seen."""
     along = (step * change).sum(-1)
     seen = along > 1e-12 * step.norm(dim=-1) * change.norm(dim=-1)
-    curvature = torch.where(seen, change.square().sum(-1) / along.clamp(min=1e-300), 1.0)
+    curvature = torch.where(seen, along / step.square().sum(-1).clamp(min=1e-300), 1.0)
     eye = torch.eye(step.shape[-1], dtype=step.dtype)
     hessian = torch.where((fresh & seen)[:, None, None], curvature[:, None, None] * eye, hessian)
     bent = _times(hessian, step)

@@ -236,6 +236,25 @@ class Problem:
         return values[0] if len(values) == 1 else torch.cat(values, -1)
 
     def _judge_alike(self, architecture: int, point: Tensor, temperature: Tensor, gradient: bool) -> Judged:
+        """Judge points of one polytope: with gradients, so many at once that their graph stays small."""
+        scenes = self.scenes[architecture]
+        each = len(point) if scenes is None or not gradient else min(scene.designs_at_once for scene in scenes)
+        parts = [
+            self._judge_at_once(architecture, part, heat, gradient)
+            for part, heat in zip(point.split(max(1, each)), temperature.split(max(1, each)), strict=True)
+        ]
+        if len(parts) == 1:
+            return parts[0]
+        value, smooth, slope, spread = (
+            torch.cat([getattr(part, name) for part in parts]) if name != "gradient" or gradient else None
+            for name in ("value", "smooth", "gradient", "spread")
+        )
+        assert value is not None
+        assert smooth is not None
+        assert spread is not None
+        return Judged(value, smooth, slope, spread)
+
+    def _judge_at_once(self, architecture: int, point: Tensor, temperature: Tensor, gradient: bool) -> Judged:
         objective = self.objective
         slope = torch.zeros_like(point) if gradient else None
         with torch.set_grad_enabled(gradient):

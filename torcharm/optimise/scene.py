@@ -1,6 +1,7 @@
 """Tasks prepared for many designs: what no design changes is worked out once, and only what an objective needs."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import prod
 
 import torch
@@ -43,18 +44,27 @@ class Scene:
             required = required_by_metric(outer, sampling.metrics, sampling.scale)
         return cls(outer, required, sampling, factors, power, chunk)
 
+    @cached_property
+    def chunk(self) -> int:
+        """(design, shape, load) triples worked on at once."""
+        return self.chunk_size or block_size(self.outer, self.sampling.hull, self.sampling.samples)
+
+    @property
+    def designs_at_once(self) -> int:
+        """Designs that make one block, at least one."""
+        _, shapes, loads = self.outer.sizes
+        return max(1, self.chunk // max(1, shapes * loads))
+
     def values(self, arm: ArmDesign) -> Tensor:
         """The sum of unattainabilities (D, T) of designs, of batch shape (D,); not a number where one is none."""
         outer = replace(self.outer, arm=arm, design_batch=tuple(arm.batch_shape))
-        chunk = block_size(outer, self.sampling.hull, self.sampling.samples) if self.chunk_size is None else None
-        chunk = chunk or self.chunk_size or 1
-        recompute = prod(outer.sizes) > chunk
+        recompute = prod(outer.sizes) > self.chunk
 
         def work(block: Block) -> tuple[Tensor, ...]:
             found = sampled_distances(block, self.required, self.sampling, recompute=recompute, excess=False)
             return (self._total(found.lengths, found.sections.shape),)
 
-        return map_blocks(outer, chunk, work)[0].flatten(1)
+        return map_blocks(outer, self.chunk, work)[0].flatten(1)
 
     def _total(self, lengths: tuple[Tensor, ...], shape: tuple[int, int, int]) -> Tensor:
         """(d, p, l) from distances (B, l) by metric."""
