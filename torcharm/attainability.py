@@ -253,7 +253,8 @@ def limits_in_range(outer: OuterProduct) -> Tensor:
 
 def over_nodes(distance: Tensor, metric: str, power: int, *, signed: bool, dim: int = -1) -> Tensor:
     """The sum of distances to a power over the nodes, along `dim`; where all are inside, minus the least margin."""
-    total = (distance.clamp(min=0) if signed else distance).pow(power).sum(dim)
+    miss = distance.clamp(min=0) if signed else distance
+    total = (miss if power == 1 else miss.pow(power)).sum(dim)
     if not signed:
         return total
     nodes = distance.shape[dim]

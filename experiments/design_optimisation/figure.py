@@ -45,7 +45,7 @@ def draw(traces: Sequence[Any], path: Path) -> None:
     handles, labels = axes[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncols=3, frameon=False)
     figure.suptitle(
-        "Gradients find the best design within a tenth of a second to a second; evolution needs 50 times as long"
+        "Gradients find the best design in a fraction of a second to a second; evolution takes over 50 times as long"
     )
     figure.tight_layout(rect=(0, 0.13, 1, 1))
     figure.savefig(path, dpi=150)

@@ -8,7 +8,8 @@ with H from differences of gradients (BFGS, damped; Nocedal & Wright, procedure 
 squares (Adam). A start is a row of the state; those that have ended no longer cost anything.
 
 The first start of each polytope, which is the feasible design nearest to the given one, descends before the others:
-a first answer comes as soon as if there were no others, which then descend together.
+a first answer comes as soon as if there were no others. These then descend together, as many at once as keep the
+machine busy; where one ends, the next begins.
 """
 
 from collections.abc import Callable
@@ -127,13 +128,15 @@ def _begun(problem: Problem, state: State) -> State:
     return _judged_again(problem, replace(state, steps=torch.zeros_like(state.steps)))
 
 
-def turn(state: State) -> Tensor:
-    """Indices of the starts whose turn it is: those that are going of the first of each polytope, or else of all."""
+def turn(state: State, together: int) -> Tensor:
+    """Indices of the starts whose turn it is: of the first of each polytope those that are going, or else the next."""
     going = state.reason == GOING
     first = torch.ones_like(going)
     first[1:] = state.owner[1:] != state.owner[:-1]
     ahead = going & first
-    return (ahead if bool(ahead.any()) else going).nonzero().squeeze(-1)
+    if bool(ahead.any()):
+        return ahead.nonzero().squeeze(-1)
+    return going.nonzero().squeeze(-1)[:together]
 
 
 def _judged_again(problem: Problem, state: State) -> State:
@@ -166,11 +169,12 @@ def advance(problem: Problem, state: State, method: str, tolerance: float, total
             when it has gained less for some iterations.
         total: iterations of a start, at most (Adam's rate falls over them).
     """
-    going = turn(state)
-    part = given = state.rows(going)
+    going = turn(state, problem.together)
+    part = state.rows(going)
     fresh = (part.steps < 0).nonzero().squeeze(-1)
     if len(fresh):
         return state.with_rows(going, part.with_rows(fresh, _begun(problem, part.rows(fresh)))), len(fresh)
+    given = part
     step = {"bfgs": _bfgs, "adam": _adam}[method]
     part, evaluations = step(problem, part, tolerance, total)
     gain = given.smooth - part.smooth if method == "bfgs" else _gain_of_best(given, part)

@@ -109,7 +109,9 @@ def optimise_design(
             iterations=iterations,
             tolerance=tolerance,
             checkpoint=checkpoint,
-            name=problem_name(arm, tasks, space, objective, method, len(points), seed, iterations, tolerance),
+            name=""
+            if checkpoint is None
+            else problem_name(arm, tasks, space, objective, method, len(points), seed, iterations, tolerance),
             callback=callback,
             progress=progress,
             begun=begun,

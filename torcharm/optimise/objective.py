@@ -18,6 +18,8 @@ from torcharm.task import Task
 
 METRICS = ("unattainability", "predicted_error")
 AGGREGATES = ("mean", "worst", "cvar", "count")
+LEAST_TOGETHER, BLOCKS_TOGETHER = 4, 2
+"""Of starts that descend at once, the least number and how many blocks of work they make."""
 SMOOTHED = ("worst", "count")
 """Aggregates that a gradient follows through a smooth stand-in, sharpened in stages."""
 
@@ -200,6 +202,12 @@ class Problem:
     def dimension(self) -> int:
         """F."""
         return self.polytopes[0].dimension
+
+    @property
+    def together(self) -> int:
+        """Starts that descend at once: more would not be done sooner."""
+        scenes = [scene for own in self.scenes if own is not None for scene in own]
+        return max([LEAST_TOGETHER, *(BLOCKS_TOGETHER * scene.designs_at_once for scene in scenes)])
 
     def constraints(self, owner: Tensor) -> tuple[Tensor, Tensor]:
         """A (S, C, F) and b (S, C) of points whose polytopes are numbered by `owner` (S,), padded to one C."""
