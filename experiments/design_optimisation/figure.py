@@ -1,13 +1,14 @@
 """Quality against time: how far above the best design known each method still is."""
 
 from collections.abc import Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 
 STYLES = {
-    "bfgs": ("#0072B2", "-", "projected BFGS, 8 starts (gradients)"),
+    "bfgs": ("#0072B2", "-", "projected BFGS, 16 starts (gradients)"),
     "slsqp": ("#009E73", "-", "SLSQP, 1 start (gradients)"),
     "adam": ("#56B4E9", "-", "projected Adam, 1 start (gradients)"),
     "nelder_mead": ("#000000", ":", "Nelder–Mead"),
@@ -27,11 +28,15 @@ def draw(traces: Sequence[Any], path: Path) -> None:
         own = [trace for trace in traces if trace.arm == arm]
         best = min(trace.value for trace in own)
         for method, (colour, dash, label) in STYLES.items():
-            seeds = sorted({trace.seed for trace in own if trace.method == method})
-            for seed in seeds[:1] if method == "bfgs" else seeds:
-                line = [trace for trace in own if trace.method == method and trace.seed == seed]
+            runs = [
+                list(run)
+                for _, run in groupby(
+                    (trace for trace in own if trace.method == method), key=lambda trace: (trace.session, trace.seed)
+                )
+            ]
+            for index, line in enumerate(runs[:1] if method == "bfgs" else runs):
                 excess = [max(100 * (trace.value / best - 1), FLOOR) for trace in line]
-                shown = label if seed == seeds[0] else None
+                shown = None if index else label
                 width = 2.4 if method == "bfgs" else 1.4
                 seconds = [trace.seconds for trace in line]
                 axis.step(seconds, excess, where="post", color=colour, linestyle=dash, label=shown, linewidth=width)

@@ -1,8 +1,13 @@
-"""Quality against time: every method from the paper's arms, on all shapes and loads together, by one thread."""
+"""Quality against time: every method from the paper's arms, on all shapes and loads together, by one thread.
+
+Methods are compared in sessions: the gradient method several times, then its rivals, one after the other. Times are
+compared within a session, so that neither another load on the machine nor its caches tell for one of them.
+"""
 
 import statistics
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import groupby
 
 import torcharm as ta
 from experiments.design_optimisation.rows import Row, Trace
@@ -13,92 +18,116 @@ NEAR = 1e-3
 """Within this share of the best value found by any method counts as there."""
 TIMES = 55.0
 """Evolution goes on until so many times the gradient method's time have passed."""
-LEAST_SECONDS = 5.0
-OURS = "bfgs"
+LEAST_SECONDS = 6.0
+OURS, STARTS, REPEATS = "bfgs", 16, 3
 PLAIN, BATCHED = "differential_evolution", "batched_differential_evolution"
-LIMITS = {"nelder_mead": 600, "adam": 200}
+SESSIONS = {"local": ("adam", "slsqp", "nelder_mead"), "evolution": (PLAIN,), "evolution in batches": (BATCHED,)}
+SEEDS = 3
+LIMITS = {"nelder_mead": 600, "adam": 200, PLAIN: 100_000, BATCHED: 100_000}
 
 
-def runs(quick: bool) -> Iterator[tuple[str, int, int]]:
-    """Method, starts and seed; the gradient method first, several times, for its time is short."""
-    for seed in range(1 if quick else 5):
-        yield OURS, 8, seed
-    yield "bfgs, 1 start", 1, 0
-    yield "adam", 1, 0
-    yield "slsqp", 1, 0
-    yield "nelder_mead", 1, 0
-    for method in (PLAIN, BATCHED):
-        for seed in range(1 if quick else 3):
-            yield method, 1, seed
-
-
-def compare(arm: str, design: ta.ArmDesign, quick: bool) -> tuple[list[Row], list[Trace]]:
-    """All methods on one arm. The repeats of the gradient method are of one seed: they differ in time alone."""
+def session(name: str, arm: str, design: ta.ArmDesign, quick: bool) -> tuple[list[Trace], list[Row]]:
+    """The gradient method several times, each of one seed (they differ in time alone), then its rivals."""
     task = joint(FEW if quick else LOADS)
-    for method in ("bfgs", PLAIN):
+    for method in (OURS, *SESSIONS[name]):
         ta.optimise_design(design, task, method=method, starts=2, iterations=1, seconds=0.2)  # imports, warm caches
     traces: list[Trace] = []
-    ends: list[tuple[str, int, ta.OptimisedDesign]] = []
-    budget = LEAST_SECONDS
-    for name, starts, seed in runs(quick):
-        method = name.split(",")[0]
+    rows: list[Row] = []
+    for repeat in range(1 if quick else REPEATS):
+        found = ta.optimise_design(design, task, method=OURS, starts=STARTS, iterations=4 if quick else None)
+        traces += traced(name, arm, OURS, repeat, found)
+    rows += about(arm, OURS, found)
+    ours = medians(traces, arm, OURS, found.value * (1 + NEAR))[0]
+    for method in SESSIONS[name]:
         evolves = method in (PLAIN, BATCHED)
-        iterations = 4 if quick and not evolves else 100_000 if evolves else LIMITS.get(method)
-        result = ta.optimise_design(
-            design,
-            task,
-            method=method,
-            starts=starts,
-            seed=seed if evolves else 0,
-            iterations=iterations,
-            seconds=(0.3 if quick else budget) if evolves else None,
-        )
-        ends.append((name, seed, result))
-        if name == OURS:
-            own = [one.history.seconds_to(one.value * (1 + NEAR)) for label, _, one in ends if label == OURS]
-            budget = max(LEAST_SECONDS, TIMES * statistics.median(own))
-        columns = (result.history.seconds, result.history.evaluations, result.history.best)
-        for moment in zip(*(column.tolist() for column in columns), strict=True):
-            traces.append(Trace(arm, name, seed, *moment))
-    return list(_rows(arm, ends, design, task)), traces
+        for seed in range(SEEDS if evolves and not quick else 1):
+            found = ta.optimise_design(
+                design,
+                task,
+                method=method,
+                starts=1,
+                seed=seed,
+                iterations=4 if quick else LIMITS.get(method),
+                seconds=max(LEAST_SECONDS, TIMES * ours) if evolves else None,
+            )
+            traces += traced(name, arm, method, seed, found)
+        rows += about(arm, method, found)
+    rows.append(Row(PART, arm, "one design", "seconds of evaluate", one_evaluation(design, task), "s"))
+    return traces, rows
 
 
-def _rows(
-    arm: str, ends: list[tuple[str, int, ta.OptimisedDesign]], design: ta.ArmDesign, task: ta.Task
+def traced(name: str, arm: str, method: str, seed: int, found: ta.OptimisedDesign) -> Iterator[Trace]:
+    """A run's history: all its improvements, and its end."""
+    history, last = found.history, float("inf")
+    columns = (history.seconds, history.evaluations, history.best)
+    moments = list(zip(*(column.tolist() for column in columns), strict=True))
+    for index, moment in enumerate(moments):
+        if moment[-1] < last or index == len(moments) - 1:
+            yield Trace(name, arm, method, seed, *moment)
+        last = min(last, moment[-1])
+
+
+def about(arm: str, method: str, found: ta.OptimisedDesign) -> Iterator[Row]:
+    """What the traces do not tell of a run."""
+    yield Row(PART, arm, method, "given", found.given_value, "N")
+    yield Row(PART, arm, method, "start, in range", float(found.start_values[0]), "N")
+    yield Row(PART, arm, method, "stationarity", found.stationarity, "share")
+    yield Row(PART, arm, method, "projected gradient", float(found.projected_gradients.min()), "N")
+
+
+def reached(run: Sequence[Trace], goal: float) -> tuple[float, float]:
+    """Seconds and evaluations until a run was there; infinite if it never was."""
+    there = [trace for trace in run if trace.value <= goal]
+    return (there[0].seconds, there[0].evaluations) if there else (float("inf"), float("inf"))
+
+
+def runs_of(traces: Sequence[Trace], arm: str, method: str) -> list[list[Trace]]:
+    """The runs of a method."""
+    own = [trace for trace in traces if trace.arm == arm and trace.method == method]
+    return [list(run) for _, run in groupby(own, key=lambda trace: (trace.session, trace.seed))]
+
+
+def medians(traces: Sequence[Trace], arm: str, method: str, goal: float) -> tuple[float, float]:
+    """Over the runs of a method, of the seconds and evaluations until they were there."""
+    times, counts = zip(*(reached(run, goal) for run in runs_of(traces, arm, method)), strict=True)
+    return statistics.median(times), statistics.median(counts)
+
+
+def summary(traces: Sequence[Trace]) -> Iterator[Row]:
+    """How soon each method is within 0.1 % of the best value that any found, compared within its session."""
+    for arm in dict.fromkeys(trace.arm for trace in traces):
+        goal = min(trace.value for trace in traces if trace.arm == arm) * (1 + NEAR)
+        for name in dict.fromkeys(trace.session for trace in traces if trace.arm == arm):
+            own = [trace for trace in traces if trace.arm == arm and trace.session == name]
+            ours = medians(own, arm, OURS, goal)
+            for method in dict.fromkeys(trace.method for trace in own):
+                label = f"{method}, session of {name}" if method == OURS else method
+                yield from compared(own, arm, method, label, goal, ours)
+
+
+def compared(
+    own: Sequence[Trace], arm: str, method: str, label: str, goal: float, ours: tuple[float, float]
 ) -> Iterator[Row]:
-    best = min(result.value for _, _, result in ends)
-    goal = best * (1 + NEAR)
-    ours = statistics.median(one.history.seconds_to(goal) for name, _, one in ends if name == OURS)
-    evaluations = statistics.median(_evaluations_to(one, goal) for name, _, one in ends if name == OURS)
-    for name in dict.fromkeys(name for name, _, _ in ends):
-        own = [result for label, _, result in ends if label == name]
-        reached = statistics.median(result.history.seconds_to(goal) for result in own)
-        judged = statistics.median(_evaluations_to(result, goal) for result in own)
-        yield Row(PART, arm, name, "given", own[0].given_value, "N")
-        yield Row(PART, arm, name, "start, in range", float(own[0].start_values[0]), "N")
-        yield Row(PART, arm, name, "runs", len(own), "runs")
-        yield Row(PART, arm, name, "runs that got there", sum(_evaluations_to(one, goal) < 1e9 for one in own), "runs")
-        yield Row(PART, arm, name, "best value", min(result.value for result in own), "N")
-        yield Row(PART, arm, name, "median value", statistics.median(result.value for result in own), "N")
-        excess = statistics.median(result.value for result in own) / best - 1
-        yield Row(PART, arm, name, "above the best of all, median", excess, "share")
-        yield Row(PART, arm, name, "seconds, median", statistics.median(result.seconds for result in own), "s")
-        yield Row(PART, arm, name, "evaluations, median", statistics.median(one.evaluations for one in own), "designs")
-        yield Row(PART, arm, name, "seconds to 0.1 %, median", reached, "s")
-        yield Row(PART, arm, name, "evaluations to 0.1 %, median", judged, "designs")
-        # Where a run does not get there, the ratio is at least that of the time it was given.
-        least = statistics.median(min(one.history.seconds_to(goal), one.seconds) for one in own)
-        yield Row(PART, arm, name, "time to 0.1 %, as a multiple", reached / ours, "times")
-        yield Row(PART, arm, name, "time to 0.1 % or to the end, as a multiple", least / ours, "times")
-        yield Row(PART, arm, name, "evaluations to 0.1 %, as a multiple", judged / evaluations, "times")
-        yield Row(PART, arm, name, "stationarity", own[0].stationarity, "share")
-        yield Row(PART, arm, name, "projected gradient", float(own[0].projected_gradients.min()), "N")
-    yield Row(PART, arm, "one design", "seconds of evaluate", one_evaluation(design, task), "s")
-
-
-def _evaluations_to(result: ta.OptimisedDesign, value: float) -> float:
-    reached = result.history.evaluations[result.history.best <= value]
-    return float(reached[0]) if len(reached) else float("inf")
+    """One method in one session."""
+    runs = runs_of(own, arm, method)
+    seconds, evaluations = medians(own, arm, method, goal)
+    best = goal / (1 + NEAR)
+    yield Row(PART, arm, label, "runs", len(runs), "runs")
+    yield Row(PART, arm, label, "runs that got there", sum(run[-1].value <= goal for run in runs), "runs")
+    yield Row(PART, arm, label, "best value, median", statistics.median(run[-1].value for run in runs), "N")
+    excess = statistics.median(run[-1].value / best - 1 for run in runs)
+    yield Row(PART, arm, label, "above the best of all, median", excess, "share")
+    yield Row(PART, arm, label, "seconds, median", statistics.median(run[-1].seconds for run in runs), "s")
+    yield Row(
+        PART, arm, label, "evaluations, median", statistics.median(run[-1].evaluations for run in runs), "designs"
+    )
+    yield Row(PART, arm, label, "seconds to 0.1 %, median", seconds, "s")
+    yield Row(PART, arm, label, "evaluations to 0.1 %, median", evaluations, "designs")
+    # A run that does not get there takes longer than it was given.
+    least = [min(reached(run, goal)[0], run[-1].seconds) / ours[0] for run in runs]
+    yield Row(PART, arm, label, "time to 0.1 % (or to the end), median multiple", statistics.median(least), "times")
+    yield Row(PART, arm, label, "time to 0.1 % (or to the end), least multiple", min(least), "times")
+    yield Row(PART, arm, label, "evaluations to 0.1 %, median multiple", evaluations / ours[1], "times")
 
 
 def one_evaluation(design: ta.ArmDesign, task: ta.Task) -> float:

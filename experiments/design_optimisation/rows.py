@@ -29,8 +29,9 @@ class Row:
 
 @dataclass(frozen=True)
 class Trace:
-    """When a run of a method had found what."""
+    """When a run of a method had found what; of all runs of one `session`, one after the other on one machine."""
 
+    session: str
     arm: str
     method: str
     seed: int

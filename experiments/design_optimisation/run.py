@@ -18,6 +18,8 @@ from experiments.design_optimisation.figure import draw
 from experiments.design_optimisation.rows import HERE, HISTORIES, RESULTS, TASKS, Row, TaskRow, Trace, read, write
 from experiments.design_optimisation.scenes import ARMS, SHAPES, chosen_arms, joint
 
+ABOUT = ("given", "start, in range", "stationarity", "projected gradient", "seconds of evaluate")
+"""Quantities of methods that traces do not tell."""
 PARTS = ("methods", "shapes", "verification", "predicted", "growth")
 
 
@@ -51,13 +53,7 @@ class Run:
     def all(self) -> None:
         """Everything asked for that is not there yet."""
         if "methods" in self.only:
-            for arm, design in self.missing("methods"):
-                rows, traces = methods.compare(arm, design, self.quick)
-                self.traces = [trace for trace in self.traces if trace.arm != arm] + traces
-                self.add(rows)
-                if not self.quick:
-                    write(HISTORIES, self.traces)
-                    draw(self.traces, HERE / "design_optimisation.png")
+            self.compare_methods()
         if "shapes" in self.only:
             for arm, _ in self.missing("shapes"):
                 self.add(list(shapes(arm, self.quick)))
@@ -70,6 +66,23 @@ class Run:
                 self.add(list(predicted(arm, design, self.quick)))
         if "growth" in self.only and (self.quick or all(row.part != "growth" for row in self.rows)):
             self.add(list(growth(self.quick)))
+
+    def compare_methods(self) -> None:
+        """One session after another; what they say of times is worked out anew each time."""
+        about = [row for row in self.rows if row.part == "methods" and row.quantity in ABOUT]
+        for arm, design in chosen_arms(self.quick).items():
+            for name in methods.SESSIONS:
+                if any((trace.arm, trace.session) == (arm, name) for trace in self.traces):
+                    continue
+                traces, rows = methods.session(name, arm, design, self.quick)
+                self.traces += traces
+                about = [row for row in about if row.key not in {new.key for new in rows}] + rows
+                self.rows = [row for row in self.rows if row.part != "methods"]
+                self.add([*methods.summary(self.traces), *about])
+                if not self.quick:
+                    write(HISTORIES, self.traces)
+        if not self.quick and self.traces:
+            draw(self.traces, HERE / "design_optimisation.png")
 
     def missing(self, part: str) -> Iterator[tuple[str, ta.ArmDesign]]:
         """Arms of which a part has no rows."""

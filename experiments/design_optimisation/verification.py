@@ -19,7 +19,7 @@ def optimised(arm: str, goal: str, quick: bool) -> ta.OptimisedDesign:
     """The best design for a shape, or for all."""
     loads, iterations = (FEW, 4) if quick else (LOADS, None)
     task = joint(loads) if goal == JOINT else single(goal, loads)
-    return ta.optimise_design(ARMS[arm], task, starts=1 if quick else 8, iterations=iterations)
+    return ta.optimise_design(ARMS[arm], task, starts=1 if quick else 16, iterations=iterations)
 
 
 def measure(quick: bool, known: Sequence[TaskRow], save: Save) -> list[TaskRow]:
