@@ -25,7 +25,7 @@ GOING, OPTIMAL, STALLED, LIMIT, FAILED = range(5)
 REASONS = ("going", "optimal", "stalled", "iterations", "failed")
 COOLING = (0.1, 0.01, 1e-3)
 """Temperatures of smoothed aggregates, as fractions of the values' size when a stage begins."""
-FIRST_STEP = 1.0
+FIRST_STEP = 2.0
 """About how far the first step goes, of the distance between bounds."""
 SUFFICIENT = 1e-4
 MOST_HALVINGS = 15
@@ -184,8 +184,9 @@ def advance(problem: Problem, state: State, method: str, tolerance: float, total
     reason = torch.where(ended, STALLED, part.reason)
     part = replace(part, idle=idle, age=part.age + 1, steps=part.steps + 1, reason=reason)
     part, more = _next_stage(problem, part)
-    out = (part.reason == GOING) & (part.steps >= total)
-    part = replace(part, reason=torch.where(out, LIMIT, part.reason))
+    if int(part.steps.max()) >= total:
+        out = (part.reason == GOING) & (part.steps >= total)
+        part = replace(part, reason=torch.where(out, LIMIT, part.reason))
     return state.with_rows(going, part), evaluations + more
 
 
@@ -221,7 +222,9 @@ def _next_stage(problem: Problem, state: State) -> tuple[State, int]:
 
 def _bfgs(problem: Problem, state: State, tolerance: float, total: int) -> tuple[State, int]:
     rows, bound = problem.constraints(state.owner)
-    hessian = torch.where(state.fresh[:, None, None], _guess(state.gradient), state.hessian)
+    hessian = state.hessian
+    if bool(state.fresh.any()):
+        hessian = torch.where(state.fresh[:, None, None], _guess(state.gradient), hessian)
     model = qp.solve(hessian, state.gradient, rows, bound - _times(rows, state.point))
     step = model.step
     promise = (state.gradient * step).sum(-1)

@@ -135,7 +135,8 @@ def feasible_designs(space: DesignSpace, arm: ArmDesign, tasks: Sequence[Task]) 
     )
     found = Polytope(arm.flatten()[0], maps, origin, matrix, bound, rows.names)
     # A feasible design near the given one says that there is one, sooner than a linear program does.
-    if bool(found.violation(found.nearest(arm.flatten()[:1])).amax() > FEASIBLE) and _middle(rows)[0] is None:
+    near = found.nearest(arm)
+    if bool(found.violation(near).amax() > FEASIBLE) and _middle(rows)[0] is None:
         raise ValueError(_contradiction(rows, spread, base, arm, parts[1]))
     return found
 
