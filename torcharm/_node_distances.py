@@ -220,13 +220,9 @@ def _nearest_face(
     curves, laws = sampled.metric(sections, check.samples, relative)
     hulls = build_hulls(curves, check.hull, check.scale)
     point = required_points(block, check.scale, relative)
-    faces = nearest_faces(hulls.polygons, *point, slots=slots or check.polish)
+    faces = nearest_faces(hulls.polygons, *point, slots=True)
     auditor = check.auditor
     residuals = () if auditor is None else _solve(sections, hulls, point, check, relative, auditor)[2:]
-    if not check.polish:
-        fraction = _fractions(hulls, faces, point) if slots else None
-        return _Nearest(faces, fraction, torch.ones_like(faces.inside), residuals)
-
     from torcharm.distance.polish import polish  # loads when it is first asked for
 
     assert isinstance(hulls, ExactHulls)
@@ -257,15 +253,14 @@ class _Replay:
     fractions: list[Tensor | None]
 
     def __call__(self) -> Columns:
+        from torcharm.pieces import follow_kinks
+
         sections = cross_sections(self.block.arm, self.block.twists)
         squares = []
         for metric, fraction in zip(self.check.metrics, self.fractions, strict=True):
             assert fraction is not None
             relative = metric == "relative"
-            if self.check.polish:
-                from torcharm.pieces import follow_kinks
-
-                fraction = follow_kinks(sections, fraction, relative=relative)
+            fraction = follow_kinks(sections, fraction, relative=relative)
             x, y = _scaled(sections.wrench(fraction, relative=relative), self.check)
             squares.append(
                 face_square(required_points(self.block, self.check.scale, relative), (x[0], y[0]), (x[1], y[1]))

@@ -9,7 +9,7 @@ import torcharm as ta
 from experiments.design_optimisation.rows import Row, TaskRow
 from experiments.design_optimisation.scenes import ARMS, FEW, LOADS, SHAPES, chosen_arms, joint, single
 
-GIVEN, OWN, JOINT = "given", "for the shape", "for all shapes"
+GIVEN, NEAREST, OWN, JOINT = "given", "nearest in range", "for the shape", "for all shapes"
 PART = "verification"
 Save = Callable[[list[TaskRow]], None]
 
@@ -28,11 +28,12 @@ def measure(quick: bool, known: Sequence[TaskRow], save: Save) -> list[TaskRow]:
     have = {(row.arm, row.design, row.shape) for row in rows}
     for arm, given in chosen_arms(quick).items():
         for shape in SHAPES:
-            for name in (GIVEN, OWN, JOINT):
+            for name in (GIVEN, NEAREST, OWN, JOINT):
                 if (arm, name, shape) in have:
                     continue
-                goal = shape if name == OWN else JOINT
-                design = given if name == GIVEN else optimised(arm, goal, quick).best
+                design = given if name == GIVEN else optimised(arm, shape if name == OWN else JOINT, quick).best
+                if name == NEAREST:  # to the given one, for all shapes: where descent began
+                    design = optimised(arm, JOINT, quick).starts[0]
                 rows += one_shape(arm, name, shape, design, 1 if quick else LOADS)
                 save(rows)
     return rows
@@ -63,9 +64,11 @@ def summary(rows: Sequence[TaskRow]) -> Iterator[Row]:
     for arm in dict.fromkeys(row.arm for row in rows):
         own = [row for row in rows if row.arm == arm]
         shapes = list(dict.fromkeys(row.shape for row in own))
-        for case, after, within in [(shape, OWN, [shape]) for shape in shapes] + [("jointly", JOINT, shapes)]:
-            pairs = [[row for row in own if row.design == name and row.shape in within] for name in (GIVEN, after)]
-            yield from compared(arm, case, *pairs)
+        cases = [(shape, GIVEN, OWN, [shape]) for shape in shapes]
+        cases += [("jointly", GIVEN, JOINT, shapes), ("jointly, from nearest in range", NEAREST, JOINT, shapes)]
+        for case, before, after, within in cases:
+            pair = [[row for row in own if row.design == name and row.shape in within] for name in (before, after)]
+            yield from compared(arm, case, *pair)
 
 
 def compared(arm: str, case: str, before: Sequence[TaskRow], after: Sequence[TaskRow]) -> Iterator[Row]:
