@@ -45,12 +45,12 @@ def draw(traces: Sequence[Any], path: Path) -> None:
         axis.set(xscale="log", yscale="log", xlabel="time from the call [s]", title=f"{arm} arm")
         axis.grid(alpha=0.25)
     axes[0][0].set_ylim(bottom=FLOOR * 0.8)
-    axes[0][0].annotate("0.1 %", (1, NEAR), xycoords=("axes fraction", "data"), ha="right", va="bottom", color="0.4")
-    axes[0][0].set_ylabel("objective above the best design found [%]")
+    axes[0][0].annotate("0.1 %", (0.01, NEAR), xycoords=("axes fraction", "data"), va="bottom", color="0.4")
+    axes[0][0].set_ylabel("above the best design found [%]")
     handles, labels = axes[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncols=3, frameon=False)
     figure.suptitle(
-        "Gradients find the best design in a fraction of a second to a second; evolution takes over 50 times as long"
+        "Gradients find the best design in 0.03 to 0.8 s; differential evolution takes over 50 times as long"
     )
     figure.tight_layout(rect=(0, 0.13, 1, 1))
     figure.savefig(path, dpi=150)
