@@ -8,6 +8,8 @@ from hull_cases import VERTEX_SETS, double, points_about, size_of
 from torch.autograd import gradcheck, gradgradcheck
 
 from torcharm import distance_to_hull
+from torcharm.distance.closed_form import face_distance, nearest_faces, signed_length
+from torcharm.polygon import Polygons, convex_hull, face_square
 
 RNG = np.random.default_rng(12)
 SQUARE = np.array([[0, 0], [2, 0], [2, 2], [0, 2.0]])
@@ -205,3 +207,38 @@ def test_float32_stays_float32_and_near_float64(name, scale):
     assert found.dtype == torch.float32
     size = size_of(points.numpy(), vertices.numpy())
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * size)
+
+
+@pytest.mark.parametrize("signed", [False, True])
+def test_the_written_out_derivatives_are_those_of_autograd(signed):
+    vertices = double(np.stack([PENTAGON, 1.3 * PENTAGON + 0.2]))
+    points = double(np.random.default_rng(0).normal(size=(2, 8, 2)) * 1.5)
+    polygons, source, target = convex_hull(*(vertices[..., axis].T.contiguous() for axis in (0, 1)))
+    faces = nearest_faces(polygons, points[..., 0], points[..., 1], slots=True)
+    assert (faces.inside.sum() > 2) & ((~faces.inside).sum() > 2)
+
+    def rebuilt(corners, at):
+        x, y = corners[..., 0].T, corners[..., 1].T
+        start_x, start_y = x.gather(0, source), y.gather(0, source)
+        return Polygons(start_x, start_y, x.gather(0, target) - start_x, y.gather(0, target) - start_y), at
+
+    def ours(corners, at):
+        sides, at = rebuilt(corners, at)
+        return face_distance(sides, faces, at[..., 0], at[..., 1], signed=signed)
+
+    def plain(corners, at):
+        sides, at = rebuilt(corners, at)
+        index = faces.slot.T
+        start = tuple(value.gather(0, index).T for value in (sides.x, sides.y))
+        edge = tuple(value.gather(0, index).T for value in (sides.edge_x, sides.edge_y))
+        end = start[0] + edge[0], start[1] + edge[1]
+        square = face_square((at[..., 0], at[..., 1]), start, end)
+        return signed_length(square, faces.inside, faces.blur, signed=signed)
+
+    leaves = vertices.clone().requires_grad_(), points.clone().requires_grad_()
+    torch.testing.assert_close(ours(*leaves), plain(*leaves), rtol=1e-12, atol=1e-12)
+    firsts = [torch.autograd.grad(work(*leaves).square().sum(), leaves, create_graph=True) for work in (ours, plain)]
+    seconds = [torch.autograd.grad(sum(one.square().sum() for one in first), leaves) for first in firsts]
+    for mine, theirs in (firsts, seconds):
+        for own, other in zip(mine, theirs, strict=True):
+            torch.testing.assert_close(own, other, rtol=1e-9, atol=1e-10)

@@ -7,6 +7,7 @@ import torch
 from scipy.spatial import ConvexHull
 
 import torcharm as ta
+from torcharm import hulls
 
 BELLOWS = oracle.Actuator(oracle.bellows_force, reference=50.0)
 MUSCLE = oracle.Actuator(oracle.mckibben_force, reference=100.0)
@@ -281,3 +282,15 @@ def test_vertices_are_differentiable(relative):
     with torch.no_grad():
         wanted = (width(radius + 1e-6) - width(radius - 1e-6)) / 2e-6
     torch.testing.assert_close(found, wanted, rtol=1e-6, atol=0)
+
+
+@pytest.mark.parametrize("count", [4, 5, 9, 17])
+def test_envelopes_of_few_curves_at_once_are_those_of_many(count, monkeypatch):
+    grid = torch.linspace(0, 1, count, dtype=torch.float64).view(-1, 1, 1)
+    generator = torch.Generator().manual_seed(count)
+    force = torch.randn(count, 3, 50, generator=generator, dtype=torch.float64)
+    force[:, :, ::5] = force[:, :, ::5].round()  # with ties, and samples in line
+    force[:, 0, 1::5] = grid[:, 0] * torch.arange(10)
+    at_once = hulls._envelope_targets(grid, force)
+    monkeypatch.setattr(hulls, "AT_ONCE", 0)
+    assert torch.equal(hulls._envelope_targets(grid, force), at_once)

@@ -8,6 +8,13 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from torcharm._outer import Block
+from torcharm._sampled_distances import (
+    Required,
+    Sampling,
+    inputs_want_gradient,
+    sampled_distances,
+    strain_excess,
+)
 from torcharm.distance import DistanceFunction
 from torcharm.distance.closed_form import BOUNDARY_ULPS, NearestFaces, face_normals, nearest_faces, signed_length
 from torcharm.hulls import (
@@ -22,31 +29,22 @@ from torcharm.hulls import (
     sample_curves,
 )
 from torcharm.polygon import face_square
-from torcharm.wrenches import PLANAR, along, required_wrench
+from torcharm.wrenches import PLANAR, required_wrench
 
 if TYPE_CHECKING:
     from torcharm.laws import Laws
 
 
 @dataclass(frozen=True)
-class Check:
+class Check(Sampling):
     """What to measure, and how.
 
     Attributes:
-        metrics: of "absolute" and "relative".
-        hull, samples: how attainable sets are sampled.
-        scale: factors on force and moment.
-        signed: whether inside counts as negative.
         polish: whether to go on from the sampled sets to the sets themselves.
         solver: what answers distances to sets of vertices; None for the closed form.
         auditor: what answers for the residuals; None if they are not asked for.
     """
 
-    metrics: tuple[str, ...]
-    hull: str
-    samples: int
-    scale: tuple[float, float]
-    signed: bool
     polish: bool
     solver: DistanceFunction | None
     auditor: DistanceFunction | None
@@ -79,14 +77,17 @@ COLUMNS = tuple(field.name for field in fields(Residuals))
 Columns = tuple[Tensor, ...]
 
 
-def node_distances(block: Block, check: Check, recompute: bool) -> Columns:
+def node_distances(block: Block, required: Required, check: Check, recompute: bool) -> Columns:
     """The strain excess (d, p, l), distances (d, p, l, K, N) to the hulls, whether they
     converged and, with an auditor, their residuals.
 
     Args:
+        required: by all tasks, of which the block's are taken.
         recompute: whether to rebuild graphs when they are needed instead of keeping them.
     """
-    if check.solver is None:
+    if check.solver is None and not check.polish:
+        answers, excess, shape = _of_polygons(block, required, check, recompute)
+    elif check.solver is None:
         answers, excess, shape = _by_closed_form(block, check, recompute)
     else:
         answers, excess, shape = _by_solver(block, check, check.solver, recompute)
@@ -95,8 +96,23 @@ def node_distances(block: Block, check: Check, recompute: bool) -> Columns:
     return excess.T.unsqueeze(-1).expand(columns[0].shape[:3]), *columns
 
 
+def _of_polygons(
+    block: Block, required: Required, check: Check, recompute: bool
+) -> tuple[list[Columns], Tensor, tuple[int, int, int]]:
+    """For each metric distances (B, l), flags and residuals; the strain excess (p, d); and (p, N, d)."""
+    found = sampled_distances(block, required, check, recompute=recompute)
+    answers: list[Columns] = []
+    for metric, length, hulls, point in zip(check.metrics, found.lengths, found.hulls, found.points, strict=True):
+        relative, auditor = metric == "relative", check.auditor
+        with torch.no_grad():
+            residuals = () if auditor is None else _solve(found.sections, hulls, point, check, relative, auditor)[2:]
+        answers.append((length, torch.ones_like(length, dtype=torch.bool), *residuals))
+    assert found.excess is not None
+    return answers, found.excess, found.sections.shape
+
+
 def _by_closed_form(block: Block, check: Check, recompute: bool) -> tuple[list[Columns], Tensor, tuple[int, int, int]]:
-    """For each metric distances (B, l), flags and residuals; the strain excess (p, d); and (p, N, d).
+    """As `_of_polygons`, of the sets themselves.
 
     The hulls are searched without gradients. Where gradients are wanted, the reactions at the two
     ends of each nearest face are evaluated once more with them: a graph of two pressures a
@@ -140,12 +156,6 @@ def _agreeing(square: Tensor, faces: NearestFaces, signed: bool) -> tuple[Tensor
     touching = faces.square <= faces.blur.square()
     settled = touching if signed else touching | faces.inside
     return square if bool(close.all()) else torch.where(close, square, faces.square), close | settled
-
-
-def inputs_want_gradient(block: Block) -> bool:
-    arm = block.arm
-    inputs = (arm.radii, arm.length, arm.max_pressure, block.twists, block.tip_load, block.base_pose)
-    return any(value.requires_grad for value in inputs)
 
 
 @dataclass(frozen=True)
@@ -210,13 +220,9 @@ def _nearest_face(
     curves, laws = sampled.metric(sections, check.samples, relative)
     hulls = build_hulls(curves, check.hull, check.scale)
     point = required_points(block, check.scale, relative)
-    faces = nearest_faces(hulls.polygons, *point, slots=slots or check.polish)
+    faces = nearest_faces(hulls.polygons, *point, slots=True)
     auditor = check.auditor
     residuals = () if auditor is None else _solve(sections, hulls, point, check, relative, auditor)[2:]
-    if not check.polish:
-        fraction = _fractions(hulls, faces, point) if slots else None
-        return _Nearest(faces, fraction, torch.ones_like(faces.inside), residuals)
-
     from torcharm.distance.polish import polish  # loads when it is first asked for
 
     assert isinstance(hulls, ExactHulls)
@@ -247,15 +253,14 @@ class _Replay:
     fractions: list[Tensor | None]
 
     def __call__(self) -> Columns:
+        from torcharm.pieces import follow_kinks
+
         sections = cross_sections(self.block.arm, self.block.twists)
         squares = []
         for metric, fraction in zip(self.check.metrics, self.fractions, strict=True):
             assert fraction is not None
             relative = metric == "relative"
-            if self.check.polish:
-                from torcharm.pieces import follow_kinks
-
-                fraction = follow_kinks(sections, fraction, relative=relative)
+            fraction = follow_kinks(sections, fraction, relative=relative)
             x, y = _scaled(sections.wrench(fraction, relative=relative), self.check)
             squares.append(
                 face_square(required_points(self.block, self.check.scale, relative), (x[0], y[0]), (x[1], y[1]))
@@ -315,11 +320,3 @@ def required_points(block: Block, scale: tuple[float, float], relative: bool) ->
     by_node = wrench.movedim(1, -2).unsqueeze(2)  # (p, N, 1, l, 2)
     by_section = by_node.expand(-1, -1, len(block.arm.radii), -1, -1).flatten(0, 2)
     return scale[0] * by_section[..., 0], scale[1] * by_section[..., 1]
-
-
-def strain_excess(sections: Sections) -> Tensor:
-    """Largest strain (p, d) beyond its actuator's characterised range, 0 if none is."""
-    low, high = zip(*(model.strain_range for model in sections.actuators), strict=True)
-    strain = sections.strain
-    beyond = torch.maximum(strain - along(high, strain, -2), along(low, strain, -2) - strain)
-    return beyond.amax(0).view(sections.shape).amax(1).clamp(min=0)

@@ -100,12 +100,13 @@ def outer_product(arm: ArmDesign, task: Task) -> OuterProduct:
 
 @dataclass(frozen=True)
 class Block:
-    """A part of an outer product: d designs × p shapes × l loads a shape."""
+    """A part of an outer product: d designs × p shapes × l loads a shape, and where they lie in it."""
 
     arm: ArmDesign
     twists: Tensor
     tip_load: Tensor
     base_pose: Tensor
+    place: tuple[slice, slice, slice]
 
 
 def map_blocks(outer: OuterProduct, chunk_size: int, work: Callable[[Block], tuple[Tensor, ...]]) -> tuple[Tensor, ...]:
@@ -127,11 +128,13 @@ def map_blocks(outer: OuterProduct, chunk_size: int, work: Callable[[Block], tup
 
     limits = (per_design, per_shape, per_load)
     steps = [list(_slices(size, step)) for size, step in zip(outer.sizes, limits, strict=True)]
-    places = list(product(*steps))
-    blocks = (Block(outer.arm[d], outer.twists[p], outer.tip_load[p, l], outer.base_pose) for d, p, l in places)
-    first = work(next(blocks))
+    places = [(d, p, l) for d, p, l in product(*steps)]
     if len(places) == 1:
-        return first
+        return work(Block(outer.arm, outer.twists, outer.tip_load, outer.base_pose, places[0]))
+    blocks = (
+        Block(outer.arm[d], outer.twists[p], outer.tip_load[p, l], outer.base_pose, (d, p, l)) for d, p, l in places
+    )
+    first = work(next(blocks))
     if any(column.requires_grad for column in first):
         return _joined([first, *map(work, blocks)], [len(step) for step in steps])
     # Copied to their place at once: results kept until the end would lie scattered among the freed

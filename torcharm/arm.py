@@ -82,6 +82,14 @@ class ArmDesign:
         object.__setattr__(self, "actuators", models)
         object.__setattr__(self, "max_pressure", limit.expand(shape))
 
+    def with_values(self, radii: Tensor, length: Tensor, max_pressure: Tensor) -> "ArmDesign":
+        """Designs of the same actuators, from tensors (..., M) of one shape that are known to be sound: not checked."""
+        design = object.__new__(type(self))
+        values = {"radii": radii, "length": length, "actuators": self.actuators, "max_pressure": max_pressure}
+        for name, value in values.items():
+            object.__setattr__(design, name, value)
+        return design
+
     @property
     def batch_shape(self) -> torch.Size:
         """Shape of the batch of designs; empty for one design."""

@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from torcharm._inputs import check_choice, check_count, shown
-from torcharm._node_distances import Check, Residuals, node_distances, strain_excess
+from torcharm._node_distances import Check, Residuals, node_distances
 from torcharm._outer import OuterProduct, check_arm_and_task, map_blocks, outer_product
+from torcharm._sampled_distances import required_by_metric, strain_excess
 from torcharm.arm import ArmDesign
 from torcharm.distance import DistanceFunction, find_solver
 from torcharm.hulls import cross_sections, sample_count, slot_count
@@ -143,12 +144,12 @@ def evaluate(
     auditor = (solver or find_solver("closed_form")) if residuals else None
     samples = sample_count(arm, hull, POLISHED_SAMPLES if polish and samples is None else samples)
     hulls = tuple(name for name in asked if name in METRICS)
-    check = Check(hulls, hull, samples, _scale(weights), signed, polish, solver, auditor)
+    check = Check(hulls, hull, samples, scale_of(weights), signed, polish, solver, auditor)
     outer = outer_product(arm, task)
     prediction = _predict(outer, pose_cost, steps, chunk_size) if PREDICTED in asked else None
     excess, per_node, solved, *audit = _per_node(outer, check, chunk_size)
     found = {metric: per_node[..., index, :] for index, metric in enumerate(check.metrics)}
-    total = {metric: _over_nodes(value, metric, power, signed) for metric, value in found.items()}
+    total = {metric: over_nodes(value, metric, power, signed=signed) for metric, value in found.items()}
     audits = {
         metric: Residuals(*(column[..., index, :] for column in audit))
         for index, metric in enumerate(check.metrics if residuals else ())
@@ -196,7 +197,8 @@ def _metrics(metrics: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def _scale(weights: tuple[float, float]) -> tuple[float, float]:
+def scale_of(weights: tuple[float, float]) -> tuple[float, float]:
+    """Factors on force and moment, checked."""
     try:
         force, moment = (float(weight) for weight in weights)
     except (TypeError, ValueError, RuntimeError):
@@ -212,9 +214,7 @@ def _per_node(outer: OuterProduct, check: Check, chunk_size: int | None) -> tupl
         return _no_distances(outer)
     if chunk_size is None:
         samples = check.samples + (POLISHING_SAMPLES if check.polish else 0)
-        slots = slot_count(outer.arm.actuator_count, check.hull, samples)
-        elements = SOLVER_ELEMENTS // slots if check.solver is not None else BLOCK_ELEMENTS
-        chunk_size = max(1, elements // (slots * outer.nodes))
+        chunk_size = block_size(outer, check.hull, samples, through_solver=check.solver is not None)
     check_count("chunk_size", chunk_size, 1)
     if 0 in outer.sizes:
         sizes = (*outer.sizes, len(check.metrics), outer.nodes)
@@ -224,8 +224,17 @@ def _per_node(outer: OuterProduct, check: Check, chunk_size: int | None) -> tupl
         blocks: tuple[Tensor, ...] = (real.new_zeros(outer.sizes), real, ~flag, *audit)
     else:
         recompute = prod(outer.sizes) > chunk_size
-        blocks = map_blocks(outer, chunk_size, lambda block: node_distances(block, check, recompute))
+        sampled = check.solver is None and not check.polish
+        required = required_by_metric(outer, check.metrics, check.scale) if sampled else {}
+        blocks = map_blocks(outer, chunk_size, lambda block: node_distances(block, required, check, recompute))
     return tuple(outer.unflatten(block) for block in blocks)
+
+
+def block_size(outer: OuterProduct, hull: str, samples: int, *, through_solver: bool = False) -> int:
+    """(design, shape, load) triples worked on at once."""
+    slots = slot_count(outer.arm.actuator_count, hull, samples)
+    elements = SOLVER_ELEMENTS // slots if through_solver else BLOCK_ELEMENTS
+    return max(1, elements // (slots * outer.nodes))
 
 
 def _no_distances(outer: OuterProduct) -> tuple[Tensor, ...]:
@@ -242,11 +251,17 @@ def limits_in_range(outer: OuterProduct) -> Tensor:
     return outer.unflatten(inside.view(-1, 1, 1).expand(outer.sizes))
 
 
-def _over_nodes(distance: Tensor, metric: str, power: int, signed: bool) -> Tensor:
-    """The sum of distances to a power over the nodes; where all are inside, minus the least margin."""
-    total = distance.clamp(min=0).pow(power).sum(-1)
+def over_nodes(distance: Tensor, metric: str, power: int, *, signed: bool, dim: int = -1) -> Tensor:
+    """The sum of distances to a power over the nodes, along `dim`; where all are inside, minus the least margin."""
+    miss = distance.clamp(min=0) if signed else distance
+    total = (miss if power == 1 else miss.pow(power)).sum(dim)
     if not signed:
         return total
-    free = distance[..., 1:] if metric == "relative" and distance.shape[-1] > 1 else distance
-    nearest = free.amax(-1)
+    nodes = distance.shape[dim]
+    free = distance.narrow(dim, 1, nodes - 1) if metric == "relative" and nodes > 1 else distance
+    with torch.no_grad():
+        held = bool((free.amax(dim) < 0).any())
+    if not held:
+        return total
+    nearest = free.amax(dim)
     return torch.where(nearest < 0, -nearest.abs().pow(power), total)

@@ -13,8 +13,9 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from torcharm._inputs import check_choice, check_count
-from torcharm._node_distances import inputs_want_gradient, required_points, strain_excess
+from torcharm._node_distances import required_points
 from torcharm._outer import Block, OuterProduct, check_arm_and_task, map_blocks, outer_product
+from torcharm._sampled_distances import inputs_want_gradient, strain_excess
 from torcharm.arm import ArmDesign
 from torcharm.attainability import BLOCK_ELEMENTS, METRICS, limits_in_range
 from torcharm.distance.closed_form import BOUNDARY_ULPS

@@ -45,13 +45,14 @@ def minkowski_sum(start_x: Tensor, start_y: Tensor, edge_x: Tensor, edge_y: Tens
     """The Minkowski sum of convex polygons from all their edges, headed counter-clockwise.
 
     The sum's boundary is the summands' edges in order of heading. Parallel edges follow one
-    another, so identical summands need no care.
+    another, so identical summands need no care. Differentiable, with the order held.
 
     Args:
         start_x, start_y: (B) the sum's vertex of least x and, among those, of most y.
         edge_x, edge_y: (V, B) the summands' edges, in any order.
     """
-    order = heading_key(edge_x, edge_y).argsort(0)
+    with torch.no_grad():
+        order = heading_key(edge_x, edge_y).argsort(0)
     edge_x, edge_y = edge_x.gather(0, order), edge_y.gather(0, order)
     x = edge_x.cumsum(0).sub_(edge_x).add_(start_x)
     y = edge_y.cumsum(0).sub_(edge_y).add_(start_y)
@@ -130,8 +131,18 @@ def convex_hull(x: Tensor, y: Tensor) -> tuple[Polygons, Tensor, Tensor]:
         x, y: (V, B) points.
 
     Returns:
-        Polygons of 2V slots, most of them idle, and (2V, B) the points each slot's edge joins.
+        Polygons of 2V slots, most of them idle, and (2V, B) the points each slot's edge joins. The polygons are
+        differentiable, with the points that are corners held.
     """
+    with torch.no_grad():
+        source, target = _hull_edges(x, y)
+    corner_x, corner_y = x.gather(0, source), y.gather(0, source)
+    polygons = Polygons(corner_x, corner_y, x.gather(0, target) - corner_x, y.gather(0, target) - corner_y)
+    return polygons, source, target
+
+
+def _hull_edges(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    """(2V, B) the points that edges of `convex_hull` join."""
     count = x.shape[0]
     order = y.argsort(0)
     order = order.gather(0, x.gather(0, order).argsort(dim=0, stable=True))
@@ -153,10 +164,7 @@ def convex_hull(x: Tensor, y: Tensor) -> tuple[Polygons, Tensor, Tensor]:
 
     here = torch.where(kept, slot, before)
     source = both.gather(1, here).flatten(0, 1)
-    target = torch.where(kept, both.gather(1, after), both.gather(1, here)).flatten(0, 1)
-    corner_x, corner_y = x.gather(0, source), y.gather(0, source)
-    polygons = Polygons(corner_x, corner_y, x.gather(0, target) - corner_x, y.gather(0, target) - corner_y)
-    return polygons, source, target
+    return source, torch.where(kept, both.gather(1, after), both.gather(1, here)).flatten(0, 1)
 
 
 def _repeats(chain_x: Tensor, chain_y: Tensor) -> Tensor:

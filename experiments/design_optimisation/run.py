@@ -1,201 +1,159 @@
 """Optimise the paper's three arms on its three shapes: how much better, how sure, how fast.
 
-Prints tables and writes results.csv, histories.csv and design_optimisation.png beside this file.
+Prints tables and writes results.csv, histories.csv, verification.csv and design_optimisation.png beside this file.
+Goes on where it was interrupted: what these files hold is not measured again.
 """
 
 import argparse
-import csv
 import resource
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
 
 import torch
 
 import torcharm as ta
+from experiments.design_optimisation import methods, verification
 from experiments.design_optimisation.figure import draw
+from experiments.design_optimisation.rows import HERE, HISTORIES, RESULTS, TASKS, Row, TaskRow, Trace, read, write
+from experiments.design_optimisation.scenes import ARMS, SHAPES, chosen_arms, joint
 
-HERE = Path(__file__).parent
-ARMS = {"antagonistic": ta.antagonistic_arm(), "bellows-only": ta.bellows_arm(), "muscle-only": ta.mckibben_arm()}
-SHAPES = {"(-3, 3)": (-3.0, 3.0), "(1, 1.5)": (1.0, 1.5), "(6, -1.5)": (6.0, -1.5)}
-SCALE = (20.0, 20.0, 5.0)
-RUNS = (("bfgs", 1), ("bfgs", 8), ("adam", 1), ("slsqp", 1), ("nelder_mead", 1), ("differential_evolution", 1))
-NEAR = 1e-3
-"""Within this share of the best value found by any method counts as there."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """One measurement; `value` is in `unit`."""
-
-    part: str
-    arm: str
-    case: str
-    quantity: str
-    value: float
-    unit: str
-
-
-@dataclass(frozen=True)
-class Trace:
-    """When a method had found what."""
-
-    arm: str
-    method: str
-    seconds: float
-    evaluations: int
-    value: float
+ABOUT = ("given", "start, in range", "stationarity", "projected gradient", "seconds of evaluate")
+"""Quantities of methods that traces do not tell."""
+PARTS = ("methods", "shapes", "verification", "predicted", "growth")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a smoke run: small sizes, no file written")
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, help="these parts alone")
+    parser.add_argument("--fresh", action="store_true", help="measure them again, instead of keeping what is there")
     parser.add_argument("--starts", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
     torch.set_num_threads(1)
     if options.starts is not None:
         print(*scaled(options.starts, 1 if options.quick else 3))
         return
-    rows: list[Row] = []
-    traces: list[Trace] = []
-    for part in (
-        methods(options.quick, traces),
-        growth(options.quick),
-        shapes(options.quick),
-        predicted(options.quick),
-    ):
-        for row in part:
-            rows.append(row)
+    Run(options.quick, tuple(options.only), options.fresh).all()
+
+
+class Run:
+    """The rows there are, and what is still to be done."""
+
+    def __init__(self, quick: bool, only: tuple[str, ...], fresh: bool) -> None:
+        self.quick, self.only = quick, only
+        self.rows: list[Row] = [] if quick else read(RESULTS, Row)
+        self.traces: list[Trace] = [] if quick else read(HISTORIES, Trace)
+        self.tasks: list[TaskRow] = [] if quick else read(TASKS, TaskRow)
+        if fresh:
+            self.rows = [row for row in self.rows if row.part not in only]
+            self.traces = [] if "methods" in only else self.traces
+            self.tasks = [] if "verification" in only else self.tasks
+
+    def all(self) -> None:
+        """Everything asked for that is not there yet."""
+        if "methods" in self.only:
+            self.compare_methods()
+        if "shapes" in self.only:
+            for arm, _ in self.missing("shapes"):
+                self.add(list(shapes(arm, self.quick)))
+        if "verification" in self.only:
+            self.tasks = verification.measure(self.quick, self.tasks, self.keep)
+            self.rows = [row for row in self.rows if row.part != "verification"]
+            self.add(list(verification.summary(self.tasks)))
+        if "predicted" in self.only:
+            for arm, design in self.missing("predicted"):
+                self.add(list(predicted(arm, design, self.quick)))
+        if "growth" in self.only and (self.quick or all(row.part != "growth" for row in self.rows)):
+            self.add(list(growth(self.quick)))
+
+    def compare_methods(self) -> None:
+        """One session after another; what they say of times is worked out anew each time."""
+        about = [row for row in self.rows if row.part == "methods" and row.quantity in ABOUT]
+        for arm, design in chosen_arms(self.quick).items():
+            for name in methods.SESSIONS:
+                if any((trace.arm, trace.session) == (arm, name) for trace in self.traces):
+                    continue
+                traces, rows = methods.session(name, arm, design, self.quick)
+                self.traces += traces
+                about = [row for row in about if row.key not in {new.key for new in rows}] + rows
+                self.rows = [row for row in self.rows if row.part != "methods"]
+                self.add([*methods.summary(self.traces), *about])
+                if not self.quick:
+                    write(HISTORIES, self.traces)
+        if not self.quick and self.traces:
+            draw(self.traces, HERE / "design_optimisation.png")
+
+    def missing(self, part: str) -> Iterator[tuple[str, ta.ArmDesign]]:
+        """Arms of which a part has no rows."""
+        have = {row.arm for row in self.rows if row.part == part}
+        for arm, design in chosen_arms(self.quick).items():
+            if arm not in have:
+                yield arm, design
+
+    def add(self, rows: list[Row]) -> None:
+        """Print rows, and keep them."""
+        for row in rows:
             print(
-                f"{row.part:10} {row.arm:13} {row.case:28} {row.quantity:34} {row.value:12.6g} {row.unit}", flush=True
+                f"{row.part:12} {row.arm:13} {row.case:30} {row.quantity:44} {row.value:12.6g} {row.unit}", flush=True
             )
-        if not options.quick:
-            write(HERE / "results.csv", rows)
-            write(HERE / "histories.csv", traces)
-            draw(traces, HERE / "design_optimisation.png")
+        self.rows += rows
+        if not self.quick:
+            self.rows.sort(key=lambda row: PARTS.index(row.part))
+            write(RESULTS, self.rows)
+
+    def keep(self, tasks: list[TaskRow]) -> None:
+        """Keep what was measured of tasks."""
+        last = tasks[-1]
+        print(f"verification {last.arm:13} {last.design:16} {last.shape}", flush=True)
+        if not self.quick:
+            write(TASKS, tasks)
 
 
-def write(path: Path, rows: list[Row] | list[Trace]) -> None:
-    """Rows as a CSV file."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(rows[0])])
-        writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
+def shapes(arm: str, quick: bool) -> Iterator[Row]:
+    """Each shape by itself: what is attainable of it, and how long it took."""
+    for shape in SHAPES:
+        result = verification.optimised(arm, shape, quick)
+        for moment, value in (
+            ("before", result.before["absolute"].mean()),
+            ("nearest in range", result.start_values[0]),
+            ("after", result.after["absolute"].mean()),
+        ):
+            yield Row("shapes", arm, shape, f"absolute, {moment}", float(value), "N")
+        attainable = float((result.after["absolute"] <= 0).double().mean())
+        yield Row("shapes", arm, shape, "attainable after", attainable, "share")
+        yield Row("shapes", arm, shape, "seconds", result.seconds, "s")
 
 
-def joint(loads: int) -> ta.Task:
-    """All shapes under so many of the paper's loads."""
-    slope, intercept = zip(*SHAPES.values(), strict=True)
-    twists = ta.affine_curvature([[a] for a in slope], [[b] for b in intercept])
-    return ta.Task(twists, ta.sample_loads(loads, SCALE))
-
-
-def methods(quick: bool, traces: list[Trace]) -> Iterator[Row]:
-    """Every method from the paper's arms, on all shapes and loads together: quality against time."""
-    task = joint(3 if quick else 100)
-    limits = {"differential_evolution": 3 if quick else 100, "nelder_mead": 10 if quick else 600, "adam": 200}
-    for arm, design in list(ARMS.items())[: 1 if quick else 3]:
-        found = {}
-        for method, starts in RUNS:
-            iterations = 4 if quick and method not in limits else limits.get(method)
-            result = ta.optimise_design(design, task, method=method, starts=starts, iterations=iterations)
-            name = f"{method}, {starts} starts" if starts > 1 else method
-            found[name] = result
-            for moment, count, value in zip(
-                result.history.seconds.tolist(),
-                result.history.evaluations.tolist(),
-                result.history.best.tolist(),
-                strict=True,
-            ):
-                traces.append(Trace(arm, name, moment, count, value))
-        best = min(result.value for result in found.values())
-        for name, result in found.items():
-            reached = result.history.best <= best * (1 + NEAR)
-            there = int(reached.int().argmax()) if bool(reached.any()) else None
-            yield Row("methods", arm, name, "given", result.given_value, "N")
-            yield Row("methods", arm, name, "start, in range", float(result.start_values[0]), "N")
-            yield Row("methods", arm, name, "best value", result.value, "N")
-            yield Row("methods", arm, name, "above the best of all", result.value / best - 1, "share")
-            yield Row("methods", arm, name, "seconds", result.seconds, "s")
-            yield Row("methods", arm, name, "evaluations", result.evaluations, "designs")
-            yield Row("methods", arm, name, "seconds to 0.1 %", result.history.seconds_to(best * (1 + NEAR)), "s")
-            if there is not None:
-                count = float(result.history.evaluations[there])
-                yield Row("methods", arm, name, "evaluations to 0.1 %", count, "designs")
-            yield Row("methods", arm, name, "stationarity", result.stationarity, "share")
-            yield Row("methods", arm, name, "projected gradient", float(result.projected_gradients.min()), "N")
-        yield Row("methods", arm, "one design", "seconds an evaluation", one_evaluation(design, task), "s")
-
-
-def one_evaluation(design: ta.ArmDesign, task: ta.Task) -> float:
-    """Seconds of evaluating one design by itself, as scipy's optimisers ask for one by default."""
-    times = []
-    for _ in range(20):
-        begun = time.perf_counter()
-        ta.evaluate(design, task, "absolute")
-        times.append(time.perf_counter() - begun)
-    return sorted(times)[len(times) // 2]
-
-
-def shapes(quick: bool) -> Iterator[Row]:
-    """Each shape by itself, 100 loads, from each arm."""
-    loads = ta.sample_loads(3 if quick else 100, SCALE)
-    for arm, design in list(ARMS.items())[: 1 if quick else 3]:
-        for name, (slope, intercept) in SHAPES.items():
-            task = ta.Task(ta.affine_curvature(slope, intercept), loads)
-            result = ta.optimise_design(design, task, starts=1 if quick else 4, iterations=4 if quick else 60)
-            yield Row("shapes", arm, name, "absolute before", float(result.before["absolute"].mean()), "N")
-            yield Row("shapes", arm, name, "absolute, nearest in range", float(result.start_values[0]), "N")
-            yield Row("shapes", arm, name, "absolute after", float(result.after["absolute"].mean()), "N")
-            attainable = float((result.after["absolute"] <= 0).double().mean())
-            yield Row("shapes", arm, name, "attainable after", attainable, "share")
-            yield Row("shapes", arm, name, "seconds", result.seconds, "s")
-            few = ta.Task(task.twists, loads[: 1 if quick else 4])
-            yield from checked("shapes", arm, name, result, few)
-
-
-def predicted(quick: bool) -> Iterator[Row]:
+def predicted(arm: str, design: ta.ArmDesign, quick: bool) -> Iterator[Row]:
     """What the two objectives do to each other, few loads: unattainability and predicted error [m]."""
     task = joint(1 if quick else 4)
-    for arm, design in list(ARMS.items())[: 1 if quick else 3]:
-        results = {
-            "by unattainability": ta.optimise_design(design, task, starts=1, iterations=3 if quick else 100),
-            "by predicted error": ta.optimise_design(
-                design,
-                task,
-                objective=ta.Objective(metric="predicted_error"),
-                starts=1,
-                iterations=2 if quick else 40,
-                tolerance=1e-5,
-            ),
-        }
-        for name, result in results.items():
-            for moment, one in (("before", result.given), ("in range", result.starts[0]), ("after", result.best)):
-                found = ta.evaluate(one, task, ("absolute", "predicted_error"))
-                assert found.absolute is not None
-                assert found.predicted_error is not None
-                yield Row("predicted", arm, name, f"absolute {moment}", float(found.absolute.mean()), "N")
-                yield Row("predicted", arm, name, f"predicted error {moment}", float(found.predicted_error.mean()), "m")
-            yield Row("predicted", arm, name, "seconds", result.seconds, "s")
-            if not quick:
-                yield from checked("predicted", arm, name, result, task)
-
-
-def checked(part: str, arm: str, case: str, result: ta.OptimisedDesign, task: ta.Task) -> Iterator[Row]:
-    """Predicted and searched shape errors, before and after, on a few of the tasks."""
-    for moment, design in (("before", result.given), ("after", result.best)):
-        error = ta.evaluate(design, task, ("predicted_error",)).predicted_error
-        assert error is not None
-        yield Row(part, arm, case, f"predicted error {moment}, few loads", float(error.mean()), "m")
-    found = ta.verify_design(result, task)
-    both = found.converged_before & found.converged_after
-    yield Row(part, arm, case, "searched error before", float(found.before[both].mean()), "m")
-    yield Row(part, arm, case, "searched error after", float(found.after[both].mean()), "m")
-    yield Row(part, arm, case, "searched error fell", found.improved, "share")
-    yield Row(part, arm, case, "search converged", float(both.double().mean()), "share")
+    results = {
+        "by unattainability": ta.optimise_design(design, task, starts=1, iterations=3 if quick else 100),
+        "by predicted error": ta.optimise_design(
+            design,
+            task,
+            objective=ta.Objective(metric="predicted_error"),
+            starts=1,
+            iterations=2 if quick else 40,
+            tolerance=1e-5,
+        ),
+    }
+    for name, result in results.items():
+        for moment, one in (("before", result.given), ("in range", result.starts[0]), ("after", result.best)):
+            found = ta.evaluate(one, task, ("absolute", "predicted_error"))
+            assert found.absolute is not None
+            assert found.predicted_error is not None
+            yield Row("predicted", arm, name, f"absolute {moment}", float(found.absolute.mean()), "N")
+            yield Row("predicted", arm, name, f"predicted error {moment}", float(found.predicted_error.mean()), "m")
+        yield Row("predicted", arm, name, "seconds", result.seconds, "s")
+        if not quick:
+            searched = ta.verify_design(result, task)
+            both = searched.converged_before & searched.converged_after
+            yield Row("predicted", arm, name, "searched error before", float(searched.before[both].mean()), "m")
+            yield Row("predicted", arm, name, "searched error after", float(searched.after[both].mean()), "m")
+            yield Row("predicted", arm, name, "searched error fell", searched.improved, "share")
+            yield Row("predicted", arm, name, "search converged", float(both.double().mean()), "share")
 
 
 def growth(quick: bool) -> Iterator[Row]:

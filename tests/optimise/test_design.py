@@ -1,5 +1,6 @@
 """optimise_design: how good, how robust, and how it is stopped, saved and taken up again."""
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ import torch
 
 import torcharm as ta
 from torcharm.optimise import DesignSpace, Objective, Report, load_optimised, optimise_design
+from torcharm.optimise import design as design_module
 from torcharm.optimise.descent import begin
 from torcharm.optimise.feasible import feasible_designs
 from torcharm.optimise.objective import Problem
@@ -48,11 +50,13 @@ def test_the_optimum_is_stationary_and_no_neighbour_is_better() -> None:
     assert float(values.value.min()) > found.value - 1e-6
 
 
-@pytest.mark.parametrize("method", ["adam", "slsqp", "nelder_mead", "differential_evolution"])
+@pytest.mark.parametrize(
+    "method", ["adam", "slsqp", "nelder_mead", "differential_evolution", "batched_differential_evolution"]
+)
 def test_other_methods_reach_no_lower(method: str) -> None:
     space = DesignSpace(tied="mirror")
     ours = optimise_design(ARM, TASK, space, starts=2)
-    iterations = {"adam": 60, "slsqp": None, "nelder_mead": 60, "differential_evolution": 30}[method]
+    iterations = {"adam": 60, "slsqp": None, "nelder_mead": 60}.get(method, 10)
     theirs = optimise_design(ARM, TASK, space, method=method, starts=1, iterations=iterations)
     assert theirs.value > ours.value * (1 - 1e-5)
     assert theirs.value < ours.value * 1.05, "and they search the same designs"
@@ -115,6 +119,39 @@ def test_starts_do_not_know_of_each_other() -> None:
     many = optimise_design(ARM, TASK, starts=3, iterations=6, seed=3)
     alone = optimise_design(ARM, TASK, starts=1, iterations=6)
     torch.testing.assert_close(many.end_values[0], alone.end_values[0], rtol=1e-6, atol=0)
+
+
+def test_the_start_nearest_to_the_given_design_descends_first() -> None:
+    alone = optimise_design(ARM, TASK, starts=1, iterations=6)
+    many = optimise_design(ARM, TASK, starts=6, iterations=6, seed=4)
+    first = len(alone.history.seconds)
+    assert torch.equal(many.history.values[:first, 0], alone.history.values[:, 0])
+    assert bool(many.history.values[:first, 1:].isinf().all())
+    assert bool(many.history.values[-1].isfinite().all())
+    assert many.evaluations > alone.evaluations + 4
+
+
+@pytest.mark.parametrize("method", ["bfgs", "differential_evolution", "batched_differential_evolution"])
+def test_a_time_limit_stops_the_search(method: str) -> None:
+    found = optimise_design(ARM, TASK, method=method, starts=200, iterations=100_000, seconds=0.4)
+    assert found.stopped == "time"
+    assert 0.4 <= found.seconds < 10.0
+    assert found.value <= float(found.start_values[0])
+    with pytest.raises(ValueError, match="seconds"):
+        optimise_design(ARM, TASK, method=method, seconds=0.0)
+
+
+def test_seconds_count_from_the_call(monkeypatch: pytest.MonkeyPatch) -> None:
+    prepare = design_module.feasible_designs
+
+    def slow(*arguments: Any) -> Any:
+        time.sleep(0.3)
+        return prepare(*arguments)
+
+    monkeypatch.setattr(design_module, "feasible_designs", slow)
+    for method in ("bfgs", "slsqp"):
+        found = optimise_design(ARM, TASK, method=method, starts=1, iterations=1)
+        assert float(found.history.seconds[0]) > 0.3
 
 
 def test_all_given_designs_are_starts() -> None:

@@ -71,3 +71,30 @@ def test_a_batch_is_its_problems_one_by_one() -> None:
         torch.testing.assert_close(
             qp.solve(hessian[one], gradient[one], rows[one], room[one]).step, whole[one], atol=1e-8, rtol=0
         )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_one_by_one_and_in_a_batch_the_answers_are_the_same(seed: int) -> None:
+    hessian, gradient, rows, room = _problems(40, 6, 20, seed)
+    hessian = hessian + torch.eye(6, dtype=torch.float64)
+    room[::2] -= 0.1  # some starts are outside
+    feasible = qp.project(torch.zeros_like(gradient), rows, room).converged
+    few = [qp.solve(hessian[i : i + 1], gradient[i : i + 1], rows[i : i + 1], room[i : i + 1]) for i in range(40)]
+    many = qp.solve(hessian, gradient, rows, room)
+    alone = torch.cat([one.step for one in few])
+    both = feasible & many.converged & torch.cat([one.converged for one in few])
+    assert int(both.sum()) >= 20
+    torch.testing.assert_close(alone[both], many.step[both], rtol=1e-5, atol=1e-5)
+
+    def value(step: torch.Tensor) -> torch.Tensor:
+        return 0.5 * torch.einsum("si,sij,sj->s", step, hessian, step) + (gradient * step).sum(-1)
+
+    assert bool((value(alone) <= value(many.step) + 1e-6 * (1 + value(many.step).abs()))[both].all())
+    outside = ((rows @ alone.unsqueeze(-1)).squeeze(-1) - room).amax(-1)
+    assert float(outside[both].max()) < 1e-10
+
+
+def test_what_cannot_be_met_is_flagged() -> None:
+    eye, zero = torch.eye(2).double()[None], torch.zeros(1, 2).double()
+    rows = torch.tensor([[[1.0, 0.0], [-1.0, 0.0]]]).double()
+    assert not bool(qp.solve(eye, zero, rows, torch.tensor([[-1.0, -1.0]]).double()).converged)

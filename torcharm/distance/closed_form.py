@@ -1,6 +1,7 @@
 """Exact distance from points to convex polygons, by projection on every edge."""
 
 from dataclasses import dataclass
+from typing import Any, no_type_check
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -135,6 +136,50 @@ def signed_length(square: Tensor, inside: Tensor, blur: Tensor, *, signed: bool)
     dropped = dropped if signed else dropped | inside
     length = (1 - dropped.to(square.dtype)) * torch.where(dropped, 1.0, square).sqrt()
     return length * (1 - 2 * inside.to(square.dtype)) if signed else length
+
+
+class _FaceDistance(torch.autograd.Function):
+    """Distances known already, with the envelope's derivatives in polygons (4, V, B) and points (2, B, L)."""
+
+    @staticmethod
+    def forward(ctx: Any, length: Tensor, slot: Tensor, polygons: Tensor, points: Tensor) -> Tensor:
+        ctx.save_for_backward(length, slot, polygons, points)
+        return length.clone()
+
+    @staticmethod
+    @no_type_check
+    def backward(ctx, slope):
+        length, slot, polygons, points = ctx.saved_tensors
+        index = slot.expand(4, -1, -1)
+        start_x, start_y, edge_x, edge_y = polygons.mT.gather(2, index).unbind(0)
+        from_x, from_y = points[0] - start_x, points[1] - start_y
+        span = edge_x.square() + edge_y.square()
+        along = (from_x * edge_x + from_y * edge_y) / span.clamp(min=torch.finfo(span.dtype).tiny)
+        along = along.clamp(0, 1)
+        off_x, off_y = from_x - along * edge_x, from_y - along * edge_y
+        apart = length != 0
+        square = off_x.square() + off_y.square()
+        # Where the distance is 0, or a step away from it in rounding, so is the slope.
+        apart = apart & (square > 0)
+        pull = slope * length.sign() * apart.to(slope.dtype) / torch.where(apart, square, 1.0).sqrt()
+        pull_x, pull_y = pull * off_x, pull * off_y
+        of_points = torch.stack((pull_x, pull_y))
+        of_faces = -torch.stack((pull_x, pull_y, along * pull_x, along * pull_y))
+        of_polygons = torch.zeros_like(polygons.mT).scatter_add(2, index, of_faces).mT
+        return None, None, of_polygons, of_points
+
+
+def face_distance(polygons: Polygons, faces: NearestFaces, x: Tensor, y: Tensor, *, signed: bool) -> Tensor:
+    """Distances (B, L), as of `signed_length`, to faces already found.
+
+    Differentiable twice in polygons and points, faces held. The first derivatives are the envelope's: the unit
+    vector from the nearest point; the nearest point's own move along its face drops out.
+    """
+    assert faces.slot is not None
+    length = signed_length(faces.square, faces.inside, faces.blur, signed=signed)
+    sides = torch.stack((polygons.x, polygons.y, polygons.edge_x, polygons.edge_y))
+    answer: Tensor = _FaceDistance.apply(length, faces.slot, sides, torch.stack((x, y)))
+    return answer
 
 
 def distance_to_hull(

@@ -1,6 +1,7 @@
 """Which architecture? Every choice of a force model for every position, each with its best design."""
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -9,7 +10,7 @@ from os import PathLike
 import torch
 from torch import Tensor
 
-from torcharm._inputs import check_choice, check_count
+from torcharm._inputs import check_choice, check_count, check_number
 from torcharm.actuators import Actuator, Bellows, McKibben
 from torcharm.arm import ArmDesign
 from torcharm.optimise.design import (
@@ -61,6 +62,7 @@ def optimise_architectures(
     seed: int = 0,
     iterations: int | None = None,
     tolerance: float = 1e-7,
+    seconds: float | None = None,
     checkpoint: str | PathLike[str] | None = None,
     callback: Callback | None = None,
     progress: bool = False,
@@ -80,10 +82,13 @@ def optimise_architectures(
     Raises:
         ValueError: as for `optimise_design`; no architecture is feasible; or there are too many.
     """
+    begun = time.perf_counter()
     space, objective = space or DesignSpace(), objective or Objective()
     tasks = check_tasks(arm, task, space, objective)
     check_choice("method", method, BATCHED_METHODS)
     check_count("starts", starts, 1)
+    if seconds is not None:
+        check_number("seconds", seconds, 0.0, strict=True, unit="s")
     kinds = (Bellows(), McKibben()) if models is None else tuple(models)
     count = arm.actuator_count
     if not kinds or len(kinds) ** count > MOST_ARCHITECTURES:
@@ -114,8 +119,10 @@ def optimise_architectures(
         ),
         callback=callback,
         progress=progress,
+        begun=begun,
+        seconds=seconds,
     )
-    reasons = end_reasons(state.reason, stopped)
+    reasons = end_reasons(state.reason)
     found = []
     for index, own in enumerate(arms):
         mine = slice(index * each, (index + 1) * each)

@@ -18,22 +18,33 @@ from torcharm.optimise.descent import COOLING
 from torcharm.optimise.objective import SMOOTHED, Problem
 from torcharm.optimise.running import Callback, Log, Report, bar
 
-SCIPY_METHODS = ("slsqp", "differential_evolution", "nelder_mead")
+SCIPY_METHODS = ("slsqp", "differential_evolution", "batched_differential_evolution", "nelder_mead")
+POPULATIONS = ("differential_evolution", "batched_differential_evolution")
+"""Methods that have a population of their own."""
 LARGE = 1e30
 """Stands for a value that is no number: scipy's methods take it better than infinity."""
 Array = npt.NDArray[np.float64]
 
 
 class _StopError(Exception):
-    """The callback asked for it."""
+    """The callback asked for it, or time is up: the message says which."""
 
 
 class _Recorder:
     """Judges points, and remembers the best of each start and when it was found."""
 
-    def __init__(self, problem: Problem, starts: int, callback: Callback | None, show: Callable[..., None]) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        starts: int,
+        callback: Callback | None,
+        show: Callable[..., None] | None,
+        begun: float,
+        seconds: float | None,
+    ) -> None:
         self.problem, self.callback, self.show = problem, callback, show
-        self.begun = time.perf_counter()
+        self.begun = begun
+        self.limit = float("inf") if seconds is None else seconds
         self.log = Log()
         self.evaluations = 0
         self.start = 0
@@ -62,16 +73,21 @@ class _Recorder:
         return value.clamp(max=LARGE).numpy(), slope.numpy()
 
     def _tell(self) -> None:
+        if time.perf_counter() - self.begun >= self.limit:
+            raise _StopError("time")
+        if self.show is None and self.callback is None:
+            return
         best = int(self.best_value.argmin())
         value = float(self.best_value[best])
-        self.show(self.start, value, f"{self.evaluations} designs evaluated")
+        if self.show is not None:
+            self.show(self.start, value, f"{self.evaluations} designs evaluated")
         if self.callback is None:
             return
         design = self.problem.polytopes[0].design(self.best_point[best])
         seconds = time.perf_counter() - self.begun
         report = Report(len(self.log.seconds), self.evaluations, seconds, value, design, len(self.best_value))
         if self.callback(report) is True:
-            raise _StopError
+            raise _StopError("callback")
 
 
 def run_scipy(
@@ -84,20 +100,32 @@ def run_scipy(
     seed: int,
     callback: Callback | None,
     progress: bool,
+    begun: float,
+    seconds: float | None,
 ) -> tuple[Tensor, Tensor, list[str], Log, str]:
-    """Best points and values of the starts, why each ended, what was logged, and why the run stopped."""
-    starts = 1 if method == "differential_evolution" else len(points)
+    """Best points and values of the starts, why each ended, what was logged, and why the run stopped.
+
+    Args:
+        begun: when the call began, by `time.perf_counter`.
+        seconds: after which to stop, counted from there.
+    """
+    runs = {
+        "slsqp": _slsqp,
+        "nelder_mead": _nelder_mead,
+        "differential_evolution": _evolution,
+        "batched_differential_evolution": _batched_evolution,
+    }
+    starts = 1 if method in POPULATIONS else len(points)
     reasons = ["iterations"] * starts
     stopped = "finished"
     with bar(progress, starts) as show:
-        recorder = _Recorder(problem, starts, callback, show)
+        recorder = _Recorder(problem, starts, callback, show if progress else None, begun, seconds)
         try:
             for index in range(starts):
                 recorder.start = index
-                run = {"slsqp": _slsqp, "nelder_mead": _nelder_mead, "differential_evolution": _evolution}[method]
-                reasons[index] = run(recorder, points[index], iterations, tolerance, seed)
+                reasons[index] = runs[method](recorder, points[index], iterations, tolerance, seed)
         except (KeyboardInterrupt, _StopError) as stop:
-            stopped = "callback" if isinstance(stop, _StopError) else "interrupted"
+            stopped = str(stop) if isinstance(stop, _StopError) else "interrupted"
     recorder.log.add(recorder.evaluations, time.perf_counter() - recorder.begun, recorder.best_value)
     return recorder.best_point, recorder.best_value, reasons, recorder.log, stopped
 
@@ -146,6 +174,19 @@ def _nelder_mead(recorder: _Recorder, point: Tensor, iterations: int, tolerance:
 
 
 def _evolution(recorder: _Recorder, point: Tensor, iterations: int, tolerance: float, seed: int) -> str:
+    """scipy's defaults: one design at a time, each of which is a parent at once."""
+    from scipy.optimize import differential_evolution
+
+    def fun(u: Array) -> float:
+        return float(recorder.judge(torch.from_numpy(u.copy())[None], 1.0, gradient=False)[0][0])
+
+    bounds = [(0, 1)] * len(point)
+    answer = differential_evolution(fun, bounds, x0=point.numpy(), maxiter=iterations, tol=tolerance, seed=seed)
+    return "stalled" if answer.success else "iterations"
+
+
+def _batched_evolution(recorder: _Recorder, point: Tensor, iterations: int, tolerance: float, seed: int) -> str:
+    """A whole population in one call, which becomes the next generation together."""
     from scipy.optimize import differential_evolution
 
     def fun(u: Array) -> Array:

@@ -6,6 +6,10 @@ Both take the step that minimises a quadratic model within the constraints,
 
 with H from differences of gradients (BFGS, damped; Nocedal & Wright, procedure 18.2) or from their running
 squares (Adam). A start is a row of the state; those that have ended no longer cost anything.
+
+The first start of each polytope, which is the feasible design nearest to the given one, descends before the others:
+a first answer comes as soon as if there were no others. These then descend together, as many at once as keep the
+machine busy; where one ends, the next begins.
 """
 
 from collections.abc import Callable
@@ -21,7 +25,7 @@ GOING, OPTIMAL, STALLED, LIMIT, FAILED = range(5)
 REASONS = ("going", "optimal", "stalled", "iterations", "failed")
 COOLING = (0.1, 0.01, 1e-3)
 """Temperatures of smoothed aggregates, as fractions of the values' size when a stage begins."""
-FIRST_STEP = 0.5
+FIRST_STEP = 2.0
 """About how far the first step goes, of the distance between bounds."""
 SUFFICIENT = 1e-4
 MOST_HALVINGS = 15
@@ -46,6 +50,7 @@ class State:
         fresh: (S,) whether the Hessian is still a guess.
         idle: (S,) iterations without progress.
         age: (S,) iterations in this stage.
+        steps: (S,) iterations in all; -1 before the start has been judged.
         reason: (S,) why it ended; GOING while it has not.
     """
 
@@ -64,14 +69,19 @@ class State:
     fresh: Tensor
     idle: Tensor
     age: Tensor
+    steps: Tensor
     reason: Tensor
 
     def rows(self, index: Tensor) -> "State":
-        """Some of the starts."""
+        """Some of the starts, in ascending order."""
+        if len(index) == len(self.owner):
+            return self
         return State(*(getattr(self, field.name)[index] for field in fields(self)))
 
     def with_rows(self, index: Tensor, part: "State") -> "State":
-        """The state with some of its starts replaced."""
+        """The state with some of its starts, in ascending order, replaced."""
+        if len(index) == len(self.owner):
+            return part
         columns = {}
         for field in fields(self):
             column = getattr(self, field.name).clone()
@@ -80,12 +90,12 @@ class State:
         return State(**columns)
 
 
-def begin(problem: Problem, point: Tensor, owner: Tensor) -> State:
-    """The state of starts at feasible points (S, F)."""
+def blank(point: Tensor, owner: Tensor) -> State:
+    """The state of starts at feasible points (S, F) that have not been judged."""
     size, free = point.shape
     hot = torch.full((size,), torch.inf, dtype=torch.float64)
     count = torch.zeros(size, dtype=torch.long)
-    state = State(
+    return State(
         owner,
         point,
         hot,
@@ -101,12 +111,32 @@ def begin(problem: Problem, point: Tensor, owner: Tensor) -> State:
         torch.ones(size, dtype=torch.bool),
         count,
         count,
+        count - 1,
         count,
     )
+
+
+def begin(problem: Problem, point: Tensor, owner: Tensor) -> State:
+    """The state of starts at feasible points (S, F), judged."""
+    return _begun(problem, blank(point, owner))
+
+
+def _begun(problem: Problem, state: State) -> State:
     if problem.objective.over in SMOOTHED:
-        spread = problem.judge(point, owner, state.temperature, gradient=False).spread
+        spread = problem.judge(state.point, state.owner, state.temperature, gradient=False).spread
         state = replace(state, temperature=COOLING[0] * spread.clamp(min=1e-9))
-    return _judged_again(problem, state)
+    return _judged_again(problem, replace(state, steps=torch.zeros_like(state.steps)))
+
+
+def turn(state: State, together: int) -> Tensor:
+    """Indices of the starts whose turn it is: of the first of each polytope those that are going, or else the next."""
+    going = state.reason == GOING
+    first = torch.ones_like(going)
+    first[1:] = state.owner[1:] != state.owner[:-1]
+    ahead = going & first
+    if bool(ahead.any()):
+        return ahead.nonzero().squeeze(-1)
+    return going.nonzero().squeeze(-1)[:together]
 
 
 def _judged_again(problem: Problem, state: State) -> State:
@@ -132,24 +162,31 @@ def _noted(state: State, point: Tensor, judged: Judged) -> State:
 
 
 def advance(problem: Problem, state: State, method: str, tolerance: float, total: int) -> tuple[State, int]:
-    """One iteration of all starts that are going; also the number of designs evaluated.
+    """One iteration of the starts whose turn it is; also the number of designs evaluated.
 
     Args:
         tolerance: a start is optimal when its model promises less, as a fraction of its value, and stalled
             when it has gained less for some iterations.
-        total: iterations planned for each stage (Adam's rate falls over them).
+        total: iterations of a start, at most (Adam's rate falls over them).
     """
-    going = (state.reason == GOING).nonzero().squeeze(-1)
+    going = turn(state, problem.together)
     part = state.rows(going)
-    before = part.smooth
+    fresh = (part.steps < 0).nonzero().squeeze(-1)
+    if len(fresh):
+        return state.with_rows(going, part.with_rows(fresh, _begun(problem, part.rows(fresh)))), len(fresh)
+    given = part
     step = {"bfgs": _bfgs, "adam": _adam}[method]
     part, evaluations = step(problem, part, tolerance, total)
-    gain = before - part.smooth if method == "bfgs" else _gain_of_best(state.rows(going), part)
+    gain = given.smooth - part.smooth if method == "bfgs" else _gain_of_best(given, part)
     slow = gain <= tolerance * part.smooth.abs().clamp(min=1e-9)
     idle = torch.where(slow, part.idle + 1, 0)
     ended = (part.reason == GOING) & (idle >= PATIENCE[method])
-    part = replace(part, idle=idle, age=part.age + 1, reason=torch.where(ended, STALLED, part.reason))
+    reason = torch.where(ended, STALLED, part.reason)
+    part = replace(part, idle=idle, age=part.age + 1, steps=part.steps + 1, reason=reason)
     part, more = _next_stage(problem, part)
+    if int(part.steps.max()) >= total:
+        out = (part.reason == GOING) & (part.steps >= total)
+        part = replace(part, reason=torch.where(out, LIMIT, part.reason))
     return state.with_rows(going, part), evaluations + more
 
 
@@ -185,7 +222,9 @@ def _next_stage(problem: Problem, state: State) -> tuple[State, int]:
 
 def _bfgs(problem: Problem, state: State, tolerance: float, total: int) -> tuple[State, int]:
     rows, bound = problem.constraints(state.owner)
-    hessian = torch.where(state.fresh[:, None, None], _guess(state.gradient), state.hessian)
+    hessian = state.hessian
+    if bool(state.fresh.any()):
+        hessian = torch.where(state.fresh[:, None, None], _guess(state.gradient), hessian)
     model = qp.solve(hessian, state.gradient, rows, bound - _times(rows, state.point))
     step = model.step
     promise = (state.gradient * step).sum(-1)
@@ -252,7 +291,7 @@ def _updated(hessian: Tensor, step: Tensor, change: Tensor, fresh: Tensor) -> Te
     """BFGS's update, damped so that it stays positive definite; a guess is first scaled to what was seen."""
     along = (step * change).sum(-1)
     seen = along > 1e-12 * step.norm(dim=-1) * change.norm(dim=-1)
-    curvature = torch.where(seen, change.square().sum(-1) / along.clamp(min=1e-300), 1.0)
+    curvature = torch.where(seen, along / step.square().sum(-1).clamp(min=1e-300), 1.0)
     eye = torch.eye(step.shape[-1], dtype=step.dtype)
     hessian = torch.where((fresh & seen)[:, None, None], curvature[:, None, None] * eye, hessian)
     bent = _times(hessian, step)

@@ -1,5 +1,6 @@
 """`optimise_design`: from a design and tasks to a better design."""
 
+import time
 from collections.abc import Sequence
 from os import PathLike
 from typing import Any
@@ -7,12 +8,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torcharm._inputs import check_choice, check_count, shown
+from torcharm._inputs import check_choice, check_count, check_number, shown
 from torcharm.arm import ArmDesign
 from torcharm.attainability import evaluate
 from torcharm.optimise.archive import fingerprint
 from torcharm.optimise.baselines import SCIPY_METHODS, run_scipy
-from torcharm.optimise.descent import GOING, LIMIT, REASONS, projected_gradient
+from torcharm.optimise.descent import REASONS, projected_gradient
 from torcharm.optimise.feasible import Polytope, feasible_designs
 from torcharm.optimise.objective import Objective, Problem
 from torcharm.optimise.result import History, OptimisedDesign
@@ -22,8 +23,17 @@ from torcharm.optimise.stationarity import stationarity
 from torcharm.task import Task
 
 BATCHED_METHODS = ("bfgs", "adam")
+SCHEME = 2
+"""Of descent: checkpoints of another one are not gone on from."""
 METHODS = (*BATCHED_METHODS, *SCIPY_METHODS)
-ITERATIONS = {"bfgs": 200, "adam": 300, "slsqp": 200, "differential_evolution": 1000, "nelder_mead": 5000}
+ITERATIONS = {
+    "bfgs": 200,
+    "adam": 300,
+    "slsqp": 200,
+    "differential_evolution": 1000,
+    "batched_differential_evolution": 1000,
+    "nelder_mead": 5000,
+}
 
 
 def optimise_design(
@@ -37,14 +47,16 @@ def optimise_design(
     seed: int = 0,
     iterations: int | None = None,
     tolerance: float = 1e-7,
+    seconds: float | None = None,
     checkpoint: str | PathLike[str] | None = None,
     callback: Callback | None = None,
     progress: bool = False,
 ) -> OptimisedDesign:
     """The best design found from a given one, within constraints, on all tasks.
 
-    All starts descend in one batch: the first are the feasible designs nearest to the given ones, the others
-    lie anywhere among the feasible designs. Ctrl-C ends the search and returns what was found until then.
+    The first starts are the feasible designs nearest to the given ones, the others lie anywhere among the feasible
+    designs. The very first descends by itself, so that an answer comes soon; the others then descend in one batch.
+    Ctrl-C ends the search and returns what was found until then.
 
     Args:
         arm: a design, or a batch of designs to start from.
@@ -52,11 +64,13 @@ def optimise_design(
         space: what may change, and how far; None frees radii and lengths.
         objective: by which designs are compared; None takes the mean absolute unattainability.
         method: "bfgs" (curvature from differences of gradients) or "adam", both batched and projected onto the
-            constraints; or scipy's "slsqp", "differential_evolution" or "nelder_mead", for comparison.
+            constraints; or scipy's "slsqp", "differential_evolution" (one design at a time, as scipy does by default;
+            "batched_differential_evolution" judges whole populations in one call) or "nelder_mead", for comparison.
         starts: at least as many as designs are given. Differential evolution has its own population.
         seed: of the random starts.
-        iterations: at most; None chooses.
+        iterations: of a start, at most; None chooses.
         tolerance: relative gain not worth another step.
+        seconds: after which to stop, counted from the call; None sets no limit.
         checkpoint: a file from which to go on, if it is there, and in which to keep what has been done; of batched
             methods. An interrupted search that goes on ends where it would have ended.
         callback: is told about each iteration; returning True stops the search.
@@ -65,9 +79,10 @@ def optimise_design(
     Raises:
         ValueError: an argument is none of those allowed, or no design satisfies the constraints.
     """
+    begun = time.perf_counter()
     space, objective = space or DesignSpace(), objective or Objective()
     tasks = check_tasks(arm, task, space, objective)
-    iterations = _checked(method, starts, seed, iterations, tolerance, checkpoint)
+    iterations = _checked(method, starts, seed, iterations, tolerance, seconds, checkpoint)
     polytope = feasible_designs(space, arm, tasks)
     problem = Problem((polytope,), tasks, objective)
     points = starting_points(polytope, arm, starts, seed)
@@ -82,6 +97,8 @@ def optimise_design(
             seed=seed,
             callback=callback,
             progress=progress,
+            begun=begun,
+            seconds=seconds,
         )
     else:
         state, log, stopped = descend(
@@ -92,11 +109,15 @@ def optimise_design(
             iterations=iterations,
             tolerance=tolerance,
             checkpoint=checkpoint,
-            name=problem_name(arm, tasks, space, objective, method, len(points), seed, iterations, tolerance),
+            name=""
+            if checkpoint is None
+            else problem_name(arm, tasks, space, objective, method, len(points), seed, iterations, tolerance),
             callback=callback,
             progress=progress,
+            begun=begun,
+            seconds=seconds,
         )
-        ends, values, reasons = state.best_point, state.best_value, end_reasons(state.reason, stopped)
+        ends, values, reasons = state.best_point, state.best_value, end_reasons(state.reason)
     return outcome(problem, 0, arm, space, points, ends, values, reasons, log, method, stopped)
 
 
@@ -115,7 +136,15 @@ def check_tasks(
     return tasks
 
 
-def _checked(method: str, starts: int, seed: int, iterations: int | None, tolerance: float, checkpoint: object) -> int:
+def _checked(
+    method: str,
+    starts: int,
+    seed: int,
+    iterations: int | None,
+    tolerance: float,
+    seconds: float | None,
+    checkpoint: object,
+) -> int:
     check_choice("method", method, METHODS)
     check_count("starts", starts, 1)
     check_count("seed", seed, 0)
@@ -123,6 +152,8 @@ def _checked(method: str, starts: int, seed: int, iterations: int | None, tolera
         raise ValueError(f"checkpoint: is kept by {', '.join(BATCHED_METHODS)} only, got method {method!r}")
     if not (isinstance(tolerance, (int, float)) and 0 < tolerance < 1):
         raise ValueError(f"tolerance: must be above 0 and below 1, got {shown(tolerance)}")
+    if seconds is not None:
+        check_number("seconds", seconds, 0.0, strict=True, unit="s")
     return ITERATIONS[method] if iterations is None else check_count("iterations", iterations, 1)
 
 
@@ -136,13 +167,12 @@ def problem_name(arm: ArmDesign, tasks: Sequence[Task], *settings: Any) -> str:
     """What tells this problem from others, for checkpoints."""
     tensors = [tensor for task in tasks for tensor in (task.twists, task.tip_load, task.base_pose)]
     models = [repr(model) for model in arm.actuators]
-    return fingerprint(torch.from_numpy(given_values(arm)), *tensors, models, *settings)
+    return fingerprint(torch.from_numpy(given_values(arm)), *tensors, models, *settings, SCHEME)
 
 
-def end_reasons(reason: Tensor, stopped: str) -> list[str]:
+def end_reasons(reason: Tensor) -> list[str]:
     """Why each start ended, in words."""
-    last = GOING if stopped != "finished" else LIMIT
-    return [REASONS[last if code == GOING else code] for code in reason.tolist()]
+    return [REASONS[code] for code in reason.tolist()]
 
 
 def outcome(

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +25,8 @@ from torcharm.task import Task
 Array = npt.NDArray[np.float64]
 THICKNESS = 1e-9
 """Free values whose bounds lie closer, as a fraction of their size, are fixed."""
+FEASIBLE = 1e-9
+"""A point that is no further outside, in scaled values, shows that the polytope is not empty."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +40,6 @@ class Polytope:
         rows: (C, F) A, each row of length 1.
         bound: (C,) b.
         names: C words, what each constraint is.
-        centre: (F,) the middle of the largest ball inside.
-        radius: of that ball; 0 if the polytope is flat.
     """
 
     arm: ArmDesign
@@ -47,19 +48,39 @@ class Polytope:
     rows: Tensor
     bound: Tensor
     names: tuple[str, ...]
-    centre: Tensor
-    radius: float
 
     @property
     def dimension(self) -> int:
         """F."""
         return self.spread.shape[1]
 
+    @property
+    def centre(self) -> Tensor:
+        """(F,) the middle of the largest ball inside."""
+        return self._ball[0]
+
+    @property
+    def radius(self) -> float:
+        """Of that ball; 0 if the polytope is flat."""
+        return self._ball[1]
+
+    @cached_property
+    def _ball(self) -> tuple[Tensor, float]:
+        centre, radius = _middle(Rows(self.rows.numpy(), self.bound.numpy(), self.names))
+        assert centre is not None
+        return torch.from_numpy(centre), radius
+
     def design(self, point: Tensor) -> ArmDesign:
         """Designs of batch shape (...) from scaled values (..., F), differentiable."""
         values = (point @ self.spread.T + self.fixed).to(self.arm.radii)
-        radii, length, limit = values.unflatten(-1, (3, -1)).unbind(-2)
-        return ArmDesign(radii, length, self.arm.actuators, limit)
+        parts = values.unflatten(-1, (3, -1)).unbind(-2)
+        held = self.fixed_fields
+        return self.arm.with_values(*(part.detach() if own else part for part, own in zip(parts, held, strict=True)))
+
+    @cached_property
+    def fixed_fields(self) -> tuple[bool, ...]:
+        """Whether radii, lengths and limits have no free values: gradients need not follow them."""
+        return tuple((self.spread.unflatten(0, (3, -1)) == 0).flatten(1).all(-1).tolist())
 
     def project(self, point: Tensor) -> Tensor:
         """The nearest feasible points (S, F) to points (S, F)."""
@@ -78,6 +99,8 @@ class Polytope:
 
     def sample(self, count: int, seed: int, steps: int = 50) -> Tensor:
         """Points (count, F) spread over the polytope: hit-and-run walks from its middle."""
+        if count == 0:
+            return self.rows.new_zeros(0, self.dimension)
         generator = torch.Generator().manual_seed(seed)
         point = self.centre.expand(count, -1).clone()
         for _ in range(steps):
@@ -107,13 +130,15 @@ def feasible_designs(space: DesignSpace, arm: ArmDesign, tasks: Sequence[Task]) 
     spread, base = frame.spread * (frame.high - frame.low), frame.fixed + frame.spread @ frame.low
     parts = (spacing_rows(space, arm), strain_rows(space, arm, tasks))
     rows = _scaled(parts, spread, base)
-    centre, radius = _middle(rows)
-    if centre is None:
-        raise ValueError(_contradiction(rows, spread, base, arm, parts[1]))
     maps, origin, matrix, bound = (
         torch.from_numpy(np.ascontiguousarray(value)) for value in (spread, base, rows.matrix, rows.bound)
     )
-    return Polytope(arm.flatten()[0], maps, origin, matrix, bound, rows.names, torch.from_numpy(centre), radius)
+    found = Polytope(arm.flatten()[0], maps, origin, matrix, bound, rows.names)
+    # A feasible design near the given one says that there is one, sooner than a linear program does.
+    near = found.nearest(arm)
+    if bool(found.violation(near).amax() > FEASIBLE) and _middle(rows)[0] is None:
+        raise ValueError(_contradiction(rows, spread, base, arm, parts[1]))
+    return found
 
 
 def _scaled(parts: Sequence[Rows], spread: Array, base: Array) -> Rows:

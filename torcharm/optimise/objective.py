@@ -1,21 +1,25 @@
 """What a design is judged by: one number from its results on all tasks, and its gradient."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import ceil
 
 import torch
 from torch import Tensor
 
 from torcharm._inputs import check_choice, check_count, shown
+from torcharm._sampled_distances import Sampling
 from torcharm.arm import ArmDesign
-from torcharm.attainability import Attainability, evaluate
-from torcharm.hulls import KINDS
+from torcharm.attainability import Attainability, evaluate, scale_of
+from torcharm.hulls import KINDS, sample_count
 from torcharm.optimise.feasible import Polytope
+from torcharm.optimise.scene import Scene
 from torcharm.task import Task
 
 METRICS = ("unattainability", "predicted_error")
 AGGREGATES = ("mean", "worst", "cvar", "count")
+LEAST_TOGETHER, BLOCKS_TOGETHER = 4, 2
+"""Of starts that descend at once, the least number and how many blocks of work they make."""
 SMOOTHED = ("worst", "count")
 """Aggregates that a gradient follows through a smooth stand-in, sharpened in stages."""
 
@@ -78,6 +82,16 @@ class Objective:
             return (self.metric,)
         return ("absolute", "relative") if self.relative_weight else ("absolute",)
 
+    def scene(self, arm: ArmDesign, task: Task) -> Scene | None:
+        """Tasks prepared for designs like `arm`, where the metrics are distances to sampled sets; else None."""
+        if self.metric != "unattainability" or self.distance != "closed_form":
+            return None
+        samples = sample_count(arm, self.hull, self.samples)
+        sampling = Sampling(self.metrics, self.hull, samples, scale_of(self.weights), bool(self.margin))
+        return Scene.of(
+            arm, task, sampling, (1.0, self.relative_weight)[: len(self.metrics)], self.power, self.chunk_size
+        )
+
     def results(self, arm: ArmDesign, tasks: Sequence[Task]) -> list[Attainability]:
         """What `torcharm.evaluate` finds, of the metrics needed, for each batch of tasks."""
         options = {
@@ -116,7 +130,10 @@ class Objective:
         if self.over == "count":
             missed = (values > self.threshold).to(values.dtype).sum(-1)
             return torch.where(mean.isfinite(), missed + mean / (1 + mean), mean)
-        done = (values <= 0).all(-1)
+        with torch.no_grad():
+            done = (values <= 0).all(-1)
+            if not bool(done.any()):
+                return mean
         return torch.where(done, values.mean(-1), mean)
 
     def smooth_total(self, values: Tensor, temperature: Tensor) -> Tensor:
@@ -165,16 +182,32 @@ class Problem:
         polytopes: A of them, of one dimension F.
         tasks: batches of tasks.
         objective: by which designs are judged.
+        scenes: the tasks, prepared, for each architecture; None where the objective goes through `evaluate`.
     """
 
     polytopes: tuple[Polytope, ...]
     tasks: tuple[Task, ...]
     objective: Objective
+    scenes: tuple[tuple[Scene, ...] | None, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        found = []
+        for polytope in self.polytopes:
+            own = [self.objective.scene(polytope.arm, task) for task in self.tasks]
+            scenes = tuple(scene for scene in own if scene is not None)
+            found.append(scenes if len(scenes) == len(own) else None)
+        object.__setattr__(self, "scenes", tuple(found))
 
     @property
     def dimension(self) -> int:
         """F."""
         return self.polytopes[0].dimension
+
+    @property
+    def together(self) -> int:
+        """Starts that descend at once: more would not be done sooner."""
+        scenes = [scene for own in self.scenes if own is not None for scene in own]
+        return max([LEAST_TOGETHER, *(BLOCKS_TOGETHER * scene.designs_at_once for scene in scenes)])
 
     def constraints(self, owner: Tensor) -> tuple[Tensor, Tensor]:
         """A (S, C, F) and b (S, C) of points whose polytopes are numbered by `owner` (S,), padded to one C."""
@@ -190,34 +223,70 @@ class Problem:
 
     def judge(self, point: Tensor, owner: Tensor, temperature: Tensor, *, gradient: bool) -> Judged:
         """Judge points (S, F), each of the polytope numbered by `owner` (S,)."""
-        out = [point.new_empty(len(point)) for _ in range(3)]
+        if len(self.polytopes) == 1:
+            return self._judge_alike(0, point, temperature, gradient)
+        value, smooth, spread = (point.new_empty(len(point)) for _ in range(3))
         slope = torch.zeros_like(point)
         for index in owner.unique().tolist():
             own = (owner == index).nonzero().squeeze(-1)
-            parts = self._judge_alike(self.polytopes[index], point[own], temperature[own], gradient)
-            for column, part in zip((*out, slope), parts, strict=True):
-                column[own] = part
-        return Judged(out[0], out[1], slope if gradient else None, out[2])
+            part = self._judge_alike(index, point[own], temperature[own], gradient)
+            value[own], smooth[own], spread[own] = part.value, part.smooth, part.spread
+            if part.gradient is not None:
+                slope[own] = part.gradient
+        return Judged(value, smooth, slope if gradient else None, spread)
 
-    def _judge_alike(
-        self, polytope: Polytope, point: Tensor, temperature: Tensor, gradient: bool
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def _values(self, architecture: int, arm: ArmDesign) -> Tensor:
+        """(S, T) of all T tasks."""
+        scenes = self.scenes[architecture]
+        if scenes is None:
+            return self.objective.per_task(arm, self.tasks)
+        values = [scene.values(arm) for scene in scenes]
+        return values[0] if len(values) == 1 else torch.cat(values, -1)
+
+    def _judge_alike(self, architecture: int, point: Tensor, temperature: Tensor, gradient: bool) -> Judged:
+        """Judge points of one polytope: with gradients, so many at once that their graph stays small."""
+        scenes = self.scenes[architecture]
+        each = len(point) if scenes is None or not gradient else min(scene.designs_at_once for scene in scenes)
+        parts = [
+            self._judge_at_once(architecture, part, heat, gradient)
+            for part, heat in zip(point.split(max(1, each)), temperature.split(max(1, each)), strict=True)
+        ]
+        if len(parts) == 1:
+            return parts[0]
+        value, smooth, slope, spread = (
+            torch.cat([getattr(part, name) for part in parts]) if name != "gradient" or gradient else None
+            for name in ("value", "smooth", "gradient", "spread")
+        )
+        assert value is not None
+        assert smooth is not None
+        assert spread is not None
+        return Judged(value, smooth, slope, spread)
+
+    def _judge_at_once(self, architecture: int, point: Tensor, temperature: Tensor, gradient: bool) -> Judged:
+        objective = self.objective
+        slope = torch.zeros_like(point) if gradient else None
         with torch.set_grad_enabled(gradient):
             at = point.detach().requires_grad_(gradient)
-            arm = polytope.design(at)
-            values = self.objective.per_task(arm, self.tasks).double().cpu()
-            size = self.objective.size(arm).double().cpu()
-            smooth = self.objective.smooth_total(values, temperature) + size
-            slope = torch.zeros_like(point)
+            arm = self.polytopes[architecture].design(at)
+            values = self._values(architecture, arm).double().cpu()
+            smooth = objective.smooth_total(values, temperature)
+            size = objective.size(arm).double().cpu() if objective.size_weight else None
+            smooth = smooth if size is None else smooth + size
             if gradient and smooth.requires_grad:
                 (slope,) = torch.autograd.grad(smooth.sum(), at)
+        smooth, values = smooth.detach(), values.detach()
         with torch.no_grad():
-            value = self.objective.total(values.detach()) + size.detach()
-            sound = value.isfinite() & smooth.detach().isfinite() & slope.isfinite().all(-1)
-            spread = values.detach().abs().amax(-1)
-            return (
+            value = smooth
+            if objective.over in SMOOTHED:
+                value = objective.total(values) if size is None else objective.total(values) + size.detach()
+            spread = values.abs().amax(-1)
+            sound = value.isfinite() & smooth.isfinite()
+            sound = sound if slope is None else sound & slope.isfinite().all(-1)
+            if bool(sound.all()):
+                return Judged(value, smooth, slope, spread)
+            return Judged(
                 torch.where(sound, value, torch.inf),
-                torch.where(sound, smooth.detach(), torch.inf),
+                torch.where(sound, smooth, torch.inf),
+                None if slope is None else torch.where(sound.unsqueeze(-1), slope, 0.0),
                 torch.where(sound, spread, 1.0),
-                torch.where(sound.unsqueeze(-1), slope, 0.0),
             )

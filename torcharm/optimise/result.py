@@ -33,8 +33,8 @@ class History:
 
     Attributes:
         evaluations: (I+1,) designs evaluated so far.
-        seconds: (I+1,) so far.
-        values: (I+1, S) the best value of each start so far.
+        seconds: (I+1,) so far, from the call, all preparations included.
+        values: (I+1, S) the best value of each start so far, infinite until it has its turn.
     """
 
     evaluations: Tensor
@@ -77,7 +77,7 @@ class OptimisedDesign:
             constraints, as a fraction of the mean gradient's: 0 at a minimum, kinks included.
         history: how the values fell.
         method, evaluations, seconds: with what, how many designs on all tasks, and how long.
-        stopped: "finished", "interrupted" or "callback".
+        stopped: "finished", "interrupted", "callback" or "time".
         space, objective: what was asked for.
     """
 

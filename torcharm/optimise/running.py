@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.optimise.archive import read_archive, write_archive
-from torcharm.optimise.descent import GOING, State, advance, begin
+from torcharm.optimise.descent import GOING, State, advance, blank
 from torcharm.optimise.objective import Problem
 
 SAVE_EVERY = 10.0
@@ -50,7 +50,7 @@ class Log:
     """What is written down while an optimisation runs: one row an iteration.
 
     Attributes:
-        evaluations, seconds: counted from the start of the whole run.
+        evaluations, seconds: counted from the call, over all its runs if it was interrupted.
         values: the best value of each start.
     """
 
@@ -81,33 +81,42 @@ def descend(
     name: str,
     callback: Callback | None,
     progress: bool,
+    begun: float,
+    seconds: float | None,
 ) -> tuple[State, Log, str]:
     """Descend from points until all have ended; also what was logged, and why the run stopped.
+
+    Args:
+        begun: when the call began, by `time.perf_counter`.
+        seconds: after which to stop, counted from there and over all runs.
 
     Raises:
         ValueError: the checkpoint is of another problem.
     """
-    begun = time.perf_counter()
     state, log = _resumed(checkpoint, name)
+    earlier = log.seconds[-1] if log.seconds else 0.0
     if state is None:
-        state = begin(problem, points, owner)
-        log.add(len(points), time.perf_counter() - begun, state.best_value)
-    earlier = log.seconds[-1] - (0.0 if len(log.seconds) > 1 else log.seconds[0])
+        state, count = advance(problem, blank(points, owner), method, tolerance, iterations)
+        log.add(count, time.perf_counter() - begun, state.best_value)
     saved = time.perf_counter()
     stopped = "finished"
-    with bar(progress, iterations) as show:
+    with bar(progress, iterations * (1 if len(points) == len(problem.polytopes) else 2)) as show:
         try:
-            while len(log.seconds) <= iterations and bool((state.reason == GOING).any()):
+            while bool((state.reason == GOING).any()):
                 state, count = advance(problem, state, method, tolerance, iterations)
                 now = time.perf_counter()
                 log.add(log.evaluations[-1] + count, earlier + now - begun, state.best_value)
-                report = _report(problem, state, log)
-                show(len(log.seconds) - 1, report.value, f"{report.going} of {len(points)} starts going")
+                if progress or callback is not None:
+                    report = _report(problem, state, log)
+                    show(len(log.seconds) - 1, report.value, f"{report.going} of {len(points)} starts going")
                 if checkpoint is not None and now - saved > SAVE_EVERY:
                     _save(checkpoint, name, state, log)
                     saved = time.perf_counter()
                 if callback is not None and callback(report) is True:
                     stopped = "callback"
+                    break
+                if seconds is not None and log.seconds[-1] >= seconds:
+                    stopped = "time"
                     break
         except KeyboardInterrupt:
             stopped = "interrupted"

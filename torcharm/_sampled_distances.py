@@ -1,0 +1,151 @@
+"""Distances to sampled attainable sets: nearest faces found without a graph, then followed through the polygons.
+
+The graph holds each section's samples once, whatever the number of loads, and one face of each load.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+
+import torch
+from torch import Tensor
+from torch.utils.checkpoint import checkpoint
+
+from torcharm._outer import Block, OuterProduct
+from torcharm.distance.closed_form import NearestFaces, face_distance, nearest_faces, signed_length
+from torcharm.hulls import Curves, Hulls, Sections, build_hulls, cross_sections, relative_curves, sample_curves
+from torcharm.wrenches import PLANAR, along, required_wrench
+
+Pair = tuple[Tensor, Tensor]
+Required = dict[str, Pair]
+"""For each metric the required forces and moments, (P, N, L) each, scaled."""
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """What to measure, and how.
+
+    Attributes:
+        metrics: of "absolute" and "relative".
+        hull, samples: how attainable sets are sampled.
+        scale: factors on force and moment.
+        signed: whether inside counts as negative.
+    """
+
+    metrics: tuple[str, ...]
+    hull: str
+    samples: int
+    scale: tuple[float, float]
+    signed: bool
+
+
+def required_by_metric(outer: OuterProduct, metrics: tuple[str, ...], scale: tuple[float, float]) -> Required:
+    """What tasks require, which depends on no design."""
+    wrench = required_wrench(outer.twists[:, None], outer.tip_load, outer.base_pose)[..., PLANAR].movedim(1, -2)
+    found = {}
+    for metric in metrics:
+        own = wrench - wrench[:, :1] if metric == "relative" else wrench
+        found[metric] = scale[0] * own[..., 0], scale[1] * own[..., 1]
+    return found
+
+
+def points_of(block: Block, required: Pair) -> Pair:
+    """Of required wrenches those of a block, as points (B, l) of its sections."""
+    _, shapes, loads = block.place
+    designs = len(block.arm.radii)
+    x, y = (value[shapes, :, loads].unsqueeze(2).expand(-1, -1, designs, -1).flatten(0, 2) for value in required)
+    return x, y
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """Distances, and what they were found from.
+
+    Attributes:
+        lengths: (B, l) for each metric.
+        sections: the actuators.
+        hulls, points: for each metric; with the graph of none if it is rebuilt when needed.
+        excess: (p, d) largest strain beyond its actuator's characterised range, if asked for.
+    """
+
+    lengths: tuple[Tensor, ...]
+    sections: Sections
+    hulls: tuple[Hulls, ...]
+    points: tuple[Pair, ...]
+    excess: Tensor | None
+
+
+def sampled_distances(
+    block: Block, required: Required, sampling: Sampling, *, recompute: bool, excess: bool = True
+) -> Sampled:
+    """Distances from what is required to what is attainable.
+
+    Args:
+        required: by all tasks, of which the block's are taken.
+        recompute: whether to rebuild graphs when they are needed instead of keeping them.
+        excess: whether strains beyond their range are asked for.
+    """
+    recording = torch.is_grad_enabled()
+    points = tuple(points_of(block, required[metric]) for metric in sampling.metrics)
+    followed = recording and (inputs_want_gradient(block) or any(x.requires_grad for x, _ in points))
+    with torch.set_grad_enabled(recording and not (recompute and followed)):
+        sections = cross_sections(block.arm, block.twists)
+        curves = sample_curves(sections, sampling.samples)
+    wanted = followed or curves.force.requires_grad  # a force model may hold what is asked about
+    again = wanted and recompute
+    with torch.set_grad_enabled(recording and not again):
+        hulls = _hulls(sections, curves, sampling)
+    with torch.no_grad():
+        faces = [nearest_faces(own.polygons, *point, slots=wanted) for own, point in zip(hulls, points, strict=True)]
+    if again:
+        replay = partial(_replayed, block, points, sampling, faces, excess)
+        *lengths, beyond = checkpoint(replay, use_reentrant=False)
+    else:
+        lengths = _lengths(hulls, points, sampling, faces, followed=wanted)
+        beyond = strain_excess(sections) if excess else None
+    return Sampled(tuple(lengths), sections, hulls, points, beyond)
+
+
+def _hulls(sections: Sections, curves: Curves, sampling: Sampling) -> tuple[Hulls, ...]:
+    each = (relative_curves(sections, curves) if metric == "relative" else curves for metric in sampling.metrics)
+    return tuple(build_hulls(own, sampling.hull, sampling.scale) for own in each)
+
+
+def _lengths(
+    hulls: tuple[Hulls, ...],
+    points: tuple[Pair, ...],
+    sampling: Sampling,
+    faces: list[NearestFaces],
+    *,
+    followed: bool,
+) -> list[Tensor]:
+    if not followed:
+        return [signed_length(one.square, one.inside, one.blur, signed=sampling.signed) for one in faces]
+    return [
+        face_distance(own.polygons, one, *point, signed=sampling.signed)
+        for own, point, one in zip(hulls, points, faces, strict=True)
+    ]
+
+
+def _replayed(
+    block: Block, points: tuple[Pair, ...], sampling: Sampling, faces: list[NearestFaces], excess: bool
+) -> tuple[Tensor | None, ...]:
+    """The distances to faces already found, and the strain excess, from the start."""
+    sections = cross_sections(block.arm, block.twists)
+    hulls = _hulls(sections, sample_curves(sections, sampling.samples), sampling)
+    lengths = _lengths(hulls, points, sampling, faces, followed=True)
+    return *lengths, strain_excess(sections) if excess else None
+
+
+def inputs_want_gradient(block: Block) -> bool:
+    """Whether any tensor of the block does."""
+    arm = block.arm
+    inputs = (arm.radii, arm.length, arm.max_pressure, block.twists, block.tip_load, block.base_pose)
+    return any(value.requires_grad for value in inputs)
+
+
+def strain_excess(sections: Sections) -> Tensor:
+    """Largest strain (p, d) beyond its actuator's characterised range, 0 if none is."""
+    low, high = zip(*(model.strain_range for model in sections.actuators), strict=True)
+    strain = sections.strain
+    beyond = torch.maximum(strain - along(high, strain, -2), along(low, strain, -2) - strain)
+    return beyond.amax(0).view(sections.shape).amax(1).clamp(min=0)
