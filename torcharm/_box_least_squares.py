@@ -29,11 +29,20 @@ BACKTRACKS = 5
 
 
 class Model(NamedTuple):
-    """Half the sum of squares (B,), its gradient (B, M), and `JᵀJ` (B, M, M)."""
+    """Half the sum of squares (B,), its gradient (B, M), and `JᵀJ` (B, M, M).
+
+    With a hint (B, ...), of the caller's choice, that helps to evaluate places nearby.
+    """
 
     value: Tensor
     gradient: Tensor
     curvature: Tensor
+    hint: Tensor
+
+
+Look = Callable[[Tensor, Tensor, Tensor, Tensor], Model]
+"""From indices (b,) of problems, places (b, M), and other places with their hints to models. A value that is not
+finite is no place to go."""
 
 
 def projected(gradient: Tensor, place: Tensor) -> Tensor:
@@ -42,22 +51,25 @@ def projected(gradient: Tensor, place: Tensor) -> Tensor:
 
 
 def minimise(
-    look: Callable[[Tensor, Tensor], Model],
+    look: Look,
     start: Tensor,
+    hint: Tensor,
     judge: Callable[[Tensor, Model, Tensor], Tensor],
     steps: int,
-) -> Tensor:
-    """Minimise from starts (B, M) in the box, and return where that ended.
+) -> tuple[Tensor, Tensor]:
+    """Minimise from starts (B, M) in the box, and return where that ended, and the hint there.
 
     Args:
-        look: from indices (b,) of problems and places (b, M) to models. A value that is not finite is no place to go.
+        look: at the problems.
         start: (B, M).
+        hint: (B, ...) of the starts.
         judge: from indices, models and places to whether they have converged (b,).
         steps: at most so many.
     """
     place = start.clone()
     active = torch.arange(len(start), device=start.device)
-    here, model = start, look(active, start)
+    here, model = start, look(active, start, start, hint)
+    hint = model.hint.clone()
     extra = torch.zeros_like(model.curvature)
     augmented = torch.zeros_like(active, dtype=torch.bool)
     damping = FIRST_DAMPING * _largest(model.curvature)
@@ -70,7 +82,7 @@ def minimise(
             leave |= (model.value > (1 - WORTH) * before) & (step > 0)
             before = model.value
         if bool(leave.any()):
-            place[active[leave]] = here[leave]
+            place[active[leave]], hint[active[leave]] = here[leave], model.hint[leave]
             keep = ~leave
             active, here, extra = active[keep], here[keep], extra[keep]
             augmented, damping, growth, before = augmented[keep], damping[keep], growth[keep], before[keep]
@@ -80,46 +92,47 @@ def minimise(
         used = torch.where(augmented[:, None, None], extra, torch.zeros_like(extra))
         move, promised = box_step(model.gradient, model.curvature + used, here, damping)
         there = here + move
-        tried = look(active, there)
+        tried = look(active, there, here, model.hint)
         augmented = _foretold(model, extra, move, tried)
         extra = _secant(extra, move, tried, model)
         gain = (model.value - tried.value) / promised.clamp(min=1e-300)
         good = (gain > LEAST_GAIN) & tried.value.isfinite()
         here = torch.where(good[:, None], there, here)
-        model = Model(
-            torch.where(good, tried.value, model.value),
-            torch.where(good[:, None], tried.gradient, model.gradient),
-            torch.where(good[:, None, None], tried.curvature, model.curvature),
-        )
+        model = _choose(good, tried, model)
         easier = (1 - (2 * gain.clamp(-1, 2) - 1) ** 3).clamp(min=0.1)  # Nielsen's rule
         damping = torch.where(good, damping * easier, damping * growth)
         growth = torch.where(good, torch.full_like(growth, 2.0), growth * 2)
-    place[active] = here
-    return place
+    place[active], hint[active] = here, model.hint
+    return place, hint
 
 
-def follow_valley(look: Callable[[Tensor, Tensor], Model], start: Tensor, steps: int) -> Tensor:
-    """Gauss and Newton's method, undamped, from starts (B, M) next to where all residuals vanish; the best place met.
+def follow_valley(look: Look, start: Tensor, hint: Tensor, steps: int) -> tuple[Tensor, Tensor]:
+    """Gauss and Newton's method, undamped, from starts (B, M) next to where all residuals vanish; the best place met,
+    and the hint there.
 
     Where residuals are of very different stiffness, their zero lies in a curved valley: a long step along it leaves the
     floor, the next returns to it. A method that never goes up creeps.
     """
     best, here = start, start
     every = torch.arange(len(start), device=start.device)
-    model = look(every, start)
-    least = model.value
+    model = least = look(every, start, start, hint)
     for _ in range(steps):
         move, _ = box_step(model.gradient, model.curvature, here, torch.zeros_like(model.value))
-        here = here + move
-        model = look(every, here)
-        lost = ~model.value.isfinite()
-        if bool(lost.any()):  # back to the best, from which it leads here again: given up
-            here = torch.where(lost[:, None], best, here)
-            model = look(every, here)
-        better = model.value < least
+        there = here + move
+        model = look(every, there, here, model.hint)
+        lost = ~model.value.isfinite()  # back to the best, from which it leads here again: given up
+        here = torch.where(lost[:, None], best, there)
+        model = _choose(lost, least, model)
+        better = model.value < least.value
         best = torch.where(better[:, None], here, best)
-        least = torch.where(better, model.value, least)
-    return best
+        least = _choose(better, model, least)
+    return best, least.hint
+
+
+def _choose(first: Tensor, one: Model, other: Model) -> Model:
+    """The one model where that is wanted (B,), else the other."""
+    pairs = zip(one, other, strict=True)
+    return Model(*(torch.where(first.view(-1, *[1] * (a.ndim - 1)), a, b) for a, b in pairs))
 
 
 def _largest(curvature: Tensor) -> Tensor:

@@ -13,7 +13,7 @@ from torch import Tensor
 from torcharm import mechanics, rod
 from torcharm._box_least_squares import Model, follow_valley, minimise, projected
 from torcharm._outer import Block
-from torcharm._response import Points, respond, size
+from torcharm._response import LARGE_MOVE, Points, Rest, look, pose_errors, settle, size
 from torcharm.arm import ArmDesign
 
 SCREENED = 8
@@ -32,8 +32,8 @@ TOLERANCES = {torch.float64: 1e-7, torch.float32: 1e-3}
 """Of the error's slope by a pressure, as a share of its limit, over the arm's length."""
 FLOORS = {torch.float64: 1e-10, torch.float32: 1e-5}
 """Of an error over the arm's length: below, rounding decides, and it counts as none."""
-LARGE_MOVE = 1.0
-"""Size of a move, as of `_response.size`, beyond which a linear balance is only a hint."""
+FIRST_LOOKS, LOOKS = 30, 8
+"""At a balance, before it is given up: at first, and from one nearby."""
 
 
 class Tasks(NamedTuple):
@@ -65,11 +65,13 @@ class Tasks(NamedTuple):
 
 
 class Found(NamedTuple):
-    """The best pressure of each of T tasks, in shares of its limit (T, M); how far from the task's shape the balance
-    was linear there (T, 2, N); and fields of `PredictedError`."""
+    """The best pressure of each of T tasks, in shares of its limit (T, M); how far from the task's shape the load
+    was made linear, and the arm came to rest (T, 2, N); whether it did; and fields of `PredictedError`."""
 
     share: Tensor
-    offset: Tensor
+    linear_at: Tensor
+    rest_at: Tensor
+    settled: Tensor
     optimality: Tensor
     converged: Tensor
     stable: Tensor
@@ -81,53 +83,82 @@ def minimum_over_pressures(tasks: Tasks, weights: Tensor, steps: int) -> Found:
     shape = mechanics.to_unknowns(tasks.twists)
     target = rod.poses(tasks.twists, tasks.base_pose)
     problem = _Problem(Points.of(tasks.arm, shape, target, tasks.base_pose, tasks.tip_load), weights)
-    end = _second_chance(problem, problem.minimise(*_start(problem)))
+    end = _second_chance(problem, problem.minimise(_start(problem)))
     for _ in range(steps - 1):
-        problem, share, free = _restart(problem, end)
-        end = _second_chance(problem, problem.minimise(share, free))
-    return Found(end.share, problem.points.unknowns - shape, end.optimality, end.converged, end.stable, end.small)
+        problem, start = _restart(problem, end)
+        end = _second_chance(problem, problem.minimise(start))
+    offset = problem.points.unknowns - shape
+    return Found(
+        end.share,
+        offset,
+        end.unknowns - shape,
+        end.settled,
+        end.optimality,
+        end.converged,
+        end.stable,
+        end.small,
+    )
 
 
-def _start(problem: "_Problem", screened: int = SCREENED) -> tuple[Tensor, Tensor]:
-    """The most promising of some pressures (T, M), in shares of their limits, spread evenly over the box; and whether
-    none of them is stable (T,). Where none is, more are tried."""
+class _Start(NamedTuple):
+    """Pressures (B, M) in shares of their limits, shapes and rates there as a hint (B, 2N, 1 + M), and whether to go
+    through unstable balances (B,), as there are no others."""
+
+    share: Tensor
+    hint: Tensor
+    free: Tensor
+
+
+def _start(problem: "_Problem", screened: int = SCREENED) -> _Start:
+    """The most promising of some pressures, spread evenly over the box. Where none is stable, more are tried."""
     count, actuators = problem.points.arm.max_pressure.shape
     draws = torch.quasirandom.SobolEngine(actuators).draw(screened, dtype=torch.float64).to(problem.weights)
     draws[0] = 0.5  # instead of no pressure at all
     every = torch.arange(count, device=draws.device)
-    seen = problem[every.repeat_interleave(screened)].look(draws.repeat(count, 1))
-    stable = seen.stable.view(count, screened)
-    share = draws[_rank(seen.model.value.view(count, screened), stable).argmin(-1)]
-    free = ~stable.any(-1)
+    rank, guess = problem[every.repeat_interleave(screened)].glance(draws.repeat(count, 1))
+    best = rank.view(count, screened).argmin(-1)
+    share = draws[best]
+    found = problem.rest(share, guess.view(count, screened, *guess.shape[1:])[every, best], FIRST_LOOKS)
+    free = ~(found.stable & found.settled)
+    start = _Start(share, _hint(found), free)
     lost = free.nonzero().squeeze(-1)
     if screened < SCREENED_AGAIN:
         for part in lost.split(max(1, count * screened // SCREENED_AGAIN)):  # no more at once than above
             if len(part):
-                share[part], free[part] = _start(problem[part], SCREENED_AGAIN)
-    return share, free
+                for column, new in zip(start, _start(problem[part], SCREENED_AGAIN), strict=True):
+                    column[part] = new
+    return start
 
 
-def _restart(problem: "_Problem", end: "_End") -> tuple["_Problem", Tensor, Tensor]:
-    """The balances made linear where the arms went, with pressures from which to go on: as `_start`, but with those
+def _restart(problem: "_Problem", end: "_End") -> tuple["_Problem", _Start]:
+    """The loads made linear where the arms went, with pressures from which to go on: as `_start`, but with those
     that led there wherever they are stable. Where nothing is stable there, the arm goes less far."""
-    share, part = end.share.clone(), torch.ones_like(problem.length)
-    lost = torch.arange(len(share), device=share.device)
-    free = torch.ones_like(end.stable)
+    part = torch.ones_like(problem.points.length)
+    lost = torch.arange(len(part), device=part.device)
+    hint = end.unknowns.new_zeros(*end.hint.shape)
+    start = _Start(end.share.clone(), hint, torch.ones_like(end.stable))
     for factor in RETREATS:
         part[lost] = factor
         there = problem[lost].moved(end.move[lost], part[lost])
-        stable = there.look(share[lost]).stable
-        free[lost] = ~stable
-        lost = lost[~stable]
+        found = there.rest(start.share[lost], end.unknowns[lost], FIRST_LOOKS)
+        good = found.stable & found.settled
+        start.hint[lost], start.free[lost] = _hint(found), ~good
+        lost, there = lost[~good], there[(~good).nonzero().squeeze(-1)]
         if not len(lost):
             break
-        tried, still = _start(there[(~stable).nonzero().squeeze(-1)])
-        share[lost] = torch.where(still.unsqueeze(-1), share[lost], tried)
-        free[lost] = still
-        lost = lost[still]
+        tried = _start(there)
+        better = ~tried.free
+        for column, new in zip(start, tried, strict=True):
+            column[lost[better]] = new[better]
+        lost = lost[~better]
         if not len(lost):
             break
-    return problem.moved(end.move, part), share, free
+    return problem.moved(end.move, part), start
+
+
+def _hint(rest: Rest) -> Tensor:
+    """(B, 2, N, 1 + M)"""
+    return torch.cat((rest.unknowns.unsqueeze(-1), rest.rate), -1)
 
 
 def _second_chance(problem: "_Problem", end: "_End") -> "_End":
@@ -139,11 +170,12 @@ def _second_chance(problem: "_Problem", end: "_End") -> "_End":
     draws = torch.quasirandom.SobolEngine(end.share.shape[-1]).draw(2 * SECOND_CHANCES, dtype=torch.float64)
     draws = draws[SECOND_CHANCES:].to(end.share)
     many = problem[near.repeat_interleave(SECOND_CHANCES)]
-    free = torch.zeros(len(many.points), dtype=torch.bool, device=near.device)
-    again = many.minimise(draws.repeat(len(near), 1), free)
-    rank = _rank(again.value, again.stable).view(-1, SECOND_CHANCES)
+    share = draws.repeat(len(near), 1)
+    found = many.rest(share, many.points.unknowns, FIRST_LOOKS)
+    again = many.minimise(_Start(share, _hint(found), torch.zeros_like(found.stable)))
+    rank = _rank(again.value, again.stable & again.settled).view(-1, SECOND_CHANCES)
     best = torch.arange(len(near), device=near.device) * SECOND_CHANCES + rank.argmin(-1)
-    better = again.stable[best] & (again.value[best] < end.value[near])
+    better = again.stable[best] & again.settled[best] & (again.value[best] < end.value[near])
     columns = [column.clone() for column in end]
     for column, new in zip(columns, again, strict=True):
         column[near[better]] = new[best[better]]
@@ -156,27 +188,24 @@ def _rank(value: Tensor, stable: Tensor) -> Tensor:
     return torch.where(stable, value - torch.finfo(value.dtype).max / 2, value)
 
 
-class _Look(NamedTuple):
-    model: Model
-    stable: Tensor
-    move: Tensor
-
-
 class _End(NamedTuple):
     """Where B minimisations ended."""
 
     share: Tensor
+    hint: Tensor
+    unknowns: Tensor
     value: Tensor
     move: Tensor
     optimality: Tensor
     converged: Tensor
     stable: Tensor
     small: Tensor
+    settled: Tensor
 
 
 @dataclass(frozen=True)
 class _Problem:
-    """B balances made linear, and the weights of the cost of their poses (N+1, 3)."""
+    """B arms whose loads were made linear, and the weights of the cost of their poses (N+1, 3)."""
 
     points: Points
     weights: Tensor
@@ -184,62 +213,94 @@ class _Problem:
     def __getitem__(self, index: Tensor) -> "_Problem":
         return _Problem(self.points[index], self.weights)
 
-    @property
-    def length(self) -> Tensor:
-        """(B,) of the arms [m]."""
-        return self.points.arm.length.mean(-1)
-
     def near(self, value: Tensor) -> Tensor:
         """Indices of those whose error all but vanishes, by half the cost (B,)."""
         error = (2 * value).sqrt()
         floor = FLOORS.get(value.dtype, 1e-3)
-        return ((error > floor * self.length) & (error < NEAR * self.length)).nonzero().squeeze(-1)
+        length = self.points.length
+        return ((error > floor * length) & (error < NEAR * length)).nonzero().squeeze(-1)
 
     def moved(self, move: Tensor, part: Tensor) -> "_Problem":
-        """The balances made linear after a part (B,) of moves (B, 2, N), or of as much of them as is not too far."""
+        """With loads made linear after a part (B,) of moves (B, 2, N), or of as much of them as is not too far."""
         points = self.points
-        part = part * (LARGE_MOVE / size(move, self.length).clamp(min=1e-30)).clamp(max=1.0)
+        part = part * (LARGE_MOVE / size(move, points.length).clamp(min=1e-30)).clamp(max=1.0)
         unknowns = points.unknowns + part[:, None, None] * move
         return _Problem(Points.of(points.arm, unknowns, points.target, points.base_pose, points.tip_load), self.weights)
 
-    def look(self, share: Tensor) -> _Look:
-        """The cost's Gauss-Newton model at shares of the pressure limits (B, M)."""
-        limit = self.points.arm.max_pressure
-        found = respond(self.points, share * limit)
+    def glance(self, share: Tensor) -> tuple[Tensor, Tensor]:
+        """How promising shares of the pressure limits (B, M) are, the smaller the better, by the tangent stiffness;
+        and the shapes (B, 2, N) that it leads to."""
+        points = self.points
+        seen = look(points, points.unknowns, share * points.arm.max_pressure)
+        short = (LARGE_MOVE / size(seen.step, points.length).clamp(min=1e-30)).clamp(max=1.0)
+        there = points.unknowns + seen.step
+        miss, _ = self._miss(there, None)
+        return _rank(0.5 * miss.square().sum(-1), seen.stable), points.unknowns + short[:, None, None] * seen.step
+
+    def rest(self, share: Tensor, guess: Tensor, looks: int) -> Rest:
+        """Where the arms come to rest at shares of the pressure limits (B, M)."""
+        return settle(self.points, share * self.points.arm.max_pressure, guess, looks)
+
+    def _miss(self, unknowns: Tensor, rate: Tensor | None) -> tuple[Tensor, Tensor | None]:
+        """(B, K) what is squared and summed, and its slope (B, K, M) by shares."""
         root = self.weights.sqrt()
-        miss = (root * found.error).flatten(1)
-        slope = (root.unsqueeze(-1) * found.slope).flatten(1, 2) * limit.unsqueeze(1)
+        if rate is None:
+            motion = mechanics.kinematics(unknowns, self.points.base_pose)
+            return (root * mechanics.pose_error(motion.pose, self.points.target)[0]).flatten(1), None
+        found = pose_errors(self.points, unknowns, rate)
+        slope = (root.unsqueeze(-1) * found.slope).flatten(1, 2) * self.points.arm.max_pressure.unsqueeze(1)
+        return (root * found.error).flatten(1), slope
+
+    def look(self, share: Tensor, near: Tensor, hint: Tensor, free: Tensor) -> Model:
+        """The cost's Gauss-Newton model at shares (B, M), from the rest at others nearby."""
+        limit = self.points.arm.max_pressure
+        ahead = ((share - near) * limit)[:, None, None]
+        guess = hint[..., 0] + (hint[..., 1:] * ahead).sum(-1)
+        guess = torch.where(guess.isfinite().flatten(1).all(-1)[:, None, None], guess, hint[..., 0])
+        found = self.rest(share, guess, LOOKS)
+        miss, slope = self._miss(found.unknowns, found.rate)
+        assert slope is not None
         gradient = (slope.mT @ miss.unsqueeze(-1)).squeeze(-1)
-        return _Look(Model(0.5 * miss.square().sum(-1), gradient, slope.mT @ slope), found.stable, found.move)
+        good = found.settled & (found.stable | free)
+        value = torch.where(good, 0.5 * miss.square().sum(-1), float("inf"))
+        return Model(value, gradient, slope.mT @ slope, _hint(found))
 
-    def minimise(self, start: Tensor, free: Tensor) -> _End:
-        """Follow starts (B, M) to minima; through unstable pressures only where that is free (B,)."""
+    def minimise(self, start: _Start) -> _End:
+        """Follow starts to minima; through unstable balances only where that is free."""
 
-        def look(index: Tensor, share: Tensor) -> Model:
-            seen = self[index].look(share)
-            value = torch.where(seen.stable | free[index], seen.model.value, float("inf"))
-            return seen.model._replace(value=value)
+        def look(index: Tensor, share: Tensor, near: Tensor, hint: Tensor) -> Model:
+            return self[index].look(share, near, hint, start.free[index])
 
         def judge(index: Tensor, model: Model, share: Tensor) -> Tensor:
             return _optimality(model, share, floor[index]) <= tolerance[index]
 
-        floor = FLOORS.get(start.dtype, 1e-3) * self.length
-        tolerance = TOLERANCES.get(start.dtype, 1e-2) * self.length
-        place = minimise(look, start, judge, STEPS)
-        end = self.look(place)
-        near = self.near(end.model.value)
+        points = self.points
+        floor = FLOORS.get(start.share.dtype, 1e-3) * points.length
+        tolerance = TOLERANCES.get(start.share.dtype, 1e-2) * points.length
+        place, hint = minimise(look, start.share, start.hint, judge, STEPS)
+        near = self.near(0.5 * self._miss(hint[..., 0], None)[0].square().sum(-1))
         if len(near):
-            place[near] = follow_valley(lambda index, share: look(near[index], share), place[near], VALLEY_STEPS)
-            end = self.look(place)
-        optimality = _optimality(end.model, place, floor)
+            place[near], hint[near] = follow_valley(
+                lambda index, *at: look(near[index], *at), place[near], hint[near], VALLEY_STEPS
+            )
+        found = self.rest(place, hint[..., 0], LOOKS)
+        miss, slope = self._miss(found.unknowns, found.rate)
+        assert slope is not None
+        gradient = (slope.mT @ miss.unsqueeze(-1)).squeeze(-1)
+        model = Model(0.5 * miss.square().sum(-1), gradient, slope.mT @ slope, hint)
+        optimality = _optimality(model, place, floor)
+        move = found.unknowns - points.unknowns
         return _End(
             place,
-            end.model.value,
-            end.move,
+            _hint(found),
+            found.unknowns,
+            model.value,
+            move,
             optimality,
-            optimality <= tolerance,
-            end.stable,
-            size(end.move, self.length) <= LARGE_MOVE,
+            (optimality <= tolerance) & found.settled,
+            found.stable & found.settled,
+            size(move, points.length) <= LARGE_MOVE,
+            found.settled,
         )
 
 

@@ -166,17 +166,10 @@ class _Replay:
         tasks, share = self.tasks, self.found.share
         limit = tasks.arm.max_pressure
         pressure = torch.where(share >= 1, limit, share * limit.detach())  # what is at a limit moves with it
-        unknowns = mechanics.to_unknowns(tasks.twists) + self.found.offset
-        balance = mechanics.balance(
-            tasks.arm,
-            unknowns,
-            pressure,
-            tasks.tip_load,
-            tasks.base_pose,
-            create_graph=torch.is_grad_enabled(),
-        )
-        move = -mechanics.solve(balance.stiffness, balance.residual.unsqueeze(-1)).squeeze(-1)
-        reached = unknowns + move
+        shape = mechanics.to_unknowns(tasks.twists)
+        reached = shape + self.found.rest_at
+        if torch.is_grad_enabled():
+            reached = reached + self._followed(shape + self.found.linear_at, reached, pressure)
         motion = mechanics.kinematics(reached, tasks.base_pose)
         error, _ = mechanics.pose_error(motion.pose, rod.poses(tasks.twists, tasks.base_pose))
         square = error.square()
@@ -188,6 +181,20 @@ class _Replay:
             pressure,
             mechanics.to_twists(reached),
         )
+
+
+    def _followed(self, linear_at: Tensor, reached: Tensor, pressure: Tensor) -> Tensor:
+        """Nothing in value; its gradient makes `reached` follow its balance: `-J⁻¹ (R - R°)`, with R° held."""
+        tasks = self.tasks
+        load = mechanics.load_part(mechanics.kinematics(linear_at, tasks.base_pose), tasks.tip_load)
+        wrench = mechanics.actuator_wrench(tasks.arm, reached, pressure) + load.wrench
+        moved = (reached - linear_at).flatten(1).unsqueeze(-1)
+        residual = wrench + (load.stiffness.flatten(3).flatten(1, 2) @ moved).view_as(wrench)
+        own = mechanics.actuator_part(
+            tasks.arm._map(Tensor.detach), reached.detach(), pressure.detach(), pressure_slope=False
+        )
+        stiffness = mechanics.assemble(load.stiffness.detach(), own.stiffness)
+        return -mechanics.solve(stiffness, (residual - residual.detach()).unsqueeze(-1)).squeeze(-1)
 
 
 def _root(square: Tensor, floor: Tensor) -> Tensor:
