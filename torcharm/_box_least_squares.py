@@ -19,8 +19,10 @@ FIRST_DAMPING = 1e-3
 """Of the model's largest curvature."""
 LARGEST_DAMPING = 1e9
 """Of the same: a step so short that rounding decides whether it went down."""
-PATIENCE, WORTH = 8, 1e-4
-"""Steps, and the share of the value that they must save to go on: at a kink of the residuals there is no more to be
+BLIND = 0.03
+"""The least damping, of the same, after a step to where there is no value."""
+PATIENCE, WORTH = 4, 1e-3
+"""Steps taken, and the share of the value that they must save to go on: at a kink of the residuals there is no more to be
 had, however long one tries."""
 INNER_STEPS = 8
 """Newton steps to the minimum of a model in the box."""
@@ -74,18 +76,19 @@ def minimise(
     augmented = torch.zeros_like(active, dtype=torch.bool)
     damping = FIRST_DAMPING * _largest(model.curvature)
     growth = torch.full_like(damping, 2.0)
-    before = model.value
-    for step in range(steps):
+    before, taken = model.value, torch.zeros_like(active)
+    for _ in range(steps):
         leave = judge(active, model, here) | ~model.value.isfinite()
         leave |= damping > LARGEST_DAMPING * _largest(model.curvature)
-        if step % PATIENCE == 0:
-            leave |= (model.value > (1 - WORTH) * before) & (step > 0)
-            before = model.value
+        due = taken == PATIENCE
+        leave |= due & (model.value > (1 - WORTH) * before)
+        before, taken = torch.where(due, model.value, before), torch.where(due, torch.zeros_like(taken), taken)
         if bool(leave.any()):
             place[active[leave]], hint[active[leave]] = here[leave], model.hint[leave]
             keep = ~leave
             active, here, extra = active[keep], here[keep], extra[keep]
-            augmented, damping, growth, before = augmented[keep], damping[keep], growth[keep], before[keep]
+            augmented, damping, growth = augmented[keep], damping[keep], growth[keep]
+            before, taken = before[keep], taken[keep]
             model = Model(*(part[keep] for part in model))
             if not len(active):
                 break
@@ -100,8 +103,10 @@ def minimise(
         here = torch.where(good[:, None], there, here)
         model = _choose(good, tried, model)
         easier = (1 - (2 * gain.clamp(-1, 2) - 1) ** 3).clamp(min=0.1)  # Nielsen's rule
-        damping = torch.where(good, damping * easier, damping * growth)
+        least = torch.where(tried.value.isfinite(), torch.zeros_like(damping), BLIND * _largest(model.curvature))
+        damping = torch.where(good, damping * easier, torch.maximum(damping * growth, least))
         growth = torch.where(good, torch.full_like(growth, 2.0), growth * 2)
+        taken = taken + good
     place[active], hint[active] = here, model.hint
     return place, hint
 

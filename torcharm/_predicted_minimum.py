@@ -13,7 +13,7 @@ from torch import Tensor
 from torcharm import mechanics, rod
 from torcharm._box_least_squares import Model, follow_valley, minimise, projected
 from torcharm._outer import Block
-from torcharm._response import LARGE_MOVE, Points, Rest, look, pose_errors, settle, size
+from torcharm._response import LARGE_MOVE, Points, Rest, is_stable, look, pose_errors, settle, size
 from torcharm.arm import ArmDesign
 
 SCREENED = 8
@@ -22,8 +22,12 @@ SCREENED_AGAIN = 64
 """The same, where none of those was stable."""
 RETREATS = (1.0, 0.5, 0.2, 0.0)
 """Parts of a move after which to make the balance linear again, each tried where the last one left nothing stable."""
+CANDIDATES = 7
+"""Of those, tried where the most promising does not come to rest."""
 STEPS = 40
 """Of a minimisation over pressures."""
+CLOSE, CLOSEST, SHARP = 3e-2, 1e-6, 0.1
+"""Sizes of the last Newton step to a balance: at first, at last, and over the change of pressures in between."""
 NEAR, VALLEY_STEPS = 5e-3, 12
 """Errors over the arm's length that are likely to vanish, and steps to see whether they do."""
 SECOND_CHANCES = 8
@@ -32,7 +36,7 @@ TOLERANCES = {torch.float64: 1e-7, torch.float32: 1e-3}
 """Of the error's slope by a pressure, as a share of its limit, over the arm's length."""
 FLOORS = {torch.float64: 1e-10, torch.float32: 1e-5}
 """Of an error over the arm's length: below, rounding decides, and it counts as none."""
-FIRST_LOOKS, LOOKS = 30, 8
+FIRST_LOOKS, LOOKS = 16, 5
 """At a balance, before it is given up: at first, and from one nearby."""
 
 
@@ -116,12 +120,21 @@ def _start(problem: "_Problem", screened: int = SCREENED) -> _Start:
     draws[0] = 0.5  # instead of no pressure at all
     every = torch.arange(count, device=draws.device)
     rank, guess = problem[every.repeat_interleave(screened)].glance(draws.repeat(count, 1))
-    best = rank.view(count, screened).argmin(-1)
-    share = draws[best]
-    found = problem.rest(share, guess.view(count, screened, *guess.shape[1:])[every, best], FIRST_LOOKS)
-    free = ~(found.stable & found.settled)
-    start = _Start(share, _hint(found), free)
-    lost = free.nonzero().squeeze(-1)
+    order = rank.view(count, screened).argsort(-1)
+    guess = guess.view(count, screened, *guess.shape[1:])
+    found = problem.rest(draws[order[:, 0]], guess[every, order[:, 0]], FIRST_LOOKS)
+    start = _Start(draws[order[:, 0]], _hint(found), ~found.stable)
+    lost = start.free.nonzero().squeeze(-1)
+    if len(lost):
+        at = order[lost, 1 : 1 + CANDIDATES]
+        many = lost.repeat_interleave(at.shape[-1])
+        found = problem[many].rest(draws[at.flatten()], guess[many, at.flatten()], FIRST_LOOKS)
+        best = found.stable.view_as(at).to(at.dtype).argmax(-1)  # the most promising of those that come to rest
+        one = torch.arange(len(lost), device=at.device) * at.shape[-1] + best
+        good = found.stable[one]
+        for column, new in zip(start, (draws[at.flatten()], _hint(found), ~found.stable), strict=True):
+            column[lost[good]] = new[one[good]]
+        lost = lost[~good]
     if screened < SCREENED_AGAIN:
         for part in lost.split(max(1, count * screened // SCREENED_AGAIN)):  # no more at once than above
             if len(part):
@@ -141,7 +154,7 @@ def _restart(problem: "_Problem", end: "_End") -> tuple["_Problem", _Start]:
         part[lost] = factor
         there = problem[lost].moved(end.move[lost], part[lost])
         found = there.rest(start.share[lost], end.unknowns[lost], FIRST_LOOKS)
-        good = found.stable & found.settled
+        good = found.stable
         start.hint[lost], start.free[lost] = _hint(found), ~good
         lost, there = lost[~good], there[(~good).nonzero().squeeze(-1)]
         if not len(lost):
@@ -231,15 +244,16 @@ class _Problem:
         """How promising shares of the pressure limits (B, M) are, the smaller the better, by the tangent stiffness;
         and the shapes (B, 2, N) that it leads to."""
         points = self.points
-        seen = look(points, points.unknowns, share * points.arm.max_pressure)
+        seen = look(points, points.unknowns, share * points.arm.max_pressure, rates=False)
         short = (LARGE_MOVE / size(seen.step, points.length).clamp(min=1e-30)).clamp(max=1.0)
         there = points.unknowns + seen.step
         miss, _ = self._miss(there, None)
-        return _rank(0.5 * miss.square().sum(-1), seen.stable), points.unknowns + short[:, None, None] * seen.step
+        return _rank(0.5 * miss.square().sum(-1), is_stable(seen.stiffness)), points.unknowns + short[:, None, None] * seen.step
 
-    def rest(self, share: Tensor, guess: Tensor, looks: int) -> Rest:
+    def rest(self, share: Tensor, guess: Tensor, looks: int, close: Tensor | float = CLOSE) -> Rest:
         """Where the arms come to rest at shares of the pressure limits (B, M)."""
-        return settle(self.points, share * self.points.arm.max_pressure, guess, looks)
+        close = close if isinstance(close, Tensor) else torch.full_like(self.points.length, close)
+        return settle(self.points, share * self.points.arm.max_pressure, guess, looks, close)
 
     def _miss(self, unknowns: Tensor, rate: Tensor | None) -> tuple[Tensor, Tensor | None]:
         """(B, K) what is squared and summed, and its slope (B, K, M) by shares."""
@@ -257,7 +271,9 @@ class _Problem:
         ahead = ((share - near) * limit)[:, None, None]
         guess = hint[..., 0] + (hint[..., 1:] * ahead).sum(-1)
         guess = torch.where(guess.isfinite().flatten(1).all(-1)[:, None, None], guess, hint[..., 0])
-        found = self.rest(share, guess, LOOKS)
+        change = (share - near).abs().amax(-1)
+        close = torch.where(change == 0, CLOSE, (SHARP * change).clamp(CLOSEST, CLOSE))
+        found = self.rest(share, guess, LOOKS, close)
         miss, slope = self._miss(found.unknowns, found.rate)
         assert slope is not None
         gradient = (slope.mT @ miss.unsqueeze(-1)).squeeze(-1)
@@ -283,7 +299,7 @@ class _Problem:
             place[near], hint[near] = follow_valley(
                 lambda index, *at: look(near[index], *at), place[near], hint[near], VALLEY_STEPS
             )
-        found = self.rest(place, hint[..., 0], LOOKS)
+        found = self.rest(place, hint[..., 0], LOOKS, CLOSEST)
         miss, slope = self._miss(found.unknowns, found.rate)
         assert slope is not None
         gradient = (slope.mT @ miss.unsqueeze(-1)).squeeze(-1)

@@ -20,8 +20,6 @@ from torcharm.arm import ArmDesign
 
 LARGE_MOVE = 1.0
 """Longest Newton step, as of `size`, and the longest move through which a load is carried to first order."""
-CLOSE = {torch.float64: 1e-4, torch.float32: 1e-3}
-"""Size of a Newton step that is the last: it leaves an error of about its square."""
 SUFFICIENT = 1e-4
 """Share of the decrease of the imbalance that a step promises."""
 STRETCH = 3.0
@@ -80,31 +78,39 @@ class Look(NamedTuple):
         imbalance: (B,) norm of the residual, moments over the largest offset [N].
         step: (B, 2, N) Newton's.
         rate: (B, 2, N, M) of the shape by the pressures [1/kPa].
-        stable: (B,) whether the symmetric part of -J is positive definite.
+        stiffness: J (B, 2N, 2N).
     """
 
     imbalance: Tensor
     step: Tensor
     rate: Tensor
-    stable: Tensor
+    stiffness: Tensor
 
 
-def look(points: Points, unknowns: Tensor, pressure: Tensor) -> Look:
-    """The balance at shapes (B, 2, N) and pressures (B, M) [kPa], detached."""
-    own = mechanics.actuator_part(points.arm, unknowns, pressure)
+def look(points: Points, unknowns: Tensor, pressure: Tensor, rates: bool = True) -> Look:
+    """The balance at shapes (B, 2, N) and pressures (B, M) [kPa], detached; without rates those of no pressures."""
+    own = mechanics.actuator_part(points.arm, unknowns, pressure, pressure_slope=rates)
     stiffness = points.load.stiffness.clone()
     stiffness.diagonal(dim1=-3, dim2=-1).add_(own.stiffness)
     stiffness = stiffness.flatten(3).flatten(1, 2)
-    moved = (unknowns - points.unknowns).flatten(1).unsqueeze(-1)
-    carried = (points.load.stiffness.flatten(3).flatten(1, 2) @ moved).view_as(unknowns)
-    residual = own.wrench + points.load.wrench + carried
+    import os
+    if os.environ.get('FULL') and rates:
+        load = mechanics.load_part(mechanics.kinematics(unknowns, points.base_pose), points.tip_load)
+        stiffness = load.stiffness
+        stiffness.diagonal(dim1=-3, dim2=-1).add_(own.stiffness)
+        stiffness = stiffness.flatten(3).flatten(1, 2)
+        residual = own.wrench + load.wrench
+    else:
+     moved = (unknowns - points.unknowns).flatten(1).unsqueeze(-1)
+     carried = (points.load.stiffness.flatten(3).flatten(1, 2) @ moved).view_as(unknowns)
+     residual = own.wrench + points.load.wrench + carried
     right = torch.cat((residual.flatten(1).unsqueeze(-1), own.by_pressure.flatten(1, 2)), -1)
     answer, info = torch.linalg.solve_ex(stiffness, right)
     answer = torch.where((info == 0)[:, None, None], -answer, answer.new_tensor(float("nan")))
     answer = answer.unflatten(1, unknowns.shape[1:])
     reach = points.arm.radii.abs().amax(-1) + 1e-3 * points.length
     imbalance = (residual[:, 0].square() + (residual[:, 1] / reach.unsqueeze(-1)).square()).sum(-1).sqrt()
-    return Look(imbalance, answer[..., 0], answer[..., 1:], is_stable(stiffness))
+    return Look(imbalance, answer[..., 0], answer[..., 1:], stiffness)
 
 
 class Rest(NamedTuple):
@@ -123,12 +129,11 @@ class Rest(NamedTuple):
     settled: Tensor
 
 
-def settle(points: Points, pressure: Tensor, guess: Tensor, looks: int) -> Rest:
+def settle(points: Points, pressure: Tensor, guess: Tensor, looks: int, close: Tensor) -> Rest:
     """Solve the balance at pressures (B, M) by Newton's method from guesses (B, 2, N).
 
-    Steps are at most `LARGE_MOVE` long, and halved where the imbalance does not fall.
+    A step no larger than `close` (B,) is the last: it leaves an error of about its square. Steps are at most `LARGE_MOVE` long, and halved where the imbalance does not fall.
     """
-    close = CLOSE.get(guess.dtype, 1e-2)
     element, own = torch.arange(len(guess), device=guess.device), points
     base, trial, step = guess, guess, torch.zeros_like(guess)
     last, factor = guess.new_full((len(guess),), float("inf")), torch.ones_like(points.length)
@@ -147,7 +152,8 @@ def settle(points: Points, pressure: Tensor, guess: Tensor, looks: int) -> Rest:
         if bool(there.any()):
             left = element[there]
             end.unknowns[left] = (trial + seen.step)[there]
-            end.rate[left], end.stable[left], end.settled[left] = seen.rate[there], seen.stable[there], True
+            end.rate[left], end.settled[left] = seen.rate[there], True
+            end.stable[left] = is_stable(seen.stiffness[there])
             if bool(there.all()):
                 return end
         short = (LARGE_MOVE / moved.clamp(min=1e-30)).clamp(max=1.0)
@@ -160,7 +166,7 @@ def settle(points: Points, pressure: Tensor, guess: Tensor, looks: int) -> Rest:
         on = ~there & (fell | last.isfinite())  # a first look that is no number leads nowhere
         if bool(on.all()):
             continue
-        element, own, pressure = element[on], own[on], pressure[on]
+        element, own, pressure, close = element[on], own[on], pressure[on], close[on]
         base, trial, step, last, factor = base[on], trial[on], step[on], last[on], factor[on]
         if not len(element):
             break
