@@ -157,7 +157,7 @@ def _secant(extra: Tensor, move: Tensor, tried: Model, model: Model) -> Tensor:
     wanted = tried.gradient - model.gradient - _times(tried.curvature, move)
     now = (_times(extra, move) * move).sum(-1).abs()
     extra = extra * ((wanted * move).sum(-1).abs() / now.clamp(min=1e-300)).clamp(max=1.0)[:, None, None]  # sized
-    missed = wanted - _times(extra, move)
+    missed = (wanted - _times(extra, move)) * (move != 0)  # what has not moved has told nothing of its curvature
     along = (missed * move).sum(-1)
     sound = along.abs() > 1e-8 * missed.norm(dim=-1) * move.norm(dim=-1)
     sound &= tried.value.isfinite() & tried.gradient.isfinite().all(-1) & model.value.isfinite()
@@ -176,13 +176,15 @@ def box_step(gradient: Tensor, curvature: Tensor, place: Tensor, damping: Tensor
 
     Args:
         gradient: (B, M).
-        curvature: (B, M, M), symmetric; where it is not positive definite, it is shifted until it is.
+        curvature: (B, M, M), symmetric; where it is not positive definite for variables that are free to move, it is shifted until it is.
         place: (B, M) in the box.
         damping: (B,) added to its diagonal.
     """
     eye = torch.eye(place.shape[-1], dtype=place.dtype, device=place.device)
     scale = _largest(curvature.abs())
-    least = torch.linalg.eigvalsh(curvature)[:, 0]
+    free = (~(((place <= 0) & (gradient > 0)) | ((place >= 1) & (gradient < 0)))).to(place.dtype)
+    reduced = curvature * free.unsqueeze(-1) * free.unsqueeze(-2)
+    least = torch.linalg.eigvalsh(reduced + torch.diag_embed((1 - free) * scale.unsqueeze(-1)))[:, 0]
     shift = damping + (1e-12 * scale - 1.1 * least).clamp(min=0)
     curvature = curvature + shift[:, None, None] * eye
     scale = scale + shift

@@ -82,13 +82,14 @@ class Found(NamedTuple):
     small: Tensor
 
 
-def minimum_over_pressures(tasks: Tasks, weights: Tensor, steps: int) -> Found:
-    """Look at some pressures, follow the most promising to a minimum; and again from where that leads."""
+def minimum_over_pressures(tasks: Tasks, weights: Tensor, steps: int | None) -> Found:
+    """Look at some pressures, follow the most promising to a minimum; and again from where that leads. Without a
+    number of steps, loads are exact."""
     shape = mechanics.to_unknowns(tasks.twists)
     target = rod.poses(tasks.twists, tasks.base_pose)
-    problem = _Problem(Points.of(tasks.arm, shape, target, tasks.base_pose, tasks.tip_load), weights)
+    problem = _Problem(Points.of(tasks.arm, shape, target, tasks.base_pose, tasks.tip_load, steps is None), weights)
     end = _second_chance(problem, problem.minimise(_start(problem)))
-    for _ in range(steps - 1):
+    for _ in range(0 if steps is None else steps - 1):
         problem, start = _restart(problem, end)
         end = _second_chance(problem, problem.minimise(start))
     offset = problem.points.unknowns - shape
@@ -238,7 +239,8 @@ class _Problem:
         points = self.points
         part = part * (LARGE_MOVE / size(move, points.length).clamp(min=1e-30)).clamp(max=1.0)
         unknowns = points.unknowns + part[:, None, None] * move
-        return _Problem(Points.of(points.arm, unknowns, points.target, points.base_pose, points.tip_load), self.weights)
+        again = Points.of(points.arm, unknowns, points.target, points.base_pose, points.tip_load, points.exact)
+        return _Problem(again, self.weights)
 
     def glance(self, share: Tensor) -> tuple[Tensor, Tensor]:
         """How promising shares of the pressure limits (B, M) are, the smaller the better, by the tangent stiffness;

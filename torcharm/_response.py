@@ -37,6 +37,7 @@ class Points:
         base_pose: (3,).
         tip_load: (B, 3).
         load: q and Q at z°.
+        exact: whether loads are carried by exact kinematics instead, to wherever the arm goes.
     """
 
     arm: ArmDesign
@@ -45,12 +46,23 @@ class Points:
     base_pose: Tensor
     tip_load: Tensor
     load: mechanics.LoadPart
+    exact: bool
 
     @staticmethod
-    def of(arm: ArmDesign, unknowns: Tensor, target: Tensor, base_pose: Tensor, tip_load: Tensor) -> "Points":
+    def of(
+        arm: ArmDesign, unknowns: Tensor, target: Tensor, base_pose: Tensor, tip_load: Tensor, exact: bool
+    ) -> "Points":
         """With the load at the shapes."""
         load = mechanics.load_part(mechanics.kinematics(unknowns, base_pose), tip_load)
-        return Points(arm, unknowns, target, base_pose, tip_load, load)
+        return Points(arm, unknowns, target, base_pose, tip_load, load, exact)
+
+    def load_at(self, unknowns: Tensor) -> mechanics.LoadPart:
+        """The load at other shapes (B, 2, N)."""
+        if self.exact:
+            return mechanics.load_part(mechanics.kinematics(unknowns, self.base_pose), self.tip_load)
+        moved = (unknowns - self.unknowns).flatten(1).unsqueeze(-1)
+        carried = self.load.stiffness.flatten(3).flatten(1, 2) @ moved
+        return mechanics.LoadPart(self.load.wrench + carried.view_as(unknowns), self.load.stiffness)
 
     def __len__(self) -> int:
         return len(self.unknowns)
@@ -63,6 +75,7 @@ class Points:
             self.base_pose,
             self.tip_load[index],
             mechanics.LoadPart(*(part[index] for part in self.load)),
+            self.exact,
         )
 
     @property
@@ -90,20 +103,11 @@ class Look(NamedTuple):
 def look(points: Points, unknowns: Tensor, pressure: Tensor, rates: bool = True) -> Look:
     """The balance at shapes (B, 2, N) and pressures (B, M) [kPa], detached; without rates those of no pressures."""
     own = mechanics.actuator_part(points.arm, unknowns, pressure, pressure_slope=rates)
-    stiffness = points.load.stiffness.clone()
+    load = points.load_at(unknowns)
+    stiffness = load.stiffness.clone()
     stiffness.diagonal(dim1=-3, dim2=-1).add_(own.stiffness)
     stiffness = stiffness.flatten(3).flatten(1, 2)
-    import os
-    if os.environ.get('FULL') and rates:
-        load = mechanics.load_part(mechanics.kinematics(unknowns, points.base_pose), points.tip_load)
-        stiffness = load.stiffness
-        stiffness.diagonal(dim1=-3, dim2=-1).add_(own.stiffness)
-        stiffness = stiffness.flatten(3).flatten(1, 2)
-        residual = own.wrench + load.wrench
-    else:
-     moved = (unknowns - points.unknowns).flatten(1).unsqueeze(-1)
-     carried = (points.load.stiffness.flatten(3).flatten(1, 2) @ moved).view_as(unknowns)
-     residual = own.wrench + points.load.wrench + carried
+    residual = own.wrench + load.wrench
     right = torch.cat((residual.flatten(1).unsqueeze(-1), own.by_pressure.flatten(1, 2)), -1)
     answer, info = torch.linalg.solve_ex(stiffness, right)
     answer = torch.where((info == 0)[:, None, None], -answer, answer.new_tensor(float("nan")))

@@ -85,7 +85,7 @@ def evaluate(
     polish: bool = False,
     residuals: bool = False,
     pose_cost: PoseCost | None = None,
-    steps: int = 1,
+    steps: int | None = None,
     chunk_size: int | None = None,
 ) -> Attainability:
     """Unattainability of every design on every task.
@@ -172,7 +172,7 @@ def evaluate(
     )
 
 
-def _predict(outer: OuterProduct, pose_cost: PoseCost | None, steps: int, chunk_size: int | None) -> "PredictedError":
+def _predict(outer: OuterProduct, pose_cost: PoseCost | None, steps: int | None, chunk_size: int | None) -> "PredictedError":
     from torcharm.prediction import predict_outer  # loads when it is first asked for
 
     return predict_outer(outer, pose_cost, steps, chunk_size)

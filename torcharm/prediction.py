@@ -59,7 +59,7 @@ class PredictedError:
 
 
 def predict_error(
-    arm: ArmDesign, task: Task, pose_cost: PoseCost | None = None, *, steps: int = 1, chunk_size: int | None = None
+    arm: ArmDesign, task: Task, pose_cost: PoseCost | None = None, *, steps: int | None = None, chunk_size: int | None = None
 ) -> PredictedError:
     """The least pose error that each design can be expected to reach on each task, without a forward solve.
 
@@ -82,12 +82,13 @@ def predict_error(
     return predict_outer(outer_product(arm, task), pose_cost, steps, chunk_size)
 
 
-def predict_outer(outer: OuterProduct, cost: PoseCost | None, steps: int, chunk_size: int | None) -> PredictedError:
+def predict_outer(outer: OuterProduct, cost: PoseCost | None, steps: int | None, chunk_size: int | None) -> PredictedError:
     """`predict_error` of checked designs and tasks."""
     cost = PoseCost() if cost is None else cost
     if not isinstance(cost, PoseCost):
         raise ValueError(f"pose_cost: must be a PoseCost, got {shown(cost)}")
-    check_count("steps", steps, 1)
+    if steps is not None:
+        check_count("steps", steps, 1)
     weights, diagonal = cost.weights(outer.nodes, outer.twists), cost.diagonal(outer.twists)
     if chunk_size is None:
         chunk_size = max(1, BLOCK_ELEMENTS // (SCREENED * (2 * outer.nodes) ** 2))
@@ -108,11 +109,11 @@ def _nothing(outer: OuterProduct) -> PredictedError:
     return PredictedError(*(outer.unflatten(column) for column in columns))
 
 
-def _predict_block(block: Block, weights: Tensor, diagonal: Tensor, steps: int, recompute: bool) -> tuple[Tensor, ...]:
+def _predict_block(block: Block, weights: Tensor, diagonal: Tensor, steps: int | None, recompute: bool) -> tuple[Tensor, ...]:
     """The fields of `PredictedError` for a block, each (d, p, l, ...)."""
     tasks = Tasks.of(block)
     found = minimum_over_pressures(tasks.detached(), weights, steps)
-    again = _Replay(tasks, weights, diagonal, found)
+    again = _Replay(tasks, weights, diagonal, found, steps is None)
     if _wants_gradient(tasks):
         reached = checkpoint(again, use_reentrant=False) if recompute else again()
     else:
@@ -161,6 +162,7 @@ class _Replay:
     weights: Tensor
     diagonal: Tensor
     found: Found
+    exact: bool
 
     def __call__(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         tasks, share = self.tasks, self.found.share
@@ -185,14 +187,16 @@ class _Replay:
 
     def _followed(self, linear_at: Tensor, reached: Tensor, pressure: Tensor) -> Tensor:
         """Nothing in value; its gradient makes `reached` follow its balance: `-J⁻¹ (R - R°)`, with R° held."""
-        tasks = self.tasks
-        load = mechanics.load_part(mechanics.kinematics(linear_at, tasks.base_pose), tasks.tip_load)
-        wrench = mechanics.actuator_wrench(tasks.arm, reached, pressure) + load.wrench
-        moved = (reached - linear_at).flatten(1).unsqueeze(-1)
-        residual = wrench + (load.stiffness.flatten(3).flatten(1, 2) @ moved).view_as(wrench)
-        own = mechanics.actuator_part(
-            tasks.arm._map(Tensor.detach), reached.detach(), pressure.detach(), pressure_slope=False
-        )
+        tasks, end = self.tasks, reached.detach()
+        wrench = mechanics.actuator_wrench(tasks.arm, reached, pressure)
+        if self.exact:
+            load = mechanics.load_part(mechanics.kinematics(reached, tasks.base_pose), tasks.tip_load)
+            residual = wrench + load.wrench
+        else:
+            load = mechanics.load_part(mechanics.kinematics(linear_at, tasks.base_pose), tasks.tip_load)
+            moved = (reached - linear_at).flatten(1).unsqueeze(-1)
+            residual = wrench + load.wrench + (load.stiffness.flatten(3).flatten(1, 2) @ moved).view_as(wrench)
+        own = mechanics.actuator_part(tasks.arm._map(Tensor.detach), end, pressure.detach(), pressure_slope=False)
         stiffness = mechanics.assemble(load.stiffness.detach(), own.stiffness)
         return -mechanics.solve(stiffness, (residual - residual.detach()).unsqueeze(-1)).squeeze(-1)
 
