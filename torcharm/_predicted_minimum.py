@@ -13,6 +13,7 @@ from torch import Tensor
 from torcharm import mechanics, rod
 from torcharm._box_least_squares import Model, follow_valley, minimise, projected
 from torcharm._outer import Block
+from torcharm._wrench_fit import fit_wrenches
 from torcharm._response import LARGE_MOVE, Points, Rest, is_stable, look, pose_errors, settle, size
 from torcharm.arm import ArmDesign
 
@@ -28,10 +29,12 @@ STEPS = 40
 """Of a minimisation over pressures."""
 CLOSE, CLOSEST, SHARP = 3e-2, 1e-6, 0.1
 """Sizes of the last Newton step to a balance: at first, at last, and over the change of pressures in between."""
-NEAR, VALLEY_STEPS = 5e-3, 12
-"""Errors over the arm's length that are likely to vanish, and steps to see whether they do."""
-SECOND_CHANCES = 8
-"""Other starts where such an error does not: pressures of little effect leave local minima of micrometres."""
+NEAR, VALLEY_STEPS = 2e-2, 12
+"""Errors over the arm's length that may vanish, and steps to see whether they do."""
+FIT_STARTS, FIT_STEPS = (3, 12), 30
+"""Pressures from which others are looked for that hold the shape, a few first; and steps of each."""
+HELD = {torch.float64: 1e-9, torch.float32: 1e-3}
+"""Distance of reactions from what is required, over that [N], that counts as none."""
 TOLERANCES = {torch.float64: 1e-7, torch.float32: 1e-3}
 """Of the error's slope by a pressure, as a share of its limit, over the arm's length."""
 FLOORS = {torch.float64: 1e-10, torch.float32: 1e-5}
@@ -87,7 +90,7 @@ def minimum_over_pressures(tasks: Tasks, weights: Tensor, steps: int | None) -> 
     number of steps, loads are exact."""
     shape = mechanics.to_unknowns(tasks.twists)
     target = rod.poses(tasks.twists, tasks.base_pose)
-    problem = _Problem(Points.of(tasks.arm, shape, target, tasks.base_pose, tasks.tip_load, steps is None), weights)
+    problem = _Problem(Points.of(tasks.arm, shape, target, tasks.base_pose, tasks.tip_load, steps is None), weights, shape)
     end = _second_chance(problem, problem.minimise(_start(problem)))
     for _ in range(0 if steps is None else steps - 1):
         problem, start = _restart(problem, end)
@@ -176,30 +179,51 @@ def _hint(rest: Rest) -> Tensor:
 
 
 def _second_chance(problem: "_Problem", end: "_End") -> "_End":
-    """Where errors all but vanish, the best of other starts too."""
+    """Where errors all but vanish: whether some pressure holds the task's very shape, and what is best near it."""
     near = problem.near(end.value)
-    near = near[end.stable[near]]
     if not len(near):
         return end
-    draws = torch.quasirandom.SobolEngine(end.share.shape[-1]).draw(2 * SECOND_CHANCES, dtype=torch.float64)
-    draws = draws[SECOND_CHANCES:].to(end.share)
-    many = problem[near.repeat_interleave(SECOND_CHANCES)]
-    share = draws.repeat(len(near), 1)
-    found = many.rest(share, many.points.unknowns, FIRST_LOOKS)
-    again = many.minimise(_Start(share, _hint(found), torch.zeros_like(found.stable)))
-    rank = _rank(again.value, again.stable & again.settled).view(-1, SECOND_CHANCES)
-    best = torch.arange(len(near), device=near.device) * SECOND_CHANCES + rank.argmin(-1)
-    better = again.stable[best] & again.settled[best] & (again.value[best] < end.value[near])
+    some = problem[near]
+    share = _holding(some, end.share[near])
+    again = some.minimise(_Start(share, _hint(some.rest(share, some.shape, FIRST_LOOKS)), ~end.stable[near]))
+    better = _rank(again.value, again.stable) < _rank(end.value[near], end.stable[near])
     columns = [column.clone() for column in end]
     for column, new in zip(columns, again, strict=True):
-        column[near[better]] = new[best[better]]
+        column[near[better]] = new[better]
     return _End(*columns)
 
 
+def _holding(problem: "_Problem", share: Tensor) -> Tensor:
+    """(B, M) the pressures whose reactions along the task's shape come closest to what it requires, from the given
+    ones (B, M) and others, until one holds it."""
+    points = problem.points
+    load = mechanics.load_wrench(mechanics.kinematics(problem.shape, points.base_pose), points.tip_load)
+    reach = points.arm.radii.abs().amax(-1).clamp(min=1e-3)
+    scale = torch.stack((torch.ones_like(reach), 1 / reach), -1).unsqueeze(-1)
+    draws = torch.quasirandom.SobolEngine(share.shape[-1]).draw(1 + sum(FIT_STARTS), dtype=torch.float64)[1:].to(share)
+    share, least = share.clone(), torch.full_like(reach, float("inf"))
+    lost = torch.arange(len(share), device=share.device)
+    for count, fresh in zip(FIT_STARTS, draws.split(FIT_STARTS), strict=True):
+        starts = torch.cat((share[lost].unsqueeze(1), fresh.expand(len(lost), -1, -1)), 1)
+        many = lost.repeat_interleave(count + 1)
+        found = fit_wrenches(
+            points.arm[many], problem.shape[many], load[many], scale[many], starts.flatten(0, 1), FIT_STEPS
+        )
+        cost = found.cost.view(len(lost), -1).nan_to_num(nan=float("inf"))
+        value, at = cost.min(-1)
+        place = found.share.view(len(lost), count + 1, -1)[torch.arange(len(lost), device=at.device), at]
+        better = value < least[lost]
+        share[lost[better]], least[lost[better]] = place[better], value[better]
+        lost = lost[least[lost].sqrt() > HELD.get(share.dtype, 1e-3) * (1 + load[lost].abs().amax((-1, -2)))]
+        if not len(lost):
+            break
+    return share
+
+
 def _rank(value: Tensor, stable: Tensor) -> Tensor:
-    """(B,) The smaller the better: stable ones first; no NaN."""
-    value = torch.where(value.isfinite(), value, torch.finfo(value.dtype).max / 4)
-    return torch.where(stable, value - torch.finfo(value.dtype).max / 2, value)
+    """(B,) The smaller the better: stable ones, of any value, before all others; no NaN."""
+    bounded = torch.where(value.isfinite(), value / (1 + value), torch.ones_like(value))
+    return torch.where(stable, bounded, 2 + bounded)
 
 
 class _End(NamedTuple):
@@ -219,13 +243,15 @@ class _End(NamedTuple):
 
 @dataclass(frozen=True)
 class _Problem:
-    """B arms whose loads were made linear, and the weights of the cost of their poses (N+1, 3)."""
+    """B arms whose loads were made linear, the weights of the cost of their poses (N+1, 3), and the shapes wanted
+    (B, 2, N)."""
 
     points: Points
     weights: Tensor
+    shape: Tensor
 
     def __getitem__(self, index: Tensor) -> "_Problem":
-        return _Problem(self.points[index], self.weights)
+        return _Problem(self.points[index], self.weights, self.shape[index])
 
     def near(self, value: Tensor) -> Tensor:
         """Indices of those whose error all but vanishes, by half the cost (B,)."""
@@ -240,7 +266,7 @@ class _Problem:
         part = part * (LARGE_MOVE / size(move, points.length).clamp(min=1e-30)).clamp(max=1.0)
         unknowns = points.unknowns + part[:, None, None] * move
         again = Points.of(points.arm, unknowns, points.target, points.base_pose, points.tip_load, points.exact)
-        return _Problem(again, self.weights)
+        return _Problem(again, self.weights, self.shape)
 
     def glance(self, share: Tensor) -> tuple[Tensor, Tensor]:
         """How promising shares of the pressure limits (B, M) are, the smaller the better, by the tangent stiffness;
