@@ -17,29 +17,26 @@ from torcharm._wrench_fit import fit_wrenches
 from torcharm._response import LARGE_MOVE, Points, Rest, is_stable, look, pose_errors, settle, size
 from torcharm.arm import ArmDesign
 
-SCREENED = 8
-"""Pressures at which each task is looked at before the most promising is followed."""
-SCREENED_AGAIN = 64
-"""The same, where none of those was stable."""
+SCREENED = (3, 8, 32)
+"""Pressures at which each task is looked at where the arm does not stay at half the limits; and again, of more."""
 RETREATS = (1.0, 0.5, 0.2, 0.0)
 """Parts of a move after which to make the balance linear again, each tried where the last one left nothing stable."""
-CANDIDATES = 7
-"""Of those, tried where the most promising does not come to rest."""
 STEPS = 40
 """Of a minimisation over pressures."""
 CLOSE, CLOSEST, SHARP = 3e-2, 1e-6, 0.1
 """Sizes of the last Newton step to a balance: at first, at last, and over the change of pressures in between."""
-NEAR, VALLEY_STEPS = 2e-2, 12
-"""Errors over the arm's length that may vanish, and steps to see whether they do."""
-FIT_STARTS, FIT_STEPS = (3, 12), 30
-"""Pressures from which others are looked for that hold the shape, a few first; and steps of each."""
-HELD = {torch.float64: 1e-9, torch.float32: 1e-3}
+NEAR, NEARER, VALLEY_STEPS = 2e-2, 5e-3, 12
+"""Errors over the arm's length that may vanish, and that are likely to; and steps to see whether they do."""
+FIT_STARTS, FIT_STEPS, FIT_GAINS = (3, 24), 40, (1e-2, 1e-4)
+"""Pressures from which others are looked for that hold the shape, of errors that may vanish and that are likely to;
+steps of each, and the share of the squared distance that a step must promise: all of it where the shape can be held."""
+HELD = {torch.float64: 1e-11, torch.float32: 1e-3}
 """Distance of reactions from what is required, over that [N], that counts as none."""
 TOLERANCES = {torch.float64: 1e-7, torch.float32: 1e-3}
 """Of the error's slope by a pressure, as a share of its limit, over the arm's length."""
 FLOORS = {torch.float64: 1e-10, torch.float32: 1e-5}
 """Of an error over the arm's length: below, rounding decides, and it counts as none."""
-FIRST_LOOKS, LOOKS = 16, 5
+FIRST_LOOKS, LOOKS = 12, 5
 """At a balance, before it is given up: at first, and from one nearby."""
 
 
@@ -117,34 +114,29 @@ class _Start(NamedTuple):
     free: Tensor
 
 
-def _start(problem: "_Problem", screened: int = SCREENED) -> _Start:
-    """The most promising of some pressures, spread evenly over the box. Where none is stable, more are tried."""
-    count, actuators = problem.points.arm.max_pressure.shape
-    draws = torch.quasirandom.SobolEngine(actuators).draw(screened, dtype=torch.float64).to(problem.weights)
-    draws[0] = 0.5  # instead of no pressure at all
-    every = torch.arange(count, device=draws.device)
-    rank, guess = problem[every.repeat_interleave(screened)].glance(draws.repeat(count, 1))
-    order = rank.view(count, screened).argsort(-1)
-    guess = guess.view(count, screened, *guess.shape[1:])
-    found = problem.rest(draws[order[:, 0]], guess[every, order[:, 0]], FIRST_LOOKS)
-    start = _Start(draws[order[:, 0]], _hint(found), ~found.stable)
-    lost = start.free.nonzero().squeeze(-1)
-    if len(lost):
-        at = order[lost, 1 : 1 + CANDIDATES]
-        many = lost.repeat_interleave(at.shape[-1])
-        found = problem[many].rest(draws[at.flatten()], guess[many, at.flatten()], FIRST_LOOKS)
-        best = found.stable.view_as(at).to(at.dtype).argmax(-1)  # the most promising of those that come to rest
-        one = torch.arange(len(lost), device=at.device) * at.shape[-1] + best
-        good = found.stable[one]
-        for column, new in zip(start, (draws[at.flatten()], _hint(found), ~found.stable), strict=True):
-            column[lost[good]] = new[one[good]]
-        lost = lost[~good]
-    if screened < SCREENED_AGAIN:
-        for part in lost.split(max(1, count * screened // SCREENED_AGAIN)):  # no more at once than above
-            if len(part):
-                for column, new in zip(start, _start(problem[part], SCREENED_AGAIN), strict=True):
-                    column[part] = new
+def _start(problem: "_Problem") -> _Start:
+    """The middle of the box of pressures; where the arm does not come to rest there, the most promising of others."""
+    middle = torch.full_like(problem.points.arm.max_pressure, 0.5)
+    found = problem.rest(middle, problem.points.unknowns, FIRST_LOOKS)
+    start = _Start(middle, _hint(found), ~found.stable)
+    for screened in SCREENED:
+        lost = start.free.nonzero().squeeze(-1)
+        for part in lost.split(max(1, len(middle) * SCREENED[0] // screened)):  # no more at once than at first
+            for column, new in zip(start, _screen(problem[part], screened), strict=True):
+                column[part] = new
     return start
+
+
+def _screen(problem: "_Problem", screened: int) -> _Start:
+    """Of pressures spread evenly over the box, those at which the arm comes to rest nearest to the task."""
+    count, actuators = problem.points.arm.max_pressure.shape
+    draws = torch.quasirandom.SobolEngine(actuators).draw(1 + screened, dtype=torch.float64)[1:].to(problem.weights)
+    every = torch.arange(count, device=draws.device)
+    many, share = problem[every.repeat_interleave(screened)], draws.repeat(count, 1)
+    found = many.rest(share, many.points.unknowns, FIRST_LOOKS)
+    value = 0.5 * many.miss(found.unknowns).square().sum(-1)
+    one = every * screened + _rank(value, found.stable).view(count, screened).argmin(-1)
+    return _Start(share[one], _hint(found)[one], ~found.stable[one])
 
 
 def _restart(problem: "_Problem", end: "_End") -> tuple["_Problem", _Start]:
@@ -184,7 +176,7 @@ def _second_chance(problem: "_Problem", end: "_End") -> "_End":
     if not len(near):
         return end
     some = problem[near]
-    share = _holding(some, end.share[near])
+    share = _holding(some, end.share[near], (2 * end.value[near]).sqrt())
     again = some.minimise(_Start(share, _hint(some.rest(share, some.shape, FIRST_LOOKS)), ~end.stable[near]))
     better = _rank(again.value, again.stable) < _rank(end.value[near], end.stable[near])
     columns = [column.clone() for column in end]
@@ -193,30 +185,35 @@ def _second_chance(problem: "_Problem", end: "_End") -> "_End":
     return _End(*columns)
 
 
-def _holding(problem: "_Problem", share: Tensor) -> Tensor:
-    """(B, M) the pressures whose reactions along the task's shape come closest to what it requires, from the given
-    ones (B, M) and others, until one holds it."""
-    points = problem.points
-    load = mechanics.load_wrench(mechanics.kinematics(problem.shape, points.base_pose), points.tip_load)
+def _holding(problem: "_Problem", share: Tensor, error: Tensor) -> Tensor:
+    """(B, M) the pressures whose reactions along the task's shape come closest to what it requires, stable ones first,
+    from the given ones (B, M), of errors (B,), and others, until one holds it."""
+    points, shape = problem.points, problem.shape
+    load = mechanics.load_wrench(mechanics.kinematics(shape, points.base_pose), points.tip_load)
     reach = points.arm.radii.abs().amax(-1).clamp(min=1e-3)
     scale = torch.stack((torch.ones_like(reach), 1 / reach), -1).unsqueeze(-1)
+    none = HELD.get(share.dtype, 1e-3) * (1 + load.abs().amax((-1, -2)))
     draws = torch.quasirandom.SobolEngine(share.shape[-1]).draw(1 + sum(FIT_STARTS), dtype=torch.float64)[1:].to(share)
     share, least = share.clone(), torch.full_like(reach, float("inf"))
     lost = torch.arange(len(share), device=share.device)
-    for count, fresh in zip(FIT_STARTS, draws.split(FIT_STARTS), strict=True):
-        starts = torch.cat((share[lost].unsqueeze(1), fresh.expand(len(lost), -1, -1)), 1)
-        many = lost.repeat_interleave(count + 1)
-        found = fit_wrenches(
-            points.arm[many], problem.shape[many], load[many], scale[many], starts.flatten(0, 1), FIT_STEPS
-        )
-        cost = found.cost.view(len(lost), -1).nan_to_num(nan=float("inf"))
-        value, at = cost.min(-1)
-        place = found.share.view(len(lost), count + 1, -1)[torch.arange(len(lost), device=at.device), at]
-        better = value < least[lost]
-        share[lost[better]], least[lost[better]] = place[better], value[better]
-        lost = lost[least[lost].sqrt() > HELD.get(share.dtype, 1e-3) * (1 + load[lost].abs().amax((-1, -2)))]
+    rounds = zip(draws.split(FIT_STARTS), (NEAR, NEARER), FIT_GAINS, strict=True)
+    for fresh, likely, gain in rounds:
+        lost = lost[error[lost] < likely * points.length[lost]]
         if not len(lost):
             break
+        starts = torch.cat((share[lost].unsqueeze(1), fresh.expand(len(lost), -1, -1)), 1)
+        many = problem[lost.repeat_interleave(starts.shape[1])]
+        index = lost.repeat_interleave(starts.shape[1])
+        found = fit_wrenches(
+            many.points.arm, many.shape, load[index], scale[index], starts.flatten(0, 1), FIT_STEPS, gain
+        )
+        seen = look(many.points, many.shape, found.share * many.points.arm.max_pressure, rates=False)
+        rank = _rank(found.cost.sqrt(), is_stable(seen.stiffness)).view(len(lost), -1)
+        value, at = rank.min(-1)
+        place = found.share.view_as(starts)[torch.arange(len(lost), device=at.device), at]
+        better = value < least[lost]
+        share[lost[better]], least[lost[better]] = place[better], value[better]
+        lost = lost[least[lost] > none[lost]]
     return share
 
 
@@ -268,30 +265,24 @@ class _Problem:
         again = Points.of(points.arm, unknowns, points.target, points.base_pose, points.tip_load, points.exact)
         return _Problem(again, self.weights, self.shape)
 
-    def glance(self, share: Tensor) -> tuple[Tensor, Tensor]:
-        """How promising shares of the pressure limits (B, M) are, the smaller the better, by the tangent stiffness;
-        and the shapes (B, 2, N) that it leads to."""
-        points = self.points
-        seen = look(points, points.unknowns, share * points.arm.max_pressure, rates=False)
-        short = (LARGE_MOVE / size(seen.step, points.length).clamp(min=1e-30)).clamp(max=1.0)
-        there = points.unknowns + seen.step
-        miss, _ = self._miss(there, None)
-        return _rank(0.5 * miss.square().sum(-1), is_stable(seen.stiffness)), points.unknowns + short[:, None, None] * seen.step
-
     def rest(self, share: Tensor, guess: Tensor, looks: int, close: Tensor | float = CLOSE) -> Rest:
         """Where the arms come to rest at shares of the pressure limits (B, M)."""
         close = close if isinstance(close, Tensor) else torch.full_like(self.points.length, close)
         return settle(self.points, share * self.points.arm.max_pressure, guess, looks, close)
 
-    def _miss(self, unknowns: Tensor, rate: Tensor | None) -> tuple[Tensor, Tensor | None]:
-        """(B, K) what is squared and summed, and its slope (B, K, M) by shares."""
+    def miss(self, unknowns: Tensor) -> Tensor:
+        """(B, K) what is squared and summed of shapes (B, 2, N)."""
+        motion = mechanics.kinematics(unknowns, self.points.base_pose)
+        return (self.weights.sqrt() * mechanics.pose_error(motion.pose, self.points.target)[0]).flatten(1)
+
+    def model(self, rest: Rest) -> Model:
+        """Of the cost where arms come to rest, by shares."""
         root = self.weights.sqrt()
-        if rate is None:
-            motion = mechanics.kinematics(unknowns, self.points.base_pose)
-            return (root * mechanics.pose_error(motion.pose, self.points.target)[0]).flatten(1), None
-        found = pose_errors(self.points, unknowns, rate)
+        found = pose_errors(self.points, rest.unknowns, rest.rate)
+        miss = (root * found.error).flatten(1)
         slope = (root.unsqueeze(-1) * found.slope).flatten(1, 2) * self.points.arm.max_pressure.unsqueeze(1)
-        return (root * found.error).flatten(1), slope
+        gradient = (slope.mT @ miss.unsqueeze(-1)).squeeze(-1)
+        return Model(0.5 * miss.square().sum(-1), gradient, slope.mT @ slope, _hint(rest))
 
     def look(self, share: Tensor, near: Tensor, hint: Tensor, free: Tensor) -> Model:
         """The cost's Gauss-Newton model at shares (B, M), from the rest at others nearby."""
@@ -302,12 +293,9 @@ class _Problem:
         change = (share - near).abs().amax(-1)
         close = torch.where(change == 0, CLOSE, (SHARP * change).clamp(CLOSEST, CLOSE))
         found = self.rest(share, guess, LOOKS, close)
-        miss, slope = self._miss(found.unknowns, found.rate)
-        assert slope is not None
-        gradient = (slope.mT @ miss.unsqueeze(-1)).squeeze(-1)
+        model = self.model(found)
         good = found.settled & (found.stable | free)
-        value = torch.where(good, 0.5 * miss.square().sum(-1), float("inf"))
-        return Model(value, gradient, slope.mT @ slope, _hint(found))
+        return model._replace(value=torch.where(good, model.value, float("inf")))
 
     def minimise(self, start: _Start) -> _End:
         """Follow starts to minima; through unstable balances only where that is free."""
@@ -322,16 +310,13 @@ class _Problem:
         floor = FLOORS.get(start.share.dtype, 1e-3) * points.length
         tolerance = TOLERANCES.get(start.share.dtype, 1e-2) * points.length
         place, hint = minimise(look, start.share, start.hint, judge, STEPS)
-        near = self.near(0.5 * self._miss(hint[..., 0], None)[0].square().sum(-1))
+        near = self.near(0.5 * self.miss(hint[..., 0]).square().sum(-1))
         if len(near):
             place[near], hint[near] = follow_valley(
                 lambda index, *at: look(near[index], *at), place[near], hint[near], VALLEY_STEPS
             )
         found = self.rest(place, hint[..., 0], LOOKS, CLOSEST)
-        miss, slope = self._miss(found.unknowns, found.rate)
-        assert slope is not None
-        gradient = (slope.mT @ miss.unsqueeze(-1)).squeeze(-1)
-        model = Model(0.5 * miss.square().sum(-1), gradient, slope.mT @ slope, hint)
+        model = self.model(found)
         optimality = _optimality(model, place, floor)
         move = found.unknowns - points.unknowns
         return _End(

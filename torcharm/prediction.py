@@ -91,7 +91,7 @@ def predict_outer(outer: OuterProduct, cost: PoseCost | None, steps: int | None,
         check_count("steps", steps, 1)
     weights, diagonal = cost.weights(outer.nodes, outer.twists), cost.diagonal(outer.twists)
     if chunk_size is None:
-        chunk_size = max(1, BLOCK_ELEMENTS // (SCREENED * (2 * outer.nodes) ** 2))
+        chunk_size = max(1, BLOCK_ELEMENTS // (SCREENED[0] * (2 * outer.nodes) ** 2))
     check_count("chunk_size", chunk_size, 1)
     if 0 in outer.sizes:
         return _nothing(outer)
