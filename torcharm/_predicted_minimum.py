@@ -25,13 +25,28 @@ STEPS = 40
 """Of a minimisation over pressures."""
 CLOSE, CLOSEST, SHARP = 3e-2, 1e-6, 0.1
 """Sizes of the last Newton step to a balance: at first, at last, and over the change of pressures in between."""
-NEAR, NEARER, VALLEY_STEPS = 2e-2, 5e-3, 12
-"""Errors over the arm's length that may vanish, and that are likely to; and steps to see whether they do."""
-FIT_STARTS, FIT_STEPS, FIT_GAINS = (3, 24), 40, (1e-2, 1e-4)
-"""Pressures from which others are looked for that hold the shape, of errors that may vanish and that are likely to;
-steps of each, and the share of the squared distance that a step must promise: all of it where the shape can be held."""
-HELD = {torch.float64: 1e-11, torch.float32: 1e-3}
-"""Distance of reactions from what is required, over that [N], that counts as none."""
+NEAR, VALLEY_STEPS = 5e-3, 12
+"""Errors over the arm's length that are likely to vanish, and steps to see whether they do."""
+
+
+class Chance(NamedTuple):
+    """A search for pressures that hold the shape.
+
+    Attributes:
+        error: it is made for smaller ones, over the arm's length.
+        first, starts: which of the points that are spread over the box it starts from.
+        steps: of each.
+        gain: share of the squared distance that a step must promise: all of it where the shape can be held.
+    """
+
+    error: float
+    first: int
+    starts: int
+    steps: int
+    gain: float
+
+
+CHANCES = (Chance(2e-2, 1, 2, 25, 1e-2), Chance(NEAR, 3, 24, 40, 1e-4))
 TOLERANCES = {torch.float64: 1e-7, torch.float32: 1e-3}
 """Of the error's slope by a pressure, as a share of its limit, over the arm's length."""
 FLOORS = {torch.float64: 1e-10, torch.float32: 1e-5}
@@ -171,50 +186,41 @@ def _hint(rest: Rest) -> Tensor:
 
 
 def _second_chance(problem: "_Problem", end: "_End") -> "_End":
-    """Where errors all but vanish: whether some pressure holds the task's very shape, and what is best near it."""
-    near = problem.near(end.value)
-    if not len(near):
-        return end
-    some = problem[near]
-    share = _holding(some, end.share[near], (2 * end.value[near]).sqrt())
-    again = some.minimise(_Start(share, _hint(some.rest(share, some.shape, FIRST_LOOKS)), ~end.stable[near]))
-    better = _rank(again.value, again.stable) < _rank(end.value[near], end.stable[near])
+    """Where errors may vanish: whether some pressure holds the task's very shape, and what is best near it."""
     columns = [column.clone() for column in end]
-    for column, new in zip(columns, again, strict=True):
-        column[near[better]] = new[better]
+    for chance in CHANCES:
+        end = _End(*columns)
+        near = problem.near(end.value, chance.error)
+        if not len(near):
+            continue
+        some = problem[near]
+        share = _holding(some, end.share[near], chance)
+        again = some.minimise(_Start(share, _hint(some.rest(share, some.shape, FIRST_LOOKS)), ~end.stable[near]))
+        better = _rank(again.value, again.stable) < _rank(end.value[near], end.stable[near])
+        for column, new in zip(columns, again, strict=True):
+            column[near[better]] = new[better]
     return _End(*columns)
 
 
-def _holding(problem: "_Problem", share: Tensor, error: Tensor) -> Tensor:
+def _holding(problem: "_Problem", share: Tensor, chance: Chance) -> Tensor:
     """(B, M) the pressures whose reactions along the task's shape come closest to what it requires, stable ones first,
-    from the given ones (B, M), of errors (B,), and others, until one holds it."""
+    from the given ones (B, M) and others."""
     points, shape = problem.points, problem.shape
     load = mechanics.load_wrench(mechanics.kinematics(shape, points.base_pose), points.tip_load)
     reach = points.arm.radii.abs().amax(-1).clamp(min=1e-3)
     scale = torch.stack((torch.ones_like(reach), 1 / reach), -1).unsqueeze(-1)
-    none = HELD.get(share.dtype, 1e-3) * (1 + load.abs().amax((-1, -2)))
-    draws = torch.quasirandom.SobolEngine(share.shape[-1]).draw(1 + sum(FIT_STARTS), dtype=torch.float64)[1:].to(share)
-    share, least = share.clone(), torch.full_like(reach, float("inf"))
-    lost = torch.arange(len(share), device=share.device)
-    rounds = zip(draws.split(FIT_STARTS), (NEAR, NEARER), FIT_GAINS, strict=True)
-    for fresh, likely, gain in rounds:
-        lost = lost[error[lost] < likely * points.length[lost]]
-        if not len(lost):
-            break
-        starts = torch.cat((share[lost].unsqueeze(1), fresh.expand(len(lost), -1, -1)), 1)
-        many = problem[lost.repeat_interleave(starts.shape[1])]
-        index = lost.repeat_interleave(starts.shape[1])
-        found = fit_wrenches(
-            many.points.arm, many.shape, load[index], scale[index], starts.flatten(0, 1), FIT_STEPS, gain
-        )
-        seen = look(many.points, many.shape, found.share * many.points.arm.max_pressure, rates=False)
-        rank = _rank(found.cost.sqrt(), is_stable(seen.stiffness)).view(len(lost), -1)
-        value, at = rank.min(-1)
-        place = found.share.view_as(starts)[torch.arange(len(lost), device=at.device), at]
-        better = value < least[lost]
-        share[lost[better]], least[lost[better]] = place[better], value[better]
-        lost = lost[least[lost] > none[lost]]
-    return share
+    draws = torch.quasirandom.SobolEngine(share.shape[-1]).draw(chance.first + chance.starts, dtype=torch.float64)
+    fresh = draws[chance.first :].to(share).expand(len(share), -1, -1)
+    starts = torch.cat((share.unsqueeze(1), fresh), 1)
+    every = torch.arange(len(share), device=share.device)
+    index = every.repeat_interleave(starts.shape[1])
+    many = problem[index]
+    found = fit_wrenches(
+        many.points.arm, many.shape, load[index], scale[index], starts.flatten(0, 1), chance.steps, chance.gain
+    )
+    seen = look(many.points, many.shape, found.share * many.points.arm.max_pressure, rates=False)
+    rank = _rank(found.cost, is_stable(seen.stiffness)).view(starts.shape[:2])
+    return found.share.view_as(starts)[every, rank.argmin(-1)]
 
 
 def _rank(value: Tensor, stable: Tensor) -> Tensor:
@@ -250,12 +256,12 @@ class _Problem:
     def __getitem__(self, index: Tensor) -> "_Problem":
         return _Problem(self.points[index], self.weights, self.shape[index])
 
-    def near(self, value: Tensor) -> Tensor:
+    def near(self, value: Tensor, near: float = NEAR) -> Tensor:
         """Indices of those whose error all but vanishes, by half the cost (B,)."""
         error = (2 * value).sqrt()
         floor = FLOORS.get(value.dtype, 1e-3)
         length = self.points.length
-        return ((error > floor * length) & (error < NEAR * length)).nonzero().squeeze(-1)
+        return ((error > floor * length) & (error < near * length)).nonzero().squeeze(-1)
 
     def moved(self, move: Tensor, part: Tensor) -> "_Problem":
         """With loads made linear after a part (B,) of moves (B, 2, N), or of as much of them as is not too far."""
