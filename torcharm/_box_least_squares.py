@@ -111,29 +111,6 @@ def minimise(
     return place, hint
 
 
-def follow_valley(look: Look, start: Tensor, hint: Tensor, steps: int) -> tuple[Tensor, Tensor]:
-    """Gauss and Newton's method, undamped, from starts (B, M) next to where all residuals vanish; the best place met,
-    and the hint there.
-
-    Where residuals are of very different stiffness, their zero lies in a curved valley: a long step along it leaves the
-    floor, the next returns to it. A method that never goes up creeps.
-    """
-    best, here = start, start
-    every = torch.arange(len(start), device=start.device)
-    model = least = look(every, start, start, hint)
-    for _ in range(steps):
-        move, _ = box_step(model.gradient, model.curvature, here, torch.zeros_like(model.value))
-        there = here + move
-        model = look(every, there, here, model.hint)
-        lost = ~model.value.isfinite()  # back to the best, from which it leads here again: given up
-        here = torch.where(lost[:, None], best, there)
-        model = _choose(lost, least, model)
-        better = model.value < least.value
-        best = torch.where(better[:, None], here, best)
-        least = _choose(better, model, least)
-    return best, least.hint
-
-
 def _choose(first: Tensor, one: Model, other: Model) -> Model:
     """The one model where that is wanted (B,), else the other."""
     pairs = zip(one, other, strict=True)

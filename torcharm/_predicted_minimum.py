@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torcharm import mechanics, rod
-from torcharm._box_least_squares import Model, follow_valley, minimise, projected
+from torcharm._box_least_squares import Model, minimise, projected
 from torcharm._outer import Block
 from torcharm._wrench_fit import fit_wrenches
 from torcharm._response import LARGE_MOVE, Points, Rest, is_stable, look, pose_errors, settle, size
@@ -21,12 +21,10 @@ SCREENED = (3, 8, 32)
 """Pressures at which each task is looked at where the arm does not stay at half the limits; and again, of more."""
 RETREATS = (1.0, 0.5, 0.2, 0.0)
 """Parts of a move after which to make the balance linear again, each tried where the last one left nothing stable."""
-STEPS = 40
+STEPS = 25
 """Of a minimisation over pressures."""
 CLOSE, CLOSEST, SHARP = 3e-2, 1e-6, 0.1
 """Sizes of the last Newton step to a balance: at first, at last, and over the change of pressures in between."""
-NEAR, VALLEY_STEPS = 5e-3, 12
-"""Errors over the arm's length that are likely to vanish, and steps to see whether they do."""
 
 
 class Chance(NamedTuple):
@@ -46,12 +44,12 @@ class Chance(NamedTuple):
     gain: float
 
 
-CHANCES = (Chance(2e-2, 1, 2, 25, 1e-2), Chance(NEAR, 3, 24, 40, 1e-4))
+CHANCES = (Chance(2.5e-2, 1, 3, 20, 1e-2), Chance(5e-3, 4, 24, 40, 1e-4))
 TOLERANCES = {torch.float64: 1e-7, torch.float32: 1e-3}
 """Of the error's slope by a pressure, as a share of its limit, over the arm's length."""
 FLOORS = {torch.float64: 1e-10, torch.float32: 1e-5}
 """Of an error over the arm's length: below, rounding decides, and it counts as none."""
-FIRST_LOOKS, LOOKS = 12, 5
+FIRST_LOOKS, LOOKS = 10, 5
 """At a balance, before it is given up: at first, and from one nearby."""
 
 
@@ -194,7 +192,12 @@ def _second_chance(problem: "_Problem", end: "_End") -> "_End":
         if not len(near):
             continue
         some = problem[near]
-        share = _holding(some, end.share[near], chance)
+        share, value = _holding(some, end.share[near], chance)
+        hopeful = value < end.value[near]
+        near, share = near[hopeful], share[hopeful]
+        if not len(near):
+            continue
+        some = problem[near]
         again = some.minimise(_Start(share, _hint(some.rest(share, some.shape, FIRST_LOOKS)), ~end.stable[near]))
         better = _rank(again.value, again.stable) < _rank(end.value[near], end.stable[near])
         for column, new in zip(columns, again, strict=True):
@@ -202,9 +205,9 @@ def _second_chance(problem: "_Problem", end: "_End") -> "_End":
     return _End(*columns)
 
 
-def _holding(problem: "_Problem", share: Tensor, chance: Chance) -> Tensor:
-    """(B, M) the pressures whose reactions along the task's shape come closest to what it requires, stable ones first,
-    from the given ones (B, M) and others."""
+def _holding(problem: "_Problem", share: Tensor, chance: Chance) -> tuple[Tensor, Tensor]:
+    """Pressures (B, M) whose reactions along the task's shape come closest to what it requires, from the given ones
+    (B, M) and others: the best of them, and half its cost (B,), by the tangent stiffness."""
     points, shape = problem.points, problem.shape
     load = mechanics.load_wrench(mechanics.kinematics(shape, points.base_pose), points.tip_load)
     reach = points.arm.radii.abs().amax(-1).clamp(min=1e-3)
@@ -219,8 +222,11 @@ def _holding(problem: "_Problem", share: Tensor, chance: Chance) -> Tensor:
         many.points.arm, many.shape, load[index], scale[index], starts.flatten(0, 1), chance.steps, chance.gain
     )
     seen = look(many.points, many.shape, found.share * many.points.arm.max_pressure, rates=False)
-    rank = _rank(found.cost, is_stable(seen.stiffness)).view(starts.shape[:2])
-    return found.share.view_as(starts)[every, rank.argmin(-1)]
+    value = 0.5 * many.miss(many.shape + seen.step).square().sum(-1)
+    stable = is_stable(seen.stiffness)
+    best = _rank(value, stable).view(starts.shape[:2]).argmin(-1)
+    value = torch.where(stable, value, float("inf")).view(starts.shape[:2])
+    return found.share.view_as(starts)[every, best], value[every, best]
 
 
 def _rank(value: Tensor, stable: Tensor) -> Tensor:
@@ -256,7 +262,7 @@ class _Problem:
     def __getitem__(self, index: Tensor) -> "_Problem":
         return _Problem(self.points[index], self.weights, self.shape[index])
 
-    def near(self, value: Tensor, near: float = NEAR) -> Tensor:
+    def near(self, value: Tensor, near: float) -> Tensor:
         """Indices of those whose error all but vanishes, by half the cost (B,)."""
         error = (2 * value).sqrt()
         floor = FLOORS.get(value.dtype, 1e-3)
@@ -316,11 +322,6 @@ class _Problem:
         floor = FLOORS.get(start.share.dtype, 1e-3) * points.length
         tolerance = TOLERANCES.get(start.share.dtype, 1e-2) * points.length
         place, hint = minimise(look, start.share, start.hint, judge, STEPS)
-        near = self.near(0.5 * self.miss(hint[..., 0]).square().sum(-1))
-        if len(near):
-            place[near], hint[near] = follow_valley(
-                lambda index, *at: look(near[index], *at), place[near], hint[near], VALLEY_STEPS
-            )
         found = self.rest(place, hint[..., 0], LOOKS, CLOSEST)
         model = self.model(found)
         optimality = _optimality(model, place, floor)
