@@ -153,7 +153,7 @@ def box_step(gradient: Tensor, curvature: Tensor, place: Tensor, damping: Tensor
 
     Args:
         gradient: (B, M).
-        curvature: (B, M, M), symmetric; where it is not positive definite for variables that are free to move, it is shifted until it is.
+        curvature: (B, M, M), symmetric; where it is not positive definite for variables that may move, it is shifted until it is.
         place: (B, M) in the box.
         damping: (B,) added to its diagonal.
     """

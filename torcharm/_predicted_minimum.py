@@ -1,7 +1,9 @@
 """The pressures at which arms that are let go at a shape come closest to it: a minimum over the box of pressures.
 
-Some pressures are looked at, the most promising is followed to a minimum, through stable ones wherever there are any;
-further steps make the balance linear again where the arm went.
+From half the limits, or the most promising of other pressures where the arm does not come to rest there, the cost is
+followed to a minimum, through stable balances wherever there are any. The balances are solved along with it: each is
+guessed from the last, and solved more closely as the pressures change less. Where the error may vanish, pressures that
+hold the task's very shape are looked for as well. Further steps make the load linear again where the arm went.
 """
 
 from dataclasses import dataclass
@@ -13,8 +15,8 @@ from torch import Tensor
 from torcharm import mechanics, rod
 from torcharm._box_least_squares import Model, minimise, projected
 from torcharm._outer import Block
-from torcharm._wrench_fit import fit_wrenches
 from torcharm._response import LARGE_MOVE, Points, Rest, is_stable, look, pose_errors, settle, size
+from torcharm._wrench_fit import fit_wrenches
 from torcharm.arm import ArmDesign
 
 SCREENED = (3, 8, 32)
@@ -49,7 +51,7 @@ TOLERANCES = {torch.float64: 1e-7, torch.float32: 1e-3}
 """Of the error's slope by a pressure, as a share of its limit, over the arm's length."""
 FLOORS = {torch.float64: 1e-10, torch.float32: 1e-5}
 """Of an error over the arm's length: below, rounding decides, and it counts as none."""
-FIRST_LOOKS, LOOKS = 10, 5
+FIRST_LOOKS, LOOKS = 10, 3
 """At a balance, before it is given up: at first, and from one nearby."""
 
 
@@ -83,12 +85,11 @@ class Tasks(NamedTuple):
 
 class Found(NamedTuple):
     """The best pressure of each of T tasks, in shares of its limit (T, M); how far from the task's shape the load
-    was made linear, and the arm came to rest (T, 2, N); whether it did; and fields of `PredictedError`."""
+    was made linear, and where the arm came to rest (T, 2, N); and fields of `PredictedError`."""
 
     share: Tensor
     linear_at: Tensor
     rest_at: Tensor
-    settled: Tensor
     optimality: Tensor
     converged: Tensor
     stable: Tensor
@@ -100,7 +101,8 @@ def minimum_over_pressures(tasks: Tasks, weights: Tensor, steps: int | None) -> 
     number of steps, loads are exact."""
     shape = mechanics.to_unknowns(tasks.twists)
     target = rod.poses(tasks.twists, tasks.base_pose)
-    problem = _Problem(Points.of(tasks.arm, shape, target, tasks.base_pose, tasks.tip_load, steps is None), weights, shape)
+    points = Points.of(tasks.arm, shape, target, tasks.base_pose, tasks.tip_load, exact=steps is None)
+    problem = _Problem(points, weights, shape)
     end = _second_chance(problem, problem.minimise(_start(problem)))
     for _ in range(0 if steps is None else steps - 1):
         problem, start = _restart(problem, end)
@@ -110,7 +112,6 @@ def minimum_over_pressures(tasks: Tasks, weights: Tensor, steps: int | None) -> 
         end.share,
         offset,
         end.unknowns - shape,
-        end.settled,
         end.optimality,
         end.converged,
         end.stable,
@@ -322,7 +323,7 @@ class _Problem:
         floor = FLOORS.get(start.share.dtype, 1e-3) * points.length
         tolerance = TOLERANCES.get(start.share.dtype, 1e-2) * points.length
         place, hint = minimise(look, start.share, start.hint, judge, STEPS)
-        found = self.rest(place, hint[..., 0], LOOKS, CLOSEST)
+        found = self.rest(place, hint[..., 0], FIRST_LOOKS, CLOSEST)
         model = self.model(found)
         optimality = _optimality(model, place, floor)
         move = found.unknowns - points.unknowns

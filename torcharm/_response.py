@@ -1,12 +1,13 @@
-"""Where an arm goes when it is let go at a shape: its actuators obey their law, its load is carried to first order.
+"""Where an arm comes to rest when it is let go at a shape.
 
-At unknowns z and pressures p, with the load q and its stiffness Q = ∂q/∂z taken at z°, the balance is
+At unknowns z and pressures p the balance is
 
-    R(z, p) = a(z, p) + q + Q (z - z°) = 0.
+    R(z, p) = a(z, p) + q(z) = 0,
 
-It is solved by Newton's method. By the pressures the shape then changes at the rates `-J⁻¹ ∂a/∂p`, with `J = ∂a/∂z + Q`.
-The poses are those of the shape by exact kinematics. Where -J is not positive definite the arm would leave for good:
-such a balance is not believed.
+with the actuators' reaction a and the load q, exact or to first order from a shape z°, `q(z°) + Q (z - z°)`. Newton's
+method solves it. By the pressures the shape then changes at the rates `-J⁻¹ ∂a/∂p`, with `J = ∂R/∂z`. The poses are
+those of the shape by exact kinematics. Where -J is not positive definite the arm would leave for good: such a balance
+is not believed.
 """
 
 from dataclasses import dataclass
@@ -136,7 +137,8 @@ class Rest(NamedTuple):
 def settle(points: Points, pressure: Tensor, guess: Tensor, looks: int, close: Tensor) -> Rest:
     """Solve the balance at pressures (B, M) by Newton's method from guesses (B, 2, N).
 
-    A step no larger than `close` (B,) is the last: it leaves an error of about its square. Steps are at most `LARGE_MOVE` long, and halved where the imbalance does not fall.
+    A step no larger than `close` (B,) is the last: it leaves an error of about its square. Steps are at most
+    `LARGE_MOVE` long, and halved where the imbalance does not fall.
     """
     element, own = torch.arange(len(guess), device=guess.device), points
     base, trial, step = guess, guess, torch.zeros_like(guess)

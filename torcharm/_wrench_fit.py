@@ -1,8 +1,8 @@
 """Pressures whose reactions come closest to what a shape requires: least squares in wrenches, the shape held.
 
-Nothing moves, so a look costs no more than the actuators' forces. Some pressures have nearly no effect, and least squares
-creep along the curved valleys that these make: steps are bent to follow them, by the second derivative along the step
-(geodesic acceleration; Transtrum & Sethna 2012, arXiv:1201.5885).
+Nothing moves, so a look costs no more than the actuators' forces. Some pressures have nearly no effect, and least
+squares creep along the curved valleys that these make: steps are bent to follow them, by the second derivative along
+the step (geodesic acceleration; Transtrum & Sethna 2012, arXiv:1201.5885).
 """
 
 from typing import NamedTuple
