@@ -21,9 +21,9 @@ LARGEST_DAMPING = 1e9
 """Of the same: a step so short that rounding decides whether it went down."""
 BLIND = 0.03
 """The least damping, of the same, after a step to where there is no value."""
-PATIENCE, WORTH = 4, 1e-3
-"""Steps taken, and the share of the value that they must save to go on: at a kink of the residuals there is no more to be
-had, however long one tries."""
+PATIENCE, WORTH = 5, 1e-4
+"""Steps taken, and the share of the value that they must save to go on: at a kink of the residuals there is no more to
+be had, however long one tries."""
 INNER_STEPS = 8
 """Newton steps to the minimum of a model in the box."""
 BACKTRACKS = 5
@@ -153,7 +153,7 @@ def box_step(gradient: Tensor, curvature: Tensor, place: Tensor, damping: Tensor
 
     Args:
         gradient: (B, M).
-        curvature: (B, M, M), symmetric; where it is not positive definite for variables that may move, it is shifted until it is.
+        curvature: (B, M, M), symmetric; where it is not positive definite for what may move, it is shifted until it is.
         place: (B, M) in the box.
         damping: (B,) added to its diagonal.
     """

@@ -19,7 +19,7 @@ from torcharm._response import LARGE_MOVE, Points, Rest, is_stable, look, pose_e
 from torcharm._wrench_fit import fit_wrenches
 from torcharm.arm import ArmDesign
 
-SCREENED = (3, 8, 32)
+SCREENED = (3, 8, 64)
 """Pressures at which each task is looked at where the arm does not stay at half the limits; and again, of more."""
 RETREATS = (1.0, 0.5, 0.2, 0.0)
 """Parts of a move after which to make the balance linear again, each tried where the last one left nothing stable."""
@@ -51,7 +51,7 @@ TOLERANCES = {torch.float64: 1e-7, torch.float32: 1e-3}
 """Of the error's slope by a pressure, as a share of its limit, over the arm's length."""
 FLOORS = {torch.float64: 1e-10, torch.float32: 1e-5}
 """Of an error over the arm's length: below, rounding decides, and it counts as none."""
-FIRST_LOOKS, LOOKS = 10, 3
+FIRST_LOOKS, LOOKS = 12, 3
 """At a balance, before it is given up: at first, and from one nearby."""
 
 
