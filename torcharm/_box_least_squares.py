@@ -21,7 +21,7 @@ LARGEST_DAMPING = 1e9
 """Of the same: a step so short that rounding decides whether it went down."""
 BLIND = 0.03
 """The least damping, of the same, after a step to where there is no value."""
-PATIENCE, WORTH = 5, 1e-4
+PATIENCE, WORTH = 4, 1e-3
 """Steps taken, and the share of the value that they must save to go on: at a kink of the residuals there is no more to
 be had, however long one tries."""
 INNER_STEPS = 8
@@ -58,6 +58,7 @@ def minimise(
     hint: Tensor,
     judge: Callable[[Tensor, Model, Tensor], Tensor],
     steps: int,
+    worth: float = WORTH,
 ) -> tuple[Tensor, Tensor]:
     """Minimise from starts (B, M) in the box, and return where that ended, and the hint there.
 
@@ -67,6 +68,7 @@ def minimise(
         hint: (B, ...) of the starts.
         judge: from indices, models and places to whether they have converged (b,).
         steps: at most so many.
+        worth: share of the value that `PATIENCE` steps must save to go on.
     """
     place = start.clone()
     active = torch.arange(len(start), device=start.device)
@@ -81,7 +83,7 @@ def minimise(
         leave = judge(active, model, here) | ~model.value.isfinite()
         leave |= damping > LARGEST_DAMPING * _largest(model.curvature)
         due = taken == PATIENCE
-        leave |= due & (model.value > (1 - WORTH) * before)
+        leave |= due & (model.value > (1 - worth) * before)
         before, taken = torch.where(due, model.value, before), torch.where(due, torch.zeros_like(taken), taken)
         if bool(leave.any()):
             place[active[leave]], hint[active[leave]] = here[leave], model.hint[leave]

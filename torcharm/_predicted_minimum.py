@@ -23,8 +23,6 @@ SCREENED = (3, 8, 64)
 """Pressures at which each task is looked at where the arm does not stay at half the limits; and again, of more."""
 RETREATS = (1.0, 0.5, 0.2, 0.0)
 """Parts of a move after which to make the balance linear again, each tried where the last one left nothing stable."""
-STEPS = 25
-"""Of a minimisation over pressures."""
 CLOSE, CLOSEST, SHARP = 3e-2, 1e-6, 0.1
 """Sizes of the last Newton step to a balance: at first, at last, and over the change of pressures in between."""
 
@@ -46,13 +44,32 @@ class Chance(NamedTuple):
     gain: float
 
 
-CHANCES = (Chance(2.5e-2, 1, 3, 20, 1e-2), Chance(5e-3, 4, 24, 40, 1e-4))
+CHANCES = (Chance(5e-2, 1, 2, 15, 1e-2), Chance(5e-3, 3, 24, 40, 1e-4))
 TOLERANCES = {torch.float64: 1e-7, torch.float32: 1e-3}
 """Of the error's slope by a pressure, as a share of its limit, over the arm's length."""
 FLOORS = {torch.float64: 1e-10, torch.float32: 1e-5}
 """Of an error over the arm's length: below, rounding decides, and it counts as none."""
-FIRST_LOOKS, LOOKS = 12, 3
-"""At a balance, before it is given up: at first, and from one nearby."""
+FIRST_LOOKS = 12
+"""At a balance without one nearby, before it is given up."""
+
+
+class Effort(NamedTuple):
+    """Of a minimisation over pressures.
+
+    Attributes:
+        steps: at most so many.
+        looks: at a balance from one nearby, before it is given up.
+        worth: share of the value that a few steps must save to go on.
+    """
+
+    steps: int
+    looks: int
+    worth: float
+
+
+QUICK, THOROUGH = Effort(25, 3, 1e-3), Effort(60, 6, 1e-5)
+POLISHED = 1e-2
+"""Errors over the arm's length below which a minimisation that did not converge goes on thoroughly."""
 
 
 class Tasks(NamedTuple):
@@ -187,6 +204,13 @@ def _hint(rest: Rest) -> Tensor:
 def _second_chance(problem: "_Problem", end: "_End") -> "_End":
     """Where errors may vanish: whether some pressure holds the task's very shape, and what is best near it."""
     columns = [column.clone() for column in end]
+    stuck = problem.near(end.value, POLISHED)
+    stuck = stuck[~end.converged[stuck]]
+    if len(stuck):
+        again = problem[stuck].minimise(_Start(end.share[stuck], end.hint[stuck], ~end.stable[stuck]), THOROUGH)
+        better = _rank(again.value, again.stable) < _rank(end.value[stuck], end.stable[stuck])
+        for column, new in zip(columns, again, strict=True):
+            column[stuck[better]] = new[better]
     for chance in CHANCES:
         end = _End(*columns)
         near = problem.near(end.value, chance.error)
@@ -297,7 +321,7 @@ class _Problem:
         gradient = (slope.mT @ miss.unsqueeze(-1)).squeeze(-1)
         return Model(0.5 * miss.square().sum(-1), gradient, slope.mT @ slope, _hint(rest))
 
-    def look(self, share: Tensor, near: Tensor, hint: Tensor, free: Tensor) -> Model:
+    def look(self, share: Tensor, near: Tensor, hint: Tensor, free: Tensor, looks: int) -> Model:
         """The cost's Gauss-Newton model at shares (B, M), from the rest at others nearby."""
         limit = self.points.arm.max_pressure
         ahead = ((share - near) * limit)[:, None, None]
@@ -305,16 +329,16 @@ class _Problem:
         guess = torch.where(guess.isfinite().flatten(1).all(-1)[:, None, None], guess, hint[..., 0])
         change = (share - near).abs().amax(-1)
         close = torch.where(change == 0, CLOSE, (SHARP * change).clamp(CLOSEST, CLOSE))
-        found = self.rest(share, guess, LOOKS, close)
+        found = self.rest(share, guess, FIRST_LOOKS if bool((change == 0).all()) else looks, close)
         model = self.model(found)
         good = found.settled & (found.stable | free)
         return model._replace(value=torch.where(good, model.value, float("inf")))
 
-    def minimise(self, start: _Start) -> _End:
+    def minimise(self, start: _Start, effort: Effort = QUICK) -> _End:
         """Follow starts to minima; through unstable balances only where that is free."""
 
         def look(index: Tensor, share: Tensor, near: Tensor, hint: Tensor) -> Model:
-            return self[index].look(share, near, hint, start.free[index])
+            return self[index].look(share, near, hint, start.free[index], effort.looks)
 
         def judge(index: Tensor, model: Model, share: Tensor) -> Tensor:
             return _optimality(model, share, floor[index]) <= tolerance[index]
@@ -322,7 +346,7 @@ class _Problem:
         points = self.points
         floor = FLOORS.get(start.share.dtype, 1e-3) * points.length
         tolerance = TOLERANCES.get(start.share.dtype, 1e-2) * points.length
-        place, hint = minimise(look, start.share, start.hint, judge, STEPS)
+        place, hint = minimise(look, start.share, start.hint, judge, effort.steps, effort.worth)
         found = self.rest(place, hint[..., 0], FIRST_LOOKS, CLOSEST)
         model = self.model(found)
         optimality = _optimality(model, place, floor)
