@@ -168,6 +168,12 @@ def test_unstable_pressures_are_avoided_and_flagged_where_there_are_no_others():
     assert not bool(pushed.stable)
 
 
+def test_fits_in_wrench_space_follow_curved_valleys():
+    """Four bellows of one kind: pressures of nearly no effect lie along a curve, along which plain steps creep."""
+    twists, loads = held_tasks(ARMS["bellows"], 3)
+    assert bool((ta.fit_pressure(ARMS["bellows"], ta.Task(twists[:30], loads[:30])).distance < 1e-8).all())
+
+
 # Options and shapes
 
 
@@ -400,6 +406,19 @@ def test_gradients_by_the_envelope_theorem_are_those_of_the_minimum(name, load, 
     assert bool(found.converged)
     assert float(found.error) > 1e-3
     assert torch.autograd.gradcheck(error, inputs, eps=1e-5, atol=2e-5, rtol=1e-3)
+
+
+def test_gradients_of_a_linear_load_against_differences():
+    arm, twists = ta.bellows_arm(), ta.affine_curvature(1.0, 1.5, nodes=5)
+    load = torch.tensor([3.0, -2.0, 0.5], dtype=torch.float64, requires_grad=True)
+    found = predict(arm, ta.Task(twists, load), steps=1)
+    assert bool(found.converged)
+    (slope,) = torch.autograd.grad(found.error, load)
+    for index in range(3):
+        step = torch.zeros(3, dtype=torch.float64)
+        step[index] = 1e-5
+        ends = [predict(arm, ta.Task(twists, load.detach() + s * step), steps=1).error for s in (1, -1)]
+        assert float(slope[index]) == pytest.approx(float((ends[0] - ends[1]) / 2e-5), rel=1e-3, abs=1e-6)
 
 
 def test_an_actuator_at_its_limit_moves_with_it():
