@@ -65,7 +65,8 @@ def _ladder(found: Sequence[Found], times: dict[str, float]) -> None:
         low, middle, high = np.quantile(values, (0.0, 0.5, 1.0))
         time = times[timed] * (1.12 if metric == "relative" else 1.0)
         panel.errorbar(time, middle, ((middle - low,), (high - middle,)), fmt=marker, color=colour, capsize=4, ms=8)
-        beside = {"xytext": (9, 4)} if metric != "balance" else {"xytext": (-9, -14), "ha": "right"}
+        left = {"balance": (-9, -14), "steps2": (-9, 4)}
+        beside = {"xytext": left[metric], "ha": "right"} if metric in left else {"xytext": (9, 4)}
         panel.annotate(names[metric], (time, middle), textcoords="offset points", fontsize=9, bbox=clear, **beside)
     panel.axvline(times["search"], color="0.4", ls="--", lw=1)
     panel.annotate(
