@@ -19,9 +19,11 @@ FIRST_DAMPING = 1e-3
 """Of the model's largest curvature."""
 LARGEST_DAMPING = 1e9
 """Of the same: a step so short that rounding decides whether it went down."""
-PATIENCE, WORTH = 8, 1e-4
-"""Steps, and the share of the value that they must save to go on: at a kink of the residuals there is no more to be
-had, however long one tries."""
+BLIND = 0.03
+"""The least damping, of the same, after a step to where there is no value."""
+PATIENCE, WORTH = 4, 1e-3
+"""Steps taken, and the share of the value that they must save to go on: at a kink of the residuals there is no more to
+be had, however long one tries."""
 INNER_STEPS = 8
 """Newton steps to the minimum of a model in the box."""
 BACKTRACKS = 5
@@ -29,11 +31,20 @@ BACKTRACKS = 5
 
 
 class Model(NamedTuple):
-    """Half the sum of squares (B,), its gradient (B, M), and `JᵀJ` (B, M, M)."""
+    """Half the sum of squares (B,), its gradient (B, M), and `JᵀJ` (B, M, M).
+
+    With a hint (B, ...), of the caller's choice, that helps to evaluate places nearby.
+    """
 
     value: Tensor
     gradient: Tensor
     curvature: Tensor
+    hint: Tensor
+
+
+Look = Callable[[Tensor, Tensor, Tensor, Tensor], Model]
+"""From indices (b,) of problems, places (b, M), and other places with their hints to models. A value that is not
+finite is no place to go."""
 
 
 def projected(gradient: Tensor, place: Tensor) -> Tensor:
@@ -42,84 +53,70 @@ def projected(gradient: Tensor, place: Tensor) -> Tensor:
 
 
 def minimise(
-    look: Callable[[Tensor, Tensor], Model],
+    look: Look,
     start: Tensor,
+    hint: Tensor,
     judge: Callable[[Tensor, Model, Tensor], Tensor],
     steps: int,
-) -> Tensor:
-    """Minimise from starts (B, M) in the box, and return where that ended.
+    worth: float = WORTH,
+) -> tuple[Tensor, Tensor]:
+    """Minimise from starts (B, M) in the box, and return where that ended, and the hint there.
 
     Args:
-        look: from indices (b,) of problems and places (b, M) to models. A value that is not finite is no place to go.
+        look: at the problems.
         start: (B, M).
+        hint: (B, ...) of the starts.
         judge: from indices, models and places to whether they have converged (b,).
         steps: at most so many.
+        worth: share of the value that `PATIENCE` steps must save to go on.
     """
     place = start.clone()
     active = torch.arange(len(start), device=start.device)
-    here, model = start, look(active, start)
+    here, model = start, look(active, start, start, hint)
+    hint = model.hint.clone()
     extra = torch.zeros_like(model.curvature)
     augmented = torch.zeros_like(active, dtype=torch.bool)
     damping = FIRST_DAMPING * _largest(model.curvature)
     growth = torch.full_like(damping, 2.0)
-    before = model.value
-    for step in range(steps):
+    before, taken = model.value, torch.zeros_like(active)
+    for _ in range(steps):
         leave = judge(active, model, here) | ~model.value.isfinite()
         leave |= damping > LARGEST_DAMPING * _largest(model.curvature)
-        if step % PATIENCE == 0:
-            leave |= (model.value > (1 - WORTH) * before) & (step > 0)
-            before = model.value
+        due = taken == PATIENCE
+        leave |= due & (model.value > (1 - worth) * before)
+        before, taken = torch.where(due, model.value, before), torch.where(due, torch.zeros_like(taken), taken)
         if bool(leave.any()):
-            place[active[leave]] = here[leave]
+            place[active[leave]], hint[active[leave]] = here[leave], model.hint[leave]
             keep = ~leave
             active, here, extra = active[keep], here[keep], extra[keep]
-            augmented, damping, growth, before = augmented[keep], damping[keep], growth[keep], before[keep]
+            augmented, damping, growth = augmented[keep], damping[keep], growth[keep]
+            before, taken = before[keep], taken[keep]
             model = Model(*(part[keep] for part in model))
             if not len(active):
                 break
         used = torch.where(augmented[:, None, None], extra, torch.zeros_like(extra))
         move, promised = box_step(model.gradient, model.curvature + used, here, damping)
         there = here + move
-        tried = look(active, there)
+        tried = look(active, there, here, model.hint)
         augmented = _foretold(model, extra, move, tried)
         extra = _secant(extra, move, tried, model)
         gain = (model.value - tried.value) / promised.clamp(min=1e-300)
         good = (gain > LEAST_GAIN) & tried.value.isfinite()
         here = torch.where(good[:, None], there, here)
-        model = Model(
-            torch.where(good, tried.value, model.value),
-            torch.where(good[:, None], tried.gradient, model.gradient),
-            torch.where(good[:, None, None], tried.curvature, model.curvature),
-        )
+        model = _choose(good, tried, model)
         easier = (1 - (2 * gain.clamp(-1, 2) - 1) ** 3).clamp(min=0.1)  # Nielsen's rule
-        damping = torch.where(good, damping * easier, damping * growth)
+        least = torch.where(tried.value.isfinite(), torch.zeros_like(damping), BLIND * _largest(model.curvature))
+        damping = torch.where(good, damping * easier, torch.maximum(damping * growth, least))
         growth = torch.where(good, torch.full_like(growth, 2.0), growth * 2)
-    place[active] = here
-    return place
+        taken = taken + good
+    place[active], hint[active] = here, model.hint
+    return place, hint
 
 
-def follow_valley(look: Callable[[Tensor, Tensor], Model], start: Tensor, steps: int) -> Tensor:
-    """Gauss and Newton's method, undamped, from starts (B, M) next to where all residuals vanish; the best place met.
-
-    Where residuals are of very different stiffness, their zero lies in a curved valley: a long step along it leaves the
-    floor, the next returns to it. A method that never goes up creeps.
-    """
-    best, here = start, start
-    every = torch.arange(len(start), device=start.device)
-    model = look(every, start)
-    least = model.value
-    for _ in range(steps):
-        move, _ = box_step(model.gradient, model.curvature, here, torch.zeros_like(model.value))
-        here = here + move
-        model = look(every, here)
-        lost = ~model.value.isfinite()
-        if bool(lost.any()):  # back to the best, from which it leads here again: given up
-            here = torch.where(lost[:, None], best, here)
-            model = look(every, here)
-        better = model.value < least
-        best = torch.where(better[:, None], here, best)
-        least = torch.where(better, model.value, least)
-    return best
+def _choose(first: Tensor, one: Model, other: Model) -> Model:
+    """The one model where that is wanted (B,), else the other."""
+    pairs = zip(one, other, strict=True)
+    return Model(*(torch.where(first.view(-1, *[1] * (a.ndim - 1)), a, b) for a, b in pairs))
 
 
 def _largest(curvature: Tensor) -> Tensor:
@@ -139,7 +136,7 @@ def _secant(extra: Tensor, move: Tensor, tried: Model, model: Model) -> Tensor:
     wanted = tried.gradient - model.gradient - _times(tried.curvature, move)
     now = (_times(extra, move) * move).sum(-1).abs()
     extra = extra * ((wanted * move).sum(-1).abs() / now.clamp(min=1e-300)).clamp(max=1.0)[:, None, None]  # sized
-    missed = wanted - _times(extra, move)
+    missed = (wanted - _times(extra, move)) * (move != 0)  # what has not moved has told nothing of its curvature
     along = (missed * move).sum(-1)
     sound = along.abs() > 1e-8 * missed.norm(dim=-1) * move.norm(dim=-1)
     sound &= tried.value.isfinite() & tried.gradient.isfinite().all(-1) & model.value.isfinite()
@@ -158,13 +155,15 @@ def box_step(gradient: Tensor, curvature: Tensor, place: Tensor, damping: Tensor
 
     Args:
         gradient: (B, M).
-        curvature: (B, M, M), symmetric; where it is not positive definite, it is shifted until it is.
+        curvature: (B, M, M), symmetric; where it is not positive definite for what may move, it is shifted until it is.
         place: (B, M) in the box.
         damping: (B,) added to its diagonal.
     """
     eye = torch.eye(place.shape[-1], dtype=place.dtype, device=place.device)
     scale = _largest(curvature.abs())
-    least = torch.linalg.eigvalsh(curvature)[:, 0]
+    free = (~(((place <= 0) & (gradient > 0)) | ((place >= 1) & (gradient < 0)))).to(place.dtype)
+    reduced = curvature * free.unsqueeze(-1) * free.unsqueeze(-2)
+    least = torch.linalg.eigvalsh(reduced + torch.diag_embed((1 - free) * scale.unsqueeze(-1)))[:, 0]
     shift = damping + (1e-12 * scale - 1.1 * least).clamp(min=0)
     curvature = curvature + shift[:, None, None] * eye
     scale = scale + shift

@@ -1,12 +1,13 @@
-"""What an arm does when it is let go at a shape: its balance made linear there, its poses not.
+"""Where an arm comes to rest when it is let go at a shape.
 
-At unknowns z and pressures p the residual is `R(z, p)` and the stiffness `J(z, p) = ∂R/∂z`. To first order the arm
-moves by `δz = -J⁻¹ R`. Differentiating `J δz = -R` by a pressure gives what a minimiser needs,
+At unknowns z and pressures p the balance is
 
-    dδz/dp = -J⁻¹ (∂R/∂p + ∂J/∂p δz),
+    R(z, p) = a(z, p) + q(z) = 0,
 
-with a ∂J/∂p that is local to the nodes. The poses are those of the shape `z + δz` itself, by exact kinematics. Where
--J is not positive definite the arm would leave for good: a small δz then means nothing, and is not believed.
+with the actuators' reaction a and the load q, exact or to first order from a shape z°, `q(z°) + Q (z - z°)`. Newton's
+method solves it. By the pressures the shape then changes at the rates `-J⁻¹ ∂a/∂p`, with `J = ∂R/∂z`. The poses are
+those of the shape by exact kinematics. Where -J is not positive definite the arm would leave for good: such a balance
+is not believed.
 """
 
 from dataclasses import dataclass
@@ -15,25 +16,29 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torcharm import mechanics, rod
+from torcharm import mechanics
 from torcharm.arm import ArmDesign
-from torcharm.mechanics.sections import any_bending, bending_moments
-from torcharm.wrenches import actuator_force, along, reference_pressures
+
+LARGE_MOVE = 1.0
+"""Longest Newton step, as of `size`, and the longest move through which a load is carried to first order."""
+SUFFICIENT = 1e-4
+"""Share of the decrease of the imbalance that a step promises."""
+STRETCH = 3.0
+"""Radians that a stretch by the whole length counts as."""
 
 
 @dataclass(frozen=True)
 class Points:
-    """B shapes at which balances are made linear, each with its design, load and target.
+    """B shapes at which loads are made linear, each with its design, load and target.
 
     Attributes:
         arm: B designs.
-        unknowns: z (B, 2, N) [m, rad].
+        unknowns: z° (B, 2, N) [m, rad].
         target: (B, N+1, 3) poses wanted.
         base_pose: (3,).
         tip_load: (B, 3).
-        load: q and ∂q/∂z at z.
-        strain: (B, M, N).
-        bend: bending moments of the actuators; None if none bends.
+        load: q and Q at z°.
+        exact: whether loads are carried by exact kinematics instead, to wherever the arm goes.
     """
 
     arm: ArmDesign
@@ -42,20 +47,23 @@ class Points:
     base_pose: Tensor
     tip_load: Tensor
     load: mechanics.LoadPart
-    strain: Tensor
-    bend: "Bend | None"
+    exact: bool
 
     @staticmethod
-    def of(arm: ArmDesign, unknowns: Tensor, target: Tensor, base_pose: Tensor, tip_load: Tensor) -> "Points":
-        """Everything of the points that does not depend on pressure."""
+    def of(
+        arm: ArmDesign, unknowns: Tensor, target: Tensor, base_pose: Tensor, tip_load: Tensor, exact: bool
+    ) -> "Points":
+        """With the load at the shapes."""
         load = mechanics.load_part(mechanics.kinematics(unknowns, base_pose), tip_load)
-        length, curvature = unknowns[:, 0].unsqueeze(-2), unknowns[:, 1].unsqueeze(-2)
-        neutral = arm.length.unsqueeze(-1)
-        own = rod.offset_length(length, curvature, arm.radii.unsqueeze(-1))
-        strain = rod.strain(own, neutral)
-        # a term that is switched off costs nothing
-        bend = Bend.of(arm, curvature, own, neutral) if any_bending(arm.actuators) else None
-        return Points(arm, unknowns, target, base_pose, tip_load, load, strain, bend)
+        return Points(arm, unknowns, target, base_pose, tip_load, load, exact)
+
+    def load_at(self, unknowns: Tensor) -> mechanics.LoadPart:
+        """The load at other shapes (B, 2, N)."""
+        if self.exact:
+            return mechanics.load_part(mechanics.kinematics(unknowns, self.base_pose), self.tip_load)
+        moved = (unknowns - self.unknowns).flatten(1).unsqueeze(-1)
+        carried = self.load.stiffness.flatten(3).flatten(1, 2) @ moved
+        return mechanics.LoadPart(self.load.wrench + carried.view_as(unknowns), self.load.stiffness)
 
     def __len__(self) -> int:
         return len(self.unknowns)
@@ -68,71 +76,127 @@ class Points:
             self.base_pose,
             self.tip_load[index],
             mechanics.LoadPart(*(part[index] for part in self.load)),
-            self.strain[index],
-            None if self.bend is None else Bend(*(part[index] for part in self.bend)),
+            self.exact,
         )
 
+    @property
+    def length(self) -> Tensor:
+        """(B,) of the arms [m]."""
+        return self.arm.length.mean(-1)
 
-class Bend(NamedTuple):
-    """Bending moments, affine in pressure, each (B, M, N).
+
+class Look(NamedTuple):
+    """The balance as Newton's method sees it.
 
     Attributes:
-        active, active_slope: τ_1/p_ref [N·m/kPa] and its derivative by material curvature k = κ/l_α.
-        resting, resting_slope: τ_0 [N·m] and its derivative.
-        per_length: 1/l_α [1/m], which is ∂k/∂κ at held l_α.
-        squeezed: `κ/l_α²` [1/m²], which is -∂k/∂l_α.
+        imbalance: (B,) norm of the residual, moments over the largest offset [N].
+        step: (B, 2, N) Newton's.
+        rate: (B, 2, N, M) of the shape by the pressures [1/kPa].
+        stiffness: J (B, 2N, 2N).
     """
 
-    active: Tensor
-    active_slope: Tensor
-    resting: Tensor
-    resting_slope: Tensor
-    per_length: Tensor
-    squeezed: Tensor
-
-    @staticmethod
-    def of(arm: ArmDesign, curvature: Tensor, own_length: Tensor, neutral: Tensor) -> "Bend":
-        """The moments at shapes, whatever the pressure."""
-        reference = along(reference_pressures(arm.actuators), own_length, -2)
-        none, full = (
-            bending_moments(
-                arm.actuators, curvature, own_length, neutral, torch.full_like(own_length, share), create_graph=False
-            )
-            for share in (0.0, 1.0)
-        )
-        slope = (full.slope - none.slope) / reference
-        return Bend(full.active / reference, slope, none.moment, none.slope, full.per_length, full.squeezed)
+    imbalance: Tensor
+    step: Tensor
+    rate: Tensor
+    stiffness: Tensor
 
 
-class Response(NamedTuple):
-    """Where arms go.
+def look(points: Points, unknowns: Tensor, pressure: Tensor, rates: bool = True) -> Look:
+    """The balance at shapes (B, 2, N) and pressures (B, M) [kPa], detached; without rates those of no pressures."""
+    own = mechanics.actuator_part(points.arm, unknowns, pressure, pressure_slope=rates)
+    load = points.load_at(unknowns)
+    stiffness = load.stiffness.clone()
+    stiffness.diagonal(dim1=-3, dim2=-1).add_(own.stiffness)
+    stiffness = stiffness.flatten(3).flatten(1, 2)
+    residual = own.wrench + load.wrench
+    right = torch.cat((residual.flatten(1).unsqueeze(-1), own.by_pressure.flatten(1, 2)), -1)
+    answer, info = torch.linalg.solve_ex(stiffness, right)
+    answer = torch.where((info == 0)[:, None, None], -answer, answer.new_tensor(float("nan")))
+    answer = answer.unflatten(1, unknowns.shape[1:])
+    reach = points.arm.radii.abs().amax(-1) + 1e-3 * points.length
+    imbalance = (residual[:, 0].square() + (residual[:, 1] / reach.unsqueeze(-1)).square()).sum(-1).sqrt()
+    return Look(imbalance, answer[..., 0], answer[..., 1:], stiffness)
+
+
+class Rest(NamedTuple):
+    """Where arms come to rest.
 
     Attributes:
-        error: (B, N+1, 3) of the poses reached [m, m, rad]; NaN where J is singular.
+        unknowns: (B, 2, N).
+        rate: (B, 2, N, M) by the pressures [1/kPa].
+        stable: (B,) whether the arms stay there.
+        settled: (B,) whether the balance was found.
+    """
+
+    unknowns: Tensor
+    rate: Tensor
+    stable: Tensor
+    settled: Tensor
+
+
+def settle(points: Points, pressure: Tensor, guess: Tensor, looks: int, close: Tensor) -> Rest:
+    """Solve the balance at pressures (B, M) by Newton's method from guesses (B, 2, N).
+
+    A step no larger than `close` (B,) is the last: it leaves an error of about its square. Steps are at most
+    `LARGE_MOVE` long, and halved where the imbalance does not fall.
+    """
+    element, own = torch.arange(len(guess), device=guess.device), points
+    base, trial, step = guess, guess, torch.zeros_like(guess)
+    last, factor = guess.new_full((len(guess),), float("inf")), torch.ones_like(points.length)
+    end = Rest(
+        guess.clone(),
+        guess.new_zeros(*guess.shape, pressure.shape[-1]),
+        torch.zeros(len(guess), dtype=torch.bool, device=guess.device),
+        torch.zeros(len(guess), dtype=torch.bool, device=guess.device),
+    )
+    for _ in range(looks):
+        seen = look(own, trial, pressure)
+        moved = size(seen.step, own.length)
+        fell = (seen.imbalance <= (1 - SUFFICIENT * factor) * last) | ((moved <= close) & (factor == 1))
+        fell &= moved.isfinite()
+        there = fell & (moved <= close)
+        if bool(there.any()):
+            left = element[there]
+            end.unknowns[left] = (trial + seen.step)[there]
+            end.rate[left], end.settled[left] = seen.rate[there], True
+            end.stable[left] = is_stable(seen.stiffness[there])
+            if bool(there.all()):
+                return end
+        short = (LARGE_MOVE / moved.clamp(min=1e-30)).clamp(max=1.0)
+        taken = fell[:, None, None]
+        base = torch.where(taken, trial, base)
+        step = torch.where(taken, short[:, None, None] * seen.step, step)
+        last = torch.where(fell, seen.imbalance, last)
+        factor = torch.where(fell, torch.ones_like(factor), 0.5 * factor)
+        trial = base + factor[:, None, None] * step
+        on = ~there & (fell | last.isfinite())  # a first look that is no number leads nowhere
+        if bool(on.all()):
+            continue
+        element, own, pressure, close = element[on], own[on], pressure[on], close[on]
+        base, trial, step, last, factor = base[on], trial[on], step[on], last[on], factor[on]
+        if not len(element):
+            break
+    end.unknowns[element] = base
+    return end
+
+
+class Poses(NamedTuple):
+    """Pose errors of shapes.
+
+    Attributes:
+        error: (B, N+1, 3), the target seen from the pose [m, m, rad].
         slope: (B, N+1, 3, M) its derivative by pressure [1/kPa].
-        move: δz (B, 2, N).
-        stable: (B,) whether the symmetric part of -J is positive definite.
     """
 
     error: Tensor
     slope: Tensor
-    move: Tensor
-    stable: Tensor
 
 
-def respond(points: Points, pressure: Tensor) -> Response:
-    """The response to pressures (B, M) [kPa], detached."""
-    with torch.no_grad():
-        force, by_strain, by_pressure, mixed = _forces(points, pressure.unsqueeze(-1))
-        stiffness, residual = _stiffness(points, pressure, force, by_strain)
-        factors, pivots, info = torch.linalg.lu_factor_ex(stiffness)
-        move = -torch.linalg.lu_solve(factors, pivots, residual.flatten(1).unsqueeze(-1)).view_as(points.unknowns)
-        move = torch.where((info == 0)[:, None, None], move, move.new_tensor(float("nan")))
-        motion = mechanics.kinematics(points.unknowns + move, points.base_pose)
-        error, by_pose = mechanics.pose_error(motion.pose, points.target)
-        right = _pressure_slope(points, move, by_pressure, mixed)
-        rate = -torch.linalg.lu_solve(factors, pivots, right).unflatten(1, points.unknowns.shape[1:])
-        return Response(error, by_pose @ _carried(motion, rate), move, is_stable(stiffness))
+def pose_errors(points: Points, unknowns: Tensor, rate: Tensor) -> Poses:
+    """Of shapes (B, 2, N) that change at rates (B, 2, N, M)."""
+    motion = mechanics.kinematics(unknowns, points.base_pose)
+    error, by_pose = mechanics.pose_error(motion.pose, points.target)
+    return Poses(error, by_pose @ _carried(motion, rate))
 
 
 def is_stable(stiffness: Tensor) -> Tensor:
@@ -153,72 +217,6 @@ def size(move: Tensor, length: Tensor) -> Tensor:
     """
     heading = (move[:, 1].cumsum(-1) / move.shape[-1]).abs().amax(-1)
     return torch.maximum(heading, STRETCH * move[:, 0].abs().amax(-1) / length)
-
-
-STRETCH = 3.0
-"""Radians that a stretch by the whole length counts as."""
-
-
-def _forces(points: Points, pressure: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """f, ∂f/∂ε, ∂f/∂p and ∂²f/∂ε∂p: (B, M, N)."""
-    strain = points.strain.detach().clone().requires_grad_()
-    pressure = pressure.detach().expand_as(strain).clone().requires_grad_()
-    with torch.enable_grad():
-        force = actuator_force(points.arm.actuators, strain, pressure, -2)
-        by_strain = _slope(force, strain, True)
-        by_pressure = _slope(force, pressure, True)
-        mixed = _slope(by_strain, pressure, False)
-    return force.detach(), by_strain.detach(), by_pressure.detach(), mixed.detach()
-
-
-def _slope(value: Tensor, by: Tensor, again: bool) -> Tensor:
-    if not value.requires_grad:
-        return torch.zeros_like(by)
-    (slope,) = torch.autograd.grad(
-        value.sum(), by, create_graph=again, retain_graph=True, allow_unused=True, materialize_grads=True
-    )
-    return slope
-
-
-def _stiffness(points: Points, pressure: Tensor, force: Tensor, by_strain: Tensor) -> tuple[Tensor, Tensor]:
-    """J (B, 2N, 2N) and R (B, 2, N)."""
-    radii = points.arm.radii.unsqueeze(-1)
-    by_length = by_strain / points.arm.length.unsqueeze(-1)
-    first = radii * by_length
-    second = radii * first
-    moment = radii * force
-    axial_length, axial_curvature = by_length.sum(1), -first.sum(1)
-    moment_length, moment_curvature, moment = axial_curvature, second.sum(1), -moment.sum(1)
-    if points.bend is not None:
-        bend, p = points.bend, pressure.unsqueeze(-1)
-        slope = bend.active_slope * p + bend.resting_slope
-        squeeze = slope * bend.squeezed
-        moment = moment + (bend.active * p + bend.resting).sum(1)
-        moment_length = moment_length - squeeze.sum(1)
-        moment_curvature = moment_curvature + (slope * bend.per_length + radii * squeeze).sum(1)
-    residual = torch.stack((force.sum(1), moment), 1) + points.load.wrench
-    stiffness = points.load.stiffness.clone()
-    for row, column, block in (
-        (0, 0, axial_length),
-        (0, 1, axial_curvature),
-        (1, 0, moment_length),
-        (1, 1, moment_curvature),
-    ):
-        stiffness[:, row, :, column].diagonal(dim1=-2, dim2=-1).add_(block)
-    return stiffness.flatten(3).flatten(1, 2), residual
-
-
-def _pressure_slope(points: Points, move: Tensor, by_pressure: Tensor, mixed: Tensor) -> Tensor:
-    """`∂R/∂p + ∂J/∂p δz`, (B, 2N, M): the slope of the linear balance after the move."""
-    radii = points.arm.radii.unsqueeze(-1)
-    stretch = move[:, :1] - radii * move[:, 1:]  # δl_α
-    axial = by_pressure + mixed * stretch / points.arm.length.unsqueeze(-1)
-    moment = -radii * axial
-    if points.bend is not None:
-        bend = points.bend
-        bent = bend.per_length * move[:, 1:] - bend.squeezed * stretch  # δk
-        moment = moment + bend.active + bend.active_slope * bent
-    return torch.cat((axial, moment), -1).transpose(1, 2)
 
 
 def _carried(motion: mechanics.Kinematics, rate: Tensor) -> Tensor:

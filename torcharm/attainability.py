@@ -86,7 +86,7 @@ def evaluate(
     polish: bool = False,
     residuals: bool = False,
     pose_cost: PoseCost | None = None,
-    steps: int = 1,
+    steps: int | None = None,
     chunk_size: int | None = None,
 ) -> Attainability:
     """Unattainability of every design on every task.
@@ -125,8 +125,8 @@ def evaluate(
             hull="exact" and the closed form; second derivatives hold the pressures.
         residuals: whether to report each node's optimality residuals, as of the sampled polygons.
         pose_cost: what the predicted error measures; None is the paper's `PoseCost()`.
-        steps: of the predicted error: 1 predicts from the balance made linear at the task's shape, each further
-            step from where the last one led.
+        steps: of the predicted error: None solves the balance itself; 1 carries the load to first order from the
+            task's shape, each further step from where the last one led.
         chunk_size: (design, shape, load) triples worked on at once; None chooses. Bounds memory.
 
     Raises:
@@ -173,7 +173,9 @@ def evaluate(
     )
 
 
-def _predict(outer: OuterProduct, pose_cost: PoseCost | None, steps: int, chunk_size: int | None) -> "PredictedError":
+def _predict(
+    outer: OuterProduct, pose_cost: PoseCost | None, steps: int | None, chunk_size: int | None
+) -> "PredictedError":
     from torcharm.prediction import predict_outer  # loads when it is first asked for
 
     return predict_outer(outer, pose_cost, steps, chunk_size)

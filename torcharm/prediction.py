@@ -1,8 +1,10 @@
-"""How far off the task an arm will really be, in metres: predicted from its balance made linear at the task shape.
+"""How far off the task an arm will really be, in metres: predicted from where it comes to rest near the task's shape.
 
-At the task shape z* the residual is `R(z*, p) = a + q` and the stiffness `J(p) = ∂R/∂z`. Let go, the arm moves by
-`δz = -J⁻¹ R` to first order, and its poses with it. The predicted error is the least cost of the poses of `z* + δz`
-over the pressures within their limits: one small linear solve for each pressure tried.
+Let go at the task's shape z* with pressures p, the arm moves to where its balance `R(z, p) = a(z, p) + q(z) = 0` holds.
+The predicted error is the least cost of the poses there, over the pressures within their limits and the balances that
+are stable. No load is raised from zero, as in the forward solver: Newton's method starts from z*, and at each further
+pressure from the shape at the last one, so that a task costs a few dozen small linear solves. In return a shape that is
+predicted need not be the one that the arm reaches when it is loaded: under compression there are several.
 """
 
 from dataclasses import dataclass
@@ -37,10 +39,12 @@ class PredictedError:
         twists: (..., N, 3) of the shape predicted.
         optimality: largest slope of the error by a pressure in shares of its limit [m], of those that
             the limits leave free.
-        converged: whether the optimality is within tolerance and J regular.
-        stable: whether -J is positive definite at the pressure found. Stable pressures are preferred: false
-            means that none was found, that the arm would leave the shape, and that the error is no more than a hint.
-        small: whether the arm moves little enough (by a radian, or a third of its length) for a linear balance.
+        converged: whether the optimality is within tolerance and the balance was solved. A minimum at a kink of a
+            force model, or where stability ends, does not count as converged.
+        stable: whether the balance was solved and -J, of `J = ∂R/∂z`, is positive definite there. Only such balances
+            are believed: false means that none was found, and that the error is no more than a hint.
+        small: whether the arm moves little (by a radian, or a third of its length) from where the load was last made
+            linear: the task's shape, unless there are several steps.
         strain_excess: largest strain beyond its actuator's characterised range at the shape predicted, 0 if none is.
         in_range: whether every strain, and every pressure found, lies in the characterised range.
     """
@@ -59,20 +63,27 @@ class PredictedError:
 
 
 def predict_error(
-    arm: ArmDesign, task: Task, pose_cost: PoseCost | None = None, *, steps: int = 1, chunk_size: int | None = None
+    arm: ArmDesign,
+    task: Task,
+    pose_cost: PoseCost | None = None,
+    *,
+    steps: int | None = None,
+    chunk_size: int | None = None,
 ) -> PredictedError:
     """The least pose error that each design can be expected to reach on each task, without a forward solve.
 
     Errors, per-node errors and pose errors are differentiable once in radii, lengths, limits, twists, loads and the
-    base pose: by the envelope theorem the pressures found are held, but for those at a limit, which move with it.
-    With several steps the shape at which the last one starts is held too, which is exact in the limit.
+    base pose: by the envelope theorem the pressures found are held, but for those at a limit, which move with it, and
+    the shape follows its balance. With several steps the shape from which the last one carries the load is held too.
+    At a kink of a force model they are those of one side.
 
     Args:
         arm: designs, of any batch shape.
         task: shapes and loads, of any batch shape; every design meets every task.
         pose_cost: what is minimised; None is the paper's `PoseCost()`.
-        steps: 1 makes the balance linear at the task's shape. Each further step does so at the shape that the
-            last one predicted, with new pressures; in the limit the arm is in equilibrium.
+        steps: None solves the balance itself. A number carries the load to first order (actuators obey their full
+            law): 1 from the task's shape, each further step from the shape that the last one predicted, with new
+            pressures. In the limit it is the balance itself.
         chunk_size: (design, shape, load) triples worked on at once; None chooses. Bounds memory.
 
     Raises:
@@ -82,15 +93,18 @@ def predict_error(
     return predict_outer(outer_product(arm, task), pose_cost, steps, chunk_size)
 
 
-def predict_outer(outer: OuterProduct, cost: PoseCost | None, steps: int, chunk_size: int | None) -> PredictedError:
+def predict_outer(
+    outer: OuterProduct, cost: PoseCost | None, steps: int | None, chunk_size: int | None
+) -> PredictedError:
     """`predict_error` of checked designs and tasks."""
     cost = PoseCost() if cost is None else cost
     if not isinstance(cost, PoseCost):
         raise ValueError(f"pose_cost: must be a PoseCost, got {shown(cost)}")
-    check_count("steps", steps, 1)
+    if steps is not None:
+        check_count("steps", steps, 1)
     weights, diagonal = cost.weights(outer.nodes, outer.twists), cost.diagonal(outer.twists)
     if chunk_size is None:
-        chunk_size = max(1, BLOCK_ELEMENTS // (SCREENED * (2 * outer.nodes) ** 2))
+        chunk_size = max(1, BLOCK_ELEMENTS // (SCREENED[0] * (2 * outer.nodes) ** 2))
     check_count("chunk_size", chunk_size, 1)
     if 0 in outer.sizes:
         return _nothing(outer)
@@ -108,11 +122,13 @@ def _nothing(outer: OuterProduct) -> PredictedError:
     return PredictedError(*(outer.unflatten(column) for column in columns))
 
 
-def _predict_block(block: Block, weights: Tensor, diagonal: Tensor, steps: int, recompute: bool) -> tuple[Tensor, ...]:
+def _predict_block(
+    block: Block, weights: Tensor, diagonal: Tensor, steps: int | None, recompute: bool
+) -> tuple[Tensor, ...]:
     """The fields of `PredictedError` for a block, each (d, p, l, ...)."""
     tasks = Tasks.of(block)
     found = minimum_over_pressures(tasks.detached(), weights, steps)
-    again = _Replay(tasks, weights, diagonal, found)
+    again = _Replay(tasks, weights, diagonal, found, steps is None)
     if _wants_gradient(tasks):
         reached = checkpoint(again, use_reentrant=False) if recompute else again()
     else:
@@ -161,22 +177,16 @@ class _Replay:
     weights: Tensor
     diagonal: Tensor
     found: Found
+    exact: bool
 
     def __call__(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         tasks, share = self.tasks, self.found.share
         limit = tasks.arm.max_pressure
         pressure = torch.where(share >= 1, limit, share * limit.detach())  # what is at a limit moves with it
-        unknowns = mechanics.to_unknowns(tasks.twists) + self.found.offset
-        balance = mechanics.balance(
-            tasks.arm,
-            unknowns,
-            pressure,
-            tasks.tip_load,
-            tasks.base_pose,
-            create_graph=torch.is_grad_enabled(),
-        )
-        move = -mechanics.solve(balance.stiffness, balance.residual.unsqueeze(-1)).squeeze(-1)
-        reached = unknowns + move
+        shape = mechanics.to_unknowns(tasks.twists)
+        reached = shape + self.found.rest_at
+        if torch.is_grad_enabled():
+            reached = reached + self._followed(shape + self.found.linear_at, reached, pressure)
         motion = mechanics.kinematics(reached, tasks.base_pose)
         error, _ = mechanics.pose_error(motion.pose, rod.poses(tasks.twists, tasks.base_pose))
         square = error.square()
@@ -188,6 +198,21 @@ class _Replay:
             pressure,
             mechanics.to_twists(reached),
         )
+
+    def _followed(self, linear_at: Tensor, reached: Tensor, pressure: Tensor) -> Tensor:
+        """Nothing in value; its gradient makes `reached` follow its balance: `-J⁻¹ (R - R°)`, with R° held."""
+        tasks, end = self.tasks, reached.detach()
+        wrench = mechanics.actuator_wrench(tasks.arm, reached, pressure)
+        if self.exact:
+            load = mechanics.load_part(mechanics.kinematics(reached, tasks.base_pose), tasks.tip_load)
+            residual = wrench + load.wrench
+        else:
+            load = mechanics.load_part(mechanics.kinematics(linear_at, tasks.base_pose), tasks.tip_load)
+            moved = (reached - linear_at).flatten(1).unsqueeze(-1)
+            residual = wrench + load.wrench + (load.stiffness.flatten(3).flatten(1, 2) @ moved).view_as(wrench)
+        own = mechanics.actuator_part(tasks.arm._map(Tensor.detach), end, pressure.detach(), pressure_slope=False)
+        stiffness = mechanics.assemble(load.stiffness.detach(), own.stiffness)
+        return -mechanics.solve(stiffness, (residual - residual.detach()).unsqueeze(-1)).squeeze(-1)
 
 
 def _root(square: Tensor, floor: Tensor) -> Tensor:

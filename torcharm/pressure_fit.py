@@ -7,16 +7,14 @@ import torch
 from torch import Tensor
 
 from torcharm import mechanics
-from torcharm._box import LEAST_DAMPING, START_DAMPING, box_step, optimality, spread_points
+from torcharm._box import spread_points
 from torcharm._continuation import Problem
 from torcharm._inputs import as_floating, check_at_least, check_count, check_finite
+from torcharm._wrench_fit import fit_wrenches
 from torcharm.arm import ArmDesign
 from torcharm.equilibrium import default_chunk
 from torcharm.search import checked_outer, flat_problem
 from torcharm.task import Task
-
-STEPS = 120
-GAIN = 1e-14
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +49,9 @@ def fit_pressure(
 ) -> PressureFit:
     """The pressure within the limits whose reaction along the task shape comes closest to what is required.
 
-    Minimises `Σ_i ‖a_i(z*, p) - w_i‖²_K` over `p ∈ [0, p̄]` by projected Levenberg-Marquardt from several starts. A
-    distance of zero is a certificate: one pressure holds the shape under the load. Above zero it is no distance of
-    shapes: what is a newton too much may move the arm far or not at all.
+    Minimises `Σ_i ‖a_i(z*, p) - w_i‖²_K` over `p ∈ [0, p̄]` by Levenberg-Marquardt from several starts, with
+    steps bent along curved valleys. A distance of zero is a certificate: one pressure holds the shape under the load.
+    Above zero it is no distance of shapes: what is a newton too much may move the arm far or not at all.
 
     Args:
         arm: designs, of any batch shape.
@@ -96,38 +94,15 @@ def _fit(problem: Problem, shape: Tensor, scale: Tensor, places: Tensor) -> tupl
     total, starts = len(shape), len(places)
     every = torch.arange(total, device=shape.device).repeat_interleave(starts)
     load = mechanics.load_wrench(mechanics.kinematics(shape, problem.base_pose), problem.tip_load)
-    many, z, q = problem[every], shape[every], load[every]
-    limits = many.arm.max_pressure
-    place = places.repeat(total, 1)
-
-    def model(place: Tensor) -> tuple[Tensor, Tensor]:
-        part = mechanics.actuator_part(many.arm, z, place * limits)
-        miss = scale * (part.wrench + q)
-        return miss, (scale.unsqueeze(-1) * part.by_pressure * limits[:, None, None, :]).flatten(1, 2)
-
-    miss, rates = model(place)
-    cost = miss.square().sum((-1, -2))
-    damping = torch.full_like(cost, START_DAMPING)
-    done = torch.zeros_like(cost, dtype=torch.bool)
-    for _ in range(STEPS):
-        gradient = (rates.mT @ miss.flatten(1).unsqueeze(-1)).squeeze(-1)
-        normal = rates.mT @ rates
-        step = box_step(normal.movedim(0, -1), gradient.mT, place.mT, damping).mT
-        promise = -(2 * (gradient * step).sum(-1) + (step * (normal @ step.unsqueeze(-1)).squeeze(-1)).sum(-1))
-        done = done | (promise <= GAIN * cost + 1e-30) | (damping > 1e8)
-        if bool(done.all()):
-            break
-        tried = (place + step).clamp(0, 1)
-        tried_miss, tried_rates = model(tried)
-        tried_cost = tried_miss.square().sum((-1, -2))
-        better = (tried_cost < cost) & ~done
-        place = torch.where(better[:, None], tried, place)
-        miss = torch.where(better[:, None, None], tried_miss, miss)
-        rates = torch.where(better[:, None, None], tried_rates, rates)
-        cost = torch.where(better, tried_cost, cost)
-        damping = torch.where(better, damping / 10, damping * 5).clamp(min=LEAST_DAMPING)
-    gradient = (rates.mT @ miss.flatten(1).unsqueeze(-1)).squeeze(-1)
-    reached = optimality(gradient, place)
-    best = cost.unflatten(0, (total, starts)).nan_to_num(nan=float("inf")).argmin(-1)
+    many = problem[every]
+    found = fit_wrenches(many.arm, shape[every], load[every], scale, places.repeat(total, 1))
+    best = found.cost.unflatten(0, (total, starts)).nan_to_num(nan=float("inf")).argmin(-1)
     at = torch.arange(total, device=shape.device) * starts + best
-    return (place * limits)[at], cost[at].sqrt(), miss[at].norm(dim=-2), reached[at], (done & cost.isfinite())[at]
+    pressure = found.share * many.arm.max_pressure
+    return (
+        pressure[at],
+        found.cost[at].sqrt(),
+        found.miss[at].norm(dim=-2),
+        found.optimality[at],
+        (found.done & found.cost.isfinite())[at],
+    )

@@ -8,9 +8,9 @@ import numpy as np
 from experiments.metric_fidelity.measure import STEPS, Found, Timing
 
 HERE = Path(__file__).parent
-COLOURS = {1: "#E69F00", 2: "#0072B2"}
-"""Okabe and Ito's."""
-MARKERS = {1: "o", 2: "x"}
+SHOWN = {"steps1": ("1 step", "#E69F00", "o"), "balance": ("balance", "#0072B2", "x")}
+"""Labels, Okabe and Ito's colours, markers."""
+NAMES = {"steps1": "1 step", "steps2": "2 steps", "steps3": "3 steps", "balance": "balance"}
 
 
 def draw(found: Sequence[Found], times: Sequence[Timing]) -> None:
@@ -31,10 +31,9 @@ def _scatter(found: Sequence[Found]) -> None:
     ends = (1e-3, 3.0)
     for panel, one in zip(axes.flat, found, strict=True):
         panel.plot(ends, ends, color="0.6", lw=1, zorder=0)
-        for steps in (1, 2):
-            label = f"{steps} step{'s' if steps > 1 else ''}: ρ = {one.spearman(f'steps{steps}'):.3f}"
-            style = {"s": 16, "marker": MARKERS[steps], "color": COLOURS[steps], "lw": 0.9}
-            panel.scatter(one.true, one.columns[f"steps{steps}"], label=label, **style)
+        for name, (words, colour, marker) in SHOWN.items():
+            label = f"{words}: ρ = {one.spearman(name):.3f}"
+            panel.scatter(one.true, one.columns[name], label=label, s=16, marker=marker, color=colour, lw=0.9)
         panel.set(xscale="log", yscale="log", xlim=ends, ylim=ends, aspect="equal")
         panel.set_title(one.case.name, fontsize=9)
         panel.legend(fontsize=7, loc="upper left", handletextpad=0.1, borderpad=0.3)
@@ -50,13 +49,13 @@ def _scatter(found: Sequence[Found]) -> None:
 def _ladder(found: Sequence[Found], times: dict[str, float]) -> None:
     import matplotlib.pyplot as plt
 
-    steps = {f"steps{k}": f"predicted error, {k} step{'s' if k > 1 else ''}" for k in STEPS}
+    steps = {name: f"predicted error, {name}" for name in STEPS}
     figure, panel = plt.subplots(figsize=(8, 4.8), layout="constrained")
     where = {"absolute": "absolute and relative", "relative": "absolute and relative", **steps}
     names = {
         "absolute": "absolute",
         "relative": "relative",
-        **{f"steps{k}": f"{k} step" + "s" * (k > 1) for k in STEPS},
+        **NAMES,
     }
     clear = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}
     looks = {"absolute": ("#D55E00", "s"), "relative": ("#CC79A7", "v")}
@@ -66,7 +65,9 @@ def _ladder(found: Sequence[Found], times: dict[str, float]) -> None:
         low, middle, high = np.quantile(values, (0.0, 0.5, 1.0))
         time = times[timed] * (1.12 if metric == "relative" else 1.0)
         panel.errorbar(time, middle, ((middle - low,), (high - middle,)), fmt=marker, color=colour, capsize=4, ms=8)
-        panel.annotate(names[metric], (time, middle), xytext=(9, 4), textcoords="offset points", fontsize=9, bbox=clear)
+        left = {"balance": (-9, -14), "steps2": (-9, 4)}
+        beside = {"xytext": left[metric], "ha": "right"} if metric in left else {"xytext": (9, 4)}
+        panel.annotate(names[metric], (time, middle), textcoords="offset points", fontsize=9, bbox=clear, **beside)
     panel.axvline(times["search"], color="0.4", ls="--", lw=1)
     panel.annotate(
         "search\n(the truth)", (times["search"], 0.5), xytext=(-8, 0), textcoords="offset points", ha="right"

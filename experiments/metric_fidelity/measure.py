@@ -17,14 +17,13 @@ from experiments.metric_fidelity.cases import Case, case_name, many_actuators
 from experiments.metric_fidelity.surrogate import qp_surrogate
 
 Column = npt.NDArray[np.float64]
-STEPS = (1, 2, 3)
-LADDER = 10
-"""Steps that stand for very many."""
+STEPS = {"steps1": 1, "steps2": 2, "steps3": 3, "balance": None}
+"""Of the predictions, by their names in tables; "balance" solves the balance itself."""
 AGREE = 1.01
 """A start agrees with the best if its error is at most so many times it."""
 MODERATE = 0.1
 """A true error below which relative errors are reported [m]."""
-METRICS = ("absolute", "relative", "weighted", *(f"steps{k}" for k in STEPS), "qp")
+METRICS = ("absolute", "relative", "weighted", *STEPS, "qp")
 RESULTS = Path(__file__).with_name("results.csv")
 
 
@@ -47,9 +46,9 @@ class Found:
         return float(spearmanr(self.true[chosen], self.columns[metric][chosen])[0])
 
     def relative_error(self, metric: str, moderate: bool = True) -> float:
-        """Median of |predicted - true| / true, over true errors below `MODERATE` or over all; NaN of fewer than 3."""
+        """Median of |predicted - true| / true, over true errors below `MODERATE` or over all; NaN of none."""
         chosen = (self.true < MODERATE) if moderate else np.isfinite(self.true)
-        if chosen.sum() < 3:
+        if not chosen.any():
             return float("nan")
         return float(np.median(np.abs(self.columns[metric] / self.true - 1)[chosen]))
 
@@ -65,11 +64,11 @@ def measure(case: Case, known: Searched | None = None) -> Found:
     hulls = ta.evaluate(arm, task)
     weighted = ta.evaluate(arm, task, metrics=("absolute",), weights=(0.01, 1.0), power=2)
     columns = {"absolute": hulls.absolute, "relative": hulls.relative, "weighted": weighted.absolute}
-    for steps in (*STEPS, LADDER):
+    for name, steps in STEPS.items():
         found = ta.predict_error(arm, task, steps=steps)
-        columns[f"steps{steps}"] = found.error
-        columns[f"converged{steps}"], columns[f"small{steps}"] = found.converged, found.small
-        columns[f"stable{steps}"] = found.stable
+        columns[name] = found.error
+        columns[f"converged_{name}"], columns[f"small_{name}"] = found.converged, found.small
+        columns[f"stable_{name}"] = found.stable
     columns["held"], columns["reached"] = _ends(arm, task, found)
     columns["qp"] = qp_surrogate(arm, task)
     numbers = {name: _column(value) for name, value in columns.items()}
@@ -133,7 +132,7 @@ class Timing:
 
 
 def timings(tasks: int, searched: int) -> list[Timing]:
-    """Hull metrics, predictions and search on the antagonistic arm; then growth with N and M, at one step."""
+    """Hull metrics, predictions and search on the antagonistic arm; then growth with N and M."""
     arm = ta.antagonistic_arm()
 
     def task(count: int, nodes: int = 10) -> ta.Task:
@@ -141,15 +140,14 @@ def timings(tasks: int, searched: int) -> list[Timing]:
 
     batch = task(tasks)
     found = [_timed("absolute and relative", tasks, partial(ta.evaluate, arm, batch))]
-    for steps in STEPS:
-        name = f"predicted error, {steps} step{'s' if steps > 1 else ''}"
-        found.append(_timed(name, tasks, partial(ta.predict_error, arm, batch, steps=steps)))
+    for name, steps in STEPS.items():
+        found.append(_timed(f"predicted error, {name}", tasks, partial(ta.predict_error, arm, batch, steps=steps)))
     found.append(_timed("QP surrogate", tasks, partial(qp_surrogate, arm, batch)))
     found.append(_timed("search", searched, partial(ta.search_pressure, arm, task(searched))))
     for nodes in (5, 20, 40):
-        found.append(_timed(f"1 step, N = {nodes}", tasks, partial(ta.predict_error, arm, task(tasks, nodes))))
+        found.append(_timed(f"balance, N = {nodes}", tasks, partial(ta.predict_error, arm, task(tasks, nodes))))
     for count in (2, 6, 8, 12):
-        found.append(_timed(f"1 step, M = {count}", tasks, partial(ta.predict_error, many_actuators(count), batch)))
+        found.append(_timed(f"balance, M = {count}", tasks, partial(ta.predict_error, many_actuators(count), batch)))
     return found
 
 
