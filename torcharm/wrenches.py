@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torcharm import rod, se2
 from torcharm._inputs import as_floating, broadcast_shapes, check_at_least, check_finite, check_tensor
-from torcharm.actuators import Actuator
+from torcharm.actuators import Actuator, force_slopes
 from torcharm.actuators.bending import (
     active_moment,
     bending_model,
@@ -135,6 +135,25 @@ def actuator_force(actuators: tuple[Actuator, ...], strain: Tensor, pressure: Te
         index = (..., members, *(slice(None),) * (-1 - dim))
         force[index] = model.force(strain[index], pressure[index])
     return force
+
+
+def actuator_slopes(
+    actuators: tuple[Actuator, ...], strain: Tensor, pressure: Tensor, by_pressure: bool = True, dim: int = -1
+) -> tuple[Tensor, Tensor, Tensor | None]:
+    """`actuator_force` with its derivatives by strain and, if wanted, by pressure [1/kPa]; detached.
+
+    Pressure broadcasts to strain.
+    """
+    groups = group_alike(actuators)
+    if len(groups) == 1:
+        return force_slopes(actuators[0], strain, pressure, by_pressure)
+    out = [torch.empty_like(strain) for _ in range(3 if by_pressure else 2)]
+    for model, members in groups:
+        index = (..., members, *(slice(None),) * (-1 - dim))
+        for whole, part in zip(out, force_slopes(model, strain[index], pressure[index], by_pressure), strict=False):
+            if part is not None:
+                whole[index] = part
+    return out[0], out[1], out[2] if by_pressure else None
 
 
 def group_alike(actuators: tuple[Actuator, ...]) -> list[tuple[Actuator, slice | list[int]]]:

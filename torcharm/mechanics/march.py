@@ -18,11 +18,11 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torcharm.actuators import Actuator, force_slopes
+from torcharm.actuators import Actuator
 from torcharm.actuators.bending import bending_model
 from torcharm.arm import ArmDesign
 from torcharm.mechanics.sections import any_bending, bending_moments
-from torcharm.wrenches import group_alike, reference_pressures
+from torcharm.wrenches import actuator_slopes, reference_pressures
 
 
 @dataclass(frozen=True)
@@ -292,7 +292,7 @@ def _sections(arms: Arms, length: Tensor, curvature: Tensor, pressure: Tensor, r
     radii, neutral, pressure = arms.radii, arms.length, pressure.unsqueeze(1)
     own = torch.addcmul(length, radii, curvature, value=-1)  # (M, N, B)
     strain = own.div(neutral).sub_(1)
-    force, by_strain, by_pressure = _forces(arms.models, strain, pressure, rates)
+    force, by_strain, by_pressure = actuator_slopes(arms.models, strain, pressure, rates, -3)
     stiff = by_strain.div_(neutral)
     leaning = stiff * radii
     axial, moment = force.sum(0), (force * radii).sum(0).neg_()
@@ -330,18 +330,3 @@ def _sections(arms: Arms, length: Tensor, curvature: Tensor, pressure: Tensor, r
     if by_pressure is None or moment_rate is None:
         return _Sections(axial, moment, (a11, a12, a21, a22), None, None)
     return _Sections(axial, moment, (a11, a12, a21, a22), by_pressure.transpose(0, 1), moment_rate.transpose(0, 1))
-
-
-def _forces(
-    models: tuple[Actuator, ...], strain: Tensor, pressure: Tensor, rates: bool
-) -> tuple[Tensor, Tensor, Tensor | None]:
-    """f, ∂f/∂ε and, if wanted, ∂f/∂p (M, N, B)."""
-    groups = group_alike(models)
-    if len(groups) == 1:
-        return force_slopes(models[0], strain, pressure, rates)
-    out = [torch.empty_like(strain) for _ in range(3 if rates else 2)]
-    for model, members in groups:
-        for whole, part in zip(out, force_slopes(model, strain[members], pressure[members], rates), strict=False):
-            if part is not None:
-                whole[members] = part
-    return out[0], out[1], out[2] if rates else None

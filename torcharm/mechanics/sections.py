@@ -11,7 +11,14 @@ from torcharm.actuators import Actuator
 from torcharm.actuators.bending import active_moment, bending_model, linear_stiffness, passive_moment
 from torcharm.arm import ArmDesign
 from torcharm.mechanics.kinematics import rows_of
-from torcharm.wrenches import actuator_force, actuator_state, along, reference_pressures, resting_moment
+from torcharm.wrenches import (
+    actuator_force,
+    actuator_slopes,
+    actuator_state,
+    along,
+    reference_pressures,
+    resting_moment,
+)
 
 
 class ActuatorPart(NamedTuple):
@@ -66,9 +73,9 @@ def actuator_part(
 ) -> ActuatorPart:
     """a_i with its local derivatives by twist and pressure.
 
-    Force models are differentiated by autograd, all nodes and actuators in one sweep (forces are element-wise);
-    all else is closed form. Without pressure_slope, by_pressure is of no actuators: (..., C, N, 0). With
-    create_graph the derivatives can be differentiated again, else they come detached.
+    Force models that write out no slopes are differentiated by autograd, all nodes and actuators in one sweep (forces
+    are element-wise); all else is closed form. Without pressure_slope, by_pressure is of no actuators: (..., C, N, 0).
+    With create_graph the derivatives can be differentiated again, else they come detached.
     """
     models = arm.actuators
     with torch.set_grad_enabled(create_graph):
@@ -182,10 +189,11 @@ def _force_slopes(
     arm: ArmDesign, strain: Tensor, pressure: Tensor, pressure_slope: bool, create_graph: bool
 ) -> tuple[Tensor, Tensor, Tensor | None]:
     """Forces f, ∂f/∂ε, and ∂f/∂p if wanted, each (..., M, N)."""
+    if not create_graph:
+        strain = strain.expand(torch.broadcast_shapes(strain.shape, pressure.shape))
+        return actuator_slopes(arm.actuators, strain.detach(), pressure.detach(), pressure_slope, -2)
     strain, pressure = torch.broadcast_tensors(strain, pressure)
     with torch.enable_grad():
-        if not create_graph:
-            strain, pressure = strain.detach(), pressure.detach()
         strain = strain.clone() if strain.requires_grad else strain.contiguous().requires_grad_()
         if pressure_slope:  # node by node: a view would gather it over the nodes
             pressure = pressure.clone() if pressure.requires_grad else pressure.clone().requires_grad_()
@@ -193,8 +201,8 @@ def _force_slopes(
         wanted = (strain, pressure) if pressure_slope else (strain,)
         if force.requires_grad:
             slopes = torch.autograd.grad(
-                force.sum(), wanted, create_graph=create_graph, allow_unused=True, materialize_grads=True
+                force.sum(), wanted, create_graph=True, allow_unused=True, materialize_grads=True
             )
         else:  # a constant force
             slopes = tuple(torch.zeros_like(force) for _ in wanted)
-    return (force if create_graph else force.detach()), slopes[0], slopes[1] if pressure_slope else None
+    return force, slopes[0], slopes[1] if pressure_slope else None
