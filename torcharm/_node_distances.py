@@ -73,6 +73,8 @@ class Residuals:
 
 AGREEMENT = 1e-8
 """By how much of the polygon's size a distance may differ when its face is evaluated again with gradients."""
+FEW_SECTIONS = 300
+"""Up to so many the polygons' graph is the faster one, whatever the loads."""
 COLUMNS = tuple(field.name for field in fields(Residuals))
 Columns = tuple[Tensor, ...]
 
@@ -85,7 +87,7 @@ def node_distances(block: Block, required: Required, check: Check, recompute: bo
         required: by all tasks, of which the block's are taken.
         recompute: whether to rebuild graphs when they are needed instead of keeping them.
     """
-    if check.solver is None and not check.polish:
+    if check.solver is None and not check.polish and not _replay_is_cheaper(block, check):
         answers, excess, shape = _of_polygons(block, required, check, recompute)
     elif check.solver is None:
         answers, excess, shape = _by_closed_form(block, check, recompute)
@@ -94,6 +96,16 @@ def node_distances(block: Block, required: Required, check: Check, recompute: bo
     by_column = [torch.stack(column).unflatten(1, shape) for column in zip(*answers, strict=True)]  # (K, p, N, d, l)
     columns = [column.permute(3, 1, 4, 0, 2) for column in by_column]
     return excess.T.unsqueeze(-1).expand(columns[0].shape[:3]), *columns
+
+
+def _replay_is_cheaper(block: Block, check: Check) -> bool:
+    """Whether two pressures a face, evaluated again, make a smaller graph than a section's samples.
+
+    So it is where a section bears few loads; of few sections, calls cost more than arithmetic, and polygons need fewer.
+    """
+    loads, sections = block.tip_load.shape[1], len(block.arm.radii) * block.twists.shape[:-1].numel()
+    few = 4 * loads < 3 * check.samples and sections > FEW_SECTIONS
+    return few and torch.is_grad_enabled() and inputs_want_gradient(block)
 
 
 def _of_polygons(
@@ -112,7 +124,7 @@ def _of_polygons(
 
 
 def _by_closed_form(block: Block, check: Check, recompute: bool) -> tuple[list[Columns], Tensor, tuple[int, int, int]]:
-    """As `_of_polygons`, of the sets themselves.
+    """As `_of_polygons`, of the sets themselves (polished), or where there are many sections of few loads.
 
     The hulls are searched without gradients. Where gradients are wanted, the reactions at the two
     ends of each nearest face are evaluated once more with them: a graph of two pressures a
@@ -220,9 +232,13 @@ def _nearest_face(
     curves, laws = sampled.metric(sections, check.samples, relative)
     hulls = build_hulls(curves, check.hull, check.scale)
     point = required_points(block, check.scale, relative)
-    faces = nearest_faces(hulls.polygons, *point, slots=True)
+    faces = nearest_faces(hulls.polygons, *point, slots=slots or check.polish)
     auditor = check.auditor
     residuals = () if auditor is None else _solve(sections, hulls, point, check, relative, auditor)[2:]
+    if not check.polish:
+        fraction = _fractions(hulls, faces, point) if slots else None
+        return _Nearest(faces, fraction, torch.ones_like(faces.inside), residuals)
+
     from torcharm.distance.polish import polish  # loads when it is first asked for
 
     assert isinstance(hulls, ExactHulls)
@@ -253,14 +269,15 @@ class _Replay:
     fractions: list[Tensor | None]
 
     def __call__(self) -> Columns:
-        from torcharm.pieces import follow_kinks
-
         sections = cross_sections(self.block.arm, self.block.twists)
         squares = []
         for metric, fraction in zip(self.check.metrics, self.fractions, strict=True):
             assert fraction is not None
             relative = metric == "relative"
-            fraction = follow_kinks(sections, fraction, relative=relative)
+            if self.check.polish:
+                from torcharm.pieces import follow_kinks
+
+                fraction = follow_kinks(sections, fraction, relative=relative)
             x, y = _scaled(sections.wrench(fraction, relative=relative), self.check)
             squares.append(
                 face_square(required_points(self.block, self.check.scale, relative), (x[0], y[0]), (x[1], y[1]))
