@@ -187,20 +187,15 @@ class _Sampled:
         """Whether the force models hold something that wants a gradient."""
         if self.curves is not None:
             return self.curves.force.requires_grad
-        laws = self.laws
-        parts = () if laws is None else (laws.coefficients, laws.kinks, laws.slopes, laws.gain, laws.exponent)
-        return any(part.requires_grad for part in parts)
+        return self.laws is not None and self.laws.requires_grad
 
     def metric(self, sections: Sections, samples: int, relative: bool) -> "tuple[Curves, Laws | None]":
         """The curves of absolute or relative reactions."""
         if self.curves is not None:
             return relative_curves(sections, self.curves) if relative else self.curves, None
-        from torcharm.laws import law_curves
-
         assert self.laws is not None
         laws = self.laws.minus_first(sections) if relative else self.laws
-        bending = sections.bending - sections.at_first_node(sections.bending) if relative else sections.bending
-        return law_curves(laws, bending, sections.radii, samples, sections.resting_moment(relative=relative)), laws
+        return laws.curves(sections, samples, relative=relative), laws
 
 
 def _nearest_face(
