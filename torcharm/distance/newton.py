@@ -23,6 +23,8 @@ LUNE = 4.0
 """Points outside a polygon can be so many times as deep inside the set as the set was seen to reach beyond it."""
 CLOSING = 0.25
 """Factor by which a step must bring the touched point nearer to straight ahead."""
+BOWS = (0.5, 2.0)
+"""Bounds on the factor by which the second derivative may change Newton's step."""
 FIRST_TURN, WIDEN = 1e-3, 8.0
 """The turn of a direction where Newton's step makes no sense [rad], and its growth until it does."""
 
@@ -37,6 +39,8 @@ class Problems:
         side: (Q) 1 outside the polygon and -1 inside.
         distance: (Q) to it.
         tolerance: (Q) what counts as nothing, as a length.
+        edge: (Q) whether the polygon's nearest point lies inside an edge,
+        edge_x, edge_y: (2, Q) and the ends of that, clockwise first.
     """
 
     x: Tensor
@@ -46,6 +50,9 @@ class Problems:
     side: Tensor
     distance: Tensor
     tolerance: Tensor
+    edge: Tensor
+    edge_x: Tensor
+    edge_y: Tensor
 
 
 @dataclass(frozen=True)
@@ -55,13 +62,15 @@ class Found:
     Attributes:
         square: (Q) squared distances; meaningless unless done.
         inside: (Q).
-        fraction: (2, M, Q) pressure fractions at both ends of the nearest faces, if asked for.
+        fraction: (2, M, Q) pressure fractions at both ends of the nearest faces, if asked for and they are no polygons'.
+        kept: (Q) whether the polygon's face is the set's.
         done: (Q).
     """
 
     square: Tensor
     inside: Tensor
     fraction: Tensor | None
+    kept: Tensor
     done: Tensor
 
 
@@ -120,17 +129,21 @@ def solve(problems: Problems, curves: CurveSums, *, fractions: bool) -> Found:
     x = problems.x
     none, no = torch.zeros_like(x), torch.zeros_like(x, dtype=torch.bool)
     ends = x.new_zeros(len(curves.radii), len(x)) if fractions else None
-    found = Found(none.clone(), no.clone(), None if ends is None else torch.stack((ends, ends)), no.clone())
+    both = None if ends is None else torch.stack((ends, ends))
+    found = Found(none.clone(), no.clone(), both, no.clone(), no.clone())
     normals = torch.stack((problems.nx, problems.ny))
-    end, number = _End(none, none, none, none, ends), torch.arange(len(x), device=x.device)
+    a, b = (_End(problems.edge_x[i], problems.edge_y[i], none, none, ends) for i in (0, 1))
+    number = torch.arange(len(x), device=x.device)
     far, turn = torch.full_like(x, torch.inf), torch.full_like(x, FIRST_TURN)
-    search = _Search(problems, curves, number, end, end, no, far, turn, none, ~no)
+    search = _Search(problems, curves, number, a, b, problems.edge, far, turn, none, ~no)
     for count in range(ROUNDS):
-        search, done, square, inside, ends = _round(search, first=count == 0)
+        search, done, square, inside, on, ends = _round(search, first=count == 0)
         fresh = (done & search.live).nonzero().squeeze(-1)
         if len(fresh):
             number = search.number[fresh]
             found.square[number], found.inside[number], found.done[number] = square[fresh], inside[fresh], True
+            if count == 0:
+                found.kept[number] = on[fresh]
             if found.fraction is not None and ends is not None:
                 found.fraction[:, :, number] = ends.index_select(-1, fresh)
                 normals[:, number] = torch.stack((search.problems.nx, search.problems.ny))[:, fresh]
@@ -148,14 +161,14 @@ def solve(problems: Problems, curves: CurveSums, *, fractions: bool) -> Found:
     return found
 
 
-def _round(s: _Search, *, first: bool) -> tuple[_Search, Tensor, Tensor, Tensor, Tensor | None]:
+def _round(s: _Search, *, first: bool) -> tuple[_Search, Tensor, Tensor, Tensor, Tensor, Tensor | None]:
     """Touch the sets once: the searches a step on; which (q) are done, their squared distances, whether
     they are inside, and the fractions (2, M, q) at the ends of their faces."""
     p, nx, ny, a, b = s.problems, s.problems.nx, s.problems.ny, s.a, s.b
     touch = s.curves.touch(nx, ny)
     hit = _End(touch.x, touch.y, nx, ny, touch.u if a.u is not None else None)
     radius, ends = touch.radius, None if hit.u is None else hit.u.expand(2, *hit.u.shape)
-    on = face = None
+    on = torch.zeros_like(s.chord)
     if bool(s.chord.any()):
         # A chord beyond which nothing lies is a face. Past its end, that is what was touched.
         face = s.chord & (nx * (hit.x - a.x) + ny * (hit.y - a.y) <= p.tolerance)
@@ -169,10 +182,8 @@ def _round(s: _Search, *, first: bool) -> tuple[_Search, Tensor, Tensor, Tensor,
     dx, dy = p.x - hit.x, p.y - hit.y
     over, aside = nx * dx + ny * dy, nx * dy - ny * dx
     distance, deep = torch.hypot(over, aside), over.abs()
-    done = aside * aside <= p.tolerance * (distance + deep)
-    if on is not None:
-        done = done | on
-        distance = torch.where(on, deep, distance)
+    done = (aside * aside <= p.tolerance * (distance + deep)) | on
+    distance = torch.where(on, deep, distance)
     if touch.rest is not None:
         done = done & (touch.rest <= p.tolerance)
     # Between polygon and set, a point is inside though it was outside.
@@ -183,13 +194,13 @@ def _round(s: _Search, *, first: bool) -> tuple[_Search, Tensor, Tensor, Tensor,
     ahead = aside > 0
     a, b = a.replaced(ahead, hit), b.replaced(~ahead, hit)
     search = replace(s, a=a, b=b, thickness=thickness)
-    return _turned(search, over, aside, radius), done, distance * distance, inside, ends
+    return _turned(search, over, aside, radius, touch.widening), done, distance * distance, inside, on, ends
 
 
-def _turned(s: _Search, over: Tensor, aside: Tensor, radius: Tensor) -> _Search:
+def _turned(s: _Search, over: Tensor, aside: Tensor, radius: Tensor, widening: Tensor) -> _Search:
     """Where to look next, with what was touched (q) over and aside of the points.
 
-    By Newton's step, as long as it stays between the ends and closes in; else along the normal of the chord between
+    By Newton's step, that of Chebyshev, as long as it stays between the ends and closes in; else along the normal of the chord between
     them or, from outside and past its end, straight away from that end. Newton's step sees the boundary as a circle, and
     makes no sense from inside it beyond its centre.
     """
@@ -197,7 +208,8 @@ def _turned(s: _Search, over: Tensor, aside: Tensor, radius: Tensor) -> _Search:
     steep = over + radius
     newton = (over > 0) | (steep > aside.abs())
     angle = s.turn * aside.sign()
-    along, across = torch.where(newton, steep, 1.0), torch.where(newton, aside, angle)
+    bow = (1 - 0.5 * aside * widening / steep.square()).clamp(*BOWS)
+    along, across = torch.where(newton, steep, 1.0), torch.where(newton, aside * bow, angle)
     next_x, next_y = along * nx - across * ny, along * ny + across * nx
 
     within = (a.nx * next_y - a.ny * next_x > 0) & (next_x * b.ny - next_y * b.nx > 0)

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torcharm._select import pick
-from torcharm.distance.closed_form import BOUNDARY_ULPS, NearestFaces, start_normals
+from torcharm.distance.closed_form import BOUNDARY_ULPS, NearestFaces
 from torcharm.distance.newton import Found, Problems, solve
 from torcharm.distance.support import search_faces
 from torcharm.distance.touch import curve_sums
@@ -25,13 +25,14 @@ class Polished:
 
     Attributes:
         faces: squared distances and sides, as of the polygons' faces.
-        fraction: (2, M, B, L) pressure fractions at the ends of the faces; meaningless for points that
-            were not polished, whose distance is 0.
+        fraction: (2, M, B, L) pressure fractions at the ends of the faces, if asked for,
+        moved: (B, L) where the polygons' faces do not stand.
         converged: (B, L).
     """
 
     faces: NearestFaces
     fraction: Tensor | None
+    moved: Tensor
     converged: Tensor
 
 
@@ -62,7 +63,7 @@ def polish(
         fractions: whether pressure fractions are.
     """
     wanted = torch.ones_like(faces.inside) if signed else ~(faces.inside | (faces.square <= faces.blur.square()))
-    square, inside, converged = faces.square.clone(), faces.inside.clone(), ~wanted
+    square, inside, converged, moved = faces.square.clone(), faces.inside.clone(), ~wanted, torch.zeros_like(wanted)
     fraction = square.new_zeros(2, len(sections.radii), *square.shape) if fractions else None
 
     def take(section: Tensor, load: Tensor, found: Found) -> None:
@@ -75,7 +76,7 @@ def polish(
         place = section, load
         square[place] = torch.where(better, found.square, square[place])
         inside[place] = torch.where(better, found.inside, inside[place])
-        converged[place] = better
+        converged[place], moved[place] = better, better & ~found.kept
         if fraction is not None and found.fraction is not None:
             fraction[:, :, section, load] = found.fraction
 
@@ -94,7 +95,7 @@ def polish(
     section, load = open_ones.nonzero(as_tuple=True)
     if len(section):
         take(section, load, search_faces(sections, hulls, faces, point, section, load, relative))
-    return Polished(replace(faces, square=square, inside=inside), fraction, converged)
+    return Polished(replace(faces, square=square, inside=inside), fraction, moved, converged)
 
 
 def _gap(blur: Tensor) -> Tensor:
@@ -106,10 +107,27 @@ def start(
     hulls: ExactHulls, faces: NearestFaces, point: tuple[Tensor, Tensor], section: Tensor, load: Tensor
 ) -> Problems:
     """From the polygons' nearest faces to problems: those (Q) of sections and loads."""
-    normal = start_normals(hulls.polygons, faces, *point)
-    place = section, load
-    x, y, nx, ny, blur, square, inside = (
-        value[place] for value in (*point, *normal, faces.blur, faces.square, faces.inside)
+    assert faces.slot is not None
+    polygons, place, slot = hulls.polygons, (section, load), faces.slot[section, load]
+    x, y, blur, square, inside = (value[place] for value in (*point, faces.blur, faces.square, faces.inside))
+    begin_x, begin_y, edge_x, edge_y = (
+        value[slot, section] for value in (polygons.x, polygons.y, polygons.edge_x, polygons.edge_y)
     )
     side = 1 - 2 * inside.to(x.dtype)
-    return Problems(x, hulls.lowered(y, section), side * nx, side * ny, side, square.sqrt(), _gap(blur))
+    from_x, from_y, span = x - begin_x, y - begin_y, edge_x * edge_x + edge_y * edge_y
+    foot = from_x * edge_x + from_y * edge_y
+    edge = (foot > 0) & (foot < span)
+    share = (foot / span.clamp(min=torch.finfo(x.dtype).tiny)).clamp(0, 1)
+    # Of a polygon without area the point may be on either side of either edge.
+    facing = (side * (from_x * edge_y - from_y * edge_x)).sign()
+    nx = torch.where(edge, facing * edge_y, side * (from_x - share * edge_x))
+    ny = torch.where(edge, -facing * edge_x, side * (from_y - share * edge_y))
+    length = torch.hypot(nx, ny)
+    nowhere = (length <= torch.finfo(x.dtype).tiny).to(x.dtype)
+    nx, ny = (nx + nowhere) / (length + nowhere), ny / (length + nowhere)
+    y, begin_y = hulls.lowered(y, section), hulls.lowered(begin_y, section)
+    ends_x, ends_y = torch.stack((begin_x, begin_x + edge_x)), torch.stack((begin_y, begin_y + edge_y))
+    turned = facing < 0
+    if bool(turned.any()):
+        ends_x, ends_y = (torch.where(turned, value.flip(0), value) for value in (ends_x, ends_y))
+    return Problems(x, y, nx, ny, side, square.sqrt(), _gap(blur), edge & (nowhere == 0), ends_x, ends_y)

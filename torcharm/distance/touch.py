@@ -31,14 +31,16 @@ class Peaks:
         u: fractions.
         force: [N].
         reach: along the normals.
-        sharp: `-a³ f''` for a reach of a newton: how much they bend.
+        drop: minus the reaches' second derivatives.
+        swerve: the forces' third derivatives over the square of `drop`.
         found: whether there is one inside the piece; the rest means nothing if not.
     """
 
     u: Tensor
     force: Tensor
     reach: Tensor
-    sharp: Tensor
+    drop: Tensor
+    swerve: Tensor
     found: Tensor
 
 
@@ -77,7 +79,8 @@ class Cubics:
         found = _within(u, span) & (steep > least)
         bend = self.bend if self.twist is None else torch.addcmul(self.bend, self.twist, u)
         force = bend * u * u
-        return Peaks(u, force, torch.addcmul(along * force, slope, u), along * along * steep, found)
+        swerve = torch.zeros_like(u) if self.twist is None else 6 * self.twist / (steep * steep)
+        return Peaks(u, force, torch.addcmul(along * force, slope, u), steep, swerve, found)
 
 
 @dataclass(frozen=True)
@@ -99,8 +102,10 @@ class Powers:
         share = slope / fall  # u^(x - 1)
         u = share.log().div_(self.less).exp_()
         force = self.gain * share * u
-        sharp = (along * along * self.less) * slope / u
-        return Peaks(u, force, slope * u * (self.less / (1 + self.less)), sharp, _within(u, span) & (fall > 0))
+        drop = self.less * slope / u
+        swerve = (1 - self.less) / (along * u * drop)
+        found = _within(u, span) & (fall > 0)
+        return Peaks(u, force, slope * u * (self.less / (1 + self.less)), drop, swerve, found)
 
 
 @dataclass(frozen=True)
@@ -147,12 +152,13 @@ class Twins:
             t = torch.minimum(torch.maximum(t + step, low), high)
         miss, fall, first, second = self._slopes(t, a, b, slope)
         u = t.exp()
-        sharp = -fall / u
+        drop = -fall / u
         force = (g * first + h * second) * u
-        found = found & (sharp > 0)
-        rest = torch.where(found, miss * miss / (2 * sharp), 0.0)
+        found = found & (drop > 0)
+        rest = torch.where(found, miss * miss / (2 * drop), 0.0)
+        swerve = (a * p * p * first + b * q * q * second - fall) / (along * (drop * u).square())
         self.latest.view(-1)[self.at] = torch.where(found, t, 1.0)
-        return Peaks(u, force, torch.addcmul(along * force, slope, u), along * along * sharp, found), rest
+        return Peaks(u, force, torch.addcmul(along * force, slope, u), drop, swerve, found), rest
 
     def _slopes(self, t: Tensor, a: Tensor, b: Tensor, slope: Tensor) -> tuple[Tensor, ...]:
         """At fractions of logarithms t the slopes, their derivatives in t, and both powers p and q of the fractions."""
@@ -183,41 +189,42 @@ class Arcs:
     twins: Twins | None
 
 
-    def highest(self, along: Tensor, per_fraction: Tensor) -> tuple[Tensor, Tensor, Tensor | None, Tensor | None]:
-        """Of curves with reaches (m, Q) a newton and a fraction the maxima: fractions, forces, `sharp` of `Peaks`
-        (infinite at corners, None if all are), and how much higher they may be (None: not at all)."""
-        top, u, force = self._corners(along, per_fraction)
-        sharp = rest = None
-        if self.shape is not None:
-            sharp = torch.full_like(u, torch.inf)
-            slope = torch.addcmul(per_fraction, along, self.rate)
-            peaks = self.shape.peaks(along, slope, self.span)
-            force_there = torch.addcmul(self.base + peaks.force, self.rate, peaks.u)
-            reach = torch.addcmul(peaks.reach, along, self.base)
-            values = [peaks.u, force_there, peaks.sharp]
-            if len(reach) > 1:
-                reach, best = torch.where(peaks.found, reach, -torch.inf).max(0)
-                values = [value.expand_as(self.rate).gather(0, best[None])[0] for value in values]
-                better = reach > top
-            else:
-                values, reach = [value[0] for value in values], reach[0]
-                better = peaks.found[0] & (reach > top)
-            u, force, sharp = (
-                torch.where(better, new, old) for new, old in zip(values, (u, force, sharp), strict=True)
-            )
-        if self.twins is not None and sharp is not None:
-            at = self.twins.at
-            own, own_slope = along.view(-1)[at], torch.addcmul(per_fraction, along, self.rate[0]).view(-1)[at]
-            twin, higher = self.twins.peaks(own, own_slope)
-            base, rate, level = self.base[0].view(-1)[at], self.rate[0].view(-1)[at], top.view(-1)[at]
-            reach = torch.addcmul(twin.reach, own, base)
-            better = twin.found & (reach > level)
-            chosen = at[better]
-            u.view(-1)[chosen], sharp.view(-1)[chosen] = twin.u[better], twin.sharp[better]
-            force.view(-1)[chosen] = (base + twin.force + rate * twin.u)[better]
-            rest = torch.zeros_like(u)
-            rest.view(-1)[at] = torch.where(reach + higher > level, higher, 0.0)
-        return u, force, sharp, rest
+    def highest(self, along: Tensor, per_fraction: Tensor) -> tuple[Tensor, ...]:
+        """Of curves with reaches (m, Q) a newton and a fraction the maxima: fractions and forces; unless all pieces are
+        straight, `drop` and `swerve` of `Peaks` (infinite and 0 at corners); and with twins how much higher they may be.
+        """
+        top, *found = self._corners(along, per_fraction)
+        if self.shape is None:
+            return tuple(found)
+        found += [torch.full_like(top, torch.inf), torch.zeros_like(top)]
+        slope = torch.addcmul(per_fraction, along, self.rate)
+        peaks = self.shape.peaks(along, slope, self.span)
+        force = torch.addcmul(self.base + peaks.force, self.rate, peaks.u)
+        reach = torch.addcmul(peaks.reach, along, self.base)
+        values = [peaks.u, force, peaks.drop, peaks.swerve]
+        if len(reach) > 1:
+            reach, best = torch.where(peaks.found, reach, -torch.inf).max(0)
+            values = [value.gather(0, best[None])[0] for value in values]
+            better = reach > top
+        else:
+            values, better = [value[0] for value in values], peaks.found[0] & (reach[0] > top)
+        found = [torch.where(better, new, old) for new, old in zip(values, found, strict=True)]
+        if self.twins is None:
+            return tuple(found)
+
+        at = self.twins.at
+        own, base, rate, level, own_slope = (
+            value.reshape(-1)[at] for value in (along, self.base[0], self.rate[0], top, slope[0])
+        )
+        twin, higher = self.twins.peaks(own, own_slope)
+        reach = torch.addcmul(twin.reach, own, base)
+        better = twin.found & (reach > level)
+        chosen = at[better]
+        for old, new in zip(found, (twin.u, base + twin.force + rate * twin.u, twin.drop, twin.swerve), strict=True):
+            old.reshape(-1)[chosen] = new[better]
+        rest = torch.zeros_like(top)
+        rest.view(-1)[at] = torch.where(reach + higher > level, higher, 0.0)
+        return *found, rest
 
     def _corners(self, along: Tensor, per_fraction: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """The furthest corners: reaches, fractions and forces."""
@@ -301,6 +308,7 @@ class Touch:
     Attributes:
         x, y: (Q) the points.
         radius: (Q) the boundary's radius of curvature there; 0 at corners.
+        widening: (Q) its derivative in the angle of the normals.
         u: (M, Q) the pressure fractions that provide them.
         rest: (Q) how much further the sets may reach; None: not at all.
     """
@@ -308,6 +316,7 @@ class Touch:
     x: Tensor
     y: Tensor
     radius: Tensor
+    widening: Tensor
     u: Tensor
     rest: Tensor | None
 
@@ -334,27 +343,29 @@ class CurveSums:
     def touch(self, nx: Tensor, ny: Tensor) -> Touch:
         """Where lines with normals (Q) touch the sets.
 
-        A curve bends in the plane with a radius of `(s_f s_m b)² / sharp`, with b its bending moment.
+        As the normal turns, with `k = s_f s_m b` of the bending moment b and a reach a newton, a fraction changes by
+        `k / (a drop)`, and the place along the line by the radius `k² / (a² drop)`.
         """
         along = torch.addcmul(self.scale[0] * nx, self.radii, ny, value=-1)
         per_fraction = self.bending * ny
-        parts = []
-        start = 0
+        radius, widening, rest, parts, start = torch.zeros_like(nx), torch.zeros_like(nx), None, [], 0
         for group, count in self.groups:
             own = slice(start, start + count)
-            parts.append(group.highest(along[own], per_fraction[own]))
             start += count
+            part = group.highest(along[own], per_fraction[own])
+            parts.append(part)
+            if len(part) > 2:
+                lever = self.scale[0] * self.bending[own]
+                ahead, drop, swerve = along[own], part[2], part[3]
+                aside = torch.addcmul(self.scale[0] * ny, self.radii[own], nx)
+                bends = lever.square() / (ahead.square() * drop)
+                radius += bends.sum(0)
+                widening += (bends * (lever * swerve + 3 * aside / ahead)).sum(0)
+            if len(part) > 4:
+                rest = part[4].sum(0) if rest is None else rest + part[4].sum(0)
         u, force = (torch.cat([part[i] for part in parts]) if len(parts) > 1 else parts[0][i] for i in (0, 1))
-        radius, rest, start = torch.zeros_like(nx), None, 0
-        for (_, count), (_, _, sharp, more) in zip(self.groups, parts, strict=True):
-            if sharp is not None:
-                arm = self.scale[0] * self.bending[start : start + count]
-                radius += (arm * arm / sharp).sum(0)
-            if more is not None:
-                rest = more.sum(0) if rest is None else rest + more.sum(0)
-            start += count
         y = (self.bending * u).addcmul_(self.radii, force, value=-1).sum(0)
-        return Touch(self.scale[0] * force.sum(0), y, radius, u, rest)
+        return Touch(self.scale[0] * force.sum(0), y, radius, widening, u, rest)
 
 
 def curve_sums(laws: Laws, bending: Tensor, radii: Tensor, scale: tuple[float, float]) -> tuple[CurveSums, Tensor]:
