@@ -218,8 +218,8 @@ def _nearest_face(
 
     polished = polish(sections, hulls, laws, faces, point, relative=relative, signed=check.signed, fractions=slots)
     fraction = polished.fraction
-    if fraction is not None and not bool(polished.moved.all()):
-        fraction = torch.where(polished.moved, fraction, _fractions(hulls, faces, point))
+    if fraction is not None and not bool(polished.converged.all()):
+        fraction = torch.where(polished.converged, fraction, _fractions(hulls, faces, point))
     return _Nearest(polished.faces, fraction, polished.converged, residuals)
 
 

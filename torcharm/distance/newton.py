@@ -4,27 +4,31 @@ The distance from w to a convex set with support function h is `max_n n·w - h(n
 its negative is the least `h(n) - n·w`. Where a line with normal n touches the set, at s, the derivative in
 the normal's angle is `t·(w - s)` with t to the left of n, and the second one minus the distance to s along n and the
 boundary's radius of curvature there. The search is bracketed by what was touched clockwise and counter-clockwise of the
-nearest point: Newton's steps close in where the boundary is curved, and the chord between the two is the answer where
-it is straight. `n·(w - s)` and `|w - s|` are bounds on the distance: their gap says when it is found.
+nearest point: Newton's steps close in where the boundary is curved; between the two lies a face where it is
+straight. `n·(w - s)` and `|w - s|` are bounds on the distance: their gap says when it is found.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from torcharm._select import pick
-from torcharm.distance.touch import CurveSums
+from torcharm.distance.touch import CurveSums, Touch
 
 ROUNDS = 24
-FEWER = 0.75
-"""Below this share of those left the ones that are done are left out."""
+FEWER, FEW = 0.6, 200
+"""Below this share of those left the ones that are done are left out, unless so few are left that it costs more."""
+HEAD = 5
+"""Rows of what is known of an end before those of its actuators."""
 LUNE = 4.0
 """Points outside a polygon can be so many times as deep inside the set as the set was seen to reach beyond it."""
 CLOSING = 0.25
 """Factor by which a step must bring the touched point nearer to straight ahead."""
-BOWS = (0.5, 2.0)
-"""Bounds on the factor by which the second derivative may change Newton's step."""
+STRAIGHTER = 0.4
+"""Between its ends a boundary that bends less than by this share of its bend at one of them has a face."""
+MOST_BOW = 2.0
+"""The largest factor by which the second derivative may change Newton's step."""
 FIRST_TURN, WIDEN = 1e-3, 8.0
 """The turn of a direction where Newton's step makes no sense [rad], and its growth until it does."""
 
@@ -34,25 +38,22 @@ class Problems:
     """Q searches for a nearest point.
 
     Attributes:
-        x, y: (Q) points.
-        nx, ny: (Q) outward unit normals to start from, those of a polygon inside the set.
+        point: (2, Q) x and y.
+        normal: (2, Q) outward unit vectors to start from, those of a polygon inside the set.
         side: (Q) 1 outside the polygon and -1 inside.
         distance: (Q) to it.
         tolerance: (Q) what counts as nothing, as a length.
-        edge: (Q) whether the polygon's nearest point lies inside an edge,
-        edge_x, edge_y: (2, Q) and the ends of that, clockwise first.
+        edge: (Q) whether the polygon's nearest point lies inside an edge.
+        ends: (2, 2, Q) ends of the nearest edge, clockwise first, and x and y.
     """
 
-    x: Tensor
-    y: Tensor
-    nx: Tensor
-    ny: Tensor
+    point: Tensor
+    normal: Tensor
     side: Tensor
     distance: Tensor
     tolerance: Tensor
     edge: Tensor
-    edge_x: Tensor
-    edge_y: Tensor
+    ends: Tensor
 
 
 @dataclass(frozen=True)
@@ -62,38 +63,14 @@ class Found:
     Attributes:
         square: (Q) squared distances; meaningless unless done.
         inside: (Q).
-        fraction: (2, M, Q) pressure fractions at both ends of the nearest faces, if asked for and they are no polygons'.
-        kept: (Q) whether the polygon's face is the set's.
+        fraction: (2, M, Q) pressure fractions at both ends of the nearest faces, if asked for.
         done: (Q).
     """
 
     square: Tensor
     inside: Tensor
     fraction: Tensor | None
-    kept: Tensor
     done: Tensor
-
-
-@dataclass(frozen=True)
-class _End:
-    """What was touched on one side of the answers.
-
-    Attributes:
-        x, y: (q) the points.
-        nx, ny: (q) the normals there; 0 if nothing was touched yet.
-        u: (M, q) the pressure fractions there, if asked for.
-    """
-
-    x: Tensor
-    y: Tensor
-    nx: Tensor
-    ny: Tensor
-    u: Tensor | None
-
-    def replaced(self, where: Tensor, other: "_End") -> "_End":
-        """By another, where (q) told."""
-        pairs = ((getattr(self, field.name), getattr(other, field.name)) for field in fields(self))
-        return _End(*(None if old is None else torch.where(where, new, old) for old, new in pairs))
 
 
 @dataclass(frozen=True)
@@ -101,131 +78,218 @@ class _Search:
     """Where searches stand.
 
     Attributes:
-        problems: those left, with the normals to try next.
         curves: theirs.
+        given: (5, q) the points' x and y, and their side, tolerance and, inside the set, depth allowed for.
         number: (q) which they are.
-        a, b: the last touched clockwise and counter-clockwise of the answers.
+        normal: (2, q) to try next.
+        ends: (2, R, q) what was last touched clockwise and counter-clockwise of the answers: x and y, the normals
+            (0: nothing), the boundary's radius, and of M actuators the parts of x and of y and the fractions.
         chord: (q) whether the normal is that of the chord between the two.
-        aside: (q) how far off to a side the last touched point was.
-        turn: (q) the next turn where Newton's step makes no sense [rad].
-        thickness: (q) by how much the set was seen to reach beyond the polygon.
+        pace: (2, q) how far off to a side the last touched point was; and the next turn where Newton's step makes no
+            sense [rad].
         live: (q) whether it is not done.
     """
 
-    problems: Problems
     curves: CurveSums
+    given: Tensor
     number: Tensor
-    a: _End
-    b: _End
+    normal: Tensor
+    ends: Tensor
     chord: Tensor
-    aside: Tensor
-    turn: Tensor
-    thickness: Tensor
+    pace: Tensor
     live: Tensor
 
 
 def solve(problems: Problems, curves: CurveSums, *, fractions: bool) -> Found:
     """Search for all nearest points at once, those that are done left out."""
-    x = problems.x
+    x, actuators = problems.side, len(curves.radii)
     none, no = torch.zeros_like(x), torch.zeros_like(x, dtype=torch.bool)
-    ends = x.new_zeros(len(curves.radii), len(x)) if fractions else None
-    both = None if ends is None else torch.stack((ends, ends))
-    found = Found(none.clone(), no.clone(), both, no.clone(), no.clone())
-    normals = torch.stack((problems.nx, problems.ny))
-    a, b = (_End(problems.edge_x[i], problems.edge_y[i], none, none, ends) for i in (0, 1))
-    number = torch.arange(len(x), device=x.device)
-    far, turn = torch.full_like(x, torch.inf), torch.full_like(x, FIRST_TURN)
-    search = _Search(problems, curves, number, a, b, problems.edge, far, turn, none, ~no)
+    found = Found(none.clone(), no, x.new_zeros(2, actuators, len(x)) if fractions else None, no.clone())
+    normals = problems.normal.clone()
+    search = _begin(problems, curves)
     for count in range(ROUNDS):
-        search, done, square, inside, on, ends = _round(search, first=count == 0)
+        search, done, square, inside, fraction = _round(search, problems if count == 0 else None)
         fresh = (done & search.live).nonzero().squeeze(-1)
-        if len(fresh):
-            number = search.number[fresh]
-            found.square[number], found.inside[number], found.done[number] = square[fresh], inside[fresh], True
-            if count == 0:
-                found.kept[number] = on[fresh]
-            if found.fraction is not None and ends is not None:
-                found.fraction[:, :, number] = ends.index_select(-1, fresh)
-                normals[:, number] = torch.stack((search.problems.nx, search.problems.ny))[:, fresh]
-            live = search.live.index_fill(0, fresh, False)
-            left = live.nonzero().squeeze(-1)
-            if not len(left):
-                break
-            search = replace(search, live=live)
-            if len(left) < FEWER * len(live):
-                search = pick(search, left)
+        if not len(fresh):
+            continue
+        number = search.number[fresh]
+        found.square[number], found.inside[number], found.done[number] = square[fresh], inside[fresh], True
+        if found.fraction is not None:
+            found.fraction[:, :, number] = fraction.index_select(-1, fresh)
+            normals[:, number] = search.normal.index_select(-1, fresh)
+        live = search.live.index_fill(0, fresh, False)
+        left = live.nonzero().squeeze(-1)
+        if not len(left):
+            break
+        search = replace(search, live=live)
+        if len(live) > FEW and len(left) < FEWER * len(live):
+            search = pick(search, left)
     if found.fraction is not None:
         # Where both ends are one, the fractions of the last normal are nearer still.
-        again = curves.touch(normals[0], normals[1]).u
+        again = curves.touch(normals).u
         found.fraction.copy_(torch.where((found.fraction[0] == found.fraction[1]).all(0), again, found.fraction))
     return found
 
 
-def _round(s: _Search, *, first: bool) -> tuple[_Search, Tensor, Tensor, Tensor, Tensor, Tensor | None]:
-    """Touch the sets once: the searches a step on; which (q) are done, their squared distances, whether
-    they are inside, and the fractions (2, M, q) at the ends of their faces."""
-    p, nx, ny, a, b = s.problems, s.problems.nx, s.problems.ny, s.a, s.b
-    touch = s.curves.touch(nx, ny)
-    hit = _End(touch.x, touch.y, nx, ny, touch.u if a.u is not None else None)
-    radius, ends = touch.radius, None if hit.u is None else hit.u.expand(2, *hit.u.shape)
-    on = torch.zeros_like(s.chord)
-    if bool(s.chord.any()):
-        # A chord beyond which nothing lies is a face. Past its end, that is what was touched.
-        face = s.chord & (nx * (hit.x - a.x) + ny * (hit.y - a.y) <= p.tolerance)
-        past_a = face & (nx * (p.y - a.y) - ny * (p.x - a.x) < 0)
-        past_b = face & (nx * (p.y - b.y) - ny * (p.x - b.x) > 0)
-        on = face & ~past_a & ~past_b
-        if ends is not None and a.u is not None and b.u is not None:
-            ends = torch.where(on, torch.stack((a.u, b.u)), ends)
-        hit = hit.replaced(past_a, replace(a, nx=nx, ny=ny)).replaced(past_b, replace(b, nx=nx, ny=ny))
-        radius = torch.where(face, 0.0, radius)
-    dx, dy = p.x - hit.x, p.y - hit.y
-    over, aside = nx * dx + ny * dy, nx * dy - ny * dx
+def _begin(p: Problems, curves: CurveSums) -> _Search:
+    """Nothing touched yet; the polygon's edge in place of it."""
+    count = p.point.shape[1]
+    given = torch.cat((p.point, torch.stack((p.side, p.tolerance, torch.full_like(p.side, torch.inf)))))
+    rest = p.point.new_zeros(2, HEAD - 2 + 3 * len(curves.radii), count)
+    ends = torch.cat((p.ends, rest), 1)
+    number = torch.arange(count, device=p.point.device)
+    pace = p.point.new_tensor((torch.inf, FIRST_TURN)).unsqueeze(-1).expand(2, count)
+    return _Search(curves, given, number, p.normal, ends, p.edge, pace, torch.ones_like(p.edge))
+
+
+def _round(s: _Search, first: Problems | None) -> tuple[_Search, Tensor, Tensor, Tensor, Tensor]:
+    """Touch the sets once: the searches a step on; which (q) are done, their squared distances, whether they
+    are inside, and the fractions (2, M, q) at the ends of their faces."""
+    x, y, side, tolerance, depth = s.given
+    nx, ny = s.normal
+    chords = bool(s.chord.any())
+    touch = s.curves.touch(s.normal, tolerance if chords else None)
+    entry = torch.cat((touch.point, s.normal, touch.radius[None], touch.parts.flatten(0, 1), touch.u))
+    aside, other = nx * (y - entry[1]) - ny * (x - entry[0]), touch.u
+    if touch.face is not None:
+        entry, aside, other = _along_face(s, touch, touch.face, entry, aside)
+    over = nx * (x - entry[0]) + ny * (y - entry[1])
     distance, deep = torch.hypot(over, aside), over.abs()
-    done = (aside * aside <= p.tolerance * (distance + deep)) | on
-    distance = torch.where(on, deep, distance)
+    done = aside * aside <= tolerance * (distance + deep)
     if touch.rest is not None:
-        done = done & (touch.rest <= p.tolerance)
-    # Between polygon and set, a point is inside though it was outside.
-    thickness = p.side * p.distance - over if first else s.thickness
+        done = done & (touch.rest <= tolerance)
     inside = over < 0
-    within = torch.where(p.side > 0, LUNE * thickness, torch.inf)
-    done = done & torch.where(inside, -over <= within + p.tolerance, (p.side > 0) | (over <= p.tolerance))
-    ahead = aside > 0
-    a, b = a.replaced(ahead, hit), b.replaced(~ahead, hit)
-    search = replace(s, a=a, b=b, thickness=thickness)
-    return _turned(search, over, aside, radius, touch.widening), done, distance * distance, inside, on, ends
+    if first is not None:
+        # Between polygon and set, a point is inside though it was outside.
+        depth = torch.where(side > 0, LUNE * (first.distance - over) + tolerance, torch.inf)
+        s = replace(s, given=torch.cat((s.given[:4], depth[None])))
+    done = done & torch.where(inside, deep <= depth, (side > 0) | (deep <= tolerance))
+    ahead = (aside > 0).unsqueeze(0)
+    far = _polygon_end(s, entry, aside, first) if first is not None else s.ends
+    s = replace(s, ends=torch.where(torch.stack((ahead, ~ahead)), entry, far))
+    fraction = torch.stack((entry[-len(other) :], other))
+    return _turned(s, over, aside, touch), done, distance * distance, inside, fraction
 
 
-def _turned(s: _Search, over: Tensor, aside: Tensor, radius: Tensor, widening: Tensor) -> _Search:
+def _along_face(
+    s: _Search, touch: Touch, face: tuple[Tensor, ...], entry: Tensor, aside: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Of what was touched the point nearest to being ahead, how far it is aside, and fractions at the other end.
+
+    Sets may be touched along a face: because curves are twice, or because the chord between the ends has nothing beyond
+    it.
+    """
+    actuators = len(touch.u)
+    nx, ny = s.normal
+    low, high, low_u, high_u = face
+    least, most = low.sum(0), high.sum(0)
+    above, below = aside > most, aside < least
+    own, u = torch.where(above, high, low), torch.where(above, high_u, low_u)
+    on = ~(above | below)
+    shift = torch.where(on, aside, own.sum(0))
+    moved = torch.cat((-ny * shift, nx * shift))
+    entry = torch.cat(
+        (
+            entry[:2] + moved.view(2, -1),
+            entry[2:HEAD],
+            entry[HEAD : HEAD + actuators] - ny * own,
+            entry[HEAD + actuators : HEAD + 2 * actuators] + nx * own,
+            u,
+        )
+    )
+    aside, other = aside - shift, torch.where(on, high_u, u)
+
+    (a, b), (x, y) = s.ends, s.given[:2]
+    behind = nx * (entry[0] - s.ends[:, 0]) + ny * (entry[1] - s.ends[:, 1])
+    flat = s.chord & ~on & (behind.amax(0) <= s.given[3]) & (a[2:4] != 0).any(0) & (b[2:4] != 0).any(0)
+    if bool(flat.any()):
+        beside_a, beside_b = nx * (y - a[1]) - ny * (x - a[0]), nx * (y - b[1]) - ny * (x - b[0])
+        end = torch.where(beside_b > 0, b, a)
+        entry = torch.where(flat, torch.cat((end[:2], s.normal, end[4:])), entry)
+        on = flat & (beside_a >= 0) & (beside_b <= 0)
+        other = torch.where(flat, torch.where(on, b[-actuators:], end[-actuators:]), other)
+        aside = torch.where(flat, torch.where(on, 0.0, torch.where(beside_b > 0, beside_b, beside_a)), aside)
+    return entry, aside, other
+
+
+def _polygon_end(s: _Search, entry: Tensor, aside: Tensor, p: Problems) -> Tensor:
+    """The polygon's ends, as if touched where the normal has turned twice as far as to the chord's; on arcs, thrice."""
+    nx, ny = s.normal
+    end = torch.where(aside > 0, p.ends[1], p.ends[0])
+    dx, dy = end - entry[:2]
+    along, drop = nx * dy - ny * dx, -(nx * dx + ny * dy)
+    held = (along * aside > 0) & (drop > s.given[3])
+    length = torch.hypot(along, drop) + 1 - held.to(along.dtype)
+    cos, sin = along.abs() / length, drop * along.sign() / length
+    arc = entry[4] > 0
+    cos, sin = (
+        held * torch.where(arc, 4 * cos**3 - 3 * cos, cos * cos - sin * sin),
+        held * torch.where(arc, 3 * sin - 4 * sin**3, 2 * sin * cos),
+    )
+    normal = torch.stack((cos * nx - sin * ny, cos * ny + sin * nx))
+    return torch.cat((s.ends[:, :2], normal.expand(2, 2, -1), torch.zeros_like(s.ends[:, 4:HEAD]), torch.full_like(s.ends[:, HEAD:], torch.nan)), 1)
+
+
+def _turned(s: _Search, over: Tensor, aside: Tensor, touch: Touch) -> _Search:
     """Where to look next, with what was touched (q) over and aside of the points.
 
-    By Newton's step, that of Chebyshev, as long as it stays between the ends and closes in; else along the normal of the chord between
-    them or, from outside and past its end, straight away from that end. Newton's step sees the boundary as a circle, and
-    makes no sense from inside it beyond its centre.
+    By Newton's step, with the second derivative as of Halley or Chebyshev, as long as it stays between the ends and closes in. Else along the normal of
+    the face between the ends, or straight away from one if the point, outside, is past it. Newton's step sees the
+    boundary as a circle, and makes no sense from inside it beyond its centre.
     """
-    p, nx, ny, a, b = s.problems, s.problems.nx, s.problems.ny, s.a, s.b
-    steep = over + radius
+    nx, ny = s.normal
+    before, turn = s.pace
+    steep = over + touch.radius
     newton = (over > 0) | (steep > aside.abs())
-    angle = s.turn * aside.sign()
-    bow = (1 - 0.5 * aside * widening / steep.square()).clamp(*BOWS)
-    along, across = torch.where(newton, steep, 1.0), torch.where(newton, aside * bow, angle)
-    next_x, next_y = along * nx - across * ny, along * ny + across * nx
+    bow = 0.5 * aside * touch.widening / steep.square()
+    bow = torch.where(bow > 0, 1 / (1 + bow), (1 - bow).clamp(max=MOST_BOW))
+    along, across = torch.where(newton, steep, 1.0), torch.where(newton, aside * bow, turn * aside.sign())
+    following = torch.stack((along * nx - across * ny, along * ny + across * nx))
 
-    within = (a.nx * next_y - a.ny * next_x > 0) & (next_x * b.ny - next_y * b.nx > 0)
-    both = (a.nx.abs() + a.ny.abs() > 0) & (b.nx.abs() + b.ny.abs() > 0)
-    stuck = both & ~(within & (aside.abs() < CLOSING * s.aside))
-    chord, turn = stuck, torch.where(newton, FIRST_TURN, s.turn * WIDEN)
-    if bool(stuck.any()):
-        dx, dy, from_x, from_y = b.x - a.x, b.y - a.y, p.x - a.x, p.y - a.y
+    a, b = s.ends
+    both = (a[2:4] != 0).any(0) & (b[2:4] != 0).any(0)
+    chord = both
+    if bool(both.any()):
+        dx, dy = b[:2] - a[:2]
+        from_x, from_y = s.given[:2] - a[:2]
         foot, span = from_x * dx + from_y * dy, dx * dx + dy * dy
-        chord = stuck & (span > 0)
-        outside = (over > 0) & (dy * from_x - dx * from_y >= 0)
-        corner = stuck & outside & ((foot <= 0) | (foot >= span))
-        chord = chord & ~corner
-        first = foot <= 0
-        next_x = torch.where(chord, dy, torch.where(corner, p.x - torch.where(first, a.x, b.x), next_x))
-        next_y = torch.where(chord, -dx, torch.where(corner, p.y - torch.where(first, a.y, b.y), next_y))
-    length = torch.hypot(next_x, next_y)
-    problems = replace(p, nx=next_x / length, ny=next_y / length)
-    return replace(s, problems=problems, chord=chord, aside=torch.where(chord, torch.inf, aside.abs()), turn=turn)
+        face, straight = _face_normal(a, b, foot / span, over, before.isfinite())
+        past = (face[0] * following[1] - face[1] * following[0]) * aside > 0
+        closing = _between(a, following, b) & (aside.abs() < CLOSING * before)
+        stuck = both & ~(closing & ~(straight & past))
+        corner = stuck & (over > 0) & (dy * from_x >= dx * from_y) & ((foot <= 0) | (foot >= span))
+        chord = stuck & ~corner & (span > 0)
+        away = s.given[:2] - torch.where(foot <= 0, a[:2], b[:2])
+        following = torch.where(corner, away, torch.where(chord, face, following))
+    pace = torch.stack((torch.where(chord, torch.inf, aside.abs()), torch.where(newton, FIRST_TURN, turn * WIDEN)))
+    return replace(s, normal=following / torch.hypot(following[0], following[1]), chord=chord, pace=pace)
+
+
+def _face_normal(a: Tensor, b: Tensor, share: Tensor, over: Tensor, bend: Tensor) -> tuple[Tensor, Tensor]:
+    """The normals (2, q) between ends, a share (q) of the way from a; and whether a face is to be expected there.
+
+    One is if the boundary bends less on the whole way than it would as the arc of the rounder end: then it is that of the
+    actuator that is moved most, or the chord. Else the normal's angle is taken to be quadratic along the way, with
+    that end's rate, and the chord's on average; but not (bend) twice on end.
+    """
+    chord = b[:2] - a[:2]
+    length = torch.hypot(chord[0], chord[1])
+    left = a[4] >= b[4]
+    end = torch.where(left, a, b)
+    angle = (end[2] * chord[0] + end[3] * chord[1]).abs() / length
+    rate = length / (end[4] + over.clamp(min=0))
+    straight = angle < STRAIGHTER / 2 * rate
+    jumps = (b[HEAD:] - a[HEAD:]).unflatten(0, (3, -1))[:2]
+    x, y = jumps.gather(1, jumps.abs().sum(0).max(0).indices.expand(2, 1, -1))[:, 0]
+    face, whole = torch.stack((y, -x)), torch.stack((chord[1], -chord[0]))
+    face = torch.where(_between(a, face, b), face, whole)
+    way = torch.where(left, share, 1 - share)
+    turn = way * (rate + 3 * way * (angle - rate / 2)) - angle
+    bent = whole + torch.where(left, turn, -turn) * chord
+    return torch.where(bend & ~straight & _between(a, bent, b), bent, face), straight
+
+
+def _between(a: Tensor, normal: Tensor, b: Tensor) -> Tensor:
+    """Whether (q) normals (2, q) lie between those of ends, not at them."""
+    x, y = normal
+    return (a[2] * y - a[3] * x > 0) & (x * b[3] - y * b[2] > 0)

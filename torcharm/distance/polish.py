@@ -26,13 +26,11 @@ class Polished:
     Attributes:
         faces: squared distances and sides, as of the polygons' faces.
         fraction: (2, M, B, L) pressure fractions at the ends of the faces, if asked for,
-        moved: (B, L) where the polygons' faces do not stand.
         converged: (B, L).
     """
 
     faces: NearestFaces
     fraction: Tensor | None
-    moved: Tensor
     converged: Tensor
 
 
@@ -63,7 +61,7 @@ def polish(
         fractions: whether pressure fractions are.
     """
     wanted = torch.ones_like(faces.inside) if signed else ~(faces.inside | (faces.square <= faces.blur.square()))
-    square, inside, converged, moved = faces.square.clone(), faces.inside.clone(), ~wanted, torch.zeros_like(wanted)
+    square, inside, converged = faces.square.clone(), faces.inside.clone(), ~wanted
     fraction = square.new_zeros(2, len(sections.radii), *square.shape) if fractions else None
 
     def take(section: Tensor, load: Tensor, found: Found) -> None:
@@ -76,7 +74,7 @@ def polish(
         place = section, load
         square[place] = torch.where(better, found.square, square[place])
         inside[place] = torch.where(better, found.inside, inside[place])
-        converged[place], moved[place] = better, better & ~found.kept
+        converged[place] = better
         if fraction is not None and found.fraction is not None:
             fraction[:, :, section, load] = found.fraction
 
@@ -95,7 +93,7 @@ def polish(
     section, load = open_ones.nonzero(as_tuple=True)
     if len(section):
         take(section, load, search_faces(sections, hulls, faces, point, section, load, relative))
-    return Polished(replace(faces, square=square, inside=inside), fraction, moved, converged)
+    return Polished(replace(faces, square=square, inside=inside), fraction, converged)
 
 
 def _gap(blur: Tensor) -> Tensor:
@@ -124,10 +122,12 @@ def start(
     ny = torch.where(edge, -facing * edge_x, side * (from_y - share * edge_y))
     length = torch.hypot(nx, ny)
     nowhere = (length <= torch.finfo(x.dtype).tiny).to(x.dtype)
-    nx, ny = (nx + nowhere) / (length + nowhere), ny / (length + nowhere)
+    normal = torch.stack((nx + nowhere, ny)) / (length + nowhere)
     y, begin_y = hulls.lowered(y, section), hulls.lowered(begin_y, section)
-    ends_x, ends_y = torch.stack((begin_x, begin_x + edge_x)), torch.stack((begin_y, begin_y + edge_y))
+    begin = torch.stack((begin_x, begin_y))
+    ends = torch.stack((begin, begin + torch.stack((edge_x, edge_y))))
     turned = facing < 0
     if bool(turned.any()):
-        ends_x, ends_y = (torch.where(turned, value.flip(0), value) for value in (ends_x, ends_y))
-    return Problems(x, y, nx, ny, side, square.sqrt(), _gap(blur), edge & (nowhere == 0), ends_x, ends_y)
+        ends = torch.where(turned, ends.flip(0), ends)
+    edge = edge & (nowhere == 0)
+    return Problems(torch.stack((x, y)), normal, side, square.sqrt(), _gap(blur), edge, ends)

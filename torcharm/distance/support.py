@@ -389,7 +389,7 @@ def search_faces(
     found = nearest_points(sums, x, y, (nx, ny), 4 * blur)
     _refit(found, sums, x, y, 4 * blur, partial(refit_pieces, sections, relative=relative), section)
     square = face_square((x, y), found.ends.corner(0), found.ends.corner(1))
-    return Found(square, found.inside, found.ends.fraction, torch.zeros_like(found.inside), found.converged)
+    return Found(square, found.inside, found.ends.fraction, found.converged)
 
 
 def _refit(

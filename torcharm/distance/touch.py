@@ -189,42 +189,53 @@ class Arcs:
     twins: Twins | None
 
 
-    def highest(self, along: Tensor, per_fraction: Tensor) -> tuple[Tensor, ...]:
-        """Of curves with reaches (m, Q) a newton and a fraction the maxima: fractions and forces; unless all pieces are
-        straight, `drop` and `swerve` of `Peaks` (infinite and 0 at corners); and with twins how much higher they may be.
-        """
-        top, *found = self._corners(along, per_fraction)
+    def highest(self, lines: "_Lines", slack: Tensor | None) -> "_Highest":
+        """The curves' maxima along normals, and within slack (Q) of them."""
+        along, per_fraction = lines.along, lines.per_fraction
+        top, u, force = self._corners(along, per_fraction)
         if self.shape is None:
-            return tuple(found)
-        found += [torch.full_like(top, torch.inf), torch.zeros_like(top)]
+            return _Highest(u, force, None, None, None, self._faces(lines, top, u, force, None, slack))
         slope = torch.addcmul(per_fraction, along, self.rate)
         peaks = self.shape.peaks(along, slope, self.span)
-        force = torch.addcmul(self.base + peaks.force, self.rate, peaks.u)
+        there = torch.addcmul(self.base + peaks.force, self.rate, peaks.u)
         reach = torch.addcmul(peaks.reach, along, self.base)
-        values = [peaks.u, force, peaks.drop, peaks.swerve]
+        values = [peaks.u, there, peaks.drop, peaks.swerve]
         if len(reach) > 1:
-            reach, best = torch.where(peaks.found, reach, -torch.inf).max(0)
+            best_reach, best = torch.where(peaks.found, reach, -torch.inf).max(0)
             values = [value.gather(0, best[None])[0] for value in values]
-            better = reach > top
         else:
-            values, better = [value[0] for value in values], peaks.found[0] & (reach[0] > top)
-        found = [torch.where(better, new, old) for new, old in zip(values, found, strict=True)]
-        if self.twins is None:
-            return tuple(found)
+            values, best_reach = [value[0] for value in values], reach[0]
+        better = best_reach > top
+        if len(reach) == 1:
+            better = better & peaks.found[0]
+        old = (u, force, torch.inf, 0.0)
+        u, force, drop, swerve = (torch.where(better, new, kept) for new, kept in zip(values, old, strict=True))
+        rest = None
+        if self.twins is not None:
+            rest = self._twins_too(lines, slope[0], top, (u, force, drop, swerve))
+        faces = None
+        if slack is not None:
+            top = torch.where(better, best_reach, top)
+            faces = self._faces(lines, top, u, force, (peaks.u, there, reach, peaks.found), slack)
+        return _Highest(u, force, drop, swerve, rest, faces)
 
+    def _twins_too(self, lines: "_Lines", slope: Tensor, top: Tensor, found: tuple[Tensor, ...]) -> Tensor:
+        """Put maxima of differences of two powers in place of what was found lower; how much higher (m, Q) they may be."""
+        assert self.twins is not None
         at = self.twins.at
-        own, base, rate, level, own_slope = (
-            value.reshape(-1)[at] for value in (along, self.base[0], self.rate[0], top, slope[0])
+        along, slope, base, rate, level = (
+            value.reshape(-1)[at] for value in (lines.along, slope, self.base[0], self.rate[0], top)
         )
-        twin, higher = self.twins.peaks(own, own_slope)
-        reach = torch.addcmul(twin.reach, own, base)
+        twin, higher = self.twins.peaks(along, slope)
+        reach = torch.addcmul(twin.reach, along, base)
         better = twin.found & (reach > level)
         chosen = at[better]
         for old, new in zip(found, (twin.u, base + twin.force + rate * twin.u, twin.drop, twin.swerve), strict=True):
-            old.reshape(-1)[chosen] = new[better]
+            old.view(-1)[chosen] = new[better]
+        top.view(-1)[chosen] = reach[better]
         rest = torch.zeros_like(top)
         rest.view(-1)[at] = torch.where(reach + higher > level, higher, 0.0)
-        return *found, rest
+        return rest
 
     def _corners(self, along: Tensor, per_fraction: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """The furthest corners: reaches, fractions and forces."""
@@ -235,6 +246,57 @@ class Arcs:
             return torch.addcmul(climb.clamp_(min=0), along, first), u, torch.addcmul(first, rise, u)
         top, best = torch.addcmul(along * self.force, per_fraction, self.grid).max(0)
         return top, self.grid.gather(0, best[None])[0], self.force.gather(0, best[None])[0]
+
+    def _faces(
+        self,
+        lines: "_Lines",
+        top: Tensor,
+        u: Tensor,
+        force: Tensor,
+        peaks: tuple[Tensor, ...] | None,
+        slack: Tensor | None,
+    ) -> tuple[Tensor, ...] | None:
+        """From maxima how far (m, Q) others reach along the lines, to the right and to the left; and their fractions."""
+        if slack is None:
+            return None
+        grid = self.grid
+        if grid is None:
+            grid = torch.stack((torch.zeros_like(u), torch.ones_like(u)))
+        forces, missing = self.force, None
+        reach = torch.addcmul(lines.along * forces, lines.per_fraction, grid)
+        off = reach < top - slack
+        if peaks is not None:
+            grid, forces = torch.cat((grid, peaks[0])), torch.cat((forces, peaks[1]))
+            off = torch.cat((off, (peaks[2] < top - slack) | ~peaks[3]))
+        place = torch.addcmul(lines.across * (forces - force), lines.across_fraction, grid - u)
+        low, first = torch.where(off, torch.inf, place).min(0)
+        high, last = torch.where(off, -torch.inf, place).max(0)
+        low_u, high_u = (grid.gather(0, index[None])[0] for index in (first, last))
+        return low.clamp(max=0), high.clamp(min=0), torch.where(low < 0, low_u, u), torch.where(high > 0, high_u, u)
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """Lines that touch, with normals n: reaches `n·c` and places `t·c` along them of (m, Q) curves, a newton and a
+    fraction."""
+
+    along: Tensor
+    per_fraction: Tensor
+    across: Tensor
+    across_fraction: Tensor
+
+
+@dataclass(frozen=True)
+class _Highest:
+    """Maxima (m, Q): fractions, forces; `drop` and `swerve` of `Peaks` (infinite and 0 at corners; None if all
+    are); how much higher they may be (None: not at all); and how far faces reach, if asked for."""
+
+    u: Tensor
+    force: Tensor
+    drop: Tensor | None
+    swerve: Tensor | None
+    rest: Tensor | None
+    faces: tuple[Tensor, ...] | None
 
 
 def arcs(law: Law) -> tuple[Arcs, Tensor]:
@@ -306,19 +368,23 @@ class Touch:
     """Where sets are touched.
 
     Attributes:
-        x, y: (Q) the points.
+        point: (2, Q) x and y.
+        parts: (2, M, Q) the actuators' parts of them.
         radius: (Q) the boundary's radius of curvature there; 0 at corners.
         widening: (Q) its derivative in the angle of the normals.
         u: (M, Q) the pressure fractions that provide them.
         rest: (Q) how much further the sets may reach; None: not at all.
+        face: (M, Q) each, if asked for: how far actuators may go, and be touched, to the right and to the left, and their
+            fractions there.
     """
 
-    x: Tensor
-    y: Tensor
+    point: Tensor
+    parts: Tensor
     radius: Tensor
     widening: Tensor
     u: Tensor
     rest: Tensor | None
+    face: tuple[Tensor, ...] | None
 
 
 @dataclass(frozen=True)
@@ -339,33 +405,43 @@ class CurveSums:
     scale: tuple[float, float]
     order: tuple[int, ...]
 
-
-    def touch(self, nx: Tensor, ny: Tensor) -> Touch:
-        """Where lines with normals (Q) touch the sets.
+    def touch(self, normal: Tensor, slack: Tensor | None = None) -> Touch:
+        """Where lines with normals (2, Q) touch the sets, and if asked for within slack (Q) of there.
 
         As the normal turns, with `k = s_f s_m b` of the bending moment b and a reach a newton, a fraction changes by
         `k / (a drop)`, and the place along the line by the radius `k² / (a² drop)`.
         """
-        along = torch.addcmul(self.scale[0] * nx, self.radii, ny, value=-1)
-        per_fraction = self.bending * ny
-        radius, widening, rest, parts, start = torch.zeros_like(nx), torch.zeros_like(nx), None, [], 0
+        nx, ny = normal
+        fx, fy = self.scale[0] * normal
+        along, across = torch.addcmul(fx, self.radii, ny, value=-1), -torch.addcmul(fy, self.radii, nx)
+        lines = _Lines(along, self.bending * ny, across, self.bending * nx)
+        radius, widening = torch.zeros_like(nx), torch.zeros_like(nx)
+        parts: list[_Highest] = []
+        rests, start = [], 0
         for group, count in self.groups:
             own = slice(start, start + count)
             start += count
-            part = group.highest(along[own], per_fraction[own])
+            if count == len(along):
+                part = group.highest(lines, slack)
+            else:
+                part = group.highest(_Lines(*(value[own] for value in vars(lines).values())), slack)
             parts.append(part)
-            if len(part) > 2:
-                lever = self.scale[0] * self.bending[own]
-                ahead, drop, swerve = along[own], part[2], part[3]
-                aside = torch.addcmul(self.scale[0] * ny, self.radii[own], nx)
-                bends = lever.square() / (ahead.square() * drop)
+            if part.drop is not None and part.swerve is not None:
+                lever, ahead = self.scale[0] * self.bending[own], along[own]
+                bends = (lever / ahead).square() / part.drop
                 radius += bends.sum(0)
-                widening += (bends * (lever * swerve + 3 * aside / ahead)).sum(0)
-            if len(part) > 4:
-                rest = part[4].sum(0) if rest is None else rest + part[4].sum(0)
-        u, force = (torch.cat([part[i] for part in parts]) if len(parts) > 1 else parts[0][i] for i in (0, 1))
-        y = (self.bending * u).addcmul_(self.radii, force, value=-1).sum(0)
-        return Touch(self.scale[0] * force.sum(0), y, radius, widening, u, rest)
+                widening += torch.addcmul(-3 * across[own] / ahead, lever, part.swerve).mul_(bends).sum(0)
+            if part.rest is not None:
+                rests.append(part.rest.sum(0))
+        if len(parts) == 1:
+            u, force, face = parts[0].u, parts[0].force, parts[0].faces
+        else:
+            u, force = torch.cat([part.u for part in parts]), torch.cat([part.force for part in parts])
+            face = None
+            if slack is not None:
+                face = tuple(torch.cat(values) for values in zip(*(part.faces or () for part in parts), strict=True))
+        shares = torch.stack((self.scale[0] * force, torch.addcmul(self.bending * u, self.radii, force, value=-1)))
+        return Touch(shares.sum(1), shares, radius, widening, u, sum(rests) if rests else None, face)
 
 
 def curve_sums(laws: Laws, bending: Tensor, radii: Tensor, scale: tuple[float, float]) -> tuple[CurveSums, Tensor]:
