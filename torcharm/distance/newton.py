@@ -27,6 +27,7 @@ CLOSING = 0.25
 """Factor by which a step must bring the touched point nearer to straight ahead."""
 STRAIGHTER = 0.4
 """Between its ends a boundary that bends less than by this share of its bend at one of them has a face."""
+BOWF = lambda h: torch.exp(-h).clamp(max=MOST_BOW)
 MOST_BOW = 2.0
 """The largest factor by which the second derivative may change Newton's step."""
 FIRST_TURN, WIDEN = 1e-3, 8.0
@@ -138,7 +139,7 @@ def _begin(p: Problems, curves: CurveSums) -> _Search:
     rest = p.point.new_zeros(2, HEAD - 2 + 3 * len(curves.radii), count)
     ends = torch.cat((p.ends, rest), 1)
     number = torch.arange(count, device=p.point.device)
-    pace = p.point.new_tensor((torch.inf, FIRST_TURN)).unsqueeze(-1).expand(2, count)
+    pace = p.point.new_tensor((torch.finfo(p.point.dtype).max, FIRST_TURN)).unsqueeze(-1).expand(2, count)
     return _Search(curves, given, number, p.normal, ends, p.edge, pace, torch.ones_like(p.edge))
 
 
@@ -242,7 +243,7 @@ def _turned(s: _Search, over: Tensor, aside: Tensor, touch: Touch) -> _Search:
     steep = over + touch.radius
     newton = (over > 0) | (steep > aside.abs())
     bow = 0.5 * aside * touch.widening / steep.square()
-    bow = torch.where(bow > 0, 1 / (1 + bow), (1 - bow).clamp(max=MOST_BOW))
+    bow = BOWF(bow)
     along, across = torch.where(newton, steep, 1.0), torch.where(newton, aside * bow, turn * aside.sign())
     following = torch.stack((along * nx - across * ny, along * ny + across * nx))
 
@@ -256,10 +257,11 @@ def _turned(s: _Search, over: Tensor, aside: Tensor, touch: Touch) -> _Search:
         face, straight = _face_normal(a, b, foot / span, over, before.isfinite())
         past = (face[0] * following[1] - face[1] * following[0]) * aside > 0
         closing = _between(a, following, b) & (aside.abs() < CLOSING * before)
-        stuck = both & ~(closing & ~(straight & past))
+        stuck = both & ~(closing & ~((straight | before.isinf()) & past))
         corner = stuck & (over > 0) & (dy * from_x >= dx * from_y) & ((foot <= 0) | (foot >= span))
         chord = stuck & ~corner & (span > 0)
-        away = s.given[:2] - torch.where(foot <= 0, a[:2], b[:2])
+        end = torch.where(foot <= 0, a, b)
+        away = s.given[:2] - end[:2] + end[4] * end[2:4]
         following = torch.where(corner, away, torch.where(chord, face, following))
     pace = torch.stack((torch.where(chord, torch.inf, aside.abs()), torch.where(newton, FIRST_TURN, turn * WIDEN)))
     return replace(s, normal=following / torch.hypot(following[0], following[1]), chord=chord, pace=pace)
