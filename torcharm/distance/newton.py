@@ -27,9 +27,6 @@ CLOSING = 0.25
 """Factor by which a step must bring the touched point nearer to straight ahead."""
 STRAIGHTER = 0.4
 """Between its ends a boundary that bends less than by this share of its bend at one of them has a face."""
-BOWF = lambda h: torch.exp(-h).clamp(max=MOST_BOW)
-MOST_BOW = 2.0
-"""The largest factor by which the second derivative may change Newton's step."""
 FIRST_TURN, WIDEN = 1e-3, 8.0
 """The turn of a direction where Newton's step makes no sense [rad], and its growth until it does."""
 
@@ -109,22 +106,23 @@ def solve(problems: Problems, curves: CurveSums, *, fractions: bool) -> Found:
     normals = problems.normal.clone()
     search = _begin(problems, curves)
     for count in range(ROUNDS):
-        search, done, square, inside, fraction = _round(search, problems if count == 0 else None)
-        fresh = (done & search.live).nonzero().squeeze(-1)
-        if not len(fresh):
-            continue
-        number = search.number[fresh]
-        found.square[number], found.inside[number], found.done[number] = square[fresh], inside[fresh], True
-        if found.fraction is not None:
-            found.fraction[:, :, number] = fraction.index_select(-1, fresh)
-            normals[:, number] = search.normal.index_select(-1, fresh)
-        live = search.live.index_fill(0, fresh, False)
-        left = live.nonzero().squeeze(-1)
-        if not len(left):
-            break
-        search = replace(search, live=live)
-        if len(live) > FEW and len(left) < FEWER * len(live):
-            search = pick(search, left)
+        search, hit = _round(search, problems if count == 0 else None)
+        fresh = (hit.done & search.live).nonzero().squeeze(-1)
+        if len(fresh):
+            number = search.number[fresh]
+            found.square[number] = hit.distance[fresh].square()
+            found.inside[number], found.done[number] = hit.over[fresh] < 0, True
+            if found.fraction is not None:
+                found.fraction[:, :, number] = torch.stack((hit.touch.u, hit.other)).index_select(-1, fresh)
+                normals[:, number] = search.normal.index_select(-1, fresh)
+            live = search.live.index_fill(0, fresh, False)
+            left = live.nonzero().squeeze(-1)
+            if not len(left):
+                break
+            search = replace(search, live=live)
+            if len(live) > FEW and len(left) < FEWER * len(live):
+                search, hit = pick(search, left), pick(hit, left)
+        search = _turned(search, hit)
     if found.fraction is not None:
         # Where both ends are one, the fractions of the last normal are nearer still.
         again = curves.touch(normals).u
@@ -143,9 +141,28 @@ def _begin(p: Problems, curves: CurveSums) -> _Search:
     return _Search(curves, given, number, p.normal, ends, p.edge, pace, torch.ones_like(p.edge))
 
 
-def _round(s: _Search, first: Problems | None) -> tuple[_Search, Tensor, Tensor, Tensor, Tensor]:
-    """Touch the sets once: the searches a step on; which (q) are done, their squared distances, whether they
-    are inside, and the fractions (2, M, q) at the ends of their faces."""
+@dataclass(frozen=True)
+class _Hit:
+    """What came of a round.
+
+    Attributes:
+        touch: with the fractions at one end of the nearest face.
+        other: (M, q) those at the other.
+        over, aside: (q) the points from where sets were touched, along the normals and to the left of them.
+        distance: (q).
+        done: (q) whether that is it.
+    """
+
+    touch: Touch
+    other: Tensor
+    over: Tensor
+    aside: Tensor
+    distance: Tensor
+    done: Tensor
+
+
+def _round(s: _Search, first: Problems | None) -> tuple[_Search, _Hit]:
+    """Touch the sets once."""
     x, y, side, tolerance, depth = s.given
     nx, ny = s.normal
     chords = bool(s.chord.any())
@@ -168,8 +185,8 @@ def _round(s: _Search, first: Problems | None) -> tuple[_Search, Tensor, Tensor,
     ahead = (aside > 0).unsqueeze(0)
     far = _polygon_end(s, entry, aside, first) if first is not None else s.ends
     s = replace(s, ends=torch.where(torch.stack((ahead, ~ahead)), entry, far))
-    fraction = torch.stack((entry[-len(other) :], other))
-    return _turned(s, over, aside, touch), done, distance * distance, inside, fraction
+    touch = replace(touch, u=entry[-len(other) :], face=None)
+    return s, _Hit(touch, other, over, aside, distance, done)
 
 
 def _along_face(
@@ -231,21 +248,21 @@ def _polygon_end(s: _Search, entry: Tensor, aside: Tensor, p: Problems) -> Tenso
     return torch.cat((s.ends[:, :2], normal.expand(2, 2, -1), torch.zeros_like(s.ends[:, 4:HEAD]), torch.full_like(s.ends[:, HEAD:], torch.nan)), 1)
 
 
-def _turned(s: _Search, over: Tensor, aside: Tensor, touch: Touch) -> _Search:
-    """Where to look next, with what was touched (q) over and aside of the points.
+def _turned(s: _Search, hit: _Hit) -> _Search:
+    """Where to look next.
 
-    By Newton's step, with the second derivative as of Halley or Chebyshev, as long as it stays between the ends and closes in. Else along the normal of
-    the face between the ends, or straight away from one if the point, outside, is past it. Newton's step sees the
-    boundary as a circle, and makes no sense from inside it beyond its centre.
+    By Newton's step, as long as it stays between the ends and closes in. Else along the normal of the face between the
+    ends, or straight away from one if the point, outside, is past it. Newton's step sees the boundary as an arc, and makes
+    no sense from inside it beyond its centre.
     """
-    nx, ny = s.normal
+    over, aside = hit.over, hit.aside
     before, turn = s.pace
-    steep = over + touch.radius
+    steep = over + hit.touch.radius
     newton = (over > 0) | (steep > aside.abs())
-    bow = 0.5 * aside * touch.widening / steep.square()
-    bow = BOWF(bow)
-    along, across = torch.where(newton, steep, 1.0), torch.where(newton, aside * bow, turn * aside.sign())
-    following = torch.stack((along * nx - across * ny, along * ny + across * nx))
+    step = s.curves.turn(hit.touch, aside / steep, steep)
+    across = torch.where(newton, step, turn * aside.sign())
+    nx, ny = s.normal
+    following = torch.stack((nx - across * ny, ny + across * nx))
 
     a, b = s.ends
     both = (a[2:4] != 0).any(0) & (b[2:4] != 0).any(0)
@@ -254,10 +271,10 @@ def _turned(s: _Search, over: Tensor, aside: Tensor, touch: Touch) -> _Search:
         dx, dy = b[:2] - a[:2]
         from_x, from_y = s.given[:2] - a[:2]
         foot, span = from_x * dx + from_y * dy, dx * dx + dy * dy
-        face, straight = _face_normal(a, b, foot / span, over, before.isfinite())
+        face, straight = _face_normal(a, b, over)
         past = (face[0] * following[1] - face[1] * following[0]) * aside > 0
         closing = _between(a, following, b) & (aside.abs() < CLOSING * before)
-        stuck = both & ~(closing & ~((straight | before.isinf()) & past))
+        stuck = both & ~(closing & ~(straight & past))
         corner = stuck & (over > 0) & (dy * from_x >= dx * from_y) & ((foot <= 0) | (foot >= span))
         chord = stuck & ~corner & (span > 0)
         end = torch.where(foot <= 0, a, b)
@@ -267,28 +284,18 @@ def _turned(s: _Search, over: Tensor, aside: Tensor, touch: Touch) -> _Search:
     return replace(s, normal=following / torch.hypot(following[0], following[1]), chord=chord, pace=pace)
 
 
-def _face_normal(a: Tensor, b: Tensor, share: Tensor, over: Tensor, bend: Tensor) -> tuple[Tensor, Tensor]:
-    """The normals (2, q) between ends, a share (q) of the way from a; and whether a face is to be expected there.
-
-    One is if the boundary bends less on the whole way than it would as the arc of the rounder end: then it is that of the
-    actuator that is moved most, or the chord. Else the normal's angle is taken to be quadratic along the way, with
-    that end's rate, and the chord's on average; but not (bend) twice on end.
+def _face_normal(a: Tensor, b: Tensor, over: Tensor) -> tuple[Tensor, Tensor]:
+    """The normals (2, q) of the chords between ends, or where that is one between them, of the actuator's that is moved
+    most; and whether a face is to be expected there: the boundary bends less on the way than the arc of the rounder end.
     """
     chord = b[:2] - a[:2]
-    length = torch.hypot(chord[0], chord[1])
-    left = a[4] >= b[4]
-    end = torch.where(left, a, b)
-    angle = (end[2] * chord[0] + end[3] * chord[1]).abs() / length
-    rate = length / (end[4] + over.clamp(min=0))
-    straight = angle < STRAIGHTER / 2 * rate
+    end = torch.where(a[4] >= b[4], a, b)
+    drop, square = (end[2] * chord[0] + end[3] * chord[1]).abs(), chord[0] * chord[0] + chord[1] * chord[1]
+    straight = drop * (end[4] + over.clamp(min=0)) < STRAIGHTER / 2 * square
     jumps = (b[HEAD:] - a[HEAD:]).unflatten(0, (3, -1))[:2]
     x, y = jumps.gather(1, jumps.abs().sum(0).max(0).indices.expand(2, 1, -1))[:, 0]
-    face, whole = torch.stack((y, -x)), torch.stack((chord[1], -chord[0]))
-    face = torch.where(_between(a, face, b), face, whole)
-    way = torch.where(left, share, 1 - share)
-    turn = way * (rate + 3 * way * (angle - rate / 2)) - angle
-    bent = whole + torch.where(left, turn, -turn) * chord
-    return torch.where(bend & ~straight & _between(a, bent, b), bent, face), straight
+    face = torch.stack((y, -x))
+    return torch.where(_between(a, face, b), face, torch.stack((chord[1], -chord[0]))), straight
 
 
 def _between(a: Tensor, normal: Tensor, b: Tensor) -> Tensor:

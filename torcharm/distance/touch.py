@@ -20,6 +20,13 @@ STEPS, MORE_STEPS = 5, 2
 FLOOR = -69.0
 """The logarithm of a fraction as good as none."""
 
+LEAST_TURN, MOST_TURN = 0.1, 4.0
+"""Bounds on the factor by which a curve's change of curvature may change the turn of a normal."""
+MOST_SWAY = 0.3
+"""Bound on what its second order may change of a step along a curve."""
+ENDING = 0.06
+"""Share of the way to a corner that is kept if it is missed by no more."""
+
 Span = tuple[Tensor, Tensor] | None
 
 
@@ -32,7 +39,6 @@ class Peaks:
         force: [N].
         reach: along the normals.
         drop: minus the reaches' second derivatives.
-        swerve: the forces' third derivatives over the square of `drop`.
         found: whether there is one inside the piece; the rest means nothing if not.
     """
 
@@ -40,7 +46,6 @@ class Peaks:
     force: Tensor
     reach: Tensor
     drop: Tensor
-    swerve: Tensor
     found: Tensor
 
 
@@ -79,8 +84,12 @@ class Cubics:
         found = _within(u, span) & (steep > least)
         bend = self.bend if self.twist is None else torch.addcmul(self.bend, self.twist, u)
         force = bend * u * u
-        swerve = torch.zeros_like(u) if self.twist is None else 6 * self.twist / (steep * steep)
-        return Peaks(u, force, torch.addcmul(along * force, slope, u), steep, swerve, found)
+        return Peaks(u, force, torch.addcmul(along * force, slope, u), steep, found)
+
+    def slope_change(self, u: Tensor, step: Tensor) -> Tensor:
+        """By how much slopes (m, Q) change from fractions on by steps."""
+        change = 2 * self.bend
+        return (change if self.twist is None else torch.addcmul(change, self.twist, 2 * u + step, value=3)) * step
 
 
 @dataclass(frozen=True)
@@ -103,9 +112,12 @@ class Powers:
         u = share.log().div_(self.less).exp_()
         force = self.gain * share * u
         drop = self.less * slope / u
-        swerve = (1 - self.less) / (along * u * drop)
-        found = _within(u, span) & (fall > 0)
-        return Peaks(u, force, slope * u * (self.less / (1 + self.less)), drop, swerve, found)
+        return Peaks(u, force, slope * u * (self.less / (1 + self.less)), drop, _within(u, span) & (fall > 0))
+
+    def slope_change(self, u: Tensor, step: Tensor) -> Tensor:
+        """As of `Cubics`."""
+        first, last = (self.less * value.clamp(min=LEAST).log() for value in (u, u + step))
+        return self.gain * (1 + self.less) * (last.exp_() - first.exp_())
 
 
 @dataclass(frozen=True)
@@ -156,9 +168,8 @@ class Twins:
         force = (g * first + h * second) * u
         found = found & (drop > 0)
         rest = torch.where(found, miss * miss / (2 * drop), 0.0)
-        swerve = (a * p * p * first + b * q * q * second - fall) / (along * (drop * u).square())
         self.latest.view(-1)[self.at] = torch.where(found, t, 1.0)
-        return Peaks(u, force, torch.addcmul(along * force, slope, u), drop, swerve, found), rest
+        return Peaks(u, force, torch.addcmul(along * force, slope, u), drop, found), rest
 
     def _slopes(self, t: Tensor, a: Tensor, b: Tensor, slope: Tensor) -> tuple[Tensor, ...]:
         """At fractions of logarithms t the slopes, their derivatives in t, and both powers p and q of the fractions."""
@@ -194,12 +205,12 @@ class Arcs:
         along, per_fraction = lines.along, lines.per_fraction
         top, u, force = self._corners(along, per_fraction)
         if self.shape is None:
-            return _Highest(u, force, None, None, None, self._faces(lines, top, u, force, None, slack))
+            return _Highest(u, force, None, None, self._faces(lines, top, u, force, None, slack))
         slope = torch.addcmul(per_fraction, along, self.rate)
         peaks = self.shape.peaks(along, slope, self.span)
         there = torch.addcmul(self.base + peaks.force, self.rate, peaks.u)
         reach = torch.addcmul(peaks.reach, along, self.base)
-        values = [peaks.u, there, peaks.drop, peaks.swerve]
+        values = [peaks.u, there, peaks.drop]
         if len(reach) > 1:
             best_reach, best = torch.where(peaks.found, reach, -torch.inf).max(0)
             values = [value.gather(0, best[None])[0] for value in values]
@@ -208,16 +219,16 @@ class Arcs:
         better = best_reach > top
         if len(reach) == 1:
             better = better & peaks.found[0]
-        old = (u, force, torch.inf, 0.0)
-        u, force, drop, swerve = (torch.where(better, new, kept) for new, kept in zip(values, old, strict=True))
+        old = (u, force, torch.inf)
+        u, force, drop = (torch.where(better, new, kept) for new, kept in zip(values, old, strict=True))
         rest = None
         if self.twins is not None:
-            rest = self._twins_too(lines, slope[0], top, (u, force, drop, swerve))
+            rest = self._twins_too(lines, slope[0], top, (u, force, drop))
         faces = None
         if slack is not None:
             top = torch.where(better, best_reach, top)
             faces = self._faces(lines, top, u, force, (peaks.u, there, reach, peaks.found), slack)
-        return _Highest(u, force, drop, swerve, rest, faces)
+        return _Highest(u, force, drop, rest, faces)
 
     def _twins_too(self, lines: "_Lines", slope: Tensor, top: Tensor, found: tuple[Tensor, ...]) -> Tensor:
         """Put maxima of differences of two powers in place of what was found lower; how much higher (m, Q) they may be."""
@@ -230,7 +241,7 @@ class Arcs:
         reach = torch.addcmul(twin.reach, along, base)
         better = twin.found & (reach > level)
         chosen = at[better]
-        for old, new in zip(found, (twin.u, base + twin.force + rate * twin.u, twin.drop, twin.swerve), strict=True):
+        for old, new in zip(found, (twin.u, base + twin.force + rate * twin.u, twin.drop), strict=True):
             old.view(-1)[chosen] = new[better]
         top.view(-1)[chosen] = reach[better]
         rest = torch.zeros_like(top)
@@ -288,13 +299,12 @@ class _Lines:
 
 @dataclass(frozen=True)
 class _Highest:
-    """Maxima (m, Q): fractions, forces; `drop` and `swerve` of `Peaks` (infinite and 0 at corners; None if all
-    are); how much higher they may be (None: not at all); and how far faces reach, if asked for."""
+    """Maxima (m, Q): fractions, forces; `drop` of `Peaks` (infinite at corners; None if all are); how much higher they
+    may be (None: not at all); and how far faces reach, if asked for."""
 
     u: Tensor
     force: Tensor
     drop: Tensor | None
-    swerve: Tensor | None
     rest: Tensor | None
     faces: tuple[Tensor, ...] | None
 
@@ -370,9 +380,10 @@ class Touch:
     Attributes:
         point: (2, Q) x and y.
         parts: (2, M, Q) the actuators' parts of them.
-        radius: (Q) the boundary's radius of curvature there; 0 at corners.
-        widening: (Q) its derivative in the angle of the normals.
         u: (M, Q) the pressure fractions that provide them.
+        along, across: (M, Q) reaches, and places along the lines, a newton.
+        drop: (M, Q) minus the reaches' second derivatives; infinite at corners. None if all are.
+        radius: (Q) the boundary's radius of curvature; 0 at corners.
         rest: (Q) how much further the sets may reach; None: not at all.
         face: (M, Q) each, if asked for: how far actuators may go, and be touched, to the right and to the left, and their
             fractions there.
@@ -380,9 +391,11 @@ class Touch:
 
     point: Tensor
     parts: Tensor
-    radius: Tensor
-    widening: Tensor
     u: Tensor
+    along: Tensor
+    across: Tensor
+    drop: Tensor | None
+    radius: Tensor
     rest: Tensor | None
     face: tuple[Tensor, ...] | None
 
@@ -415,33 +428,64 @@ class CurveSums:
         fx, fy = self.scale[0] * normal
         along, across = torch.addcmul(fx, self.radii, ny, value=-1), -torch.addcmul(fy, self.radii, nx)
         lines = _Lines(along, self.bending * ny, across, self.bending * nx)
-        radius, widening = torch.zeros_like(nx), torch.zeros_like(nx)
         parts: list[_Highest] = []
-        rests, start = [], 0
-        for group, count in self.groups:
-            own = slice(start, start + count)
-            start += count
-            if count == len(along):
-                part = group.highest(lines, slack)
-            else:
-                part = group.highest(_Lines(*(value[own] for value in vars(lines).values())), slack)
-            parts.append(part)
-            if part.drop is not None and part.swerve is not None:
-                lever, ahead = self.scale[0] * self.bending[own], along[own]
-                bends = (lever / ahead).square() / part.drop
-                radius += bends.sum(0)
-                widening += torch.addcmul(-3 * across[own] / ahead, lever, part.swerve).mul_(bends).sum(0)
-            if part.rest is not None:
-                rests.append(part.rest.sum(0))
+        for group, own in self.by_group():
+            whole = len(self.groups) == 1
+            part = lines if whole else _Lines(*(value[own] for value in vars(lines).values()))
+            parts.append(group.highest(part, slack))
         if len(parts) == 1:
-            u, force, face = parts[0].u, parts[0].force, parts[0].faces
+            u, force, drop, rest, face = vars(parts[0]).values()
         else:
             u, force = torch.cat([part.u for part in parts]), torch.cat([part.force for part in parts])
+            drops = [torch.full_like(part.u, torch.inf) if part.drop is None else part.drop for part in parts]
+            drop = None if all(part.drop is None for part in parts) else torch.cat(drops)
+            rests = [part.rest for part in parts if part.rest is not None]
+            rest = torch.cat(rests) if rests else None
             face = None
             if slack is not None:
                 face = tuple(torch.cat(values) for values in zip(*(part.faces or () for part in parts), strict=True))
         shares = torch.stack((self.scale[0] * force, torch.addcmul(self.bending * u, self.radii, force, value=-1)))
-        return Touch(shares.sum(1), shares, radius, widening, u, sum(rests) if rests else None, face)
+        radius = torch.zeros_like(nx) if drop is None else self._bends(along, drop).sum(0)
+        return Touch(shares.sum(1), shares, u, along, across, drop, radius, None if rest is None else rest.sum(0), face)
+
+    def by_group(self) -> list[tuple[Arcs, slice]]:
+        """The groups, and which actuators they are."""
+        starts = [0]
+        for _, count in self.groups:
+            starts.append(starts[-1] + count)
+        return [(group, slice(start, start + count)) for (group, count), start in zip(self.groups, starts, strict=False)]
+
+    def _bends(self, along: Tensor, drop: Tensor) -> Tensor:
+        """The curves' radii of curvature (M, Q) in the plane."""
+        return (self.scale[0] * self.bending / along).square_() / drop
+
+    def turn(self, touch: Touch, angle: Tensor, steep: Tensor) -> Tensor:
+        """How far (Q, as tangents) normals turn in Newton's step, if to first order that is an angle.
+
+        Of the rate (steep) at which the points come ahead as the normal turns, that part which is the curves' radii
+        changes on the way: to how much, they say themselves.
+        """
+        if touch.drop is None:
+            return angle
+        lever, along, u = self.scale[0] * self.bending, touch.along, touch.u
+        # The place along the line is quadratic in the fraction.
+        sway = (0.5 * touch.across * angle / along).clamp(-MOST_SWAY, MOST_SWAY)
+        target = u + angle * lever / (along * touch.drop) * (1 + sway)
+        # Short of a corner that is missed by little.
+        left, right = ENDING * u, ENDING * (1 - u)
+        low, high = (target > -left) * left, 1 - (target < 1 + right) * right
+        step = torch.minimum(torch.maximum(target, low), high).sub_(u)
+        change = -step * touch.drop / along
+        for group, own in self.by_group():
+            if group.shape is not None:
+                known = group.shape.slope_change(u[own], step[own])
+                change[own] = known if group.twins is None else torch.where(known != 0, known, change[own])
+        bends = self._bends(along, touch.drop)
+        curved = (bends > 0) & (angle != 0)
+        slope = along * torch.where(curved, change, 0.0)
+        turns = -along * slope / (torch.addcmul(lever, touch.across, slope) * angle)
+        gain = (bends * torch.where(curved, turns.clamp(LEAST_TURN, MOST_TURN) - 1, 0.0)).sum(0) / steep
+        return angle * (1 + gain.clamp(LEAST_TURN - 1, MOST_TURN - 1))
 
 
 def curve_sums(laws: Laws, bending: Tensor, radii: Tensor, scale: tuple[float, float]) -> tuple[CurveSums, Tensor]:
