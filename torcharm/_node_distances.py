@@ -75,6 +75,8 @@ class Residuals:
 
 AGREEMENT = 1e-8
 """By how much of the polygon's size a distance may differ when its face is evaluated again with gradients."""
+INNER_SAMPLES = 5
+"""Samples a curve, at least, and their kinks, of sets to be polished from inside."""
 COLUMNS = tuple(field.name for field in fields(Residuals))
 Columns = tuple[Tensor, ...]
 
@@ -189,20 +191,24 @@ class _Sampled:
             return self.curves.force.requires_grad
         return self.laws is not None and self.laws.requires_grad
 
-    def metric(self, sections: Sections, samples: int, relative: bool) -> "tuple[Curves, Laws | None]":
-        """The curves of absolute or relative reactions."""
+    def metric(self, sections: Sections, check: Check, relative: bool) -> "tuple[Curves, Laws | None]":
+        """The curves of absolute or relative reactions.
+
+        From outside few samples show what to polish; inside, where the nearest of all faces is asked for, it takes more.
+        """
         if self.curves is not None:
             return relative_curves(sections, self.curves) if relative else self.curves, None
         assert self.laws is not None
         laws = self.laws.minus_first(sections) if relative else self.laws
-        return laws.curves(sections, samples, relative=relative), laws
+        samples = max(check.samples, INNER_SAMPLES) if check.signed else check.samples
+        return laws.curves(sections, samples, relative=relative, kinks=check.signed), laws
 
 
 def _nearest_face(
     block: Block, sections: Sections, sampled: _Sampled, check: Check, metric: str, *, slots: bool
 ) -> _Nearest:
     relative = metric == "relative"
-    curves, laws = sampled.metric(sections, check.samples, relative)
+    curves, laws = sampled.metric(sections, check, relative)
     hulls = build_hulls(curves, check.hull, check.scale)
     point = required_points(block, check.scale, relative)
     faces = nearest_faces(hulls.polygons, *point, slots=slots or check.polish)

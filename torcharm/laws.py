@@ -94,18 +94,21 @@ class Laws:
         groups = tuple(law.minus_first(sections) for law in self.groups)
         return Laws(groups, self.holds & sections.at_first_node(self.holds))
 
-    def curves(self, sections: Sections, samples: int, *, relative: bool) -> Curves:
-        """Curves sampled at evenly spaced fractions."""
+    def curves(self, sections: Sections, samples: int, *, relative: bool, kinks: bool) -> Curves:
+        """Curves sampled at evenly spaced fractions, and if asked for at the laws' kinks."""
         bending, radii = sections.bending, sections.radii
-        even = torch.linspace(0, 1, samples, dtype=radii.dtype, device=radii.device).view(-1, 1, 1)
-        if len(self.groups) == 1:
-            force = self.groups[0].force(even)
-        else:
-            force = radii.new_empty(samples, *radii.shape)
+        grid = torch.linspace(0, 1, samples, dtype=radii.dtype, device=radii.device).view(-1, 1, 1)
+        most = max(len(law.kinks) for law in self.groups)
+        if kinks and most:
+            grid = torch.cat((grid.expand(-1, *radii.shape), radii.new_ones(most, *radii.shape)))
             for law in self.groups:
-                force[:, law.rows] = law.force(even)
+                grid[samples : samples + len(law.kinks), law.rows] = law.kinks.clamp(0, 1)
+            grid = grid.sort(0).values
+        force = radii.new_empty(len(grid), *radii.shape)
+        for law in self.groups:
+            force[:, law.rows] = law.force(grid if grid.shape[1] == 1 else grid[:, law.rows])
         bending = bending - sections.at_first_node(bending) if relative else bending
-        return Curves(even, force, bending, radii, sections.resting_moment(relative=relative))
+        return Curves(grid, force, bending, radii, sections.resting_moment(relative=relative))
 
 
 def section_laws(sections: Sections) -> Laws | None:

@@ -21,8 +21,6 @@ FEWER, FEW = 0.6, 200
 """Below this share of those left the ones that are done are left out, unless so few are left that it costs more."""
 HEAD = 5
 """Rows of what is known of an end before those of its actuators."""
-LUNE = 4.0
-"""Points outside a polygon can be so many times as deep inside the set as the set was seen to reach beyond it."""
 CLOSING = 0.25
 """Factor by which a step must bring the touched point nearer to straight ahead."""
 STRAIGHTER = 0.4
@@ -77,7 +75,8 @@ class _Search:
 
     Attributes:
         curves: theirs.
-        given: (5, q) the points' x and y, and their side, tolerance and, inside the set, depth allowed for.
+        given: (4, q) the points' x and y, their side and their tolerance.
+        best: (3, q) the furthest over a line that touches they were seen, and its normal.
         number: (q) which they are.
         normal: (2, q) to try next.
         ends: (2, R, q) what was last touched clockwise and counter-clockwise of the answers: x and y, the normals
@@ -90,6 +89,7 @@ class _Search:
 
     curves: CurveSums
     given: Tensor
+    best: Tensor
     number: Tensor
     normal: Tensor
     ends: Tensor
@@ -133,12 +133,13 @@ def solve(problems: Problems, curves: CurveSums, *, fractions: bool) -> Found:
 def _begin(p: Problems, curves: CurveSums) -> _Search:
     """Nothing touched yet; the polygon's edge in place of it."""
     count = p.point.shape[1]
-    given = torch.cat((p.point, torch.stack((p.side, p.tolerance, torch.full_like(p.side, torch.inf)))))
+    given = torch.cat((p.point, torch.stack((p.side, p.tolerance))))
+    best = torch.cat((torch.full_like(p.side, -torch.inf)[None], p.normal))
     rest = p.point.new_zeros(2, HEAD - 2 + 3 * len(curves.radii), count)
     ends = torch.cat((p.ends, rest), 1)
     number = torch.arange(count, device=p.point.device)
     pace = p.point.new_tensor((torch.finfo(p.point.dtype).max, FIRST_TURN)).unsqueeze(-1).expand(2, count)
-    return _Search(curves, given, number, p.normal, ends, p.edge, pace, torch.ones_like(p.edge))
+    return _Search(curves, given, best, number, p.normal, ends, p.edge, pace, torch.ones_like(p.edge))
 
 
 @dataclass(frozen=True)
@@ -163,7 +164,7 @@ class _Hit:
 
 def _round(s: _Search, first: Problems | None) -> tuple[_Search, _Hit]:
     """Touch the sets once."""
-    x, y, side, tolerance, depth = s.given
+    x, y, side, tolerance = s.given
     nx, ny = s.normal
     chords = bool(s.chord.any())
     touch = s.curves.touch(s.normal, tolerance if chords else None)
@@ -176,15 +177,16 @@ def _round(s: _Search, first: Problems | None) -> tuple[_Search, _Hit]:
     done = aside * aside <= tolerance * (distance + deep)
     if touch.rest is not None:
         done = done & (touch.rest <= tolerance)
-    inside = over < 0
-    if first is not None:
-        # Between polygon and set, a point is inside though it was outside.
-        depth = torch.where(side > 0, LUNE * (first.distance - over) + tolerance, torch.inf)
-        s = replace(s, given=torch.cat((s.given[:4], depth[None])))
-    done = done & torch.where(inside, deep <= depth, (side > 0) | (deep <= tolerance))
-    ahead = (aside > 0).unsqueeze(0)
+    # The distance is the most that the points are seen over a line that touches; it has the side's sign, outside or not.
+    most, best_x, best_y = s.best
+    behind = over < most - tolerance
+    done = done & ~behind & ((side > 0) | (over <= tolerance))
+    # Where they are less over it than over another, the answer is on that one's side.
+    ahead = torch.where(behind, nx * best_y - ny * best_x, aside).unsqueeze(0) > 0
     far = _polygon_end(s, entry, aside, first) if first is not None else s.ends
-    s = replace(s, ends=torch.where(torch.stack((ahead, ~ahead)), entry, far))
+    sure = over if touch.rest is None else over - touch.rest
+    best = torch.where(sure > most, torch.stack((sure, nx, ny)), s.best)
+    s = replace(s, best=best, ends=torch.where(torch.cat((ahead, ~ahead)).unsqueeze(1), entry, far))
     touch = replace(touch, u=entry[-len(other) :], face=None)
     return s, _Hit(touch, other, over, aside, distance, done)
 

@@ -220,9 +220,10 @@ class Arcs:
         if len(reach) == 1:
             better = better & peaks.found[0]
         old = (u, force, torch.inf)
-        u, force, drop = (torch.where(better, new, kept) for new, kept in zip(values, old, strict=True))
+        u, force, drop = (torch.where(better, new, kept).contiguous() for new, kept in zip(values, old, strict=True))
         rest = None
         if self.twins is not None:
+            top = top.contiguous()
             rest = self._twins_too(lines, slope[0], top, (u, force, drop))
         faces = None
         if slack is not None:
@@ -244,7 +245,7 @@ class Arcs:
         for old, new in zip(found, (twin.u, base + twin.force + rate * twin.u, twin.drop), strict=True):
             old.view(-1)[chosen] = new[better]
         top.view(-1)[chosen] = reach[better]
-        rest = torch.zeros_like(top)
+        rest = top.new_zeros(top.shape)
         rest.view(-1)[at] = torch.where(reach + higher > level, higher, 0.0)
         return rest
 
@@ -370,7 +371,7 @@ def _powers(law: Law) -> tuple[Powers, Twins | None]:
     turn = torch.where((ratio > 0) & turn.isfinite(), turn, 0.0)
     at_turn = g * (1 + p) * (p * turn).exp() + h * (1 + q) * (q * turn).exp()
     table = torch.stack((p, q, torch.where(both, g, 0.0), h, turn, at_turn, g * (1 + p) + h * (1 + q)))
-    return alone, Twins(table, torch.ones_like(g))
+    return alone, Twins(table, g.new_ones(g.shape))
 
 
 @dataclass(frozen=True)
@@ -383,7 +384,8 @@ class Touch:
         u: (M, Q) the pressure fractions that provide them.
         along, across: (M, Q) reaches, and places along the lines, a newton.
         drop: (M, Q) minus the reaches' second derivatives; infinite at corners. None if all are.
-        radius: (Q) the boundary's radius of curvature; 0 at corners.
+        bends: (M, Q) the curves' radii of curvature in the plane.
+        radius: (Q) the boundary's: their sum; 0 at corners.
         rest: (Q) how much further the sets may reach; None: not at all.
         face: (M, Q) each, if asked for: how far actuators may go, and be touched, to the right and to the left, and their
             fractions there.
@@ -395,6 +397,7 @@ class Touch:
     along: Tensor
     across: Tensor
     drop: Tensor | None
+    bends: Tensor | None
     radius: Tensor
     rest: Tensor | None
     face: tuple[Tensor, ...] | None
@@ -406,7 +409,8 @@ class CurveSums:
 
     Attributes:
         groups: of actuators alike, and how many.
-        bending: (M, Q) scaled bending moment at fraction 1.
+        bending: (M, Q) bending moment at fraction 1, scaled by moment.
+        lever: (M, Q) the same, scaled by force too.
         radii: (M, Q) scaled by moment.
         scale: factors on force and moment.
         order: where in it each of the arm's actuators is.
@@ -414,6 +418,7 @@ class CurveSums:
 
     groups: tuple[tuple[Arcs, int], ...]
     bending: Tensor
+    lever: Tensor
     radii: Tensor
     scale: tuple[float, float]
     order: tuple[int, ...]
@@ -421,7 +426,7 @@ class CurveSums:
     def touch(self, normal: Tensor, slack: Tensor | None = None) -> Touch:
         """Where lines with normals (2, Q) touch the sets, and if asked for within slack (Q) of there.
 
-        As the normal turns, with `k = s_f s_m b` of the bending moment b and a reach a newton, a fraction changes by
+        As the normal turns, with a lever `k = s_f s_m b` of the bending moment b and a reach a newton, a fraction changes by
         `k / (a drop)`, and the place along the line by the radius `k² / (a² drop)`.
         """
         nx, ny = normal
@@ -445,8 +450,10 @@ class CurveSums:
             if slack is not None:
                 face = tuple(torch.cat(values) for values in zip(*(part.faces or () for part in parts), strict=True))
         shares = torch.stack((self.scale[0] * force, torch.addcmul(self.bending * u, self.radii, force, value=-1)))
-        radius = torch.zeros_like(nx) if drop is None else self._bends(along, drop).sum(0)
-        return Touch(shares.sum(1), shares, u, along, across, drop, radius, None if rest is None else rest.sum(0), face)
+        bends = None if drop is None else (self.lever / along).square_().div_(drop)
+        radius = torch.zeros_like(nx) if bends is None else bends.sum(0)
+        rest = None if rest is None else rest.sum(0)
+        return Touch(shares.sum(1), shares, u, along, across, drop, bends, radius, rest, face)
 
     def by_group(self) -> list[tuple[Arcs, slice]]:
         """The groups, and which actuators they are."""
@@ -455,19 +462,15 @@ class CurveSums:
             starts.append(starts[-1] + count)
         return [(group, slice(start, start + count)) for (group, count), start in zip(self.groups, starts, strict=False)]
 
-    def _bends(self, along: Tensor, drop: Tensor) -> Tensor:
-        """The curves' radii of curvature (M, Q) in the plane."""
-        return (self.scale[0] * self.bending / along).square_() / drop
-
     def turn(self, touch: Touch, angle: Tensor, steep: Tensor) -> Tensor:
         """How far (Q, as tangents) normals turn in Newton's step, if to first order that is an angle.
 
         Of the rate (steep) at which the points come ahead as the normal turns, that part which is the curves' radii
         changes on the way: to how much, they say themselves.
         """
-        if touch.drop is None:
+        if touch.drop is None or touch.bends is None:
             return angle
-        lever, along, u = self.scale[0] * self.bending, touch.along, touch.u
+        lever, along, u, bends = self.lever, touch.along, touch.u, touch.bends
         # The place along the line is quadratic in the fraction.
         sway = (0.5 * touch.across * angle / along).clamp(-MOST_SWAY, MOST_SWAY)
         target = u + angle * lever / (along * touch.drop) * (1 + sway)
@@ -480,7 +483,6 @@ class CurveSums:
             if group.shape is not None:
                 known = group.shape.slope_change(u[own], step[own])
                 change[own] = known if group.twins is None else torch.where(known != 0, known, change[own])
-        bends = self._bends(along, touch.drop)
         curved = (bends > 0) & (angle != 0)
         slope = along * torch.where(curved, change, 0.0)
         turns = -along * slope / (torch.addcmul(lever, touch.across, slope) * angle)
@@ -507,4 +509,5 @@ def curve_sums(laws: Laws, bending: Tensor, radii: Tensor, scale: tuple[float, f
     order = tuple(places.index(own) for own in range(count))
     if len(groups) > 1:
         bending, radii = (torch.cat([value[law.rows] for law in laws.groups]) for value in (bending, radii))
-    return CurveSums(tuple(groups), scale[1] * bending, scale[1] * radii, scale, order), holds
+    bending = scale[1] * bending
+    return CurveSums(tuple(groups), bending, scale[0] * bending, scale[1] * radii, scale, order), holds
