@@ -25,6 +25,8 @@ CLOSING = 0.25
 """Factor by which a step must bring the touched point nearer to straight ahead."""
 STRAIGHTER = 0.4
 """Between its ends a boundary that bends less than by this share of its bend at one of them has a face."""
+MOST_INSIDE = 0.1
+"""The largest turn from inside, where there may be many faces about as near."""
 FIRST_TURN, WIDEN = 1e-3, 8.0
 """The turn of a direction where Newton's step makes no sense [rad], and its growth until it does."""
 
@@ -262,6 +264,7 @@ def _turned(s: _Search, hit: _Hit) -> _Search:
     steep = over + hit.touch.radius
     newton = (over > 0) | (steep > aside.abs())
     step = s.curves.turn(hit.touch, aside / steep, steep)
+    step = torch.where(over < 0, step.clamp(-MOST_INSIDE, MOST_INSIDE), step)
     across = torch.where(newton, step, turn * aside.sign())
     nx, ny = s.normal
     following = torch.stack((nx - across * ny, ny + across * nx))

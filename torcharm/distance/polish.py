@@ -9,10 +9,12 @@ from torcharm._select import pick
 from torcharm.distance.closed_form import BOUNDARY_ULPS, NearestFaces
 from torcharm.distance.newton import Found, Problems, solve
 from torcharm.distance.support import search_faces
-from torcharm.distance.touch import curve_sums
+from torcharm.distance.touch import CurveSums, curve_sums
 from torcharm.hulls import ExactHulls, Sections
 from torcharm.laws import Laws
 
+RIVALS = 4
+"""So many times at most a nearer face is searched for from inside."""
 GAP = 1e-12
 """By how much the two bounds of a distance may differ, relative to the size of the coordinates."""
 LEAST_GAP = 8.0
@@ -85,7 +87,10 @@ def polish(
         section, load = lawful.nonzero(as_tuple=True)
         if len(section):
             own = sums if square.shape[1] == 1 and len(section) == len(square) else pick(sums, section)
-            found = solve(start(hulls, faces, point, section, load), own, fractions=fractions)
+            problems = start(hulls, faces, point, section, load)
+            found = solve(problems, own, fractions=fractions)
+            if signed:
+                _try_rivals(hulls, section, problems, own, found, fractions=fractions)
             if found.fraction is not None:
                 found = replace(found, fraction=found.fraction[:, sums.order])
             take(section, load, found)
@@ -94,6 +99,45 @@ def polish(
     if len(section):
         take(section, load, search_faces(sections, hulls, faces, point, section, load, relative))
     return Polished(replace(faces, square=square, inside=inside), fraction, converged)
+
+
+def _try_rivals(
+    hulls: ExactHulls, section: Tensor, problems: Problems, curves: CurveSums, found: Found, *, fractions: bool
+) -> None:
+    """From inside, put nearer faces in place of those that were found, if there are any.
+
+    The set's margin in any direction is at least the polygon's: edges of the polygon further away than what was found
+    are none. At the others' normals the sets' margins say whether it is worth to search from there.
+    """
+    index = (found.inside & found.done).nonzero().squeeze(-1)
+    for _ in range(RIVALS):
+        if not len(index):
+            break
+        margin = found.square[index].sqrt() - problems.tolerance[index]
+        x, y, edge_x, edge_y = (value[:, section[index]] for value in vars(hulls.polygons).values())
+        y = hulls.lowered(y, section[index])
+        length = torch.hypot(edge_x, edge_y)
+        over = (problems.point[0, index] - x) * edge_y - (problems.point[1, index] - y) * edge_x
+        slot, place = ((length > 0) & (over > -margin * length)).nonzero(as_tuple=True)
+        own, size = index[place], length[slot, place]
+        normal = torch.stack((edge_y[slot, place], -edge_x[slot, place])) / size
+        over = (normal * (problems.point[:, own] - pick(curves, own).touch(normal).point)).sum(0)
+        best = torch.full_like(margin, -torch.inf).scatter_reduce(0, place, over, "amax")
+        chosen = ((over == best[place]) & (over > -margin[place])).nonzero().squeeze(-1)
+        if not len(chosen):
+            break
+        number = own[chosen]
+        begin = torch.stack((x, y))[:, slot, place][:, chosen]
+        edge = torch.stack((edge_x, edge_y))[:, slot, place][:, chosen]
+        other = replace(pick(problems, number), normal=normal[:, chosen], ends=torch.stack((begin, begin + edge)))
+        nearer = solve(other, pick(curves, number), fractions=fractions)
+        better = nearer.done & nearer.inside & (nearer.square < found.square[number])
+        # What is further than the margin seen, or not found at all, is no answer.
+        found.done[number] = better
+        found.square[number] = torch.where(better, nearer.square, found.square[number])
+        if found.fraction is not None and nearer.fraction is not None:
+            found.fraction[:, :, number] = torch.where(better, nearer.fraction, found.fraction[:, :, number])
+        index = number[better]
 
 
 def _gap(blur: Tensor) -> Tensor:
