@@ -194,7 +194,7 @@ class _Sampled:
     def metric(self, sections: Sections, check: Check, relative: bool) -> "tuple[Curves, Laws | None]":
         """The curves of absolute or relative reactions.
 
-        From outside few samples show what to polish; inside, where the nearest of all faces is asked for, it takes more.
+        From outside few samples show what to polish; inside, where the nearest of all faces counts, it takes more.
         """
         if self.curves is not None:
             return relative_curves(sections, self.curves) if relative else self.curves, None

@@ -1,7 +1,7 @@
 """Choosing between branches, element by element, and choosing elements."""
 
 from dataclasses import fields, is_dataclass
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import torch
 from torch import Tensor
@@ -21,9 +21,9 @@ def select(mask: Tensor, chosen: Tensor, other: Tensor) -> Tensor:
 def pick(value: T, index: Tensor) -> T:
     """Entries in `index` along the last dimension of a tensor, or of all tensors in a dataclass or tuple."""
     if isinstance(value, Tensor):
-        return value.index_select(-1, index)
+        return cast(T, value.index_select(-1, index))
     if isinstance(value, tuple):
-        return type(value)(pick(part, index) for part in value)
+        return cast(T, tuple(pick(part, index) for part in value))
     if is_dataclass(value) and not isinstance(value, type):
         return type(value)(*(pick(getattr(value, field.name), index) for field in fields(value)))
     return value

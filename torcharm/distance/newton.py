@@ -179,15 +179,15 @@ def _round(s: _Search, first: Problems | None) -> tuple[_Search, _Hit]:
     done = aside * aside <= tolerance * (distance + deep)
     if touch.rest is not None:
         done = done & (touch.rest <= tolerance)
-    # The distance is the most that the points are seen over a line that touches; it has the side's sign, outside or not.
+    # The distance is the most that points are seen over a line that touches.
     most, best_x, best_y = s.best
     behind = over < most - tolerance
     done = done & ~behind & ((side > 0) | (over <= tolerance))
     # Where they are less over it than over another, the answer is on that one's side.
     ahead = torch.where(behind, nx * best_y - ny * best_x, aside).unsqueeze(0) > 0
     far = _polygon_end(s, entry, aside, first) if first is not None else s.ends
-    sure = over if touch.rest is None else over - touch.rest
-    best = torch.where(sure > most, torch.stack((sure, nx, ny)), s.best)
+    further = over > most if touch.rest is None else (over > most) & (touch.rest <= tolerance)
+    best = torch.where(further, torch.stack((over, nx, ny)), s.best)
     s = replace(s, best=best, ends=torch.where(torch.cat((ahead, ~ahead)).unsqueeze(1), entry, far))
     touch = replace(touch, u=entry[-len(other) :], face=None)
     return s, _Hit(touch, other, over, aside, distance, done)
@@ -249,15 +249,23 @@ def _polygon_end(s: _Search, entry: Tensor, aside: Tensor, p: Problems) -> Tenso
         held * torch.where(arc, 3 * sin - 4 * sin**3, 2 * sin * cos),
     )
     normal = torch.stack((cos * nx - sin * ny, cos * ny + sin * nx))
-    return torch.cat((s.ends[:, :2], normal.expand(2, 2, -1), torch.zeros_like(s.ends[:, 4:HEAD]), torch.full_like(s.ends[:, HEAD:], torch.nan)), 1)
+    return torch.cat(
+        (
+            s.ends[:, :2],
+            normal.expand(2, 2, -1),
+            torch.zeros_like(s.ends[:, 4:HEAD]),
+            torch.full_like(s.ends[:, HEAD:], torch.nan),
+        ),
+        1,
+    )
 
 
 def _turned(s: _Search, hit: _Hit) -> _Search:
     """Where to look next.
 
     By Newton's step, as long as it stays between the ends and closes in. Else along the normal of the face between the
-    ends, or straight away from one if the point, outside, is past it. Newton's step sees the boundary as an arc, and makes
-    no sense from inside it beyond its centre.
+    ends, or straight away from one if the point, outside, is past it. Newton's step sees the boundary as an arc, and
+    makes no sense from inside it beyond its centre.
     """
     over, aside = hit.over, hit.aside
     before, turn = s.pace
@@ -290,8 +298,10 @@ def _turned(s: _Search, hit: _Hit) -> _Search:
 
 
 def _face_normal(a: Tensor, b: Tensor, over: Tensor) -> tuple[Tensor, Tensor]:
-    """The normals (2, q) of the chords between ends, or where that is one between them, of the actuator's that is moved
-    most; and whether a face is to be expected there: the boundary bends less on the way than the arc of the rounder end.
+    """The normals (2, q) of faces that may lie between ends, and whether one is to be expected.
+
+    They are those of the chords of the actuator that is moved most, or else of the whole chords. A face is expected
+    where the boundary bends less on the way than it would as the arc of the rounder end.
     """
     chord = b[:2] - a[:2]
     end = torch.where(a[4] >= b[4], a, b)

@@ -8,7 +8,7 @@ from torch import Tensor
 from torcharm._select import pick
 from torcharm.distance.closed_form import BOUNDARY_ULPS, NearestFaces
 from torcharm.distance.newton import Found, Problems, solve
-from torcharm.distance.support import search_faces
+from torcharm.distance.search import search_faces
 from torcharm.distance.touch import CurveSums, curve_sums
 from torcharm.hulls import ExactHulls, Sections
 from torcharm.laws import Laws
