@@ -119,8 +119,8 @@ def evaluate(
         polish: go on from the sampled polygons (2 samples are enough, and chosen) to the sets themselves: exact to
             1e-8 N for force models that write out their `pressure_law`, as this package's do; for others if they are
             smooth between the kinks they name, within their characterised range. A node that does not converge
-            keeps its sampled distance and clears `converged`. In a sweep of designs absolute sets take about as
-            long as 9 samples, relative ones two to four times, and one small call two to eleven times. Needs
+            keeps its sampled distance and clears `converged`. In a sweep of designs absolute sets take no longer
+            than 9 samples and relative ones about half as long again; one small call takes several times as long. Needs
             hull="exact" and the closed form; second derivatives hold the pressures.
         residuals: whether to report each node's optimality residuals, as of the sampled polygons.
         pose_cost: what the predicted error measures; None is the paper's `PoseCost()`.
