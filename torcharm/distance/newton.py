@@ -223,7 +223,8 @@ def _along_face(
 
     (a, b), (x, y) = s.ends, s.given[:2]
     behind = nx * (entry[0] - s.ends[:, 0]) + ny * (entry[1] - s.ends[:, 1])
-    flat = s.chord & ~on & (behind.amax(0) <= s.given[3]) & (a[2:4] != 0).any(0) & (b[2:4] != 0).any(0)
+    touched = ~s.ends[:, -1].isnan().any(0) & (s.ends[:, 2:4] != 0).any(1).all(0)
+    flat = s.chord & ~on & (behind.amax(0) <= s.given[3]) & touched
     if bool(flat.any()):
         beside_a, beside_b = nx * (y - a[1]) - ny * (x - a[0]), nx * (y - b[1]) - ny * (x - b[0])
         end = torch.where(beside_b > 0, b, a)
