@@ -8,6 +8,7 @@ import torcharm as ta
 from experiments.reference import converged_distance
 from torcharm import hulls
 from torcharm.actuators import pressure_law
+from torcharm.distance.touch import curve_sums
 from torcharm.laws import section_laws
 from torcharm.pieces import fit_pieces
 
@@ -141,27 +142,85 @@ LAWFUL = {
 
 @pytest.mark.parametrize("relative", [False, True])
 @pytest.mark.parametrize("name", LAWFUL)
-def test_laws_are_the_forces_and_their_derivatives(name, relative):
-    """Between kinks, against the models and autograd; at kinks, against slopes a little to either side."""
+def test_laws_are_the_forces(name, relative):
     arm = ta.ArmDesign(torch.tensor([-0.08, -0.02, 0.03, 0.06], dtype=torch.float64), 0.5, (LAWFUL[name],) * 4)
     sections = hulls.cross_sections(arm.flatten(), affine(3.0, -2.0)[None])
     laws = section_laws(sections)
     laws = laws.minus_first(sections) if relative else laws
-    for at in (0.0, 0.03, 0.4, 0.93, 1.0):
-        u = torch.full_like(sections.strain, at, requires_grad=True)
-        force = LAWFUL[name].force(sections.strain, u * sections.limit)
-        if relative:
-            force = force - LAWFUL[name].force(sections.at_first_node(sections.strain), u * sections.limit)
-        found, slope, bend, after, before, low, high = laws.around(u.detach())
-        torch.testing.assert_close(found, force.detach(), rtol=0, atol=1e-11)
-        torch.testing.assert_close(laws.force(u.detach()), force.detach(), rtol=0, atol=1e-11)
-        torch.testing.assert_close(laws.beside(u.detach()[None])[:, 0], slope + torch.stack((before, after)))
-        assert ((low <= at) & (at <= high)).all()
-        if 0 < at < 1 and force.requires_grad:
-            (wanted,) = torch.autograd.grad(force.sum(), u, create_graph=True)
-            torch.testing.assert_close(slope + after, wanted.detach(), rtol=0, atol=1e-9)
-            if wanted.requires_grad:
-                torch.testing.assert_close(bend, torch.autograd.grad(wanted.sum(), u)[0], rtol=1e-9, atol=1e-9)
+    u = torch.tensor([0.0, 0.03, 0.4, 0.93, 1.0], dtype=torch.float64).view(-1, 1, 1)
+    force = LAWFUL[name].force(sections.strain, u * sections.limit)
+    if relative:
+        force = force - LAWFUL[name].force(sections.at_first_node(sections.strain), u * sections.limit)
+    (law,) = laws.groups
+    torch.testing.assert_close(law.force(u), force, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("shape", [*SHAPES, (4.0, 0.0)])
+@pytest.mark.parametrize("relative", [False, True])
+def test_sets_are_touched_where_a_fine_scan_of_pressures_finds_them(shape, relative):
+    """And as the normal turns a little, by the radius of curvature the place moves; by symmetric differences."""
+    arm = ta.ArmDesign([-0.08, -0.02, 0.03, 0.06, 0.05], 0.5, [*[ta.Bellows()] * 2, *[ta.McKibben()] * 3])
+    sections = hulls.cross_sections(arm.flatten(), affine(*shape)[None])
+    laws = section_laws(sections)
+    laws = laws.minus_first(sections) if relative else laws
+    curves = laws.curves(sections, 20_001, relative=relative, kinks=False)
+    sums, holds = curve_sums(laws, curves.bending, curves.radii, (1.0, 2.0))
+    assert holds.all()
+    moment = curves.bending * curves.grid - curves.radii * curves.force
+    compared = 0
+    for angle in np.linspace(0.1, 6.2, 12):
+        turned = angle + torch.tensor([0.0, -1e-6, 1e-6], dtype=torch.float64)
+        normals = torch.stack((turned.cos(), turned.sin()), -1)
+        nx, ny = normals[0].tolist()
+        touches = [sums.touch(normal.unsqueeze(-1).expand(2, 10)) for normal in normals]
+        reach = nx * touches[0].point[0] + ny * touches[0].point[1]
+        rest = torch.zeros_like(reach) if touches[0].rest is None else touches[0].rest
+        reaches = nx * curves.force + 2 * ny * moment
+        scanned, between = reaches.amax(0).sum(0), reaches.diff(dim=0).abs().amax(0).sum(0)
+        assert (rest < 1e-5).all()
+        assert (reach + 2 * rest >= scanned - 1e-10).all()
+        assert (reach <= scanned + between).all()
+        moved = touches[2].point - touches[1].point
+        smooth = (touches[2].u - touches[1].u).abs().amax(0) < 1e-3
+        smooth &= ((touches[2].radius - touches[1].radius).abs() < 1e-3 * touches[0].radius) | (touches[0].radius == 0)
+        torch.testing.assert_close(
+            (nx * moved[1] - ny * moved[0])[smooth] / 2e-6, touches[0].radius[smooth], rtol=1e-3, atol=1e-6
+        )
+        compared += int((smooth & (touches[0].radius > 0)).sum())
+    assert compared > 10 or not relative
+
+
+def longest_face(force):
+    """The ends of the longest face of the lower hull of evenly spaced values."""
+    hull = [0]
+    for i in range(1, len(force)):
+        while len(hull) > 1 and (force[hull[-1]] - force[hull[-2]]) * (i - hull[-1]) >= (force[i] - force[hull[-1]]) * (
+            hull[-1] - hull[-2]
+        ):
+            hull.pop()
+        hull.append(i)
+    longest = int(np.diff(hull).argmax())
+    return hull[longest], hull[longest + 1]
+
+
+def test_straight_faces_between_two_moving_maxima_of_one_curve():
+    """A contracted muscle against one in extension: between arcs, on either side of a kink, the hull is straight."""
+    arm, twists = ta.ArmDesign([-0.04, 0.03], 0.5, [ta.McKibben(), ta.McKibben()]), affine(6.0, -1.0, nodes=8)
+    sections = hulls.cross_sections(arm.flatten(), twists[None])
+    (law,) = section_laws(sections).minus_first(sections).groups
+    force = law.force(torch.linspace(0, 1, 1001, dtype=torch.float64).view(-1, 1, 1))
+    mixed = (law.slopes != 0).any(0) & (law.gain != 0).any(0)
+    ends = [
+        longest_face((force[:, row, node] * law.gain.sum(0)[row, node].sign()).tolist())
+        for row, node in mixed.nonzero().tolist()
+    ]
+    assert sum(0 < first < last - 100 and last < 1000 for first, last in ends) >= 3
+    for seed in range(30):
+        load = torch.tensor(np.random.default_rng(seed).normal(0, (6, 6, 0.3)))
+        value, converged = polished(arm, twists, load, relative=True)
+        assert converged.all()
+        wanted = converged_distance(arm, twists, load, relative=True)
+        np.testing.assert_allclose(value.numpy(), wanted, rtol=0, atol=1e-8)
 
 
 def test_a_law_ends_where_the_model_jumps():

@@ -75,6 +75,8 @@ AGREEMENT = 1e-8
 """By how much of the polygon's size a distance may differ when its face is evaluated again with gradients."""
 FEW_SECTIONS = 300
 """Up to so many the polygons' graph is the faster one, whatever the loads."""
+INNER_SAMPLES = 5
+"""Samples a curve, at least, and their kinks, of sets to be polished from inside."""
 COLUMNS = tuple(field.name for field in fields(Residuals))
 Columns = tuple[Tensor, ...]
 
@@ -209,27 +211,26 @@ class _Sampled:
         """Whether the force models hold something that wants a gradient."""
         if self.curves is not None:
             return self.curves.force.requires_grad
-        laws = self.laws
-        parts = () if laws is None else (laws.coefficients, laws.kinks, laws.slopes, laws.gain, laws.exponent)
-        return any(part.requires_grad for part in parts)
+        return self.laws is not None and self.laws.requires_grad
 
-    def metric(self, sections: Sections, samples: int, relative: bool) -> "tuple[Curves, Laws | None]":
-        """The curves of absolute or relative reactions."""
+    def metric(self, sections: Sections, check: Check, relative: bool) -> "tuple[Curves, Laws | None]":
+        """The curves of absolute or relative reactions.
+
+        From outside few samples show what to polish; inside, where the nearest of all faces counts, it takes more.
+        """
         if self.curves is not None:
             return relative_curves(sections, self.curves) if relative else self.curves, None
-        from torcharm.laws import law_curves
-
         assert self.laws is not None
         laws = self.laws.minus_first(sections) if relative else self.laws
-        bending = sections.bending - sections.at_first_node(sections.bending) if relative else sections.bending
-        return law_curves(laws, bending, sections.radii, samples, sections.resting_moment(relative=relative)), laws
+        samples = max(check.samples, INNER_SAMPLES) if check.signed else check.samples
+        return laws.curves(sections, samples, relative=relative, kinks=check.signed), laws
 
 
 def _nearest_face(
     block: Block, sections: Sections, sampled: _Sampled, check: Check, metric: str, *, slots: bool
 ) -> _Nearest:
     relative = metric == "relative"
-    curves, laws = sampled.metric(sections, check.samples, relative)
+    curves, laws = sampled.metric(sections, check, relative)
     hulls = build_hulls(curves, check.hull, check.scale)
     point = required_points(block, check.scale, relative)
     faces = nearest_faces(hulls.polygons, *point, slots=slots or check.polish)

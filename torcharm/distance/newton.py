@@ -1,34 +1,34 @@
-"""From polygons to the sets they were sampled from, by Newton's method on what holds at nearest points.
+"""From polygons to the sets they were sampled from, by Newton's method on the normal.
 
-At the point of a set `Σ_α c_α(u_α)` that is nearest to w, with outward normal n and t to the left of it,
-
-    n·c_α'(u_α) = 0 for every u_α between kinks,    t·(w - Σ_α c_α(u_α)) = 0.
-
-The polygon's nearest point is where to start: on chords of curves that bend little. On a straight face, between two
-pressures of one actuator, the second equation gives way to `n·(c_α(u_α) - c_α(u'_α)) = 0`. An answer counts when the
-distance to the point and that to the supporting line agree, and no sample of a curve lies beyond that line.
+The distance from w to a convex set with support function h is `max_n n·w - h(n)` over unit vectors n; inside,
+its negative is the least `h(n) - n·w`. Where a line with normal n touches the set, at s, the derivative in
+the normal's angle is `t·(w - s)` with t to the left of n, and the second one minus the distance to s along n and the
+boundary's radius of curvature there. The search is bracketed by what was touched clockwise and counter-clockwise of the
+nearest point: Newton's steps close in where the boundary is curved; between the two lies a face where it is
+straight. `n·(w - s)` and `|w - s|` are bounds on the distance: their gap says when it is found.
 """
 
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from torcharm.laws import LEAST, Laws
+from torcharm._select import pick
+from torcharm.distance.touch import CurveSums, Touch
 
-ROUNDS = 10
-EARLY = 3
-"""Rounds in which only what seems to be done is compared with all samples."""
-MOST, FEWER = 0.5, 0.7
-"""Above the one share of the problems all are compared with samples, to save the copy; below the other those that
-are done are left out."""
-LUNE = 4.0
-"""Points outside a polygon can be so many times as deep inside the set as the set was seen to reach beyond it."""
-MOST_TURN = 0.5
-"""The largest turn of a normal in one round [rad]."""
-FIRST = 1e-3
-"""The first step from no pressure, where a force is a power of pressure."""
+ROUNDS = 24
+FEWER, FEW = 0.6, 200
+"""Below this share of those left the ones that are done are left out, unless so few are left that it costs more."""
+HEAD = 5
+"""Rows of what is known of an end before those of its actuators."""
+CLOSING = 0.25
+"""Factor by which a step must bring the touched point nearer to straight ahead."""
+STRAIGHTER = 0.4
+"""Between its ends a boundary that bends less than by this share of its bend at one of them has a face."""
+MOST_INSIDE = 0.1
+"""The largest turn from inside, where there may be many faces about as near."""
+FIRST_TURN, WIDEN = 1e-3, 8.0
+"""The turn of a direction where Newton's step makes no sense [rad], and its growth until it does."""
 
 
 @dataclass(frozen=True)
@@ -36,54 +36,22 @@ class Problems:
     """Q searches for a nearest point.
 
     Attributes:
-        laws, radii, bending: the curves, (..., M, Q).
-        grid, force: (S, M, Q) samples of them.
-        before, after: (S, M, Q) slopes on either side of these; (0, M, Q) if no maximum can hide between them.
-        x, y: (Q) points.
+        point: (2, Q) x and y.
+        normal: (2, Q) outward unit vectors to start from, those of a polygon inside the set.
         side: (Q) 1 outside the polygon and -1 inside.
-        tolerance: (Q).
-        number: (Q) of the problem.
-        nx, ny: (Q) outward normals.
-        u: (M, Q) pressure fractions.
-        face: (Q) whether the nearest face is straight,
-        own: (Q) the actuator that makes it so,
-        other, other_force: (Q) and its other end.
-        thickness: (Q) by how much the set was seen to reach beyond the polygon.
+        distance: (Q) to it.
+        tolerance: (Q) what counts as nothing, as a length.
+        edge: (Q) whether the polygon's nearest point lies inside an edge.
+        ends: (2, 2, Q) ends of the nearest edge, clockwise first, and x and y.
     """
 
-    laws: Laws
-    radii: Tensor
-    bending: Tensor
-    grid: Tensor
-    force: Tensor
-    before: Tensor
-    after: Tensor
-    x: Tensor
-    y: Tensor
+    point: Tensor
+    normal: Tensor
     side: Tensor
+    distance: Tensor
     tolerance: Tensor
-    number: Tensor
-    nx: Tensor
-    ny: Tensor
-    u: Tensor
-    face: Tensor
-    own: Tensor
-    other: Tensor
-    other_force: Tensor
-    thickness: Tensor
-
-    def of(self, index: Tensor, *, laws: bool = True) -> "Problems":
-        """Those in `index`; without laws, the laws of all."""
-        names = (field.name for field in fields(self) if field.name != "laws")
-        parts = {name: getattr(self, name).index_select(-1, index) for name in names}
-        return Problems(self.laws.of(index) if laws else self.laws, **parts)
-
-    def changed(self, changes: dict[str, Tensor], index: Tensor | None) -> "Problems":
-        """With other values, of those in `index` or of all."""
-        values: dict[str, Any] = dict(changes)
-        if index is not None:
-            values = {name: getattr(self, name).index_copy(-1, index, value) for name, value in changes.items()}
-        return replace(self, **values)
+    edge: Tensor
+    ends: Tensor
 
 
 @dataclass(frozen=True)
@@ -93,267 +61,260 @@ class Found:
     Attributes:
         square: (Q) squared distances; meaningless unless done.
         inside: (Q).
-        fraction: (2, M, Q) pressure fractions at both ends of the nearest faces.
+        fraction: (2, M, Q) pressure fractions at both ends of the nearest faces, if asked for.
         done: (Q).
     """
 
     square: Tensor
     inside: Tensor
-    fraction: Tensor
+    fraction: Tensor | None
     done: Tensor
 
-    @classmethod
-    def none(cls, u: Tensor) -> "Found":
-        """Nothing, of problems with fractions (M, Q)."""
-        flags = torch.zeros(2, u.shape[-1], dtype=torch.bool, device=u.device)
-        return cls(torch.zeros_like(u[0]), flags[0], u.new_zeros(2, *u.shape), flags[1])
 
-    def take(self, number: Tensor, other: "Found", chosen: Tensor) -> None:
-        """Take over some of other answers, as the problems of these numbers."""
-        self.square[number], self.inside[number] = other.square[chosen], other.inside[chosen]
-        self.fraction[:, :, number] = other.fraction[:, :, chosen]
-        self.done[number] = True
+@dataclass(frozen=True)
+class _Search:
+    """Where searches stand.
+
+    Attributes:
+        curves: theirs.
+        given: (4, q) the points' x and y, their side and their tolerance.
+        best: (3, q) the furthest over a line that touches they were seen, and its normal.
+        number: (q) which they are.
+        normal: (2, q) to try next.
+        ends: (2, R, q) what was last touched clockwise and counter-clockwise of the answers: x and y, the normals
+            (0: nothing), the boundary's radius, and of M actuators the parts of x and of y and the fractions.
+        chord: (q) whether the normal is that of the chord between the two.
+        pace: (2, q) how far off to a side the last touched point was; and the next turn where Newton's step makes no
+            sense [rad].
+        live: (q) whether it is not done.
+    """
+
+    curves: CurveSums
+    given: Tensor
+    best: Tensor
+    number: Tensor
+    normal: Tensor
+    ends: Tensor
+    chord: Tensor
+    pace: Tensor
+    live: Tensor
 
 
-def solve(problems: Problems, scale: tuple[float, float]) -> Found:
-    """Newton's method on all problems at once, those that are done left out."""
-    found = Found.none(problems.u)
+def solve(problems: Problems, curves: CurveSums, *, fractions: bool) -> Found:
+    """Search for all nearest points at once, those that are done left out."""
+    x, actuators = problems.side, len(curves.radii)
+    none, no = torch.zeros_like(x), torch.zeros_like(x, dtype=torch.bool)
+    found = Found(none.clone(), no, x.new_zeros(2, actuators, len(x)) if fractions else None, no.clone())
+    normals = problems.normal.clone()
+    search = _begin(problems, curves)
     for count in range(ROUNDS):
-        problems, answer, index = _round(problems, scale, late=count >= EARLY)
-        if answer is None:
-            continue
-        number = problems.number[index[answer.done]]
-        found.take(number, answer, answer.done)
-        if bool(found.done.all()):
-            break
-        open_ones = (~found.done[problems.number]).nonzero().squeeze(-1)
-        if len(open_ones) < FEWER * len(problems.number):
-            problems = problems.of(open_ones)
+        search, hit = _round(search, problems if count == 0 else None)
+        fresh = (hit.done & search.live).nonzero().squeeze(-1)
+        if len(fresh):
+            number = search.number[fresh]
+            found.square[number] = hit.distance[fresh].square()
+            found.inside[number], found.done[number] = hit.over[fresh] < 0, True
+            if found.fraction is not None:
+                found.fraction[:, :, number] = torch.stack((hit.touch.u, hit.other)).index_select(-1, fresh)
+                normals[:, number] = search.normal.index_select(-1, fresh)
+            live = search.live.index_fill(0, fresh, False)
+            left = live.nonzero().squeeze(-1)
+            if not len(left):
+                break
+            search = replace(search, live=live)
+            if len(live) > FEW and len(left) < FEWER * len(live):
+                search, hit = pick(search, left), pick(hit, left)
+        search = _turned(search, hit)
+    if found.fraction is not None:
+        # Where both ends are one, the fractions of the last normal are nearer still.
+        again = curves.touch(normals).u
+        found.fraction.copy_(torch.where((found.fraction[0] == found.fraction[1]).all(0), again, found.fraction))
     return found
 
 
+def _begin(p: Problems, curves: CurveSums) -> _Search:
+    """Nothing touched yet; the polygon's edge in place of it."""
+    count = p.point.shape[1]
+    given = torch.cat((p.point, torch.stack((p.side, p.tolerance))))
+    best = torch.cat((torch.full_like(p.side, -torch.inf)[None], p.normal))
+    rest = p.point.new_zeros(2, HEAD - 2 + 3 * len(curves.radii), count)
+    ends = torch.cat((p.ends, rest), 1)
+    number = torch.arange(count, device=p.point.device)
+    pace = p.point.new_tensor((torch.finfo(p.point.dtype).max, FIRST_TURN)).unsqueeze(-1).expand(2, count)
+    return _Search(curves, given, best, number, p.normal, ends, p.edge, pace, torch.ones_like(p.edge))
+
+
 @dataclass(frozen=True)
-class _Lines:
-    """Supporting lines with normals n, and what they meet: scaled reaches `n·c` and places `t·c` of curves.
+class _Hit:
+    """What came of a round.
 
     Attributes:
-        ahead, ahead_fraction: (M, Q) reach by force and by fraction.
-        across, across_fraction: (M, Q) the same for places.
+        touch: with the fractions at one end of the nearest face.
+        other: (M, q) those at the other.
+        over, aside: (q) the points from where sets were touched, along the normals and to the left of them.
+        distance: (q).
+        done: (q) whether that is it.
     """
 
-    ahead: Tensor
-    ahead_fraction: Tensor
-    across: Tensor
-    across_fraction: Tensor
-
-    @classmethod
-    def of(cls, nx: Tensor, ny: Tensor, radii: Tensor, bending: Tensor, scale: tuple[float, float]) -> "_Lines":
-        x, y = scale[1] * nx, scale[1] * ny
-        return cls(scale[0] * nx - y * radii, y * bending, -scale[0] * ny - x * radii, x * bending)
+    touch: Touch
+    other: Tensor
+    over: Tensor
+    aside: Tensor
+    distance: Tensor
+    done: Tensor
 
 
-def _round(p: Problems, scale: tuple[float, float], late: bool) -> tuple[Problems, Found | None, Tensor]:
-    """Problems a step on; and an answer to some of them, those in an index (q)."""
-    force, slope, bend, after, before, low, high = p.laws.around(p.u)
-    nx, ny = _face_normals(p, force, scale) if bool(p.face.any()) else (p.nx, p.ny)
-    lines = _Lines.of(nx, ny, p.radii, p.bending, scale)
-    uphill = torch.addcmul(lines.ahead_fraction, lines.ahead, slope + after)
-    downhill = torch.addcmul(lines.ahead_fraction, lines.ahead, slope + before)
-    left = (downhill < 0) & (p.u > 0)
-    right = (uphill > 0) & (p.u < 1) & ~left
-    gain = torch.where(left, downhill, uphill)
-    slope = slope + torch.where(left, before, after)
-    drop = -lines.ahead * bend
-    moving, curved = left | right, drop > 0
-    inverse = (moving & curved).to(nx.dtype) / torch.where(curved, drop, 1.0)
-    straight = (moving & ~curved).to(nx.dtype)
-    moment = p.bending * p.u - p.radii * force
-    from_x, from_y = p.x - scale[0] * force.sum(0), p.y - scale[1] * moment.sum(0)
-    over, aside = nx * from_x + ny * from_y, nx * from_y - ny * from_x
-    sideways = torch.addcmul(lines.across_fraction, lines.across, slope)
-    pull = sideways * inverse
-    steep = over + (pull * sideways).sum(0)
-    sound = (steep > 0) & ~p.face
-    turn = torch.where(sound, (aside - (pull * gain).sum(0)) / torch.where(sound, steep, 1.0), 0.0)
-    turn = turn.clamp(-MOST_TURN, MOST_TURN)
-
-    rise = 0.5 * gain * gain * inverse
-    rest = rise + straight * gain.abs()
-    new = p.u + (gain + sideways * turn) * inverse + straight * torch.where(right, high - p.u, low - p.u)
-    if len(p.laws.gain):
-        # In u^(x-1) the slope of a power is straight: the step is taken there.
-        rows = p.laws.rows
-        u = p.u[rows]
-        some, less = u.clamp(min=LEAST), p.laws.exponent.amax(0) - 1
-        stretch = torch.log1p((less * (new[rows] - u) / some).clamp(min=-1 + 1e-9)) / less.clamp(min=1e-9)
-        bent = torch.where(u > 0, some * stretch.clamp(max=60).exp(), FIRST)
-        new[rows] = torch.where((less > 0) & (inverse[rows] > 0), bent, new[rows])
-        new = torch.minimum(torch.maximum(new, low), high)
-        far = ((new > 2 * p.u) | (new < 0.5 * p.u)).to(nx.dtype)
-        rest = rest + far * gain.abs() * (new - p.u).abs()
-    else:
-        new = torch.minimum(torch.maximum(new, low), high)
-
-    size = torch.hypot(nx - turn * ny, ny + turn * nx)
-    on = replace(p, nx=(nx - turn * ny) / size, ny=(ny + turn * nx) / size, u=new)
-    distance = torch.hypot(over, aside)
-    rest = rest.sum(0)
-    near = (rest <= p.tolerance) & (distance - over.abs() <= p.tolerance) | p.face | (over * p.side < 0)
-    index = near.nonzero().squeeze(-1)
-    if late or len(index) > MOST * len(nx):
-        index = torch.arange(len(nx), device=nx.device)
-    if not len(index):
-        return on, None, index
-    every = len(index) == len(nx)
-
-    def part(value: Tensor) -> Tensor:
-        return value if every else value.index_select(-1, index)
-
-    lines = _Lines(*(part(value) for value in vars(lines).values()))
-    found = _Rows(part(force), part(rise), part(straight), part(new))
-    own = p if every else p.of(index, laws=False)
-    answer, changes = _check(own, lines, found, part(rest), part(over), part(aside), part(steep))
-    return on.changed(changes, None if every else index), answer, index
+def _round(s: _Search, first: Problems | None) -> tuple[_Search, _Hit]:
+    """Touch the sets once."""
+    x, y, side, tolerance = s.given
+    nx, ny = s.normal
+    chords = bool(s.chord.any())
+    touch = s.curves.touch(s.normal, tolerance if chords else None)
+    entry = torch.cat((touch.point, s.normal, touch.radius[None], touch.parts.flatten(0, 1), touch.u))
+    aside, other = nx * (y - entry[1]) - ny * (x - entry[0]), touch.u
+    if touch.face is not None:
+        entry, aside, other = _along_face(s, touch, touch.face, entry, aside)
+    over = nx * (x - entry[0]) + ny * (y - entry[1])
+    distance, deep = torch.hypot(over, aside), over.abs()
+    done = aside * aside <= tolerance * (distance + deep)
+    if touch.rest is not None:
+        done = done & (touch.rest <= tolerance)
+    # The distance is the most that points are seen over a line that touches.
+    most, best_x, best_y = s.best
+    behind = over < most - tolerance
+    done = done & ~behind & ((side > 0) | (over <= tolerance))
+    # Where they are less over it than over another, the answer is on that one's side.
+    ahead = torch.where(behind, nx * best_y - ny * best_x, aside).unsqueeze(0) > 0
+    far = _polygon_end(s, entry, aside, first) if first is not None else s.ends
+    further = over > most if touch.rest is None else (over > most) & (touch.rest <= tolerance)
+    best = torch.where(further, torch.stack((over, nx, ny)), s.best)
+    s = replace(s, best=best, ends=torch.where(torch.cat((ahead, ~ahead)).unsqueeze(1), entry, far))
+    touch = replace(touch, u=entry[-len(other) :], face=None)
+    return s, _Hit(touch, other, over, aside, distance, done)
 
 
-@dataclass(frozen=True)
-class _Rows:
-    """What a round found for each actuator (M, q): its force, how much further its next step reaches if it is curved,
-    whether (1 or 0) it goes straight to a kink, and where it goes."""
+def _along_face(
+    s: _Search, touch: Touch, face: tuple[Tensor, ...], entry: Tensor, aside: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Of what was touched the point nearest to being ahead, how far it is aside, and fractions at the other end.
 
-    force: Tensor
-    rise: Tensor
-    straight: Tensor
-    new: Tensor
-
-
-def at_actuator(value: Tensor, actuator: Tensor) -> Tensor:
-    """Of (M, q) the entries (q) of one actuator each."""
-    return value.gather(0, actuator[None])[0]
-
-
-def _put(value: Tensor, actuator: Tensor, chosen: Tensor, other: Tensor) -> Tensor:
-    """(M, q) with others (q) in place of one actuator's entries, where chosen (q)."""
-    return value.scatter(0, actuator[None], torch.where(chosen, other, at_actuator(value, actuator))[None])
-
-
-def _face_normals(p: Problems, force: Tensor, scale: tuple[float, float]) -> tuple[Tensor, Tensor]:
-    """Normals (Q), of faces those at right angles to them."""
-    apart = at_actuator(force, p.own) - p.other_force
-    run = at_actuator(p.bending, p.own) * (at_actuator(p.u, p.own) - p.other) - at_actuator(p.radii, p.own) * apart
-    tx, ty = scale[1] * run, -scale[0] * apart
-    length = torch.hypot(tx, ty)
-    level = p.face & (length > p.tolerance)
-    length = torch.where(level, length * (tx * p.nx + ty * p.ny).sign(), 1.0)
-    return torch.where(level, tx / length, p.nx), torch.where(level, ty / length, p.ny)
-
-
-def _check(
-    p: Problems, lines: _Lines, rows: _Rows, rest: Tensor, over: Tensor, aside: Tensor, steep: Tensor
-) -> tuple[Found, dict[str, Tensor]]:
-    """Which of q problems are done, seen that no curve lies beyond the supporting line; and what to change in others.
-
-    Args:
-        p: the problems; of their laws nothing is asked.
-        lines, rows: (M, q).
-        rest: (q) by how much curves reach further from where they are.
-        over, aside: (q) the points from where the sets are touched, along the normals and to the left.
-        steep: (q) slope of `aside` over the normals' turn.
+    Sets may be touched along a face: because curves are twice, or because the chord between the ends has nothing beyond
+    it.
     """
-    u, force, new, tolerance = p.u, rows.force, rows.new, p.tolerance
-    reach = torch.addcmul(lines.ahead * force, lines.ahead_fraction, u)
-    sampled = (lines.ahead * p.force).addcmul_(lines.ahead_fraction, p.grid)
-    top, best = sampled.max(0)
-    ahead = (top - reach).clamp(min=0)
-    hidden = hiding = None
-    if len(p.before):
-        hidden, hiding = _hidden(lines, u, reach, p.grid, sampled, p.before, p.after)
-        rest = rest + hidden.sum(0)
-    thickness = torch.maximum(p.thickness, (reach - top).clamp(min=0).sum(0))
-    # Between polygon and set, a point is inside though it was outside.
-    within = (p.side > 0) & (over < 0) & (-over <= LUNE * thickness + tolerance)
-    height = torch.where(within, -over, p.side * over)
-    distance = torch.hypot(over, aside)
-    settled = rest + ahead.sum(0) <= tolerance
-    done = settled & (distance - height <= tolerance)
-    fraction, face, faces = new.expand(2, *new.shape), p.face, bool(p.face.any())
-    if faces:
-        low_end, high_end, ends = _face_ends(p, lines, rows, reach - tolerance)
-        on_face = (aside >= low_end - tolerance) & (aside <= high_end + tolerance)
-        done = torch.where(face, settled & on_face & (height >= 0), done)
-        fraction = torch.where(face, ends, fraction)
-        distance = torch.where(face, over.abs(), distance)
-        # Past the end of a face Newton's method goes on from there.
-        past = face & settled & ~on_face
-        across = at_actuator(lines.across, p.own) * (p.other_force - at_actuator(force, p.own))
-        across = across + at_actuator(lines.across_fraction, p.own) * (p.other - at_actuator(u, p.own))
-        new = _put(new, p.own, past & ((aside > high_end) == (across > 0)), p.other)
-        face = face & ~past
-    if hidden is not None and hiding is not None:
-        new = torch.where((hidden > tolerance) & (ahead <= tolerance) & ~done, hiding, new)
-    own, other, other_force = p.own, p.other, p.other_force
-    # A sample out of reach of the next step is where to go on.
-    better = (ahead > 2 * rows.rise + tolerance) & (rows.straight == 0) & ~done
-    if bool(better.any()):
-        lead, leader = (ahead * better).max(0)
-        jump = lead > 0
-        best_u, best_force = p.grid.gather(0, best[None])[0], p.force.gather(0, best[None])[0]
-        sample_u, sample_force = at_actuator(best_u, leader), at_actuator(best_force, leader)
-        jumps = (lines.across * (best_force - force)).addcmul_(lines.across_fraction, best_u - u)
-        new = _put(torch.where(better, best_u, new), own, face, at_actuator(u, own))
-        # Would the normal, turned to the far side of the jump, find the near side ahead? The face between is nearest.
-        across = (jumps * better).sum(0)
-        begin = jump & (steep > 0) & ((ahead * better).sum(0) * steep + across * (aside - across) < 0)
-        if faces:
-            # Of a face that a sample divides, the half that holds the foot.
-            split = jump & face & (leader == own)
-            reached = at_actuator(jumps, leader)
-            far_half = split & ((aside - reached) * reached > 0)
-            new = _put(new, own, far_half, sample_u)
-            begin = (begin | split) & ~far_half
-            face = face & (~jump | split)
-        new = _put(new, leader, begin, at_actuator(u, leader))
-        face = face | begin
-        own = torch.where(begin, leader, own)
-        other = torch.where(begin, sample_u, other)
-        other_force = torch.where(begin, sample_force, other_force)
-    changes = {"u": new, "face": face, "own": own, "other": other, "other_force": other_force, "thickness": thickness}
-    return Found(distance.square(), within | (p.side < 0), fraction, done), changes
-
-
-def _hidden(
-    lines: _Lines, u: Tensor, reach: Tensor, grid: Tensor, sampled: Tensor, before: Tensor, after: Tensor
-) -> tuple[Tensor, Tensor]:
-    """By how much (M, q) curves may reach further between samples, by their tangents there; and where."""
-    rising, falling = (lines.ahead * slope + lines.ahead_fraction for slope in (after[:-1], before[1:]))
-    first, last = grid[:-1], grid[1:]
-    peaked = (rising > 0) & (falling < 0) & ((u < first) | (u > last))
-    span = torch.where(peaked, rising - falling, 1.0)
-    step = (sampled[1:] - sampled[:-1] - falling * (last - first)) / span
-    most, index = torch.where(peaked, sampled[:-1] + rising * step - reach, 0.0).max(0)
-    return most.clamp(min=0), (first + step).gather(0, index[None])[0].clamp(0, 1)
-
-
-def _face_ends(p: Problems, lines: _Lines, rows: _Rows, level: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Where faces end, (q) to the right and to the left of where they are touched; and fractions (2, M, q) there.
-
-    Every sample that reaches a level (M, q) belongs to the face, whichever actuator's.
-    """
-    index = p.face.nonzero().squeeze(-1)
-    if 2 * len(index) > len(p.face):
-        index = torch.arange(len(p.face), device=index.device)
-    lines = _Lines(*(value.index_select(-1, index) for value in vars(lines).values()))
-    u, force, grid, samples, level = (
-        value.index_select(-1, index) for value in (p.u, rows.force, p.grid, p.force, level)
+    actuators = len(touch.u)
+    nx, ny = s.normal
+    low, high, low_u, high_u = face
+    least, most = low.sum(0), high.sum(0)
+    above, below = aside > most, aside < least
+    own, u = torch.where(above, high, low), torch.where(above, high_u, low_u)
+    on = ~(above | below)
+    shift = torch.where(on, aside, own.sum(0))
+    moved = torch.cat((-ny * shift, nx * shift))
+    entry = torch.cat(
+        (
+            entry[:2] + moved.view(2, -1),
+            entry[2:HEAD],
+            entry[HEAD : HEAD + actuators] - ny * own,
+            entry[HEAD + actuators : HEAD + 2 * actuators] + nx * own,
+            u,
+        )
     )
-    place = (lines.across * (samples - force)).addcmul_(lines.across_fraction, grid - u)
-    sampled = (lines.ahead * samples).addcmul_(lines.ahead_fraction, grid)
-    off = (sampled < level).to(place.dtype).mul_(torch.finfo(place.dtype).max / 4)
-    least, first = (place + off).min(0)
-    most, last = place.sub_(off).max(0)
-    low_end, high_end = torch.zeros_like(p.x), torch.zeros_like(p.x)
-    low_end[index], high_end[index] = least.clamp(max=0).sum(0), most.clamp(min=0).sum(0)
-    ends = torch.stack((u, u))
-    ends[0] = torch.where(least < 0, grid.gather(0, first[None])[0], u)
-    ends[1] = torch.where(most > 0, grid.gather(0, last[None])[0], u)
-    return low_end, high_end, torch.stack((rows.new, rows.new)).index_copy(-1, index, ends)
+    aside, other = aside - shift, torch.where(on, high_u, u)
+
+    (a, b), (x, y) = s.ends, s.given[:2]
+    behind = nx * (entry[0] - s.ends[:, 0]) + ny * (entry[1] - s.ends[:, 1])
+    touched = ~s.ends[:, -1].isnan().any(0) & (s.ends[:, 2:4] != 0).any(1).all(0)
+    flat = s.chord & ~on & (behind.amax(0) <= s.given[3]) & touched
+    if bool(flat.any()):
+        beside_a, beside_b = nx * (y - a[1]) - ny * (x - a[0]), nx * (y - b[1]) - ny * (x - b[0])
+        end = torch.where(beside_b > 0, b, a)
+        entry = torch.where(flat, torch.cat((end[:2], s.normal, end[4:])), entry)
+        on = flat & (beside_a >= 0) & (beside_b <= 0)
+        other = torch.where(flat, torch.where(on, b[-actuators:], end[-actuators:]), other)
+        aside = torch.where(flat, torch.where(on, 0.0, torch.where(beside_b > 0, beside_b, beside_a)), aside)
+    return entry, aside, other
+
+
+def _polygon_end(s: _Search, entry: Tensor, aside: Tensor, p: Problems) -> Tensor:
+    """The polygon's ends, as if touched where the normal has turned twice as far as to the chord's; on arcs, thrice."""
+    nx, ny = s.normal
+    end = torch.where(aside > 0, p.ends[1], p.ends[0])
+    dx, dy = end - entry[:2]
+    along, drop = nx * dy - ny * dx, -(nx * dx + ny * dy)
+    held = (along * aside > 0) & (drop > s.given[3])
+    length = torch.hypot(along, drop) + 1 - held.to(along.dtype)
+    cos, sin = along.abs() / length, drop * along.sign() / length
+    arc = entry[4] > 0
+    cos, sin = (
+        held * torch.where(arc, 4 * cos**3 - 3 * cos, cos * cos - sin * sin),
+        held * torch.where(arc, 3 * sin - 4 * sin**3, 2 * sin * cos),
+    )
+    normal = torch.stack((cos * nx - sin * ny, cos * ny + sin * nx))
+    return torch.cat(
+        (
+            s.ends[:, :2],
+            normal.expand(2, 2, -1),
+            torch.zeros_like(s.ends[:, 4:HEAD]),
+            torch.full_like(s.ends[:, HEAD:], torch.nan),
+        ),
+        1,
+    )
+
+
+def _turned(s: _Search, hit: _Hit) -> _Search:
+    """Where to look next.
+
+    By Newton's step, as long as it stays between the ends and closes in. Else along the normal of the face between the
+    ends, or straight away from one if the point, outside, is past it. Newton's step sees the boundary as an arc, and
+    makes no sense from inside it beyond its centre.
+    """
+    over, aside = hit.over, hit.aside
+    before, turn = s.pace
+    steep = over + hit.touch.radius
+    newton = (over > 0) | (steep > aside.abs())
+    step = s.curves.turn(hit.touch, aside / steep, steep)
+    step = torch.where(over < 0, step.clamp(-MOST_INSIDE, MOST_INSIDE), step)
+    across = torch.where(newton, step, turn * aside.sign())
+    nx, ny = s.normal
+    following = torch.stack((nx - across * ny, ny + across * nx))
+
+    a, b = s.ends
+    both = (a[2:4] != 0).any(0) & (b[2:4] != 0).any(0)
+    chord = both
+    if bool(both.any()):
+        dx, dy = b[:2] - a[:2]
+        from_x, from_y = s.given[:2] - a[:2]
+        foot, span = from_x * dx + from_y * dy, dx * dx + dy * dy
+        face, straight = _face_normal(a, b, over)
+        past = (face[0] * following[1] - face[1] * following[0]) * aside > 0
+        closing = _between(a, following, b) & (aside.abs() < CLOSING * before)
+        stuck = both & ~(closing & ~(straight & past))
+        corner = stuck & (over > 0) & (dy * from_x >= dx * from_y) & ((foot <= 0) | (foot >= span))
+        chord = stuck & ~corner & (span > 0)
+        end = torch.where(foot <= 0, a, b)
+        away = s.given[:2] - end[:2] + end[4] * end[2:4]
+        following = torch.where(corner, away, torch.where(chord, face, following))
+    pace = torch.stack((torch.where(chord, torch.inf, aside.abs()), torch.where(newton, FIRST_TURN, turn * WIDEN)))
+    return replace(s, normal=following / torch.hypot(following[0], following[1]), chord=chord, pace=pace)
+
+
+def _face_normal(a: Tensor, b: Tensor, over: Tensor) -> tuple[Tensor, Tensor]:
+    """The normals (2, q) of faces that may lie between ends, and whether one is to be expected.
+
+    They are those of the chords of the actuator that is moved most, or else of the whole chords. A face is expected
+    where the boundary bends less on the way than it would as the arc of the rounder end.
+    """
+    chord = b[:2] - a[:2]
+    end = torch.where(a[4] >= b[4], a, b)
+    drop, square = (end[2] * chord[0] + end[3] * chord[1]).abs(), chord[0] * chord[0] + chord[1] * chord[1]
+    straight = drop * (end[4] + over.clamp(min=0)) < STRAIGHTER / 2 * square
+    jumps = (b[HEAD:] - a[HEAD:]).unflatten(0, (3, -1))[:2]
+    x, y = jumps.gather(1, jumps.abs().sum(0).max(0).indices.expand(2, 1, -1))[:, 0]
+    face = torch.stack((y, -x))
+    return torch.where(_between(a, face, b), face, torch.stack((chord[1], -chord[0]))), straight
+
+
+def _between(a: Tensor, normal: Tensor, b: Tensor) -> Tensor:
+    """Whether (q) normals (2, q) lie between those of ends, not at them."""
+    x, y = normal
+    return (a[2] * y - a[3] * x > 0) & (x * b[3] - y * b[2] > 0)

@@ -5,14 +5,16 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torcharm.distance.closed_form import BOUNDARY_ULPS, NearestFaces, nearest_faces, start_normals
-from torcharm.distance.newton import Found, Problems, at_actuator, solve
-from torcharm.distance.support import search_faces
-from torcharm.hulls import ExactHulls, Sections, build_hulls
-from torcharm.laws import Laws, law_curves
+from torcharm._select import pick
+from torcharm.distance.closed_form import BOUNDARY_ULPS, NearestFaces
+from torcharm.distance.newton import Found, Problems, solve
+from torcharm.distance.search import search_faces
+from torcharm.distance.touch import CurveSums, curve_sums
+from torcharm.hulls import ExactHulls, Sections
+from torcharm.laws import Laws
 
-FINER = (17, 65)
-"""Even samples of a curve for further tries."""
+RIVALS = 4
+"""So many times at most a nearer face is searched for from inside."""
 GAP = 1e-12
 """By how much the two bounds of a distance may differ, relative to the size of the coordinates."""
 LEAST_GAP = 8.0
@@ -25,8 +27,7 @@ class Polished:
 
     Attributes:
         faces: squared distances and sides, as of the polygons' faces.
-        fraction: (2, M, B, L) pressure fractions at the ends of the faces; meaningless for points that
-            were not polished, whose distance is 0.
+        fraction: (2, M, B, L) pressure fractions at the ends of the faces, if asked for,
         converged: (B, L).
     """
 
@@ -76,28 +77,67 @@ def polish(
         square[place] = torch.where(better, found.square, square[place])
         inside[place] = torch.where(better, found.inside, inside[place])
         converged[place] = better
-        if fraction is not None:
+        if fraction is not None and found.fraction is not None:
             fraction[:, :, section, load] = found.fraction
 
     open_ones = wanted
     if laws is not None:
-        lawful = wanted & laws.holds.unsqueeze(-1)
+        sums, holds = curve_sums(laws, hulls.curves.bending, hulls.curves.radii, hulls.scale)
+        lawful = wanted & holds.unsqueeze(-1)
         section, load = lawful.nonzero(as_tuple=True)
-        for samples in (None, *FINER):
-            if not len(section):
-                break
-            if samples is None:
-                found = solve(start(hulls, laws, faces, point, section, load), hulls.scale)
-            else:
-                found = refined(hulls, laws, point, section, load, samples, signed=signed)
+        if len(section):
+            own = sums if square.shape[1] == 1 and len(section) == len(square) else pick(sums, section)
+            problems = start(hulls, faces, point, section, load)
+            found = solve(problems, own, fractions=fractions)
+            if signed:
+                _try_rivals(hulls, section, problems, own, found, fractions=fractions)
+            if found.fraction is not None:
+                found = replace(found, fraction=found.fraction[:, sums.order])
             take(section, load, found)
-            left = ~converged[section, load]
-            section, load = section[left], load[left]
-        open_ones = wanted & ~lawful
+        open_ones = wanted & ~converged
     section, load = open_ones.nonzero(as_tuple=True)
     if len(section):
         take(section, load, search_faces(sections, hulls, faces, point, section, load, relative))
     return Polished(replace(faces, square=square, inside=inside), fraction, converged)
+
+
+def _try_rivals(
+    hulls: ExactHulls, section: Tensor, problems: Problems, curves: CurveSums, found: Found, *, fractions: bool
+) -> None:
+    """From inside, put nearer faces in place of those that were found, if there are any.
+
+    The set's margin in any direction is at least the polygon's: edges of the polygon further away than what was found
+    are none. At the others' normals the sets' margins say whether it is worth to search from there.
+    """
+    index = (found.inside & found.done).nonzero().squeeze(-1)
+    for _ in range(RIVALS):
+        if not len(index):
+            break
+        margin = found.square[index].sqrt() - problems.tolerance[index]
+        x, y, edge_x, edge_y = (value[:, section[index]] for value in vars(hulls.polygons).values())
+        y = hulls.lowered(y, section[index])
+        length = torch.hypot(edge_x, edge_y)
+        over = (problems.point[0, index] - x) * edge_y - (problems.point[1, index] - y) * edge_x
+        slot, place = ((length > 0) & (over > -margin * length)).nonzero(as_tuple=True)
+        own, size = index[place], length[slot, place]
+        normal = torch.stack((edge_y[slot, place], -edge_x[slot, place])) / size
+        over = (normal * (problems.point[:, own] - pick(curves, own).touch(normal).point)).sum(0)
+        best = torch.full_like(margin, -torch.inf).scatter_reduce(0, place, over, "amax")
+        chosen = ((over == best[place]) & (over > -margin[place])).nonzero().squeeze(-1)
+        if not len(chosen):
+            break
+        number = own[chosen]
+        begin = torch.stack((x, y))[:, slot, place][:, chosen]
+        edge = torch.stack((edge_x, edge_y))[:, slot, place][:, chosen]
+        other = replace(pick(problems, number), normal=normal[:, chosen], ends=torch.stack((begin, begin + edge)))
+        nearer = solve(other, pick(curves, number), fractions=fractions)
+        better = nearer.done & nearer.inside & (nearer.square < found.square[number])
+        # What is further than the margin seen, or not found at all, is no answer.
+        found.done[number] = better
+        found.square[number] = torch.where(better, nearer.square, found.square[number])
+        if found.fraction is not None and nearer.fraction is not None:
+            found.fraction[:, :, number] = torch.where(better, nearer.fraction, found.fraction[:, :, number])
+        index = number[better]
 
 
 def _gap(blur: Tensor) -> Tensor:
@@ -105,100 +145,33 @@ def _gap(blur: Tensor) -> Tensor:
     return blur * max(LEAST_GAP, GAP / (BOUNDARY_ULPS * torch.finfo(blur.dtype).eps))
 
 
-def refined(
-    hulls: ExactHulls,
-    laws: Laws,
-    point: tuple[Tensor, Tensor],
-    section: Tensor,
-    load: Tensor,
-    samples: int,
-    *,
-    signed: bool,
-) -> Found:
-    """Another try, from polygons of more samples, for problems (Q) of sections and loads."""
-    laws, bending, radii = laws.of(section), hulls.curves.bending[:, section], hulls.curves.radii[:, section]
-    resting = None if hulls.curves.resting is None else hulls.curves.resting[section]
-    finer = build_hulls(law_curves(laws, bending, radii, samples, resting), "exact", hulls.scale)
-    assert isinstance(finer, ExactHulls)
-    x, y = (value[section, load].unsqueeze(-1) for value in point)
-    faces = nearest_faces(finer.polygons, x, y, slots=True)
-    every = torch.arange(len(section), device=section.device)
-    found = solve(start(finer, laws, faces, (x, y), every, torch.zeros_like(every)), hulls.scale)
-    within = (faces.inside | (faces.square <= faces.blur.square()))[:, 0] & (not signed)
-    return replace(found, done=found.done | within, inside=found.inside | within)
-
-
 def start(
-    hulls: ExactHulls, laws: Laws, faces: NearestFaces, point: tuple[Tensor, Tensor], section: Tensor, load: Tensor
+    hulls: ExactHulls, faces: NearestFaces, point: tuple[Tensor, Tensor], section: Tensor, load: Tensor
 ) -> Problems:
     """From the polygons' nearest faces to problems: those (Q) of sections and loads."""
-    curves, scale, polygons = hulls.curves, hulls.scale, hulls.polygons
-    normal = start_normals(polygons, faces, *point)
     assert faces.slot is not None
-    x, y, nx, ny, blur, slot, inside = (
-        value[section, load] for value in (*point, *normal, faces.blur, faces.slot, faces.inside)
+    polygons, place, slot = hulls.polygons, (section, load), faces.slot[section, load]
+    x, y, blur, square, inside = (value[place] for value in (*point, faces.blur, faces.square, faces.inside))
+    begin_x, begin_y, edge_x, edge_y = (
+        value[slot, section] for value in (polygons.x, polygons.y, polygons.edge_x, polygons.edge_y)
     )
-    edge_x, edge_y = polygons.edge_x[slot, section], polygons.edge_y[slot, section]
-    span = edge_x.square() + edge_y.square() + torch.finfo(x.dtype).tiny
-    share = ((x - polygons.x[slot, section]) * edge_x + (y - polygons.y[slot, section]) * edge_y) / span
-    share = share.clamp(0, 1)
-
-    actuators = len(curves.radii)
-    edge = hulls.order[slot, section]
-    sample, own = edge // actuators, edge % actuators
-    first, step = curves.grid[sample, own, section], hulls.step[sample, own, section]
-    forward = hulls.turn[own, section] > 0
-    part = torch.where(forward, share, 1 - share)
-    every = torch.arange(len(x), device=x.device)
-
-    law = laws.of(section)
-    beside = laws.beside(curves.grid) if laws.winding else curves.grid.new_zeros(2, 0, *curves.radii.shape)
-    beside = beside.index_select(-1, section)
-    grid, force, radii, bending = (
-        value.index_select(-1, section) for value in (curves.grid, curves.force, curves.radii, curves.bending)
-    )
-    per_force = scale[0] * nx - (scale[1] * ny) * radii
-    per_fraction = (scale[1] * ny) * bending
-    top, best = (per_force * force + per_fraction * grid).max(0)
-    u = grid.gather(0, best[None])[0]
-    u[own, every] = first + part * step
-    tolerance = _gap(blur)
-    bulge = (per_force * law.force(u) + per_fraction * u - top)[own, every]
-    face = (share > 0) & (share < 1) & (bulge <= tolerance)
-    last = first + step
-    # On a straight face one end is let go: that into which the curve rises, if there is one.
-    u[own, every] = torch.where(face, first, u[own, every])
-    other = last
-    if bool(face.any()):
-        _, slope, _, after, before, _, _ = law.around(u)
-        away = at_actuator(torch.where(step > 0, slope + after, -(slope + before)) * per_force, own)
-        away = away + step.sign() * at_actuator(per_fraction, own)
-        swap = face & (away <= 0)
-        u[own, every] = torch.where(swap, last, u[own, every])
-        other = torch.where(swap, first, last)
-    u_other = u.clone()
-    u_other[own, every] = other
-    other_force = law.force(u_other)[own, every]
     side = 1 - 2 * inside.to(x.dtype)
-    return Problems(
-        law,
-        radii,
-        bending,
-        grid,
-        force,
-        beside[0],
-        beside[1],
-        x,
-        hulls.lowered(y, section),
-        side,
-        tolerance,
-        every,
-        nx,
-        ny,
-        u,
-        face,
-        own,
-        other,
-        other_force,
-        torch.zeros_like(x),
-    )
+    from_x, from_y, span = x - begin_x, y - begin_y, edge_x * edge_x + edge_y * edge_y
+    foot = from_x * edge_x + from_y * edge_y
+    edge = (foot > 0) & (foot < span)
+    share = (foot / span.clamp(min=torch.finfo(x.dtype).tiny)).clamp(0, 1)
+    # Of a polygon without area the point may be on either side of either edge.
+    facing = (side * (from_x * edge_y - from_y * edge_x)).sign()
+    nx = torch.where(edge, facing * edge_y, side * (from_x - share * edge_x))
+    ny = torch.where(edge, -facing * edge_x, side * (from_y - share * edge_y))
+    length = torch.hypot(nx, ny)
+    nowhere = (length <= torch.finfo(x.dtype).tiny).to(x.dtype)
+    normal = torch.stack((nx + nowhere, ny)) / (length + nowhere)
+    y, begin_y = hulls.lowered(y, section), hulls.lowered(begin_y, section)
+    begin = torch.stack((begin_x, begin_y))
+    ends = torch.stack((begin, begin + torch.stack((edge_x, edge_y))))
+    turned = facing < 0
+    if bool(turned.any()):
+        ends = torch.where(turned, ends.flip(0), ends)
+    edge = edge & (nowhere == 0)
+    return Problems(torch.stack((x, y)), normal, side, square.sqrt(), _gap(blur), edge, ends)

@@ -8,19 +8,13 @@ nearest point: Newton's steps close in where the boundary is curved, and the nor
 the answer where it is flat.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import torch
 from torch import Tensor
 
 from torcharm._select import select
-from torcharm.distance.closed_form import NearestFaces, start_normals
-from torcharm.distance.newton import Found
-from torcharm.hulls import ExactHulls, Sections
-from torcharm.pieces import Pieces, fit_pieces, refit_pieces
-from torcharm.polygon import face_square
+from torcharm.pieces import Pieces
 
 ROUNDS = 40
 WIDEN = 8.0
@@ -368,59 +362,3 @@ def _share(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor) -> Tensor:
     """Where along a chord (dx, dy) the foot of (x, y), from its start, lies: 0 at its start, 1 at its end."""
     span = dx.square() + dy.square()
     return (x * dx + y * dy) / (span + (span == 0).to(span.dtype))
-
-
-def search_faces(
-    sections: Sections,
-    hulls: ExactHulls,
-    faces: NearestFaces,
-    point: tuple[Tensor, Tensor],
-    section: Tensor,
-    load: Tensor,
-    relative: bool,
-) -> Found:
-    """The nearest faces of problems (Q), by search."""
-    normals = start_normals(hulls.polygons, faces, *point)
-    x, y, nx, ny, blur = (value[section, load] for value in (*point, *normals, faces.blur))
-    y = hulls.lowered(y, section)
-    pieces = fit_pieces(sections, section, relative=relative)
-    bending = hulls.curves.bending[:, section]
-    sums = CurveSum(pieces, bending, sections.radii[:, section], hulls.scale)
-    found = nearest_points(sums, x, y, (nx, ny), 4 * blur)
-    _refit(found, sums, x, y, 4 * blur, partial(refit_pieces, sections, relative=relative), section)
-    square = face_square((x, y), found.ends.corner(0), found.ends.corner(1))
-    return Found(square, found.inside, found.ends.fraction, found.converged)
-
-
-def _refit(
-    found: NearestPoints,
-    sums: CurveSum,
-    x: Tensor,
-    y: Tensor,
-    tolerance: Tensor,
-    fit: Callable[[Tensor, Tensor, Tensor], Pieces],
-    section: Tensor,
-) -> None:
-    """Search again, on ever shorter stretches, where a piece that was touched is only near its force.
-
-    Args:
-        found: what is improved.
-        sums, x, y, tolerance: as for `nearest_points`.
-        fit: from sections (q), starts and widths (K, M, q) to pieces.
-        section: (Q) of the sums.
-    """
-    loose = found.ends.rough.flatten(0, 1).any(0).nonzero().squeeze(-1)
-    share = torch.full_like(x[loose], WINDOW)
-    index = torch.arange(len(loose), device=x.device)
-    for _ in range(REFITS if len(loose) else 0):
-        own = loose[index]
-        begin, width = found.ends.window(own, share[index])
-        near = replace(sums.of(own), pieces=fit(section[own], begin, width))
-        normal = found.normal[0, own], found.normal[1, own]
-        found.put(own, nearest_points(near, x[own], y[own], normal, tolerance[own]))
-        held = found.ends.held(own, begin, width).flatten(0, 1).any(0)
-        found.converged[own] &= ~held
-        share[index] = torch.where(held, share[index], share[index] * NARROW)
-        index = index[share[index] >= LEAST]
-        if not len(index):
-            break
