@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from experiments.hull_gallery import scenes, search
-from experiments.hull_gallery.run import Row, read, write
+from experiments.hull_gallery.run import Row
+from experiments.rows import read_rows, write_rows
 
 U = np.linspace(0.0, 1.0, search.FINE)
 
@@ -92,5 +93,5 @@ def test_curve_sums_are_the_reactions():
 
 def test_rows_survive_the_file(tmp_path):
     rows = [Row("a", -2.0, 3.0, "absolute", 1, 0.1, 0.0, 0.2, 2, 50.0, True, False)]
-    write(tmp_path / "rows.csv", rows)
-    assert read(tmp_path / "rows.csv") == rows
+    write_rows(tmp_path / "rows.csv", rows)
+    assert read_rows(tmp_path / "rows.csv", Row) == rows
