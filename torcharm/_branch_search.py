@@ -337,28 +337,54 @@ def _trials(block: _Block, best: Reached, before: Tensor, free: Tensor) -> Tenso
 
 
 def _finish(problem: Problem, block: _Block, state: _State) -> Searched:
-    """Make sure that it is `solve_equilibrium`'s; where nothing was confirmed, take that of the best start."""
+    """Make sure that it is `solve_equilibrium`'s; where nothing was confirmed, take that of the best start. Where the
+    search was held up, the nearest corner of the box may be better, even if the arm snaps there."""
     best, own = state.best, block.searches
     rest, still = block.rest(best.place)
     near = SAME_SHAPE if rest.dtype == torch.float64 else COARSE_SHAPE
     sure = still & best.cost.isfinite() & ((rest - best.rest).abs().amax((0, 1)) < near)
-    unknowns, cost, continued = best.unknowns.clone(), best.cost.clone(), sure.clone()
+    end = _Solved(best.place.clone(), best.cost.clone(), best.unknowns.clone(), sure.clone())
     left = (~sure).nonzero().squeeze(-1)
-    if len(left):
-        part = problem[left]
-        again = solved(replace(part, pressure=best.place[:, left].mT * part.arm.max_pressure), block.nodes)
-        unknowns[:, :, left] = again.unknowns.movedim(0, -1)
-        worth = own.goal[left].cost(unknowns[:, :, left], pick(own.arms.base_pose, left))
-        cost[left] = torch.where(again.converged, worth, float("inf"))
-        continued[left] = again.continued
-    look = mechanics.march(own.arms, unknowns, best.place * own.limits, each_pressure=own.limits)
+    end.put(left, _solved(problem, block, left, best.place[:, left]))
+    converged = state.converged & sure
+    held = (~converged).nonzero().squeeze(-1)
+    corner = _solved(problem, block, held, end.place[:, held].round())
+    better = corner.cost < end.cost[held]
+    end.put(held[better], corner.at(better))
+    look = mechanics.march(own.arms, end.unknowns, end.place * own.limits, each_pressure=own.limits)
     _, gradient, _ = own.goal.model(look)
+    place = end.place.mT
     return Searched(
-        best.place.mT,
-        cost,
-        unknowns.movedim(-1, 0),
-        continued,
-        state.converged & sure,
-        2 * optimality(gradient.mT, best.place.mT),
+        place,
+        end.cost,
+        end.unknowns.movedim(-1, 0),
+        end.continued,
+        converged,
+        2 * optimality(gradient.mT, place),
         state.start_cost.mT,
     )
+
+
+class _Solved(NamedTuple):
+    """What `solve_equilibrium` finds at places (M, B): costs (B,), infinite where it fails, unknowns (C, N, B), and
+    whether continuation led there (B,)."""
+
+    place: Tensor
+    cost: Tensor
+    unknowns: Tensor
+    continued: Tensor
+
+    def at(self, index: Tensor) -> "_Solved":
+        return _Solved(*(value[..., index] for value in self))
+
+    def put(self, index: Tensor, new: "_Solved") -> None:
+        for old, fresh in zip(self, new, strict=True):
+            old[..., index] = fresh
+
+
+def _solved(problem: Problem, block: _Block, rows: Tensor, place: Tensor) -> _Solved:
+    part, own = problem[rows], block.searches
+    found = solved(replace(part, pressure=place.mT * part.arm.max_pressure), block.nodes)
+    unknowns = found.unknowns.movedim(0, -1)
+    cost = own.goal[rows].cost(unknowns, pick(own.arms.base_pose, rows))
+    return _Solved(place, torch.where(found.converged, cost, float("inf")), unknowns, found.continued)

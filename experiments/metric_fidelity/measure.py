@@ -84,7 +84,7 @@ def _ends(arm: ta.ArmDesign, task: ta.Task, found: ta.PredictedError) -> tuple[t
 
 
 def _searched(arm: ta.ArmDesign, task: ta.Task) -> Searched:
-    search = ta.search_pressure(arm, task)
+    search = ta.search_pressure(arm, task, starts=16)
     true = search.cost.sqrt()
     agree = (search.start_cost.sqrt() <= AGREE * true.unsqueeze(-1) + 1e-6).double().mean(-1)
     return _column(true), _column(agree)
