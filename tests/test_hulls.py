@@ -7,7 +7,7 @@ import torch
 from scipy.spatial import ConvexHull
 
 import torcharm as ta
-from torcharm import hulls
+from torcharm import envelope, hulls
 
 BELLOWS = oracle.Actuator(oracle.bellows_force, reference=50.0)
 MUSCLE = oracle.Actuator(oracle.mckibben_force, reference=100.0)
@@ -291,6 +291,6 @@ def test_envelopes_of_few_curves_at_once_are_those_of_many(count, monkeypatch):
     force = torch.randn(count, 3, 50, generator=generator, dtype=torch.float64)
     force[:, :, ::5] = force[:, :, ::5].round()  # with ties, and samples in line
     force[:, 0, 1::5] = grid[:, 0] * torch.arange(10)
-    at_once = hulls._envelope_targets(grid, force)
-    monkeypatch.setattr(hulls, "AT_ONCE", 0)
-    assert torch.equal(hulls._envelope_targets(grid, force), at_once)
+    at_once = envelope.envelope_targets(grid, force)
+    monkeypatch.setattr(envelope, "AT_ONCE", 0)
+    assert torch.equal(envelope.envelope_targets(grid, force), at_once)
