@@ -7,7 +7,7 @@ import torch
 from scipy.spatial import ConvexHull
 
 import torcharm as ta
-from torcharm import envelope, hulls
+from torcharm import envelope
 
 BELLOWS = oracle.Actuator(oracle.bellows_force, reference=50.0)
 MUSCLE = oracle.Actuator(oracle.mckibben_force, reference=100.0)
