@@ -27,8 +27,10 @@ def write_rows(path: Path, rows: Sequence[Any]) -> None:
 
     Args:
         path: of the CSV file.
-        rows: at least one, all of one dataclass; the columns are its fields.
+        rows: all of one dataclass, whose fields are the columns; of none, nothing is written.
     """
+    if not rows:
+        return
     partial = path.with_name(path.name + ".part")
     with partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, [field.name for field in fields(rows[0])], lineterminator="\n")
@@ -38,16 +40,17 @@ def write_rows(path: Path, rows: Sequence[Any]) -> None:
 
 
 def read_rows(path: Path, kind: type[Kind]) -> list[Kind]:
-    """What `write_rows` wrote: rows of this dataclass, whose fields are numbers, flags and texts."""
-    kinds = {field.name: field.type for field in fields(kind)}  # type: ignore[arg-type]
+    """What `write_rows` wrote of this dataclass, whose fields are numbers, flags and texts; nothing if there is no such
+    file, or its columns are others."""
+    if not path.is_file():
+        return []
+    convert: dict[Any, Any] = {str: str, int: int, float: float, bool: lambda word: word == "True"}
+    columns = {field.name: convert[field.type] for field in fields(kind)}  # type: ignore[arg-type]
     with path.open(newline="", encoding="utf-8") as file:
-        return [
-            kind(**{name: _parsed(kinds[name], text) for name, text in line.items()}) for line in csv.DictReader(file)
-        ]
-
-
-def _parsed(kind: Any, text: str) -> Any:
-    return text == "True" if kind is bool else kind(text)
+        reader = csv.DictReader(file)
+        if list(reader.fieldnames or ()) != list(columns):
+            return []
+        return [kind(**{name: columns[name](word) for name, word in line.items()}) for line in reader]
 
 
 def measurements_table(rows: Sequence[Measurement], digits: int = 5) -> Table:

@@ -1,10 +1,8 @@
 """Rows of results, and the files that keep them: written after each piece of work, and read again to go on."""
 
-import csv
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
 
 HERE = Path(__file__).parent
 RESULTS, HISTORIES, TASKS = (HERE / f"{name}.csv" for name in ("results", "histories", "verification"))
@@ -61,34 +59,6 @@ class TaskRow:
     predicted_converged: bool
     searched: float
     searched_converged: bool
-
-
-Record = TypeVar("Record", Row, Trace, TaskRow)
-
-
-def write(path: Path, rows: Sequence[Record]) -> None:
-    """Rows as a CSV file, which appears whole."""
-    if not rows:
-        return
-    partial = path.with_suffix(".part")
-    with partial.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(rows[0])], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
-    partial.replace(path)
-
-
-def read(path: Path, kind: type[Record]) -> list[Record]:
-    """What `write` wrote; nothing if there is no such file, or it is of other columns."""
-    if not path.is_file():
-        return []
-    convert: dict[Any, Any] = {str: str, int: int, float: float, bool: lambda word: word == "True"}
-    columns = {field.name: convert[field.type] for field in fields(kind)}
-    with path.open(newline="", encoding="utf-8") as file:
-        reader = csv.DictReader(file)
-        if list(reader.fieldnames or ()) != list(columns):
-            return []
-        return [kind(**{name: columns[name](word) for name, word in line.items()}) for line in reader]
 
 
 def without(rows: Iterable[Row], *parts: str) -> list[Row]:

@@ -15,8 +15,9 @@ import torch
 import torcharm as ta
 from experiments.design_optimisation import methods, verification
 from experiments.design_optimisation.figure import draw
-from experiments.design_optimisation.rows import HERE, HISTORIES, RESULTS, TASKS, Row, TaskRow, Trace, read, write
+from experiments.design_optimisation.rows import HERE, HISTORIES, RESULTS, TASKS, Row, TaskRow, Trace
 from experiments.design_optimisation.scenes import ARMS, SHAPES, chosen_arms, joint
+from experiments.rows import read_rows, write_rows
 
 ABOUT = ("given", "start, in range", "stationarity", "projected gradient", "seconds of evaluate")
 """Quantities of methods that traces do not tell."""
@@ -42,9 +43,9 @@ class Run:
 
     def __init__(self, quick: bool, only: tuple[str, ...], fresh: bool) -> None:
         self.quick, self.only = quick, only
-        self.rows: list[Row] = [] if quick else read(RESULTS, Row)
-        self.traces: list[Trace] = [] if quick else read(HISTORIES, Trace)
-        self.tasks: list[TaskRow] = [] if quick else read(TASKS, TaskRow)
+        self.rows: list[Row] = [] if quick else read_rows(RESULTS, Row)
+        self.traces: list[Trace] = [] if quick else read_rows(HISTORIES, Trace)
+        self.tasks: list[TaskRow] = [] if quick else read_rows(TASKS, TaskRow)
         if fresh:
             self.rows = [row for row in self.rows if row.part not in only]
             self.traces = [] if "methods" in only else self.traces
@@ -80,7 +81,7 @@ class Run:
                 self.rows = [row for row in self.rows if row.part != "methods"]
                 self.add([*methods.summary(self.traces), *about])
                 if not self.quick:
-                    write(HISTORIES, self.traces)
+                    write_rows(HISTORIES, self.traces)
         if not self.quick and self.traces:
             draw(self.traces, HERE / "design_optimisation.png")
 
@@ -100,14 +101,14 @@ class Run:
         self.rows += rows
         if not self.quick:
             self.rows.sort(key=lambda row: PARTS.index(row.part))
-            write(RESULTS, self.rows)
+            write_rows(RESULTS, self.rows)
 
     def keep(self, tasks: list[TaskRow]) -> None:
         """Keep what was measured of tasks."""
         last = tasks[-1]
         print(f"verification {last.arm:13} {last.design:16} {last.shape}", flush=True)
         if not self.quick:
-            write(TASKS, tasks)
+            write_rows(TASKS, tasks)
 
 
 def shapes(arm: str, quick: bool) -> Iterator[Row]:

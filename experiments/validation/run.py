@@ -4,10 +4,9 @@ Writes results.csv (one row an arm and load), summary.csv, hulls.png, shapes.png
 """
 
 import argparse
-import csv
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from scipy.stats import spearmanr
 from torch import Tensor
 
 import torcharm as ta
+from experiments.rows import write_rows
 from experiments.validation import figure
 
 HERE = Path(__file__).parent
@@ -95,8 +95,8 @@ def main() -> None:
     pictures = figure.draw_all(task, answers)
     if options.quick:
         return
-    write(HERE / "results.csv", [row for one in answers for row in rows(task, one)])
-    write(HERE / "summary.csv", summary)
+    write_rows(HERE / "results.csv", [row for one in answers for row in rows(task, one)])
+    write_rows(HERE / "summary.csv", summary)
     for name, picture in pictures.items():
         picture.savefig(HERE / f"{name}.png", dpi=110)
     console.print(f"wrote results.csv, summary.csv and {', '.join(f'{name}.png' for name in pictures)}")
@@ -175,13 +175,6 @@ def rows(task: ta.Task, one: Answers) -> list[Row]:
         Row(one.name, index, *load, *value)
         for index, (load, value) in enumerate(zip(task.tip_load.tolist(), values, strict=True), start=1)
     ]
-
-
-def write(path: Path, rows: Sequence[Any]) -> None:
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(rows[0])])
-        writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
 
 
 def as_table(summary: Sequence[Figure]) -> Table:
