@@ -1,4 +1,4 @@
-"""Least squares in a box: what the pressure search and the wrench-space fit share."""
+"""Least squares in a box: what the pressure search, the prediction and the wrench-space fit share."""
 
 import torch
 from torch import Tensor

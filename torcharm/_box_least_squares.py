@@ -47,11 +47,6 @@ Look = Callable[[Tensor, Tensor, Tensor, Tensor], Model]
 finite is no place to go."""
 
 
-def projected(gradient: Tensor, place: Tensor) -> Tensor:
-    """What is left of a gradient (B, M) in the box: `u - P(u - g)`."""
-    return place - (place - gradient).clamp(0, 1)
-
-
 def minimise(
     look: Look,
     start: Tensor,

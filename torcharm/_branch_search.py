@@ -202,7 +202,8 @@ def _expected_cost(own: Searches, wanted: Tensor, pool: Tensor) -> Tensor:
         look = mechanics.march(some.arms, pick(wanted, index), place * some.limits)
         cost, _, _ = some.goal.model(look)
         columns.append(cost.view(len(part), total))
-    return torch.cat(columns).nan_to_num(nan=float("inf"))
+    expected = torch.cat(columns)
+    return torch.where(expected.isnan(), float("inf"), expected)  # ranked last
 
 
 @dataclass
@@ -273,7 +274,8 @@ def _normal(block: _Block, at: Reached) -> Tensor:
     look = mechanics.march(own.arms, at.quick, at.place * own.limits, at.share, each_pressure=own.limits, poses=False)
     rush = at.rush.clone()
     rush[:-1] /= own.scale.length**2
-    normal = (look.change[:, :, 1:] * rush.unsqueeze(2)).sum((0, 1)).nan_to_num()
+    normal = (look.change[:, :, 1:] * rush.unsqueeze(2)).sum((0, 1))
+    normal = torch.where(normal.isfinite().all(0), normal, 0.0)  # no direction is known: none is taken
     return normal / normal.norm(dim=0).clamp(min=1e-300)
 
 
@@ -333,7 +335,8 @@ def _trials(block: _Block, best: Reached, before: Tensor, free: Tensor) -> Tenso
     ahead = place - before
     for factor, offset in AHEAD:
         trials.append(place + factor * (ahead + offset * ahead.norm(dim=0) * inner))
-    return torch.stack(trials, 1).nan_to_num(nan=0.5).clamp(0, 1)
+    tried = torch.stack(trials, 1).clamp(0, 1)
+    return torch.where(tried.isfinite(), tried, place.unsqueeze(1))  # a step that is no number is none
 
 
 def _finish(problem: Problem, block: _Block, state: _State) -> Searched:

@@ -11,7 +11,9 @@ from torcharm._outer import Block
 from torcharm._sampled_distances import (
     Required,
     Sampling,
+    hulls_of,
     inputs_want_gradient,
+    required_by_metric,
     sampled_distances,
     strain_excess,
 )
@@ -29,7 +31,6 @@ from torcharm.hulls import (
     sample_curves,
 )
 from torcharm.polygon import face_square
-from torcharm.wrenches import PLANAR, required_wrench
 
 if TYPE_CHECKING:
     from torcharm.laws import Laws
@@ -257,10 +258,6 @@ def _fractions(hulls: Hulls, faces: NearestFaces, point: tuple[Tensor, Tensor]) 
     return hulls.fractions(faces.slot, face_normals(hulls.polygons, faces, *point), point, faces.square)
 
 
-def _hulls(sections: Sections, curves: Curves, check: Check, relative: bool) -> Hulls:
-    return build_hulls(relative_curves(sections, curves) if relative else curves, check.hull, check.scale)
-
-
 @dataclass(frozen=True)
 class _Replay:
     """Squared distances to faces already found, and the strain excess, with gradients."""
@@ -300,7 +297,7 @@ def _by_solver(
         for metric in check.metrics:
             relative = metric == "relative"
             with torch.no_grad():
-                hulls = _hulls(sections, curves, check, relative)
+                hulls = hulls_of(sections, curves, check, relative)
             found = _solve(sections, hulls, required_points(block, check.scale, relative), check, relative, solver)
             columns += found[:each]
         return *columns, strain_excess(sections)
@@ -332,9 +329,7 @@ def _scaled(wrench: tuple[Tensor, Tensor], check: Check) -> tuple[Tensor, Tensor
 
 def required_points(block: Block, scale: tuple[float, float], relative: bool) -> tuple[Tensor, Tensor]:
     """Required wrenches, scaled, as two tensors (B, l)."""
-    wrench = required_wrench(block.twists[:, None], block.tip_load, block.base_pose)[..., PLANAR]
-    if relative:
-        wrench = wrench - wrench[..., :1, :]
-    by_node = wrench.movedim(1, -2).unsqueeze(2)  # (p, N, 1, l, 2)
-    by_section = by_node.expand(-1, -1, len(block.arm.radii), -1, -1).flatten(0, 2)
-    return scale[0] * by_section[..., 0], scale[1] * by_section[..., 1]
+    metric, designs = "relative" if relative else "absolute", len(block.arm.radii)
+    x, y = required_by_metric(block, (metric,), scale)[metric]  # (p, N, l)
+    x, y = (value.unsqueeze(2).expand(-1, -1, designs, -1).flatten(0, 2) for value in (x, y))
+    return x, y

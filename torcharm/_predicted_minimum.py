@@ -13,7 +13,8 @@ import torch
 from torch import Tensor
 
 from torcharm import mechanics, rod
-from torcharm._box_least_squares import Model, minimise, projected
+from torcharm._box import optimality
+from torcharm._box_least_squares import Model, minimise
 from torcharm._outer import Block
 from torcharm._response import LARGE_MOVE, Points, Rest, is_stable, look, pose_errors, settle, size
 from torcharm._wrench_fit import fit_wrenches
@@ -368,5 +369,5 @@ class _Problem:
 def _optimality(model: Model, share: Tensor, floor: Tensor) -> Tensor:
     """(B,) the largest slope of the error by a share, of those that the box leaves free; 0 of no error."""
     error = (2 * model.value).sqrt()
-    steepest = projected(model.gradient, share).abs().amax(-1)
+    steepest = optimality(model.gradient, share)
     return torch.where(error <= floor, torch.zeros_like(error), steepest / error.clamp(min=1e-30))

@@ -38,9 +38,9 @@ class Sampling:
     signed: bool
 
 
-def required_by_metric(outer: OuterProduct, metrics: tuple[str, ...], scale: tuple[float, float]) -> Required:
-    """What tasks require, which depends on no design."""
-    wrench = required_wrench(outer.twists[:, None], outer.tip_load, outer.base_pose)[..., PLANAR].movedim(1, -2)
+def required_by_metric(tasks: OuterProduct | Block, metrics: tuple[str, ...], scale: tuple[float, float]) -> Required:
+    """What tasks require, scaled (p, N, l), which depends on no design."""
+    wrench = required_wrench(tasks.twists[:, None], tasks.tip_load, tasks.base_pose)[..., PLANAR].movedim(1, -2)
     found = {}
     for metric in metrics:
         own = wrench - wrench[:, :1] if metric == "relative" else wrench
@@ -106,8 +106,12 @@ def sampled_distances(
 
 
 def _hulls(sections: Sections, curves: Curves, sampling: Sampling) -> tuple[Hulls, ...]:
-    each = (relative_curves(sections, curves) if metric == "relative" else curves for metric in sampling.metrics)
-    return tuple(build_hulls(own, sampling.hull, sampling.scale) for own in each)
+    return tuple(hulls_of(sections, curves, sampling, metric == "relative") for metric in sampling.metrics)
+
+
+def hulls_of(sections: Sections, curves: Curves, sampling: Sampling, relative: bool) -> Hulls:
+    """The attainable sets, or those of differences from node 1."""
+    return build_hulls(relative_curves(sections, curves) if relative else curves, sampling.hull, sampling.scale)
 
 
 def _lengths(

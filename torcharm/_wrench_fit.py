@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from torcharm import mechanics
-from torcharm._box_least_squares import box_step, projected
+from torcharm._box import optimality
+from torcharm._box_least_squares import box_step
 from torcharm.arm import ArmDesign
 
 STEPS = 120
@@ -78,7 +79,7 @@ def fit_wrenches(
         normal = rates.mT @ rates
         size = normal.diagonal(dim1=-2, dim2=-1).amax(-1).clamp(min=1e-30)
         step, promise = box_step(gradient, normal, share, damping * size)
-        optimal = projected(gradient, share).abs().amax(-1)
+        optimal = optimality(gradient, share)
         done = (2 * promise <= gain * cost + NOTHING) | (damping > MOST_DAMPING)
         left = done | ~cost.isfinite() | (turn == steps)
         if bool(left.any()):

@@ -12,7 +12,6 @@ a first answer comes as soon as if there were no others. These then descend toge
 machine busy; where one ends, the next begins.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -344,6 +343,3 @@ def projected_gradient(problem: Problem, point: Tensor, owner: Tensor, gradient:
 
 def _times(matrix: Tensor, vector: Tensor) -> Tensor:
     return (matrix @ vector.unsqueeze(-1)).squeeze(-1)
-
-
-Advance = Callable[[State], tuple[State, int]]

@@ -46,11 +46,6 @@ class History:
         """(I+1,) the best value of all starts so far."""
         return self.values.amin(-1)
 
-    def seconds_to(self, value: float) -> float:
-        """Seconds until the best value was at most `value`; infinite if it never was."""
-        reached = self.seconds[self.best <= value]
-        return float(reached[0]) if len(reached) else float("inf")
-
 
 @dataclass(frozen=True, eq=False)
 class OptimisedDesign:
