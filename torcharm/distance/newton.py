@@ -21,8 +21,8 @@ FEWER, FEW = 0.6, 200
 """Below this share of those left the ones that are done are left out, unless so few are left that it costs more."""
 HEAD = 5
 """Rows of what is known of an end before those of its actuators."""
-CLOSING = 0.25
-"""Factor by which a step must bring the touched point nearer to straight ahead."""
+CLOSING, AFTER_CHORD = 0.25, 4.0
+"""Factor by which a step must bring the touched point nearer to straight ahead; and by how much less after a chord."""
 STRAIGHTER = 0.4
 """Between its ends a boundary that bends less than by this share of its bend at one of them has a face."""
 MOST_INSIDE = 0.1
@@ -137,8 +137,8 @@ def _begin(p: Problems, curves: CurveSums) -> _Search:
     count = p.point.shape[1]
     given = torch.cat((p.point, torch.stack((p.side, p.tolerance))))
     best = torch.cat((torch.full_like(p.side, -torch.inf)[None], p.normal))
-    rest = p.point.new_zeros(2, HEAD - 2 + 3 * len(curves.radii), count)
-    ends = torch.cat((p.ends, rest), 1)
+    ends = p.point.new_full((2, HEAD + 3 * len(curves.radii), count), torch.nan)
+    ends[:, :2], ends[:, 2:HEAD] = p.ends, 0
     number = torch.arange(count, device=p.point.device)
     pace = p.point.new_tensor((torch.finfo(p.point.dtype).max, FIRST_TURN)).unsqueeze(-1).expand(2, count)
     return _Search(curves, given, best, number, p.normal, ends, p.edge, pace, torch.ones_like(p.edge))
@@ -166,15 +166,17 @@ class _Hit:
 
 def _round(s: _Search, first: Problems | None) -> tuple[_Search, _Hit]:
     """Touch the sets once."""
-    x, y, side, tolerance = s.given
+    _, _, side, tolerance = s.given
     nx, ny = s.normal
     chords = bool(s.chord.any())
     touch = s.curves.touch(s.normal, tolerance if chords else None)
     entry = torch.cat((touch.point, s.normal, touch.radius[None], touch.parts.flatten(0, 1), touch.u))
-    aside, other = nx * (y - entry[1]) - ny * (x - entry[0]), touch.u
+    from_x, from_y = s.given[:2] - touch.point
+    over, aside, other = _dot(nx, ny, from_x, from_y), nx * from_y - ny * from_x, touch.u
     if touch.face is not None:
         entry, aside, other = _along_face(s, touch, touch.face, entry, aside)
-    over = nx * (x - entry[0]) + ny * (y - entry[1])
+        from_x, from_y = s.given[:2] - entry[:2]
+        over = _dot(nx, ny, from_x, from_y)
     distance, deep = torch.hypot(over, aside), over.abs()
     done = aside * aside <= tolerance * (distance + deep)
     if touch.rest is not None:
@@ -238,27 +240,15 @@ def _along_face(
 def _polygon_end(s: _Search, entry: Tensor, aside: Tensor, p: Problems) -> Tensor:
     """The polygon's ends, as if touched where the normal has turned twice as far as to the chord's; on arcs, thrice."""
     nx, ny = s.normal
-    end = torch.where(aside > 0, p.ends[1], p.ends[0])
-    dx, dy = end - entry[:2]
-    along, drop = nx * dy - ny * dx, -(nx * dx + ny * dy)
+    dx, dy = torch.where(aside > 0, p.ends[1], p.ends[0]) - entry[:2]
+    along, drop = nx * dy - ny * dx, -_dot(nx, ny, dx, dy)
     held = (along * aside > 0) & (drop > s.given[3])
-    length = torch.hypot(along, drop) + 1 - held.to(along.dtype)
-    cos, sin = along.abs() / length, drop * along.sign() / length
-    arc = entry[4] > 0
-    cos, sin = (
-        held * torch.where(arc, 4 * cos**3 - 3 * cos, cos * cos - sin * sin),
-        held * torch.where(arc, 3 * sin - 4 * sin**3, 2 * sin * cos),
-    )
-    normal = torch.stack((cos * nx - sin * ny, cos * ny + sin * nx))
-    return torch.cat(
-        (
-            s.ends[:, :2],
-            normal.expand(2, 2, -1),
-            torch.zeros_like(s.ends[:, 4:HEAD]),
-            torch.full_like(s.ends[:, HEAD:], torch.nan),
-        ),
-        1,
-    )
+    turn = torch.complex(along.abs(), drop * along.sign()).sgn()
+    twice = turn * turn
+    normal = torch.complex(nx, ny) * torch.where(entry[4] > 0, twice * turn, twice)
+    ends = s.ends.clone()
+    ends[:, 2:4] = torch.where(held, torch.view_as_real(normal).T, 0.0)
+    return ends
 
 
 def _turned(s: _Search, hit: _Hit) -> _Search:
@@ -268,53 +258,87 @@ def _turned(s: _Search, hit: _Hit) -> _Search:
     ends, or straight away from one if the point, outside, is past it. Newton's step sees the boundary as an arc, and
     makes no sense from inside it beyond its centre.
     """
-    over, aside = hit.over, hit.aside
+    over, aside, far = hit.over, hit.aside, hit.aside.abs()
     before, turn = s.pace
     steep = over + hit.touch.radius
-    newton = (over > 0) | (steep > aside.abs())
+    newton = (over > 0) | (steep > far)
     step = s.curves.turn(hit.touch, aside / steep, steep)
     step = torch.where(over < 0, step.clamp(-MOST_INSIDE, MOST_INSIDE), step)
     across = torch.where(newton, step, turn * aside.sign())
     nx, ny = s.normal
-    following = torch.stack((nx - across * ny, ny + across * nx))
+    next_x, next_y = torch.addcmul(nx, across, ny, value=-1), torch.addcmul(ny, across, nx)
 
-    a, b = s.ends
-    both = (a[2:4] != 0).any(0) & (b[2:4] != 0).any(0)
-    chord = both
-    if bool(both.any()):
-        dx, dy = b[:2] - a[:2]
-        from_x, from_y = s.given[:2] - a[:2]
-        foot, span = from_x * dx + from_y * dy, dx * dx + dy * dy
-        face, straight = _face_normal(a, b, over)
-        past = (face[0] * following[1] - face[1] * following[0]) * aside > 0
-        closing = _between(a, following, b) & (aside.abs() < CLOSING * before)
-        stuck = both & ~(closing & ~(straight & past))
-        corner = stuck & (over > 0) & (dy * from_x >= dx * from_y) & ((foot <= 0) | (foot >= span))
-        chord = stuck & ~corner & (span > 0)
-        end = torch.where(foot <= 0, a, b)
-        away = s.given[:2] - end[:2] + end[4] * end[2:4]
-        following = torch.where(corner, away, torch.where(chord, face, following))
-    pace = torch.stack((torch.where(chord, torch.inf, aside.abs()), torch.where(newton, FIRST_TURN, turn * WIDEN)))
-    return replace(s, normal=following / torch.hypot(following[0], following[1]), chord=chord, pace=pace)
+    e = _Ends.of(s)
+    (face_x, face_y), straight = _face(s, e, over)
+    past = _dot(face_x, face_y, next_x, next_y) * aside > 0
+    clockwise, counter = e.normal_x * next_y - e.normal_y * next_x
+    closing = (clockwise > 0) & (counter < 0) & (far < CLOSING * before)
+    stuck = e.known & ~(closing & ~(straight & past))
+    (ax, bx), (ay, by) = e.from_x, e.from_y
+    foot = _dot(ax, ay, e.dx, e.dy)
+    first = foot <= 0
+    corner = stuck & (over > 0) & (e.dy * ax >= e.dx * ay) & (first | (foot >= e.span))
+    chord = stuck & ~corner & (e.span > 0)
+    # Away from the centre of an end's arc, as seen from the point.
+    (ax, bx), (ay, by) = torch.addcmul(e.from_x, e.radius, e.normal_x), torch.addcmul(e.from_y, e.radius, e.normal_y)
+    next_x = torch.where(corner, torch.where(first, ax, bx), torch.where(chord, face_y, next_x))
+    next_y = torch.where(corner, torch.where(first, ay, by), torch.where(chord, -face_x, next_y))
+    normal = torch.stack((next_x, next_y)) / torch.hypot(next_x, next_y)
+    pace = torch.stack((torch.where(chord, AFTER_CHORD * far, far), torch.where(newton, FIRST_TURN, turn * WIDEN)))
+    return replace(s, normal=normal, chord=chord, pace=pace)
 
 
-def _face_normal(a: Tensor, b: Tensor, over: Tensor) -> tuple[Tensor, Tensor]:
-    """The normals (2, q) of faces that may lie between ends, and whether one is to be expected.
+@dataclass(frozen=True)
+class _Ends:
+    """What is known of both ends, (2, q) each, and of the chord between them, (q) each.
 
-    They are those of the chords of the actuator that is moved most, or else of the whole chords. A face is expected
+    Attributes:
+        normal_x, normal_y, radius: as of `_Search`.
+        from_x, from_y: the points from the ends.
+        chord: (R, q) all that changes from the first to the second.
+        dx, dy, span: the chord and its square.
+        known: whether both ends are.
+    """
+
+    normal_x: Tensor
+    normal_y: Tensor
+    radius: Tensor
+    from_x: Tensor
+    from_y: Tensor
+    chord: Tensor
+    dx: Tensor
+    dy: Tensor
+    span: Tensor
+    known: Tensor
+
+    @classmethod
+    def of(cls, s: _Search) -> "_Ends":
+        x, y, normal_x, normal_y, radius = s.ends[:, :HEAD].unbind(1)
+        a, b = s.ends
+        chord = b - a
+        dx, dy = chord[:2]
+        known = ((normal_x != 0) | (normal_y != 0)).all(0)
+        span = _dot(dx, dy, dx, dy)
+        return cls(normal_x, normal_y, radius, s.given[0] - x, s.given[1] - y, chord, dx, dy, span, known)
+
+
+def _dot(x: Tensor, y: Tensor, other_x: Tensor, other_y: Tensor) -> Tensor:
+    return torch.addcmul(x * other_x, y, other_y)
+
+
+def _face(s: _Search, e: _Ends, over: Tensor) -> tuple[tuple[Tensor, Tensor], Tensor]:
+    """Faces that may lie between ends, as edges, and whether (q) one is to be expected.
+
+    They are the chords of the actuator that is moved most, or else the whole chords. A face is expected
     where the boundary bends less on the way than it would as the arc of the rounder end.
     """
-    chord = b[:2] - a[:2]
-    end = torch.where(a[4] >= b[4], a, b)
-    drop, square = (end[2] * chord[0] + end[3] * chord[1]).abs(), chord[0] * chord[0] + chord[1] * chord[1]
-    straight = drop * (end[4] + over.clamp(min=0)) < STRAIGHTER / 2 * square
-    jumps = (b[HEAD:] - a[HEAD:]).unflatten(0, (3, -1))[:2]
-    x, y = jumps.gather(1, jumps.abs().sum(0).max(0).indices.expand(2, 1, -1))[:, 0]
-    face = torch.stack((y, -x))
-    return torch.where(_between(a, face, b), face, torch.stack((chord[1], -chord[0]))), straight
-
-
-def _between(a: Tensor, normal: Tensor, b: Tensor) -> Tensor:
-    """Whether (q) normals (2, q) lie between those of ends, not at them."""
-    x, y = normal
-    return (a[2] * y - a[3] * x > 0) & (x * b[3] - y * b[2] > 0)
+    (drop_a, drop_b), (round_a, round_b) = _dot(e.normal_x, e.normal_y, e.dx, e.dy), e.radius
+    drop = torch.where(round_a >= round_b, drop_a, drop_b).abs()
+    straight = drop * (torch.maximum(round_a, round_b) + over.clamp(min=0)) < STRAIGHTER / 2 * e.span
+    actuators = len(s.curves.radii)
+    jumps = e.chord[HEAD : HEAD + 2 * actuators].view(2, actuators, -1)
+    x, y = jumps.gather(1, jumps.abs().sum(0).max(0).indices.expand(2, 1, -1)).squeeze(1)
+    # An edge turns left of the normals clockwise of its own.
+    rise_a, rise_b = _dot(e.normal_x, e.normal_y, x, y)
+    between = (rise_a < 0) & (rise_b > 0)
+    return (torch.where(between, x, e.dx), torch.where(between, y, e.dy)), straight

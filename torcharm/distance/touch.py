@@ -116,22 +116,34 @@ class CurveSums:
             return angle
         lever, along, u, bends = self.lever, touch.along, touch.u, touch.bends
         # The place along the line is quadratic in the fraction.
-        sway = (0.5 * touch.across * angle / along).clamp(-MOST_SWAY, MOST_SWAY)
-        target = u + angle * lever / (along * touch.drop) * (1 + sway)
+        rate = angle / along
+        sway = (0.5 * touch.across * rate).clamp(-MOST_SWAY, MOST_SWAY)
+        step = rate * lever / touch.drop
+        target = torch.addcmul(u, step, 1 + sway)
         # Short of a corner that is missed by little.
-        left, right = ENDING * u, ENDING * (1 - u)
+        left = ENDING * u
+        right = ENDING - left
         low, high = (target > -left) * left, 1 - (target < 1 + right) * right
-        step = torch.minimum(torch.maximum(target, low), high).sub_(u)
-        change = -step * touch.drop / along
-        for group, own in self.by_group():
-            if group.shape is not None:
-                known = group.shape.slope_change(u[own], step[own])
-                change[own] = known if group.twins is None else torch.where(known != 0, known, change[own])
+        step = torch.clamp(target, low, high).sub_(u)
+        change = self._slope_change(touch, step)
         curved = (bends > 0) & (angle != 0)
         slope = along * torch.where(curved, change, 0.0)
-        turns = -along * slope / (torch.addcmul(lever, touch.across, slope) * angle)
+        turns = slope / (torch.addcmul(lever, touch.across, slope) * -rate)
         gain = (bends * torch.where(curved, turns.clamp(LEAST_TURN, MOST_TURN) - 1, 0.0)).sum(0) / steep
         return angle * (1 + gain.clamp(LEAST_TURN - 1, MOST_TURN - 1))
+
+    def _slope_change(self, touch: Touch, step: Tensor) -> Tensor:
+        """By how much the curves' slopes (M, Q) change from where they are touched on by steps."""
+        assert touch.drop is not None
+        (group, _), *others = self.groups
+        if not others and group.shape is not None and group.twins is None:
+            return group.shape.slope_change(touch.u, step)
+        change = -step * touch.drop / touch.along
+        for group, own in self.by_group():
+            if group.shape is not None:
+                known = group.shape.slope_change(touch.u[own], step[own])
+                change[own] = known if group.twins is None else torch.where(known != 0, known, change[own])
+        return change
 
 
 def curve_sums(laws: Laws, bending: Tensor, radii: Tensor, scale: tuple[float, float]) -> tuple[CurveSums, Tensor]:
