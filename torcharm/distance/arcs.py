@@ -84,6 +84,21 @@ class Cubics:
         change = 2 * self.bend
         return (change if self.twist is None else torch.addcmul(change, self.twist, 2 * u + step, value=3)) * step
 
+    def tangent(self, rate: Tensor, first: Tensor, last: Tensor) -> tuple[Tensor, Tensor]:
+        """Slopes (m, Q) of lines from a curve's end at fraction 0 or 1 that touch it between fractions; where they do.
+
+        With one inflection, a cubic has no other face but its chord. About an end, `f = r v + b v² + c v³` is touched
+        by the line through it where `b + 2 c v = 0`.
+        """
+        assert self.twist is not None
+        low, high = torch.minimum(first, last), torch.maximum(first, last)
+        end = (high == 1).to(rate.dtype)
+        bend = torch.addcmul(self.bend, self.twist, end, value=3)
+        v = bend / (-2 * self.twist)
+        u = end + v
+        slope = rate + end * (self.bend + bend) + v * torch.addcmul(bend, v, self.twist)
+        return slope, ((low == 0) | (high == 1)) & (u > low) & (u < high)
+
 
 @dataclass(frozen=True)
 class Powers:
@@ -212,6 +227,13 @@ class Arcs:
     span: Span
     shape: Cubics | Powers | None
     twins: Twins | None
+
+    def tangent(self, first: Tensor, last: Tensor) -> tuple[Tensor, Tensor] | None:
+        """As of `Cubics`, if the curves are cubics whose hulls may have such faces."""
+        shape = self.shape
+        if not isinstance(shape, Cubics) or not shape.winding or shape.twist is None or self.span is not None:
+            return None
+        return shape.tangent(self.rate[0], first, last)
 
     def highest(self, lines: Lines, slack: Tensor | None) -> Highest:
         """The curves' maxima along normals, and within slack (Q) of them."""

@@ -337,6 +337,7 @@ def _face(s: _Search, e: _Ends, over: Tensor) -> tuple[tuple[Tensor, Tensor], Te
     straight = drop * (torch.maximum(round_a, round_b) + over.clamp(min=0)) < STRAIGHTER / 2 * e.span
     actuators = len(s.curves.radii)
     jumps = e.chord[HEAD : HEAD + 2 * actuators].view(2, actuators, -1)
+    jumps = s.curves.jumps(jumps, *s.ends[:, HEAD + 2 * actuators :])
     x, y = jumps.gather(1, jumps.abs().sum(0).max(0).indices.expand(2, 1, -1)).squeeze(1)
     # An edge turns left of the normals clockwise of its own.
     rise_a, rise_b = _dot(e.normal_x, e.normal_y, x, y)

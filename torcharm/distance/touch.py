@@ -106,6 +106,19 @@ class CurveSums:
             (group, slice(start, start + count)) for (group, count), start in zip(self.groups, starts, strict=False)
         ]
 
+    def jumps(self, chord: Tensor, first: Tensor, last: Tensor) -> Tensor:
+        """Faces (2, M, Q) that curves may have between fractions (M, Q): chords, or tangents if known, as long."""
+        for group, own in self.by_group():
+            known = group.tangent(first[own], last[own])
+            if known is not None:
+                slope, there = known
+                edge = torch.stack((self.scale[0] * slope, self.bending[own] - self.radii[own] * slope))
+                face = torch.where(there, edge * (last[own] - first[own]), chord[:, own])
+                chord = (
+                    face if len(self.groups) == 1 else torch.cat((chord[:, : own.start], face, chord[:, own.stop :]), 1)
+                )
+        return chord
+
     def turn(self, touch: Touch, angle: Tensor, steep: Tensor) -> Tensor:
         """How far (Q, as tangents) normals turn in Newton's step, if to first order that is an angle.
 
