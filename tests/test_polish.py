@@ -8,6 +8,7 @@ import torcharm as ta
 from experiments.reference import converged_distance
 from torcharm import hulls
 from torcharm.actuators import pressure_law
+from torcharm.distance.arcs import Cubics
 from torcharm.distance.touch import curve_sums
 from torcharm.laws import section_laws
 from torcharm.pieces import fit_pieces
@@ -221,6 +222,23 @@ def test_straight_faces_between_two_moving_maxima_of_one_curve():
         assert converged.all()
         wanted = converged_distance(arm, twists, load, relative=True)
         np.testing.assert_allclose(value.numpy(), wanted, rtol=0, atol=1e-8)
+
+
+def test_lines_from_an_end_touch_a_winding_cubic_where_the_steepest_chord_does():
+    rng = np.random.default_rng(0)
+    rate, bend, twist = rng.normal(size=(3, 400))
+    end = rng.integers(0, 2, 400).astype(float)
+    u = np.linspace(1e-4, 1 - 1e-4, 20001)[:, None]
+    chord = rate + bend * (u + end) + twist * (u * u + u * end + end * end)  # (f(u) - f(end)) / (u - end)
+    extreme = np.where(twist > 0, chord.argmin(0), chord.argmax(0))
+    inner = (extreme > 0) & (extreme < len(u) - 1)
+    ends = torch.tensor(np.stack((end, np.where(end == 0, 1 - 1e-4, 1e-4))))[:, None]
+    curves = Cubics(torch.tensor(bend)[None], torch.tensor(twist)[None], True)
+    slope, there = curves.tangent(torch.tensor(rate)[None], *ends)
+    assert 0.1 < inner.mean() < 0.9
+    np.testing.assert_array_equal(there[0].numpy(), inner)
+    best = chord[extreme, np.arange(400)]
+    np.testing.assert_allclose(slope[0].numpy()[inner], best[inner], rtol=0, atol=1e-7)
 
 
 def test_a_law_ends_where_the_model_jumps():
