@@ -121,7 +121,7 @@ def evaluate(
             1e-8 N for force models that write out their `pressure_law`, as this package's do; for others if they are
             smooth between the kinks they name, within their characterised range. A node that does not converge
             keeps its sampled distance and clears `converged`. In a sweep of designs absolute sets take about as long
-            as 9 samples and relative ones 1.4 to 1.9 times; a batch of 2,000 takes 1.4 to 3.4 times as long, one
+            as 9 samples and relative ones 1.4 to 1.9 times; a batch of 2,000 takes 1.1 to 3.4 times as long, one
             small call up to four times. Needs hull="exact" and the closed form; second derivatives hold the pressures.
         residuals: whether to report each node's optimality residuals, as of the sampled polygons.
         pose_cost: what the predicted error measures; None is the paper's `PoseCost()`.
