@@ -105,7 +105,7 @@ class _Block:
 
     def _course(self, place: Tensor, loading: bool) -> Course:
         own = self.searches
-        return Course(own.arms, place * own.limits, loading, own.scale, own.tolerance)
+        return Course(own.arms, place * own.limits, loading, own.scale, own.tolerance, own.compiled)
 
     def reach(self, place: Tensor, near: Tensor | None = None) -> Reached:
         """What continuation reaches at shares of the limits (M, B); `near` are unloaded arms (C, 1, B) nearby."""
@@ -142,7 +142,8 @@ def search_block(problem: Problem, goal: Goal, shape: Tensor, starts: int, hops:
         seed: of the pressures to start from.
     """
     arms = problem.arms
-    own = Searches(arms, problem.scale, problem.arm.max_pressure.mT.contiguous(), goal, problem.tolerance)
+    limits = problem.arm.max_pressure.mT.contiguous()
+    own = Searches(arms, problem.scale, limits, goal, problem.tolerance, problem.compiled)
     block = _Block(own, resting(problem).unknowns.movedim(0, -1).contiguous(), shape.shape[-1])
     wanted = shape.movedim(0, -1).contiguous()
     begun = _begin(block, wanted, starts, seed)
@@ -321,7 +322,7 @@ def _trials(block: _Block, best: Reached, before: Tensor, free: Tensor) -> Tenso
     over a boundary: along the boundary and away from it, and towards it in steps of any length."""
     own, place = block.searches, best.place
     normal = _normal(block, best)
-    along = descend(own, place, best.unknowns, gain=WALL_GAIN, looks=WALL_LOOKS, wall=normal).place - place
+    along = descend(replace(own, wall=normal), place, best.unknowns, gain=WALL_GAIN, looks=WALL_LOOKS).place - place
     inner = normal * (((place > 0) | (normal > 0)) & ((place < 1) | (normal < 0)))
     inner = inner / inner.norm(dim=0).clamp(min=1e-9)
     length = along.norm(dim=0) + LEAST_STEP

@@ -36,6 +36,7 @@ class Problem:
         length: (B,) the designs' mean neutral length [m].
         reach: (B,) their largest offset [m].
         tolerance: of the load scale.
+        compiled: whether steps along paths run compiled.
     """
 
     arm: ArmDesign
@@ -46,6 +47,7 @@ class Problem:
     length: Tensor
     reach: Tensor
     tolerance: float
+    compiled: bool = False
 
     @staticmethod
     def of(
@@ -109,7 +111,7 @@ class Problem:
 
     def course(self, *, loading: bool) -> Course:
         """The path on which the load grows from nothing, or the pressure."""
-        return Course(self.arms, self.pressure.mT.contiguous(), loading, self.scale, self.tolerance)
+        return Course(self.arms, self.pressure.mT.contiguous(), loading, self.scale, self.tolerance, self.compiled)
 
     def straight(self) -> Tensor:
         """One segment (B, C, 1) of the mean neutral length, straight."""

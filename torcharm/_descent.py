@@ -7,7 +7,7 @@ Newton's step is not small, or the determinant of the stiffness changes its sign
 goes at its own pace. The batch comes last, as in `mechanics.march`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
@@ -15,7 +15,8 @@ from torch import Tensor
 
 from torcharm import mechanics
 from torcharm._box import LEAST_DAMPING, START_DAMPING, box_step
-from torcharm._tracing import CONTRACTION, KEPT, LARGEST_MOVE, Scale
+from torcharm._tracing import CONTRACTION, LARGEST_MOVE, Scale
+from torcharm._underway import run
 from torcharm.mechanics import Arms, Marched, pick
 
 NEAR = 0.05
@@ -101,6 +102,8 @@ class Searches:
         arms, scale, goal: of each.
         limits: (M, B) of pressure [kPa].
         tolerance: of the load scale.
+        compiled: whether steps run compiled.
+        wall: (M, B) normals, along which the pressures are held, if they are.
     """
 
     arms: Arms
@@ -108,10 +111,15 @@ class Searches:
     limits: Tensor
     goal: Goal
     tolerance: float
+    compiled: bool = False
+    wall: Tensor | None = None
 
     def __getitem__(self, index: Tensor) -> "Searches":
         scale = Scale(*(pick(value, index) for value in self.scale))
-        return Searches(self.arms[index], scale, pick(self.limits, index), self.goal[index], self.tolerance)
+        arms, goal = self.arms[index], self.goal[index]
+        return Searches(
+            arms, scale, pick(self.limits, index), goal, self.tolerance, self.compiled, pick(self.wall, index)
+        )
 
 
 class Descended(NamedTuple):
@@ -153,9 +161,7 @@ class _State(NamedTuple):
     over: Tensor
 
 
-def descend(
-    searches: Searches, place: Tensor, unknowns: Tensor, *, gain: float, looks: int, wall: Tensor | None = None
-) -> Descended:
+def descend(searches: Searches, place: Tensor, unknowns: Tensor, *, gain: float, looks: int) -> Descended:
     """Follow the cost down from starts that are equilibria, or nearly.
 
     Args:
@@ -164,7 +170,6 @@ def descend(
         unknowns: (C, N, B) the equilibria there.
         gain: promised decrease of the cost, relative, at which the descent ends.
         looks: evaluations of the balance, at most.
-        wall: (M, B) normals, along which the pressures are held.
     """
     size, count = place.shape
     components, nodes, _ = unknowns.shape
@@ -190,30 +195,20 @@ def descend(
         none.bool(),
     )
     out = Descended(place.clone(), unknowns.clone(), state.cost.clone(), none.bool())
-    own, least = searches, ROUNDING * torch.finfo(place.dtype).eps
-    for _ in range(looks):
-        state = _advance(own, state, max(gain, least), max(SETTLED, least), wall)
-        left = len(state.over) - int(state.over.sum())
-        if left > KEPT * len(state.over):
-            continue
-        _store(out, state)
-        if left == 0:
-            return out
-        on = (~state.over).nonzero().squeeze(-1)
-        state = _State(*(pick(value, on) for value in state))
-        own = own[on]
-        wall = pick(wall, on)
-    _store(out, state)
+
+    def store(state: _State) -> None:
+        at = state.element
+        out.place[:, at], out.unknowns[:, :, at], out.cost[at] = state.place, state.unknowns, state.cost
+        out.ended[at] = state.cost.isfinite() & state.over
+
+    if searches.compiled and searches.wall is None:  # the same code
+        searches = replace(searches, wall=torch.zeros_like(place))
+    least = ROUNDING * torch.finfo(place.dtype).eps
+    run(_advance, searches, state, looks, store, (max(gain, least), max(SETTLED, least)), searches.compiled)
     return out
 
 
-def _store(out: Descended, state: _State) -> None:
-    at = state.element
-    out.place[:, at], out.unknowns[:, :, at], out.cost[at] = state.place, state.unknowns, state.cost
-    out.ended[at] = state.cost.isfinite() & state.over
-
-
-def _advance(own: Searches, state: _State, gain: float, settled: float, wall: Tensor | None) -> _State:
+def _advance(own: Searches, state: _State, gain: float | Tensor, settled: float | Tensor) -> _State:
     """One evaluation of the balance for each, and what follows. What is over stays as it is."""
     arms, scale, limits, goal = own.arms, own.scale, own.limits, own.goal
     look = mechanics.march(arms, state.trial, state.trial_place * limits, each_pressure=limits)
@@ -250,9 +245,9 @@ def _advance(own: Searches, state: _State, gain: float, settled: float, wall: Te
     stalled = torch.where(better, torch.where(drop < gain * cost, state.stalled + 1, 0.0), state.stalled)
 
     bound = normal
-    if wall is not None:
+    if own.wall is not None:
         stiff = STIFF * normal.diagonal(dim1=0, dim2=1).amax(-1)
-        bound = normal + stiff * wall.unsqueeze(0) * wall.unsqueeze(1)
+        bound = normal + stiff * own.wall.unsqueeze(0) * own.wall.unsqueeze(1)
     step = box_step(bound, gradient, place, damping)
     curved = (step * (normal * step).sum(1)).sum(0)
     dz, dturn = (motion * step).sum(2), (turned * step).sum(1)

@@ -5,13 +5,14 @@ for Nonlinear Problems*, 2004, ch. 5) and the determinant of the stiffness keeps
 on another branch: under compression an arm has several equilibria. The batch comes last, as in `mechanics.march`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torcharm import mechanics
+from torcharm._underway import run
 from torcharm.mechanics import Arms, Marched, pick
 
 FIRST_SHARE = 0.25
@@ -31,8 +32,6 @@ CONTRACTION = 0.5
 """Largest ratio of the second Newton step to the first."""
 CORRECTIONS = 8
 """Newton steps in a step along the path."""
-KEPT = 0.6
-"""Whoever is through is dropped once no more than this share of the batch is under way."""
 
 
 class Scale(NamedTuple):
@@ -63,6 +62,7 @@ class Course:
         loading: whether the load grows, at full pressure; else the pressure, without load.
         scale: of these.
         tolerance: of the load scale, at s = 1.
+        compiled: whether steps run compiled.
     """
 
     arms: Arms
@@ -70,10 +70,11 @@ class Course:
     loading: bool
     scale: Scale
     tolerance: float
+    compiled: bool = False
 
     def __getitem__(self, index: Tensor) -> "Course":
         scale = Scale(*(pick(value, index) for value in self.scale))
-        return Course(self.arms[index], pick(self.pressure, index), self.loading, scale, self.tolerance)
+        return replace(self, arms=self.arms[index], pressure=pick(self.pressure, index), scale=scale)
 
     def look(self, unknowns: Tensor, share: Tensor) -> Marched:
         """The balance at z and s, with Newton's step and the tangent dz/ds as its two changes."""
@@ -142,6 +143,13 @@ def trace(course: Course, start: Tensor, first_step: float, looks: int, least_sh
     """
     count = start.shape[-1]
     none = start.new_zeros(count)
+
+    def store(walk: _Walk) -> None:
+        out.unknowns[:, :, walk.element] = walk.base
+        out.arrived[walk.element] = walk.share >= 1
+        out.quick[:, :, walk.element], out.rush[:, :, walk.element] = walk.quick, walk.rush
+        out.share[walk.element] = walk.when
+
     walk = _Walk(
         torch.arange(count, device=start.device),
         none,
@@ -164,29 +172,11 @@ def trace(course: Course, start: Tensor, first_step: float, looks: int, least_sh
         none,
     )
     out = Traced(start.clone(), none.bool(), start.clone(), torch.zeros_like(start), none.clone())
-    own = course
-    for _ in range(looks):
-        walk = _advance(own, walk, least_share)
-        left = len(walk.over) - int(walk.over.sum())
-        if left > KEPT * len(walk.over):
-            continue
-        _store(out, walk)
-        if left == 0:
-            return out
-        on = (~walk.over).nonzero().squeeze(-1)
-        walk, own = _Walk(*(pick(value, on) for value in walk)), own[on]
-    _store(out, walk)
+    run(_advance, course, walk, looks, store, (least_share,), course.compiled)
     return out
 
 
-def _store(out: Traced, walk: _Walk) -> None:
-    out.unknowns[:, :, walk.element] = walk.base
-    out.arrived[walk.element] = walk.share >= 1
-    out.quick[:, :, walk.element], out.rush[:, :, walk.element] = walk.quick, walk.rush
-    out.share[walk.element] = walk.when
-
-
-def _advance(course: Course, walk: _Walk, least_share: float) -> _Walk:
+def _advance(course: Course, walk: _Walk, least_share: float | Tensor) -> _Walk:
     """One evaluation of the balance for each, and what follows from it. What is over stays as it is."""
     look = course.look(walk.trial, walk.aim)
     newton, new_tangent = look.change.unbind(2)

@@ -1,6 +1,7 @@
 """Pressure search: the pressure that brings an arm closest to a task, through its forward mechanics."""
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from math import prod
 
@@ -13,6 +14,7 @@ from torcharm._continuation import Problem
 from torcharm._descent import Goal
 from torcharm._inputs import check_choice, check_count, shown
 from torcharm._outer import OuterProduct, check_arm_and_task, outer_product
+from torcharm._underway import compiling
 from torcharm.arm import ArmDesign
 from torcharm.equilibrium import TOLERANCES, NotConvergedError, default_chunk, strain_excess
 from torcharm.pose_cost import PoseCost
@@ -76,6 +78,7 @@ def search_pressure(
     progress: bool | None = None,
     raise_on_failure: bool = False,
     chunk_size: int | None = None,
+    compiled: bool = False,
 ) -> PressureSearch:
     """The pressure within the limits that brings each design closest to each task.
 
@@ -135,7 +138,8 @@ def search_pressure(
         chunk = max(1, default_chunk(outer.nodes, problem.components) // (CHUNK_SHARE * count))
         chunk = chunk if chunk_size is None else check_count("chunk_size", chunk_size, 1)
         index = torch.arange(total, device=weight.device).split(chunk)
-        with torch.no_grad():
+        problem = replace(problem, compiled=compiled)
+        with torch.no_grad(), compiling(weight.device) if compiled else nullcontext():
             parts = [_block(problem[at], goal[at], shape[at], count, hops, seed) for at in index if total]
         found = tuple(torch.cat(column) for column in zip(*parts, strict=True))
         found = found or empty_result(problem, outer.nodes, count)

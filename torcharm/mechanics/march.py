@@ -207,16 +207,15 @@ def march(
     # rows (1 - h·, ·) act on δθ, rows (h·, 1 + ·) on δw
     transfer = torch.stack((stay, falling, i22 * step, rise), 1).view(2 * count, 2, 1, batch).unbind(0)
     pushes = torch.stack((free_curvature * step, forced), 1)
-    state = torch.empty((count + 1, *pushes.shape[1:]), dtype=pushes.dtype, device=pushes.device)
-    state[0] = 0
-    state[1] = pushes[0]
-    after, single, push = state.unbind(0), state.flatten(0, 1).unbind(0), pushes.unbind(0)
+    rows = [torch.zeros_like(pushes[0]), pushes[0]]
     for node in range(1, count):
-        torch.addcmul(push[node], transfer[2 * node], single[2 * node], out=after[node + 1])
-        after[node + 1].addcmul_(transfer[2 * node + 1], single[2 * node + 1])
+        turn, raised = rows[-1].unbind(0)
+        row = torch.addcmul(pushes[node], transfer[2 * node], turn)
+        rows.append(row.addcmul_(transfer[2 * node + 1], raised))
+    state = torch.stack(rows)
 
     # The tip closes it: δw is δu
-    last = single[-1]
+    last = rows[-1][1]
     closing = 1 - last[0]
     tip = last[1:] / closing
     state = torch.addcmul(state[:, :, 1:], state[:, :, :1], tip)
@@ -262,13 +261,14 @@ def relax(arms: Arms, unknowns: Tensor, pressure: Tensor, pressures: Tensor) -> 
     missing = own.axial.abs().amax(0), own.moment.abs().amax(0)
     a11, a12, a21, a22 = (entry.unsqueeze(1) for entry in own.stiffness)
     determinant = torch.addcmul(a11 * a22, a12, a21, value=-1)
-    change = unknowns.new_zeros(len(unknowns), *right.shape)
-    torch.div(torch.addcmul(a12 * moment, a22, right, value=-1), determinant, out=change[0])
-    torch.div(torch.addcmul(a21 * right, a11, moment, value=-1), determinant, out=change[-1])
+    by_length = torch.addcmul(a12 * moment, a22, right, value=-1) / determinant
+    by_curvature = torch.addcmul(a21 * right, a11, moment, value=-1) / determinant
+    none = [torch.zeros_like(by_length)] * (len(unknowns) - 2)
+    change = torch.stack((by_length, *none, by_curvature))
     turned = change[-1].cumsum(0) / unknowns.shape[1]
     sign = 1.0 - 2.0 * ((determinant < 0).sum((0, 1)) % 2).to(unknowns.dtype)
-    none = unknowns[:0]
-    return Marched(*missing, change, turned, none, none, none, sign)
+    empty = unknowns[:0]
+    return Marched(*missing, change, turned, empty, empty, empty, sign)
 
 
 class _Sections(NamedTuple):

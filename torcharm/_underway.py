@@ -1,0 +1,114 @@
+"""Batches in which each element goes at its own pace: steps until all is over, and whoever is over leaves.
+
+A step runs as PyTorch executes it, or compiled: then it is a few loops in place of some hundred operations, and 3 to 6
+times as fast in batches of some hundred, where calls cost more than what they compute.
+"""
+
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torcharm.mechanics import pick
+
+KEPT = 0.6
+"""Whoever is through is dropped once no more than this share of the batch is under way."""
+KINDS = 256
+"""Kinds of arms for which a process keeps compiled steps, at most."""
+SMALL_PRODUCT = 16
+"""Sizes to which PyTorch compiles matrix products apart."""
+
+Step = Callable[..., Any]
+"""From what the elements are of, which can be indexed, their state, and options, to their next state. A state is a
+named tuple of tensors whose batch comes last: among them `element`, their places in the whole batch, and `over`,
+whether they are through. What is over stays as it is."""
+
+
+def run(
+    step: Step,
+    own: Any,
+    state: Any,
+    looks: int,
+    store: Callable[[Any], None],
+    options: tuple[float, ...],
+    compiled: bool,
+) -> None:
+    """Take steps until all is over, so many at most.
+
+    Args:
+        step: for all at once.
+        own: what the elements are of.
+        state: of all.
+        looks: steps at most.
+        store: takes states that are over, and in the end what is not.
+        options: of the step.
+        compiled: whether it runs compiled; within `compiling` only.
+    """
+    least, settings = 0, tuple[Any, ...](options)
+    if compiled and len(state.over):
+        step, least = _compiled(step), _least_batch(state)
+        settings = tuple(torch.tensor(value, dtype=torch.float64) for value in options)  # numbers would be constants
+        index = torch.arange(max(least, len(state.over)), device=state.over.device) % len(state.over)
+        state, own = _at(state, index), own[index]  # and no two tensors share memory, or code is for those that do
+    for _ in range(looks):
+        state = step(own, state, *settings)
+        count = len(state.over)
+        left = count - int(state.over.sum())
+        if left > KEPT * count:
+            continue
+        store(state)
+        if left == 0:
+            return
+        if count > least:
+            on = (~state.over).nonzero().squeeze(-1)
+            if left < least:  # some that are over stay
+                on = torch.cat((on, state.over.nonzero().squeeze(-1)[: least - left]))
+            state, own = _at(state, on), own[on]
+    store(state)
+
+
+def _at(state: Any, index: Tensor) -> Any:
+    return type(state)(*(pick(value, index) for value in state))
+
+
+def _least_batch(state: Any) -> int:
+    """Larger than any other dimension: code compiled for a batch that equals one is for such batches alone."""
+    return 1 + max(SMALL_PRODUCT, *(size for value in state for size in value.shape[:-1]))
+
+
+@cache
+def _compiled(step: Step) -> Step:
+    return torch.compile(step, dynamic=True, fullgraph=True)
+
+
+@contextmanager
+def compiling(device: torch.device) -> Iterator[None]:
+    """Where compiled steps run: what a model is made of are constants of the code.
+
+    Raises:
+        ValueError: there is no C++ compiler, or the device is none that it compiles for.
+    """
+    from torch._inductor.cpp_builder import get_cpp_compiler
+    from torch._inductor.exc import InvalidCxxCompiler
+
+    if device.type != "cpu":
+        raise ValueError(f"compiled: must be False for tensors that are not on the CPU, got them on {device}")
+    try:
+        get_cpp_compiler()
+    except InvalidCxxCompiler:
+        raise ValueError(
+            "compiled: must be False without a C++ compiler, and none was found (g++, or what CXX names)"
+        ) from None
+    settings = {
+        "specialize_float": True,
+        "specialize_int": True,
+        "recompile_limit": KINDS,
+        "accumulated_recompile_limit": 8 * KINDS,
+    }
+    with torch._dynamo.config.patch(settings), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", category=FutureWarning, module="torch")  # of PyTorch by itself
+        yield
