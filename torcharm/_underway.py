@@ -51,7 +51,7 @@ def run(
     least, settings = 0, tuple[Any, ...](options)
     if compiled and len(state.over):
         step, least = _compiled(step), _least_batch(state)
-        settings = tuple(torch.tensor(value, dtype=torch.float64) for value in options)  # numbers would be constants
+        settings = tuple(torch.tensor([value], dtype=torch.float64) for value in options)  # numbers would be constants
         index = torch.arange(max(least, len(state.over)), device=state.over.device) % len(state.over)
         state, own = _at(state, index), own[index]  # and no two tensors share memory, or code is for those that do
     for _ in range(looks):
