@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import pytest
 import torch
+from hull_cases import unchecked
 from torch import Tensor
 from torch._dynamo.testing import CompileCounterWithBackend
 
 import torcharm as ta
-from hull_cases import unchecked
 from torcharm import _underway
 from torcharm._continuation import Problem, loaded, unloaded
 from torcharm._underway import compiling, run
