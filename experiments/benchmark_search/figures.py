@@ -9,7 +9,7 @@ from scipy.stats import spearmanr
 from experiments.benchmark_search.reference import Array
 
 COLOURS = {"antagonistic": "#0072B2", "bellows-only": "#D55E00"}
-Points = dict[str, list[tuple[float, float, str]]]
+Points = list[tuple[float, float, str]]
 
 
 @dataclass
@@ -17,14 +17,15 @@ class Pictures:
     """What the parts leave for the figures.
 
     Attributes:
-        batched: for each arm (seconds a search, share of tasks not within 1 % of the best, starts/rounds).
+        batched: for each arm, plain and compiled, (seconds a search, share of tasks not within 1 % of the best,
+            starts/rounds).
         scipy: for each arm (seconds a search, median excess cost, starts).
         cost: the search's cost of each task, by arm.
         metric: the metrics' values, by arm and metric.
     """
 
-    batched: Points = field(default_factory=lambda: defaultdict(list))
-    scipy: Points = field(default_factory=lambda: defaultdict(list))
+    batched: dict[tuple[str, bool], Points] = field(default_factory=lambda: defaultdict(list))
+    scipy: dict[str, Points] = field(default_factory=lambda: defaultdict(list))
     cost: dict[str, Array] = field(default_factory=dict)
     metric: dict[tuple[str, str], Array] = field(default_factory=dict)
 
@@ -44,19 +45,25 @@ class Pictures:
 
         figure = Figure(figsize=(7, 4.8), layout="constrained", dpi=150)
         axes = figure.subplots()
-        for (name, points), marker in zip(self.batched.items(), "os", strict=False):
+        markers = dict(zip(COLOURS, "os", strict=True))
+        for (name, compiled), points in self.batched.items():
             x, y, _ = zip(*points, strict=True)
             axes.plot(
-                [1e3 * t for t in x], [100 * v for v in y], marker + "-", color=COLOURS[name], label=f"batched, {name}"
+                [1e3 * t for t in x],
+                [100 * v for v in y],
+                markers[name] + ("-" if compiled else ":"),
+                color=COLOURS[name],
+                markerfacecolor=COLOURS[name] if compiled else "white",
+                label=f"batched{', compiled' if compiled else ''}, {name}",
             )
-            for index, (t, v, plan) in enumerate(points):
+            for index, (t, v, plan) in enumerate(points if compiled else ()):
                 place = (4, 5) if index % 2 else (-12, -11)
                 axes.annotate(plan, (1e3 * t, 100 * v), place, textcoords="offset points", fontsize=8)
         for name, points in self.scipy.items():
             if not points:
                 continue
             spent = 1e3 * points[0][0]
-            axes.axvline(spent, color=COLOURS[name], linestyle=":", label=f"time of scipy SLSQP, 1 start, {name}")
+            axes.axvline(spent, color=COLOURS[name], linestyle="--", label=f"time of scipy SLSQP, 1 start, {name}")
         axes.set_xscale("log")
         axes.set_xticks(ticks := [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000], [f"{tick:g}" for tick in ticks])
         axes.minorticks_off()

@@ -4,6 +4,8 @@ Prints tables, writes results.csv (one row a measurement) and two figures beside
 """
 
 import argparse
+import os
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -27,6 +29,9 @@ HERE = Path(__file__).parent
 ARMS = {"antagonistic": ta.antagonistic_arm(), "bellows-only": ta.bellows_arm()}
 OTHERS = {"antagonistic": reference.ANTAGONISTIC, "bellows-only": reference.BELLOWS}
 SHAPE = ta.affine_curvature(-3.0, 3.0, length=0.5, nodes=10)
+STARTS, ROUNDS = 6, 4
+"""The defaults of the search."""
+PLANS = ((1, 0), (4, 2), (STARTS, ROUNDS))
 HARD = ((50.0, 0.0, 0.0, 0.0), (1.0, 1.0, 1.0, 1.0), (1.3, 2.65, 1.59, 4.59), (20.0, 50.0, 10.0, 5.0), (0.0,) * 4)
 
 
@@ -38,6 +43,12 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=names, help="measure these parts alone, and keep the other rows")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
+    with tempfile.TemporaryDirectory() as fresh:
+        os.environ["TORCHINDUCTOR_CACHE_DIR"] = fresh  # nothing is compiled before
+        measure(options)
+
+
+def measure(options: argparse.Namespace) -> None:
     console = Console()
     rows: list[Row] = []
     pictures = figures.Pictures()
@@ -225,24 +236,20 @@ def searches(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
     spent_of: dict[tuple[str, int], Any] = {}
     for name in ARMS:
         arm, task = validation(name, count)
-        ta.search_pressure(arm, ta.Task(SHAPE, task.tip_load[:2]))  # loads what is loaded late
-        times = []
-        for _ in range(1 if quick else 3):
-            begun = time.perf_counter()
-            found = ta.search_pressure(arm, task)
-            times.append((time.perf_counter() - begun) / count)
-        each = float(np.median(times))
+        found, plain = timed_search(arm, task, False, 1 if quick else 3)
+        each = {"batched": plain}
+        if not quick:
+            yield Row(part, f"{name}, compiled", "first search, which compiles", compile_for(arm), "s")
+            same, each["compiled"] = timed_search(arm, task, True, 5)
+            largest = float((same.cost - found.cost).abs().max())
+            yield Row(part, f"{name}, compiled", "largest difference of a cost", largest, "m²")
         pictures.cost[name] = found.cost.numpy()
-        yield Row(part, f"{name}, batched, {count} tasks", "time a search", each * 1e3, "ms")
+        for how, spent in each.items():
+            yield Row(part, f"{name}, {how}, {count} tasks", "time a search", spent * 1e3, "ms")
         yield Row(part, f"{name}, batched", "converged", float(found.converged.sum()), f"of {count}")
         yield Row(part, f"{name}, batched", "continued from zero load", float(found.continued.sum()), f"of {count}")
-        yield Row(
-            part,
-            f"{name}, batched",
-            "first-order optimality above 1e-4",
-            float((found.optimality > 1e-4).sum()),
-            f"of {count}",
-        )
+        flat = float((found.optimality > 1e-4).sum())
+        yield Row(part, f"{name}, batched", "first-order optimality above 1e-4", flat, f"of {count}")
         yield Row(part, f"{name}, batched", "median cost", float(found.cost.median()), "m²")
         for method in methods:
             sub = ta.Task(SHAPE, task.tip_load[:few])
@@ -261,16 +268,46 @@ def searches(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
             if method == "SLSQP":
                 pictures.scipy[name].append((spent, float(np.median(theirs.cost - ours)), str(multi)))
             yield Row(part, case, "time a search", spent, "s")
-            yield Row(part, case, "time over batched", spent / each, "times")
+            for how, own in each.items():
+                yield Row(part, case, f"time over {how}", spent / own, "times")
             yield Row(part, case, "batched no worse (+1e-9)", float((ours <= theirs.cost + 1e-9).sum()), f"of {some}")
             yield Row(part, case, "batched better by over 1 %", float((ours < theirs.cost / 1.01).sum()), f"of {some}")
             for index in (ours > theirs.cost + 1e-9).nonzero().squeeze(-1).tolist():
                 worse = f"{case}, load {index + 1}, scipy found better"
                 yield Row(part, worse, "cost, batched", float(ours[index]), "m²")
                 yield Row(part, worse, "cost, scipy", float(theirs.cost[index]), "m²")
-            spent_of.setdefault((method, multi), np.zeros(2))[:] += spent, each
-    for (method, multi), (slow, fast) in spent_of.items():
-        yield Row(part, f"both arms, scipy {method}, {multi} start(s)", "time over batched", slow / fast, "times")
+            spent_of.setdefault((method, multi), np.zeros(1 + len(each)))[:] += spent, *each.values()
+    for (method, multi), (slow, *fast) in spent_of.items():
+        for how, own in zip(("batched", "compiled"), fast, strict=False):
+            case = f"both arms, scipy {method}, {multi} start(s)"
+            yield Row(part, case, f"time over {how}", slow / own, "times")
+
+
+def compile_for(arm: ta.ArmDesign) -> float:
+    """Seconds of a first search with compiled steps: whatever the number of tasks, later ones run the same code."""
+    begun = time.perf_counter()
+    ta.search_pressure(arm, ta.Task(SHAPE, ta.sample_loads(20)), compiled=True)
+    return time.perf_counter() - begun
+
+
+def with_compiled(arm: ta.ArmDesign, quick: bool) -> tuple[bool, ...]:
+    """Whether steps are compiled, one way after the other; compiled beforehand."""
+    if quick:
+        return (False,)
+    compile_for(arm)
+    return False, True
+
+
+def timed_search(
+    arm: ta.ArmDesign, task: ta.Task, compiled: bool, repeats: int, starts: int = STARTS, rounds: int = ROUNDS
+) -> tuple[ta.PressureSearch, float]:
+    """What a search finds, and the median of its seconds for each task."""
+    times = []
+    for _ in range(repeats):
+        begun = time.perf_counter()
+        found = ta.search_pressure(arm, task, starts=starts, hops=rounds, compiled=compiled)
+        times.append((time.perf_counter() - begun) / len(found.cost))
+    return found, float(np.median(times))
 
 
 def large(quick: bool, _: figures.Pictures) -> Iterator[Row]:
@@ -284,40 +321,39 @@ def large(quick: bool, _: figures.Pictures) -> Iterator[Row]:
         theirs = ta.search_pressure(arm, sub, "scipy", scipy_method="SLSQP")
         slow = (time.perf_counter() - begun) / len(theirs.cost)
         yield Row(part, f"{name}, scipy SLSQP, 1 start", "time a search", slow * 1e3, "ms")
-        for first, hops in ((1, 0), (4, 3), (8, 8)):
-            begun = time.perf_counter()
-            found = ta.search_pressure(arm, task, starts=first, hops=hops)
-            each = (time.perf_counter() - begun) / count
-            ours = found.cost[: len(theirs.cost)]
-            case = f"{name}, {first} start(s), {hops} hop(s)"
-            yield Row(part, case, "time a search", each * 1e3, "ms")
-            yield Row(part, case, "scipy's time over it", slow / each, "times")
-            yield Row(
-                part, case, "no worse than scipy (+1e-9)", float((ours <= theirs.cost + 1e-9).sum()), f"of {len(ours)}"
-            )
+        ways = with_compiled(arm, quick)
+        for first, hops in PLANS:
+            for compiled in ways:
+                found, each = timed_search(arm, task, compiled, 1, first, hops)
+                ours = found.cost[: len(theirs.cost)]
+                case = f"{name}, {first} start(s), {hops} round(s){', compiled' if compiled else ''}"
+                yield Row(part, case, "time a search", each * 1e3, "ms")
+                yield Row(part, case, "scipy's time over it", slow / each, "times")
+            good = float((ours <= theirs.cost + 1e-9).sum())
+            yield Row(part, case, "no worse than scipy (+1e-9)", good, f"of {len(ours)}")
 
 
 def starts(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
     """Cost gap against time, by number of starts."""
     part = "error against time: batched search, 100 tasks an arm, gap to the best of all these runs"
-    full = ((1, 0), (2, 0), (4, 0), (4, 1), (4, 3), (8, 8), (16, 8), (32, 10))
+    full = ((1, 0), (2, 0), (4, 0), *PLANS[1:], (16, 8), (32, 10))
     plans = full[:2] if quick else full
     for name in ARMS:
         arm, task = validation(name, 2 if quick else 100)
-        found = {}
+        found, ways = {}, with_compiled(arm, quick)
         for count, hops in plans:
-            begun = time.perf_counter()
-            cost = ta.search_pressure(arm, task, starts=count, hops=hops).cost
-            found[count, hops] = (time.perf_counter() - begun) / len(cost), cost
+            for compiled in ways:
+                answer, spent = timed_search(arm, task, compiled, 1 if quick else 3, count, hops)
+                found[count, hops, compiled] = spent, answer.cost
         best = torch.stack([cost for _, cost in found.values()]).amin(0)
         if not quick and not pictures.scipy[name]:  # measured in an earlier run
             case = f"{name}, scipy SLSQP, 1 start(s), 100 tasks"
             known = [row.value for row in earlier() if row.case == case and row.quantity == "time a search"]
             pictures.scipy[name] = [(spent, 0.0, "1") for spent in known]
-        for (count, hops), (spent, cost) in found.items():
-            case = f"{name}, {count} start(s), {hops} hop(s)"
+        for (count, hops, compiled), (spent, cost) in found.items():
+            case = f"{name}, {count} start(s), {hops} round(s){', compiled' if compiled else ''}"
             within = float((cost <= 1.01 * best + 1e-12).double().mean())
-            pictures.batched[name].append((spent, 1 - within, f"{count}/{hops}"))
+            pictures.batched[name, compiled].append((spent, 1 - within, f"{count}/{hops}"))
             yield Row(part, case, "time a search", spent * 1e3, "ms")
             yield Row(part, case, "within 1 % of the best", 100 * within, "%")
             yield Row(part, case, "mean gap", float((cost - best).mean()), "m²")
