@@ -1,0 +1,89 @@
+"""What continuation from zero load reaches, for the batched pressure search. The batch comes last."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torcharm import mechanics
+from torcharm._continuation import FIRST_FILLING
+from torcharm._descent import Searches
+from torcharm._tracing import FIRST_SHARE, Course, trace
+from torcharm.mechanics import pick
+
+LOOKS, LEAST_SHARE = 40, 4e-3
+"""Of paths: evaluations of the balance at most, and the share of the load below which they are given up."""
+SAME_SHAPE, COARSE_SHAPE = 1e-6, 1e-2
+"""Twists [m, rad] that differ by less are of one branch; in single precision."""
+NEWTON_STEPS = 5
+"""From an unloaded arm to that at another pressure."""
+
+
+class Reached(NamedTuple):
+    """What continuation from zero load reaches at B pressures.
+
+    Attributes:
+        place: (M, B) the pressures, as shares of their limits.
+        cost: (B,) infinite where the branch ends.
+        unknowns: (C, N, B) at the full load.
+        rest: (C, 1, B) without load.
+        quick, rush: (C, N, B) the equilibrium on the way at which the arm gives way most, and its rate by the
+            share of the load: next to a bifurcation if there is any.
+        share: (B,) of the load there.
+    """
+
+    place: Tensor
+    cost: Tensor
+    unknowns: Tensor
+    rest: Tensor
+    quick: Tensor
+    rush: Tensor
+    share: Tensor
+
+    def at(self, index: Tensor) -> "Reached":
+        return Reached(*(pick(value, index) for value in self))
+
+    def put(self, index: Tensor, new: "Reached") -> None:
+        for old, fresh in zip(self, new, strict=True):
+            old[..., index] = fresh
+
+
+@dataclass(frozen=True)
+class Block:
+    """T searches, with what continuation starts from: idle arms (C, 1, T), without load or pressure."""
+
+    searches: Searches
+    idle: Tensor
+    nodes: int
+
+    def __getitem__(self, index: Tensor) -> "Block":
+        return Block(self.searches[index], pick(self.idle, index), self.nodes)
+
+    def rest(self, place: Tensor) -> tuple[Tensor, Tensor]:
+        """The unloaded arms (C, 1, B) at (M, B), continued from zero pressure; and whether there."""
+        path = trace(self._course(place, False), self.idle, FIRST_FILLING, LOOKS, LEAST_SHARE)
+        return path.unknowns, path.arrived
+
+    def rest_near(self, place: Tensor, near: Tensor) -> tuple[Tensor, Tensor]:
+        """The same, from unloaded arms at pressures nearby."""
+        course = self._course(place, False)
+        size = place.new_zeros(place.shape[-1])
+        for _ in range(NEWTON_STEPS):
+            look = mechanics.relax(course.arms, near, course.pressure, course.pressure)
+            near = near + look.change[:, :, 0]
+            size = course.scale.moves(look.change[:, :, :1], look.turned[:, :1])[0]
+        return near, size <= (SAME_SHAPE if near.dtype == torch.float64 else COARSE_SHAPE)
+
+    def _course(self, place: Tensor, loading: bool) -> Course:
+        own = self.searches
+        return Course(own.arms, place * own.limits, loading, own.scale, own.tolerance)
+
+    def reach(self, place: Tensor, near: Tensor | None = None) -> Reached:
+        """What continuation reaches at shares of the limits (M, B); `near` are unloaded arms (C, 1, B) nearby."""
+        rest, still = self.rest(place) if near is None else self.rest_near(place, near)
+        start = rest.expand(-1, self.nodes, -1).contiguous()
+        path = trace(self._course(place, True), start, FIRST_SHARE, LOOKS, LEAST_SHARE)
+        cost = self.searches.goal.cost(path.unknowns, self.searches.arms.base_pose)
+        cost = torch.where(path.arrived & still & cost.isfinite(), cost, float("inf"))
+        return Reached(place, cost, path.unknowns, rest, path.quick, path.rush, path.share)
