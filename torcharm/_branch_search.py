@@ -19,7 +19,7 @@ from torcharm._box import optimality
 from torcharm._continuation import Problem, resting
 from torcharm._descent import Goal, Searches, descend
 from torcharm._reaching import COARSE_SHAPE, SAME_SHAPE, Block
-from torcharm._rounds import DESCENT_LOOKS, GAIN, ONLY_LOOKS, State, crossings, work
+from torcharm._rounds import DESCENT_LOOKS, GAIN, ONLY_LOOKS, State, first_others, work
 from torcharm.equilibrium import solved
 from torcharm.mechanics import pick
 
@@ -59,13 +59,11 @@ def search_block(problem: Problem, goal: Goal, shape: Tensor, starts: int, hops:
     end = descend(own[many], begun.place, begun.unknowns, gain=GAIN, looks=DESCENT_LOOKS if hops else ONLY_LOOKS)
     found = block[many].reach(end.place)
     state = State.of(begun, end, found, total)
-    trials: Tensor | None = crossings(block, state, end, found)
-    generator = torch.Generator().manual_seed(seed)
+    others = first_others(state, end, found)
     for _ in range(hops):
         if not bool(state.active.any()):
             break
-        work(block, state, trials, generator)
-        trials = None
+        others = work(block, state, others)
     return _finish(problem, block, state)
 
 

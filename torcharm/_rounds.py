@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torcharm import mechanics
+from torcharm._boundary import Boundary, find_boundary
 from torcharm._box import box_step
 from torcharm._descent import Descended, descend
 from torcharm._reaching import COARSE_SHAPE, SAME_SHAPE, Block, Reached
@@ -18,7 +19,9 @@ DESCENT_LOOKS, ONLY_LOOKS, AGAIN_LOOKS, WALL_LOOKS = 20, 200, 12, 8
 """Evaluations of the balance in a descent; in one without further rounds; in one that goes on; along a boundary."""
 GAIN, WALL_GAIN = 1e-9, 1e-4
 """Relative decrease of the cost at which they end."""
-FLIPS = 10
+CROSSED = 3
+CROSS = (3e-4, 1e-3, 4e-3, 1.6e-2, 0.06, 0.25)
+FLIPS = (0.01, 0.03, 0.1, 0.25, 0.6, 1.6)
 """Steps across a boundary, from a hundredth of the box to all of it and more."""
 PARTS, OFFSETS = (1.0, 0.3), (0.0, 0.03, 0.1, 0.3)
 """Of a step along a boundary: parts that are tried, and moves away from it, in lengths of the step."""
@@ -26,10 +29,10 @@ DAMPINGS = (1.0, 10.0, 100.0)
 """Of the steps regardless of it."""
 AHEAD = ((1.0, 0.0), (1.0, 0.1), (3.0, 0.0), (3.0, 0.1))
 """Once more as far as the last time: how many times, and how far away from the boundary besides."""
-SHORTENED = (0.3, 0.1)
+SHORTENED = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05)
 """Parts of a descent that was not confirmed."""
 LEAST_STEP = 1e-3
-ARCHIVE, DIFFERENCES, LEAST_FACTOR, FROM_BEST = 8, 16, 0.3, 0.5
+SLIDES, MARGINS = (1.0, 0.5, 0.2), (1e-4, 1e-3, 4e-3, 1.6e-2)
 
 
 @dataclass
@@ -51,8 +54,6 @@ class State:
     active: Tensor
     held: Tensor
     start_cost: Tensor
-    places: Tensor
-    costs: Tensor
 
     @staticmethod
     def of(begun: Reached, end: Descended, found: Reached, total: int) -> "State":
@@ -68,11 +69,7 @@ class State:
         warm = torch.where(same, float("inf"), end.cost).view(-1, total).amin(0)
         held = _worth(warm, best.cost)
         start = torch.minimum(found.cost, begun.cost).view(-1, total)
-        costs = both.view(-1, total)
-        places = torch.cat((found.place, begun.place), 1).view(len(found.place), -1, total)
-        order = costs.topk(min(ARCHIVE, len(costs)), dim=0, largest=False).indices
-        costs, places = costs.gather(0, order), places.gather(1, order.expand(len(places), -1, -1))
-        return State(best, best.place.clone(), converged & ~held, ~converged | held, held, start, places, costs)
+        return State(best, best.place.clone(), converged & ~held, ~converged | held, held, start)
 
 
 def _same(found: Reached, unknowns: Tensor) -> Tensor:
@@ -86,15 +83,15 @@ def _worth(cost: Tensor, best: Tensor) -> Tensor:
     return cost < best * (1 - 1e-4) - 1e-12
 
 
-def crossings(block: Block, state: State, end: Descended, found: Reached) -> Tensor:
-    """(M, Q, H) pressures to try where the best descent was not confirmed: across the boundary from its end, against
-    the way the arm gives there."""
+def first_others(state: State, end: Descended, found: Reached) -> tuple[Tensor, Reached]:
+    """What the best descents that were not confirmed came to by continuation, for each search that is held; rows and
+    these."""
     total, rows = len(state.held), state.held.nonzero().squeeze(-1)
-    warm = torch.where(_same(found, end.unknowns), float("inf"), end.cost).view(-1, total)
-    wrong = found.at(warm.argmin(0)[rows] * total + rows)
-    normal = _normal(block[rows], wrong)
-    reach = torch.logspace(-2, 0.2, FLIPS).to(normal)
-    return (wrong.place.unsqueeze(1) - reach.unsqueeze(-1) * normal.unsqueeze(1)).clamp(0, 1)
+    warm = torch.where(_same(found, end.unknowns), float("inf"), end.cost).view(-1, total)[:, rows]
+    rank = warm.topk(min(CROSSED, len(warm)), dim=0, largest=False)
+    worth = _worth(rank.values, state.best.cost[rows])
+    index = (rank.indices * total + rows)[worth]
+    return rows.expand_as(worth)[worth], found.at(index)
 
 
 def _normal(block: Block, at: Reached) -> Tensor:
@@ -124,57 +121,125 @@ def _take(state: State, rows: Tensor, found: Reached) -> None:
     state.best.put(have, found.at(taken))
 
 
-def work(block: Block, state: State, crossings: Tensor | None, generator: torch.Generator) -> None:
-    """Descend further from the best; and where that leads over a boundary, along it, or first of all across it."""
+def work(block: Block, state: State, others: tuple[Tensor, Reached]) -> tuple[Tensor, Reached]:
+    """Descend further from the best; and where that leads over a boundary, go along it, and to it from both sides.
+
+    Args:
+        block: of T searches.
+        state: of them.
+        others: some of them (O,), and what continuation reached on the other side.
+
+    Returns:
+        The same for the next round.
+    """
     rows = state.active.nonzero().squeeze(-1)
     at = state.held[rows].nonzero().squeeze(-1)
     held, count = rows[at], len(rows)
-    best = state.best.at(torch.cat((rows, held)))
-    normal = _normal(block[held], state.best.at(held))
-    wall = torch.cat((normal.new_zeros(len(normal), count), normal), 1)
+    keep = state.held[others[0]].nonzero().squeeze(-1)
+    theirs, other = others[0][keep], others[1].at(keep)
+    sides = torch.cat((held, theirs))
+    near = Reached(*(torch.cat(pair, -1) for pair in zip(state.best.at(held), other, strict=True)))
+    rough = _normal(block[sides], near)
+    found_edge = find_boundary(
+        block[sides].searches, near.place, near.quick, near.share, _measure(block[sides], near), _inner(rough, near.place)
+    )
+    normals = torch.where(found_edge.found, found_edge.normal, rough)
+    normals = torch.where((normals * rough).sum(0) < 0, -normals, normals)
+    edge = Boundary(*(value[..., : len(held)] for value in found_edge))
+    far = Boundary(*(value[..., len(held) :] for value in found_edge))
+    normal = normals[:, : len(held)]
+
     both = torch.cat((rows, held))
-    end = descend(block[both].searches, best.place, best.unknowns, gain=GAIN, looks=AGAIN_LOOKS, wall=wall)
+    wall = torch.cat((normal.new_zeros(len(normal), count), normal), 1)
+    start = state.best.at(both)
+    end = descend(block[both].searches, start.place, start.unknowns, gain=GAIN, looks=AGAIN_LOOKS, wall=wall)
     along, free = end.place[:, count:], end.place[:, :count]
-    trials = _trials(block[held], state.best.at(held), normal, pick(state.before, held), free[:, at], along)
-    more = _differences(state, held, generator)
-    trials = torch.cat((trials, more), 1)
-    if crossings is not None:
-        trials = torch.cat((trials, crossings), 1)
-    many = torch.cat((rows, held.repeat(trials.shape[1])))
-    places = torch.cat((free, trials.flatten(1)), 1)
+    some, best = block[held], state.best.at(held)
+    trials = torch.cat(
+        (
+            _trials(some, best, normal, pick(state.before, held), free[:, at], along),
+            _slides(some, best, edge, normal, along),
+        ),
+        1,
+    )
+    crossing = _crossings(other, far, normals[:, len(held) :])
+    many = torch.cat((rows, held.repeat(trials.shape[1]), theirs.repeat(crossing.shape[1])))
+    places = torch.cat((free, trials.flatten(1), crossing.flatten(1)), 1)
     state.before[:, rows] = state.best.place[:, rows]
     found = block[many].reach(places, pick(state.best.rest, many))
     _take(state, many, found)
-    _archive(state, held, found.place[:, count:].unflatten(1, (-1, len(held))), found.cost[count:].view(-1, len(held)))
+    LOG.append((held, found.cost[count:count+trials[0].numel()].view(-1, len(held)), edge.found, (edge.place - best.place).norm(dim=0), best.cost, state.best.cost[held], theirs, far.found, found.cost[count+trials[0].numel():].view(-1,len(theirs))))
     own_end = found.at(torch.arange(count, device=rows.device))
     same = _same(own_end, end.unknowns[:, :, :count])
     done = same & end.ended[:count] & (own_end.cost <= state.best.cost[rows])
     state.converged[rows] = done
     state.held[rows] = ~same & _worth(end.cost[:count], state.best.cost[rows])
     state.active[rows] = ~done
+    return _others(block, state, many, found)
 
 
-def _archive(state: State, rows: Tensor, places: Tensor, costs: Tensor) -> None:
-    """Keep the best of what was found so far at (M, Q, H) too."""
-    size = len(state.costs)
-    costs = torch.cat((state.costs[:, rows], costs))
-    places = torch.cat((state.places[:, :, rows], places), 1)
-    order = costs.topk(min(size, len(costs)), dim=0, largest=False).indices
-    state.costs[:, rows] = costs.gather(0, order)
-    state.places[:, :, rows] = places.gather(1, order.expand(len(places), -1, -1))
+def _others(block: Block, state: State, rows: Tensor, found: Reached) -> tuple[Tensor, Reached]:
+    """For each search that is held, the nearest to its best place of what went to the other side."""
+    best = state.best.at(rows)
+    across = (_measure(block[rows], best) * found.rush).sum((0, 1)) < 0
+    distance = (found.place - best.place).norm(dim=0)
+    order = distance.where(across, float("inf")).argsort(stable=True, descending=True)
+    first = torch.full((len(state.held),), -1, dtype=torch.long, device=rows.device)
+    first[rows[order]] = order
+    have = (state.held & (first >= 0)).nonzero().squeeze(-1)
+    have = have[across[first[have]]]
+    return have, found.at(first[have])
 
 
-def _differences(state: State, rows: Tensor, generator: torch.Generator) -> Tensor:
-    """(M, Q, H) as differential evolution."""
-    size = len(state.costs)
-    draw = torch.rand(5, DIFFERENCES, generator=generator, dtype=torch.float64)
-    index = (draw[:3] * size).long().to(rows.device)
-    factor = (LEAST_FACTOR + (1 - LEAST_FACTOR) * draw[3]).to(state.costs).unsqueeze(-1)
-    pool = state.places[:, :, rows]
-    one, two, three = (pool[:, i] for i in index)
-    best = state.best.place[:, rows].unsqueeze(1)
-    start = torch.where((draw[4] < FROM_BEST).to(rows.device).unsqueeze(-1), best, torch.lerp(one, best, factor))
-    return (start + factor * (two - three)).clamp(0, 1)
+def _crossings(other: Reached, edge: Boundary, normal: Tensor) -> Tensor:
+    """(M, Q, O) across the boundary from what is on its other side."""
+    base = torch.where(edge.found, edge.place, other.place).clamp(0, 1)
+    way = _inner(-normal, base)
+    steps = torch.where(edge.found, base.new_tensor(CROSS).unsqueeze(-1), base.new_tensor(FLIPS).unsqueeze(-1))
+    return torch.where(way.isfinite(), base, base).unsqueeze(1).add(way.unsqueeze(1) * steps).clamp(0, 1)
+
+
+LOG = []
+
+
+def _measure(block: Block, at: Reached) -> Tensor:
+    """(C, N, B) what measures how far the arm has given way."""
+    rush = at.rush.clone()
+    rush[:-1] /= block.searches.scale.length**2
+    rush = torch.where(rush.isfinite(), rush, 0.0)
+    return rush / rush.square().sum((0, 1)).sqrt().clamp(min=1e-300)
+
+
+def _inner(normal: Tensor, place: Tensor) -> Tensor:
+    """(M, B) away from the boundary, along bounds of the box."""
+    inner = normal * (((place > 0) | (normal > 0)) & ((place < 1) | (normal < 0)))
+    return inner / inner.norm(dim=0).clamp(min=1e-9)
+
+
+def _slides(block: Block, best: Reached, edge: Boundary, normal: Tensor, along: Tensor) -> Tensor:
+    """(M, Q, H) places on the boundary and a little away from it."""
+    count = normal.shape[-1]
+    targets = torch.cat([torch.lerp(best.place, along, part) for part in SLIDES], 1)
+    many = torch.arange(count, device=normal.device).repeat(len(SLIDES))
+    way = _inner(pick(normal, many), targets)
+    move = targets - pick(edge.place, many)
+    miss = (pick(normal, many) * move).sum(0) / (pick(normal, many) * way).sum(0).clamp(min=1e-3)
+    move = move - way * miss
+    guess = pick(edge.unknowns, many) + (pick(edge.shift, many) * move).sum(2)
+    found = find_boundary(
+        block[many].searches, pick(edge.place, many) + move, guess, pick(edge.share, many), pick(_measure(block, best), many), way
+    )
+    inner = torch.where((found.normal * pick(normal, many)).sum(0) < 0, -found.normal, found.normal)
+    inner = _inner(inner, found.place.clamp(0, 1))
+    ok = found.found & pick(edge.found, many)
+    base = torch.where(ok, found.place, targets).clamp(0, 1)
+    inner = torch.where(ok, inner, way)
+    first = torch.where(edge.found, edge.place, best.place).clamp(0, 1)
+    base = torch.cat((first, base), 1)
+    inner = torch.cat((_inner(normal, first), inner), 1)
+    tried = base.unsqueeze(1) + inner.unsqueeze(1) * base.new_tensor(MARGINS).view(1, -1, 1)
+    tried = tried.clamp(0, 1).flatten(1).unflatten(1, (-1, count))
+    return torch.where(tried.isfinite(), tried, best.place.unsqueeze(1))
 
 
 def _trials(block: Block, best: Reached, normal: Tensor, before: Tensor, free: Tensor, end: Tensor) -> Tensor:
