@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torcharm import mechanics
 from torcharm._descent import Searches
+from torcharm.mechanics import pick
 
 ROUNDS = 8
 """Of Newton's method."""
@@ -44,6 +45,12 @@ class Boundary(NamedTuple):
     share: Tensor
     shift: Tensor
     found: Tensor
+
+    def at(self, index: Tensor) -> "Boundary":
+        return Boundary(*(pick(value, index) for value in self))
+
+    def part(self, start: int, end: int | None) -> "Boundary":
+        return Boundary(*(value[..., start:end] for value in self))
 
 
 def find_boundary(
@@ -107,4 +114,6 @@ def find_boundary(
     normal = normal / normal.norm(dim=0)
     shift = by_place[..., :count] - by_way[..., :count].unsqueeze(2) * (gains / gain[:count])
     found = (size < CLOSE) & z0.isfinite().all(0).all(0) & p0.isfinite().all(0) & (base > 0) & (base < 1)
-    return Boundary(p0, normal, z0, base, shift, found & normal.isfinite().all(0))
+    found &= normal.isfinite().all(0)
+    normal, shift = torch.where(found, normal, 0.0), torch.where(found, shift, 0.0)
+    return Boundary(torch.where(found, p0, place), normal, torch.where(found, z0, unknowns), base, shift, found)

@@ -19,9 +19,12 @@ from torcharm._box import optimality
 from torcharm._continuation import Problem, resting
 from torcharm._descent import Goal, Searches, descend
 from torcharm._reaching import COARSE_SHAPE, SAME_SHAPE, Block
-from torcharm._rounds import DESCENT_LOOKS, GAIN, ONLY_LOOKS, State, first_others, work
+from torcharm._rounds import GAIN, Others, State, work
 from torcharm.equilibrium import solved
 from torcharm.mechanics import pick
+
+DESCENT_LOOKS, ONLY_LOOKS = 20, 200
+"""Evaluations of the balance in a descent; in one without further rounds."""
 
 
 class Searched(NamedTuple):
@@ -59,7 +62,7 @@ def search_block(problem: Problem, goal: Goal, shape: Tensor, starts: int, hops:
     end = descend(own[many], begun.place, begun.unknowns, gain=GAIN, looks=DESCENT_LOOKS if hops else ONLY_LOOKS)
     found = block[many].reach(end.place)
     state = State.of(begun, end, found, total)
-    others = first_others(state, end, found)
+    others = Others.of(state, end, found)
     for _ in range(hops):
         if not bool(state.active.any()):
             break
