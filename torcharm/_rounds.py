@@ -149,7 +149,7 @@ def work(block: Block, state: State, others: Others) -> Others:
     same = _same(own_end, end.unknowns[:, :, :count])
     done = same & end.ended[:count] & (own_end.cost <= state.best.cost[rows])
     state.converged[rows] = done
-    state.held[rows] = ~same & _worth(end.cost[:count], state.best.cost[rows])
+    state.held[rows] = ~same
     state.active[rows] = ~done
     return Others.nearest(block, state, many, found)
 
