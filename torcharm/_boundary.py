@@ -54,7 +54,7 @@ class Boundary(NamedTuple):
 
 
 def find_boundary(
-    own: Searches, place: Tensor, unknowns: Tensor, share: Tensor, measure: Tensor, direction: Tensor
+    own: Searches, place: Tensor, unknowns: Tensor, share: Tensor, measure: Tensor, direction: Tensor, rounds: int = 8
 ) -> Boundary:
     """The saddles next to equilibria near a bifurcation.
 
@@ -74,7 +74,7 @@ def find_boundary(
     on = torch.ones_like(share, dtype=torch.bool)
     size = torch.full_like(share, float("inf"))
     by_place, by_way, gain = None, None, None
-    for turn in range(ROUNDS):
+    for turn in range(rounds):
         look = mechanics.march(
             own.arms, z, p * own.limits, s, each_pressure=own.limits, load=own.arms.tip_load, poses=False
         )

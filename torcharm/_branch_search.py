@@ -26,6 +26,8 @@ from torcharm.mechanics import pick
 DESCENT_LOOKS, ONLY_LOOKS = 20, 200
 """Evaluations of the balance in a descent; in one without further rounds."""
 
+SNAPS, SNAP_REACH, NOTE = 3, 0.1, []
+
 
 class Searched(NamedTuple):
     """What T searches found, as of `PressureSearch`: with pressures as shares of the limits (T, M) and the unknowns
@@ -85,6 +87,29 @@ def _finish(problem: Problem, block: Block, state: State) -> Searched:
     corner = _solved(problem, block, held, end.place[:, held].round())
     better = corner.cost < end.cost[held]
     end.put(held[better], corner.at(better))
+    if state.lost is not None and SNAPS:
+        rows, place = state.lost
+        keep = (~converged)[rows].nonzero().squeeze(-1)
+        rows, place = rows[keep], place[:, keep]
+        look = mechanics.march(own.arms, best.unknowns, best.place * own.limits, each_pressure=own.limits)
+        _, gradient, matrix = own.goal.model(look)
+        move = place - best.place[:, rows]
+        hoped = best.cost[rows] + (2 * gradient[:, rows] * move).sum(0) + (move * (matrix[:, :, rows] * move).sum(1)).sum(0)
+        gain = hoped / best.cost[rows]
+        gain = torch.where((move.norm(dim=0) < SNAP_REACH) & (gain < 1), gain, float("inf"))
+        order = gain.argsort(stable=True)
+        order = order[rows[order].argsort(stable=True)]
+        counts = torch.bincount(rows, minlength=len(converged))
+        first = counts.cumsum(0) - counts
+        rank = torch.arange(len(rows)) - first[rows[order]]
+        chosen = order[(rank < SNAPS) & gain[order].isfinite()]
+        some = _solved(problem, block, rows[chosen], place[:, chosen])
+        NOTE.append((len(chosen), rows[chosen], some.cost, end.cost[rows[chosen]], gain[chosen], some.continued))
+        for k in range(SNAPS):
+            mine = (rank[(rank < SNAPS) & gain[order].isfinite()] == k).nonzero().squeeze(-1)
+            r = rows[chosen[mine]]
+            ok = some.cost[mine] < end.cost[r]
+            end.put(r[ok], some.at(mine[ok]))
     look = mechanics.march(own.arms, end.unknowns, end.place * own.limits, each_pressure=own.limits)
     _, gradient, _ = own.goal.model(look)
     place = end.place.mT

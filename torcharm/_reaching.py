@@ -79,11 +79,11 @@ class Block:
         own = self.searches
         return Course(own.arms, place * own.limits, loading, own.scale, own.tolerance)
 
-    def reach(self, place: Tensor, near: Tensor | None = None) -> Reached:
+    def reach(self, place: Tensor, near: Tensor | None = None, looks: int = LOOKS) -> Reached:
         """What continuation reaches at shares of the limits (M, B); `near` are unloaded arms (C, 1, B) nearby."""
         rest, still = self.rest(place) if near is None else self.rest_near(place, near)
         start = rest.expand(-1, self.nodes, -1).contiguous()
-        path = trace(self._course(place, True), start, FIRST_SHARE, LOOKS, LEAST_SHARE)
+        path = trace(self._course(place, True), start, FIRST_SHARE, looks, LEAST_SHARE)
         cost = self.searches.goal.cost(path.unknowns, self.searches.arms.base_pose)
         cost = torch.where(path.arrived & still & cost.isfinite(), cost, float("inf"))
         return Reached(place, cost, path.unknowns, rest, path.quick, path.rush, path.share)

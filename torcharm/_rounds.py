@@ -30,6 +30,7 @@ DAMPING = 1.0
 CROSS, FLIPS = (3e-4, 1e-3, 4e-3, 1.6e-2), (0.01, 0.03, 0.1, 0.3)
 """Steps across a boundary, from it, and from a place somewhere on the other side."""
 LEAST_STEP = 1e-3
+ROUND_LOOKS, FIRST_NEWTON, AGAIN_NEWTON = 40, 8, 8
 
 
 @dataclass
@@ -49,6 +50,7 @@ class State:
     active: Tensor
     held: Tensor
     start_cost: Tensor
+    lost: tuple[Tensor, Tensor] | None = None
 
     @staticmethod
     def of(begun: Reached, end: Descended, found: Reached, total: int) -> "State":
@@ -143,7 +145,7 @@ def work(block: Block, state: State, others: Others) -> Others:
         (theirs[lost], _crossings(other.at(lost), edges.part(len(held), None).at(lost), normals[:, len(held) + lost])),
     )
     many = torch.cat([own.repeat(places.shape[1]) for own, places in groups])
-    found = block[many].reach(torch.cat([places.flatten(1) for _, places in groups], 1), pick(state.best.rest, many))
+    found = block[many].reach(torch.cat([places.flatten(1) for _, places in groups], 1), pick(state.best.rest, many), ROUND_LOOKS)
     _take(state, many, found)
     own_end = found.at(torch.arange(count, device=rows.device))
     same = _same(own_end, end.unknowns[:, :, :count])
@@ -151,6 +153,8 @@ def work(block: Block, state: State, others: Others) -> Others:
     state.converged[rows] = done
     state.held[rows] = ~same
     state.active[rows] = ~done
+    gone = found.cost.isinf().nonzero().squeeze(-1)
+    state.lost = (many[gone], found.place[:, gone])
     return Others.nearest(block, state, many, found)
 
 
@@ -172,7 +176,7 @@ def _edges(block: Block, near: Reached) -> tuple[Boundary, Tensor]:
     not found."""
     measure = _measure(block, near)
     rough = _normal(block, near)
-    edge = find_boundary(block.searches, near.place, near.quick, near.share, measure, _inner(rough, near.place))
+    edge = find_boundary(block.searches, near.place, near.quick, near.share, measure, _inner(rough, near.place), FIRST_NEWTON)
     side = (edge.normal * rough).sum(0)
     return edge, torch.where(edge.found, torch.where(side < 0, -edge.normal, edge.normal), rough)
 
@@ -221,7 +225,7 @@ def _slides(block: Block, best: Reached, edge: Boundary, along: Tensor) -> Tenso
     move = targets - start.place
     move = move - way * ((normal * move).sum(0) / (normal * way).sum(0).clamp(min=1e-3))
     guess = start.unknowns + (start.shift * move).sum(2)
-    there = find_boundary(block[many].searches, start.place + move, guess, start.share, measure, way)
+    there = find_boundary(block[many].searches, start.place + move, guess, start.share, measure, way, AGAIN_NEWTON)
     place = torch.where(there.found, there.place, targets).clamp(0, 1)
     turned = there.normal * (there.normal * normal).sum(0).sign()
     way = torch.where(there.found, _inner(turned, place), way)
