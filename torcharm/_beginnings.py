@@ -9,9 +9,6 @@ from torcharm._descent import Searches
 from torcharm._reaching import Block, Reached
 from torcharm.mechanics import pick
 
-SPREAD = lambda s: s
-CANDIDATES = 2
-"""Pressures that are loaded, for each start."""
 POOL = 4
 """Pressures that compete, to first order at the task shape, for each start that is guided."""
 
@@ -22,7 +19,7 @@ def begin(block: Block, wanted: Tensor, starts: int, seed: int) -> Reached:
     own, total = block.searches, wanted.shape[-1]
     size = len(own.limits)
     like = own.limits
-    guided, spread = starts, spread_points(SPREAD(starts), size, like, seed)
+    guided, spread = starts, spread_points(starts // 2 + 1, size, like, seed)
     spread[1:] = (1.6 * spread[1:] - 0.3).clamp(0, 1)
     pool = torch.rand(guided * POOL, size, generator=torch.Generator().manual_seed(seed)).to(like)
     pool = (1.2 * pool - 0.1).clamp(0, 1)  # the bounds are where optima like to be

@@ -17,8 +17,6 @@ from torcharm import mechanics
 from torcharm._descent import Searches
 from torcharm.mechanics import pick
 
-ROUNDS = 8
-"""Of Newton's method."""
 AWAY = 1e-4
 """Steps to the two points nearby, as shares of the load and of the arm's bend [rad]."""
 FARTHEST = 0.3
@@ -54,7 +52,7 @@ class Boundary(NamedTuple):
 
 
 def find_boundary(
-    own: Searches, place: Tensor, unknowns: Tensor, share: Tensor, measure: Tensor, direction: Tensor, rounds: int = 8
+    own: Searches, place: Tensor, unknowns: Tensor, share: Tensor, measure: Tensor, direction: Tensor, rounds: int
 ) -> Boundary:
     """The saddles next to equilibria near a bifurcation.
 

@@ -18,15 +18,16 @@ from torcharm._beginnings import begin
 from torcharm._box import optimality
 from torcharm._continuation import Problem, resting
 from torcharm._descent import Goal, Searches, descend
-from torcharm._reaching import COARSE_SHAPE, SAME_SHAPE, Block
-from torcharm._rounds import GAIN, Others, State, work
+from torcharm._reaching import COARSE_SHAPE, SAME_SHAPE, Block, Reached, lowest
+from torcharm._rounds import GAIN, Lost, Others, State, work
 from torcharm.equilibrium import solved
 from torcharm.mechanics import pick
 
 DESCENT_LOOKS, ONLY_LOOKS = 20, 200
 """Evaluations of the balance in a descent; in one without further rounds."""
 
-SNAPS, SNAP_REACH, NOTE = 3, 0.1, []
+TRIED_AGAIN, NEARBY = 3, 0.1
+"""Places for each search that are tried again at the end, and how near they are, in lengths of the box."""
 
 
 class Searched(NamedTuple):
@@ -62,7 +63,7 @@ def search_block(problem: Problem, goal: Goal, shape: Tensor, starts: int, hops:
     every = torch.arange(total, device=shape.device)
     many = every.repeat(count)
     end = descend(own[many], begun.place, begun.unknowns, gain=GAIN, looks=DESCENT_LOOKS if hops else ONLY_LOOKS)
-    found = block[many].reach(end.place)
+    found = block[many].reach(end.place, begun.rest)
     state = State.of(begun, end, found, total)
     others = Others.of(state, end, found)
     for _ in range(hops):
@@ -74,42 +75,23 @@ def search_block(problem: Problem, goal: Goal, shape: Tensor, starts: int, hops:
 
 def _finish(problem: Problem, block: Block, state: State) -> Searched:
     """Make sure that it is `solve_equilibrium`'s; where nothing was confirmed, take that of the best start. Where the
-    search was held up, the nearest corner of the box may be better, even if the arm snaps there."""
+    search was held up, a place may be better to which it could not follow, even if the arm snaps there."""
     best, own = state.best, block.searches
     rest, still = block.rest(best.place)
     near = SAME_SHAPE if rest.dtype == torch.float64 else COARSE_SHAPE
     sure = still & best.cost.isfinite() & ((rest - best.rest).abs().amax((0, 1)) < near)
     end = _Solved(best.place.clone(), best.cost.clone(), best.unknowns.clone(), sure.clone())
-    left = (~sure).nonzero().squeeze(-1)
-    end.put(left, _solved(problem, block, left, best.place[:, left]))
     converged = state.converged & sure
-    held = (~converged).nonzero().squeeze(-1)
-    corner = _solved(problem, block, held, end.place[:, held].round())
-    better = corner.cost < end.cost[held]
-    end.put(held[better], corner.at(better))
-    if state.lost is not None and SNAPS:
-        rows, place = state.lost
-        keep = (~converged)[rows].nonzero().squeeze(-1)
-        rows, place = rows[keep], place[:, keep]
-        look = mechanics.march(own.arms, best.unknowns, best.place * own.limits, each_pressure=own.limits)
-        _, gradient, matrix = own.goal.model(look)
-        move = place - best.place[:, rows]
-        hoped = best.cost[rows] + (2 * gradient[:, rows] * move).sum(0) + (move * (matrix[:, :, rows] * move).sum(1)).sum(0)
-        gain = hoped / best.cost[rows]
-        gain = torch.where((move.norm(dim=0) < SNAP_REACH) & (gain < 1), gain, float("inf"))
-        order = gain.argsort(stable=True)
-        order = order[rows[order].argsort(stable=True)]
-        counts = torch.bincount(rows, minlength=len(converged))
-        first = counts.cumsum(0) - counts
-        rank = torch.arange(len(rows)) - first[rows[order]]
-        chosen = order[(rank < SNAPS) & gain[order].isfinite()]
-        some = _solved(problem, block, rows[chosen], place[:, chosen])
-        NOTE.append((len(chosen), rows[chosen], some.cost, end.cost[rows[chosen]], gain[chosen], some.continued))
-        for k in range(SNAPS):
-            mine = (rank[(rank < SNAPS) & gain[order].isfinite()] == k).nonzero().squeeze(-1)
-            r = rows[chosen[mine]]
-            ok = some.cost[mine] < end.cost[r]
-            end.put(r[ok], some.at(mine[ok]))
+    left = (~sure).nonzero().squeeze(-1)
+    lost = _hopeful(own, best, state.lost, ~converged)
+    rows = torch.cat((left, lost.rows))
+    if len(rows):
+        again = _solved(problem, block, rows, torch.cat((best.place[:, left], lost.place), 1))
+        first = torch.arange(len(left), device=rows.device)
+        end.put(left, again.at(first))
+        have, taken = lowest(rows, again.cost, len(sure))
+        better = again.cost[taken] < end.cost[have]
+        end.put(have[better], again.at(taken[better]))
     look = mechanics.march(own.arms, end.unknowns, end.place * own.limits, each_pressure=own.limits)
     _, gradient, _ = own.goal.model(look)
     place = end.place.mT
@@ -122,6 +104,24 @@ def _finish(problem: Problem, block: Block, state: State) -> Searched:
         2 * optimality(gradient.mT, place),
         state.start_cost.mT,
     )
+
+
+def _hopeful(own: Searches, best: Reached, lost: Lost, wanted: Tensor) -> Lost:
+    """Of the places that could not be followed, for each search that is wanted (T,) some that promise most by the
+    model at the best place, if they are near; and corners of the box."""
+    look = mechanics.march(own.arms, best.unknowns, best.place * own.limits, each_pressure=own.limits)
+    cost, gradient, matrix = (pick(value, lost.rows) for value in own.goal.model(look))
+    move = lost.place - best.place[:, lost.rows]
+    hoped = cost + (move * (2 * gradient + (matrix * move).sum(1))).sum(0)
+    corner = ((lost.place == 0) | (lost.place == 1)).all(0)
+    worth = wanted[lost.rows] & (corner | ((move.norm(dim=0) < NEARBY) & (hoped < best.cost[lost.rows])))
+    order = torch.where(corner, -1.0, hoped).argsort()
+    order = order[worth[order]]
+    order = order[lost.rows[order].argsort(stable=True)]
+    rows = lost.rows[order]
+    rank = torch.arange(len(rows), device=rows.device) - torch.searchsorted(rows, rows)
+    order = order[rank < TRIED_AGAIN]
+    return Lost(lost.rows[order], lost.place[:, order])
 
 
 class _Solved(NamedTuple):

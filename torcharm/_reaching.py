@@ -20,6 +20,16 @@ NEWTON_STEPS = 5
 """From an unloaded arm to that at another pressure."""
 
 
+def lowest(rows: Tensor, cost: Tensor, total: int) -> tuple[Tensor, Tensor]:
+    """The lowest of the costs (B,) that belong to rows (B,) of T: which rows have any that is finite, and where."""
+    least = cost.new_full((total,), float("inf")).scatter_reduce(0, rows, cost, "amin")
+    index = ((cost == least[rows]) & cost.isfinite()).nonzero().squeeze(-1)
+    where = torch.full((total,), -1, dtype=torch.long, device=rows.device)
+    where[rows[index]] = index
+    have = (where >= 0).nonzero().squeeze(-1)
+    return have, where[have]
+
+
 class Reached(NamedTuple):
     """What continuation from zero load reaches at B pressures.
 
@@ -66,24 +76,28 @@ class Block:
         return path.unknowns, path.arrived
 
     def rest_near(self, place: Tensor, near: Tensor) -> tuple[Tensor, Tensor]:
-        """The same, from unloaded arms at pressures nearby."""
+        """The same, from unloaded arms at other pressures; from no pressure, where these are too far."""
         course = self._course(place, False)
         size = place.new_zeros(place.shape[-1])
         for _ in range(NEWTON_STEPS):
             look = mechanics.relax(course.arms, near, course.pressure, course.pressure)
             near = near + look.change[:, :, 0]
             size = course.scale.moves(look.change[:, :, :1], look.turned[:, :1])[0]
-        return near, size <= (SAME_SHAPE if near.dtype == torch.float64 else COARSE_SHAPE)
+        still = size <= (SAME_SHAPE if near.dtype == torch.float64 else COARSE_SHAPE)
+        left = (~still).nonzero().squeeze(-1)
+        if len(left):
+            near[:, :, left], still[left] = self[left].rest(place[:, left])
+        return near, still
 
     def _course(self, place: Tensor, loading: bool) -> Course:
         own = self.searches
         return Course(own.arms, place * own.limits, loading, own.scale, own.tolerance)
 
-    def reach(self, place: Tensor, near: Tensor | None = None, looks: int = LOOKS) -> Reached:
+    def reach(self, place: Tensor, near: Tensor | None = None) -> Reached:
         """What continuation reaches at shares of the limits (M, B); `near` are unloaded arms (C, 1, B) nearby."""
         rest, still = self.rest(place) if near is None else self.rest_near(place, near)
         start = rest.expand(-1, self.nodes, -1).contiguous()
-        path = trace(self._course(place, True), start, FIRST_SHARE, looks, LEAST_SHARE)
+        path = trace(self._course(place, True), start, FIRST_SHARE, LOOKS, LEAST_SHARE)
         cost = self.searches.goal.cost(path.unknowns, self.searches.arms.base_pose)
         cost = torch.where(path.arrived & still & cost.isfinite(), cost, float("inf"))
         return Reached(place, cost, path.unknowns, rest, path.quick, path.rush, path.share)

@@ -4,6 +4,7 @@ The batch comes last.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,7 +13,7 @@ from torcharm import mechanics
 from torcharm._boundary import Boundary, find_boundary
 from torcharm._box import box_step
 from torcharm._descent import Descended, descend
-from torcharm._reaching import COARSE_SHAPE, SAME_SHAPE, Block, Reached
+from torcharm._reaching import COARSE_SHAPE, SAME_SHAPE, Block, Reached, lowest
 from torcharm.mechanics import pick
 
 GAIN, AGAIN_LOOKS = 1e-9, 12
@@ -30,7 +31,15 @@ DAMPING = 1.0
 CROSS, FLIPS = (3e-4, 1e-3, 4e-3, 1.6e-2), (0.01, 0.03, 0.1, 0.3)
 """Steps across a boundary, from it, and from a place somewhere on the other side."""
 LEAST_STEP = 1e-3
-ROUND_LOOKS, FIRST_NEWTON, AGAIN_NEWTON = 40, 8, 8
+NEWTON_STEPS, AGAIN_STEPS = 10, 4
+"""To the boundary; and from there to another place on it."""
+
+
+class Lost(NamedTuple):
+    """(L,) rows of searches, and places (M, L) to which continuation could not be followed."""
+
+    rows: Tensor
+    place: Tensor
 
 
 @dataclass
@@ -43,6 +52,7 @@ class State:
         active: (T,) whether there is more to do.
         held: (T,) whether the descent from there leads over a boundary.
         start_cost: (S, T) what each start came to.
+        lost: what was tried last.
     """
 
     best: Reached
@@ -50,7 +60,7 @@ class State:
     active: Tensor
     held: Tensor
     start_cost: Tensor
-    lost: tuple[Tensor, Tensor] | None = None
+    lost: Lost
 
     @staticmethod
     def of(begun: Reached, end: Descended, found: Reached, total: int) -> "State":
@@ -66,7 +76,7 @@ class State:
         warm = torch.where(same, float("inf"), end.cost).view(-1, total).amin(0)
         held = _worth(warm, best.cost)
         start = torch.minimum(found.cost, begun.cost).view(-1, total)
-        return State(best, converged & ~held, ~converged | held, held, start)
+        return State(best, converged & ~held, ~converged | held, held, start, Lost(rank[:0], best.place[:, :0]))
 
 
 @dataclass(frozen=True)
@@ -91,12 +101,8 @@ class Others:
         best = state.best.at(rows)
         across = (_measure(block[rows], best) * found.rush).sum((0, 1)) < 0
         distance = (found.place - best.place).norm(dim=0)
-        order = distance.where(across, float("inf")).argsort(stable=True, descending=True)
-        first = torch.full((len(state.held),), -1, dtype=torch.long, device=rows.device)
-        first[rows[order]] = order
-        have = (state.held & (first >= 0)).nonzero().squeeze(-1)
-        have = have[across[first[have]]]
-        return Others(have, found.at(first[have]))
+        have, taken = lowest(rows, distance.where(across & state.held[rows], float("inf")), len(state.held))
+        return Others(have, found.at(taken))
 
 
 def _joined(one: Reached, two: Reached) -> Reached:
@@ -137,7 +143,7 @@ def work(block: Block, state: State, others: Others) -> Others:
     lost = (~edge.found)[torch.searchsorted(held, theirs)].nonzero().squeeze(-1)
     groups = (
         (rows, end.place[:, :count].unsqueeze(1)),
-        (held, along.unsqueeze(1)),
+        (held, torch.stack((along, best.place.round()), 1)),
         (held[known], _slides(block[held[known]], best.at(known), edge.at(known), pick(along, known))),
         (held[known], _shortened(best.place[:, known], free[:, known], FEWER)),
         (held[unknown], _shortened(part.place, free[:, unknown], SHORTENED)),
@@ -145,7 +151,7 @@ def work(block: Block, state: State, others: Others) -> Others:
         (theirs[lost], _crossings(other.at(lost), edges.part(len(held), None).at(lost), normals[:, len(held) + lost])),
     )
     many = torch.cat([own.repeat(places.shape[1]) for own, places in groups])
-    found = block[many].reach(torch.cat([places.flatten(1) for _, places in groups], 1), pick(state.best.rest, many), ROUND_LOOKS)
+    found = block[many].reach(torch.cat([places.flatten(1) for _, places in groups], 1), pick(state.best.rest, many))
     _take(state, many, found)
     own_end = found.at(torch.arange(count, device=rows.device))
     same = _same(own_end, end.unknowns[:, :, :count])
@@ -154,18 +160,13 @@ def work(block: Block, state: State, others: Others) -> Others:
     state.held[rows] = ~same
     state.active[rows] = ~done
     gone = found.cost.isinf().nonzero().squeeze(-1)
-    state.lost = (many[gone], found.place[:, gone])
+    state.lost = Lost(many[gone], found.place[:, gone])
     return Others.nearest(block, state, many, found)
 
 
 def _take(state: State, rows: Tensor, found: Reached) -> None:
     """The best of what was found for some of the searches (B,), where it is better."""
-    total = len(state.held)
-    order = found.cost.argsort(stable=True)
-    first = torch.full((total,), -1, dtype=torch.long, device=rows.device)
-    first[rows[order].flip(0)] = order.flip(0)
-    have = (first >= 0).nonzero().squeeze(-1)
-    taken = first[have]
+    have, taken = lowest(rows, found.cost, len(state.held))
     better = found.cost[taken] < state.best.cost[have]
     have, taken = have[better], taken[better]
     state.best.put(have, found.at(taken))
@@ -176,7 +177,7 @@ def _edges(block: Block, near: Reached) -> tuple[Boundary, Tensor]:
     not found."""
     measure = _measure(block, near)
     rough = _normal(block, near)
-    edge = find_boundary(block.searches, near.place, near.quick, near.share, measure, _inner(rough, near.place), FIRST_NEWTON)
+    edge = find_boundary(block.searches, near.place, near.quick, near.share, measure, _inner(rough, near.place), NEWTON_STEPS)
     side = (edge.normal * rough).sum(0)
     return edge, torch.where(edge.found, torch.where(side < 0, -edge.normal, edge.normal), rough)
 
@@ -225,7 +226,7 @@ def _slides(block: Block, best: Reached, edge: Boundary, along: Tensor) -> Tenso
     move = targets - start.place
     move = move - way * ((normal * move).sum(0) / (normal * way).sum(0).clamp(min=1e-3))
     guess = start.unknowns + (start.shift * move).sum(2)
-    there = find_boundary(block[many].searches, start.place + move, guess, start.share, measure, way, AGAIN_NEWTON)
+    there = find_boundary(block[many].searches, start.place + move, guess, start.share, measure, way, AGAIN_STEPS)
     place = torch.where(there.found, there.place, targets).clamp(0, 1)
     turned = there.normal * (there.normal * normal).sum(0).sign()
     way = torch.where(there.found, _inner(turned, place), way)
