@@ -103,7 +103,11 @@ def find_boundary(
         z1 = torch.cat((z0, z0 + tx * gap_x, z0 + ts * AWAY), -1)
         p1 = torch.cat((p0, p0 + d0 * x0 * gap_x, p0 + d0 * s0 * AWAY), -1)
         on3 = on.repeat(3)
-        z, p, s = torch.where(on3, z1, z), torch.where(on3, p1, p), torch.where(on3, torch.cat((base, base, base + AWAY)), s)
+        z, p, s = (
+            torch.where(on3, z1, z),
+            torch.where(on3, p1, p),
+            torch.where(on3, torch.cat((base, base, base + AWAY)), s),
+        )
         if turn > 1 and not bool(on.any()):
             break
     z0, p0, base = z[..., :count], p[:, :count], s[:count]

@@ -63,7 +63,7 @@ def search_block(problem: Problem, goal: Goal, shape: Tensor, starts: int, hops:
     every = torch.arange(total, device=shape.device)
     many = every.repeat(count)
     end = descend(own[many], begun.place, begun.unknowns, gain=GAIN, looks=DESCENT_LOOKS if hops else ONLY_LOOKS)
-    found = block[many].reach(end.place, begun.rest)
+    found = block[many].reach(end.place, begun.rest, far=True)
     state = State.of(begun, end, found, total)
     others = Others.of(state, end, found)
     for _ in range(hops):

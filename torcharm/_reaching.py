@@ -76,26 +76,26 @@ class Block:
         return path.unknowns, path.arrived
 
     def rest_near(self, place: Tensor, near: Tensor) -> tuple[Tensor, Tensor]:
-        """The same, from unloaded arms at other pressures; from no pressure, where these are too far."""
+        """The same, from unloaded arms at pressures nearby."""
         course = self._course(place, False)
         size = place.new_zeros(place.shape[-1])
         for _ in range(NEWTON_STEPS):
             look = mechanics.relax(course.arms, near, course.pressure, course.pressure)
             near = near + look.change[:, :, 0]
             size = course.scale.moves(look.change[:, :, :1], look.turned[:, :1])[0]
-        still = size <= (SAME_SHAPE if near.dtype == torch.float64 else COARSE_SHAPE)
-        left = (~still).nonzero().squeeze(-1)
-        if len(left):
-            near[:, :, left], still[left] = self[left].rest(place[:, left])
-        return near, still
+        return near, size <= (SAME_SHAPE if near.dtype == torch.float64 else COARSE_SHAPE)
 
     def _course(self, place: Tensor, loading: bool) -> Course:
         own = self.searches
         return Course(own.arms, place * own.limits, loading, own.scale, own.tolerance)
 
-    def reach(self, place: Tensor, near: Tensor | None = None) -> Reached:
-        """What continuation reaches at shares of the limits (M, B); `near` are unloaded arms (C, 1, B) nearby."""
+    def reach(self, place: Tensor, near: Tensor | None = None, far: bool = False) -> Reached:
+        """What continuation reaches at shares of the limits (M, B); `near` are unloaded arms (C, 1, B) nearby, and
+        where they are too far it starts from no pressure, if wanted; else these are given up."""
         rest, still = self.rest(place) if near is None else self.rest_near(place, near)
+        left = (~still).nonzero().squeeze(-1)
+        if near is not None and far and len(left):
+            rest[:, :, left], still[left] = self[left].rest(place[:, left])
         start = rest.expand(-1, self.nodes, -1).contiguous()
         path = trace(self._course(place, True), start, FIRST_SHARE, LOOKS, LEAST_SHARE)
         cost = self.searches.goal.cost(path.unknowns, self.searches.arms.base_pose)

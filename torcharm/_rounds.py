@@ -177,7 +177,9 @@ def _edges(block: Block, near: Reached) -> tuple[Boundary, Tensor]:
     not found."""
     measure = _measure(block, near)
     rough = _normal(block, near)
-    edge = find_boundary(block.searches, near.place, near.quick, near.share, measure, _inner(rough, near.place), NEWTON_STEPS)
+    edge = find_boundary(
+        block.searches, near.place, near.quick, near.share, measure, _inner(rough, near.place), NEWTON_STEPS
+    )
     side = (edge.normal * rough).sum(0)
     return edge, torch.where(edge.found, torch.where(side < 0, -edge.normal, edge.normal), rough)
 
