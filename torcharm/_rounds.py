@@ -31,7 +31,7 @@ DAMPING = 1.0
 CROSS, FLIPS = (3e-4, 1e-3, 4e-3, 1.6e-2), (0.01, 0.03, 0.1, 0.3)
 """Steps across a boundary, from it, and from a place somewhere on the other side."""
 LEAST_STEP = 1e-3
-NEWTON_STEPS, AGAIN_STEPS = 10, 4
+NEWTON_STEPS, AGAIN_STEPS = 8, 4
 """To the boundary; and from there to another place on it."""
 
 
@@ -130,7 +130,7 @@ def work(block: Block, state: State, others: Others) -> Others:
     theirs, other = others.rows[keep], others.reached.at(keep)
     best = state.best.at(held)
     edges, normals = _edges(block[torch.cat((held, theirs))], _joined(best, other))
-    edge, normal = edges.part(0, len(held)), normals[:, : len(held)]
+    edge, normal = edges.at(torch.arange(len(held), device=rows.device)), normals[:, : len(held)]
 
     both = torch.cat((rows, held))
     wall = torch.cat((normal.new_zeros(len(normal), count), normal), 1)
@@ -148,7 +148,7 @@ def work(block: Block, state: State, others: Others) -> Others:
         (held[known], _shortened(best.place[:, known], free[:, known], FEWER)),
         (held[unknown], _shortened(part.place, free[:, unknown], SHORTENED)),
         (held[unknown], _regardless(block[held[unknown]], part, normal[:, unknown], along[:, unknown])),
-        (theirs[lost], _crossings(other.at(lost), edges.part(len(held), None).at(lost), normals[:, len(held) + lost])),
+        (theirs[lost], _crossings(other.at(lost), edges.at(len(held) + lost), normals[:, len(held) + lost])),
     )
     many = torch.cat([own.repeat(places.shape[1]) for own, places in groups])
     found = block[many].reach(torch.cat([places.flatten(1) for _, places in groups], 1), pick(state.best.rest, many))
@@ -177,9 +177,8 @@ def _edges(block: Block, near: Reached) -> tuple[Boundary, Tensor]:
     not found."""
     measure = _measure(block, near)
     rough = _normal(block, near)
-    edge = find_boundary(
-        block.searches, near.place, near.quick, near.share, measure, _inner(rough, near.place), NEWTON_STEPS
-    )
+    way = _inner(rough, near.place)
+    edge = find_boundary(block.searches, near.place, near.quick, near.share, measure, way, NEWTON_STEPS)
     side = (edge.normal * rough).sum(0)
     return edge, torch.where(edge.found, torch.where(side < 0, -edge.normal, edge.normal), rough)
 
