@@ -85,7 +85,9 @@ def find_boundary(
     three = own[torch.arange(len(share), device=place.device).repeat(3)]
     aside = ASIDE / own.scale.length
     state = _State(
-        *(torch.cat((value, value, value), -1) for value in (unknowns, place, share)),
+        unknowns.repeat(1, 1, 3),
+        place.repeat(1, 3),
+        share.repeat(3),
         place.new_zeros(*unknowns.shape[:2], *place.shape),
         torch.zeros_like(place),
         torch.full_like(share, float("inf")),
