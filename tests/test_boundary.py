@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import pytest
 import torch
 
@@ -41,7 +43,7 @@ def crossing(name):
 
 @pytest.mark.parametrize("name", ARMS)
 def test_the_boundary_is_a_singular_equilibrium(name):
-    arm, task, problem, block, edge = crossing(name)
+    arm, _, problem, _, edge = crossing(name)
     assert edge.found.all()
     pressure = edge.place.mT * arm.max_pressure
     there = type(problem).of(
@@ -59,12 +61,12 @@ def test_the_boundary_is_a_singular_equilibrium(name):
 
 @pytest.mark.parametrize("name", ARMS)
 def test_arms_go_to_different_sides_of_it(name):
-    arm, task, _, block, edge = crossing(name)
+    arm, task, _, _, edge = crossing(name)
     sides = []
     for away in (-0.03, -0.015, 0.015, 0.03):
         pressure = (edge.place + away * _inner(edge.normal, edge.place)).clamp(0, 1).mT * arm.max_pressure
         sides.append(ta.solve_equilibrium(arm, pressure, task.tip_load, 10).twists[0])
-    apart = [(one - two).abs().max() for one, two in zip(sides, sides[1:], strict=False)]
+    apart = [(one - two).abs().max() for one, two in pairwise(sides)]
     assert apart[1] > 5 * apart[0]
     assert apart[1] > 5 * apart[2]
 
