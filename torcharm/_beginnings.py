@@ -9,6 +9,8 @@ from torcharm._descent import Searches
 from torcharm._reaching import Block, Reached
 from torcharm.mechanics import pick
 
+LOOKS = 20
+"""Evaluations of the balance on the way to these: who takes longer is no promising start."""
 POOL = 4
 """Pressures that compete, to first order at the task shape, for each start that is guided."""
 
@@ -29,7 +31,7 @@ def begin(block: Block, wanted: Tensor, starts: int, seed: int) -> Reached:
     places = torch.cat((best, spread.unsqueeze(1).expand(-1, total, -1)))
     count = len(places)
     every = torch.arange(total, device=like.device)
-    loaded = block[every.repeat(count)].reach(places.flatten(0, 1).mT.contiguous())
+    loaded = block[every.repeat(count)].reach(places.flatten(0, 1).mT.contiguous(), looks=LOOKS)
     kept = max(1, starts - 1)
     rank = loaded.cost.view(count, total).topk(kept, dim=0, largest=False).indices
     if kept > 1:

@@ -28,6 +28,8 @@ DESCENT_LOOKS, ONLY_LOOKS = 20, 200
 
 TRIED_AGAIN, NEARBY = 3, 0.1
 """Places for each search that are tried again at the end, and how near they are, in lengths of the box."""
+SNAPPED = 0.99
+"""Share of the cost that a place to which continuation does not lead must come down to."""
 
 
 class Searched(NamedTuple):
@@ -90,7 +92,7 @@ def _finish(problem: Problem, block: Block, state: State) -> Searched:
         first = torch.arange(len(left), device=rows.device)
         end.put(left, again.at(first))
         have, taken = lowest(rows, again.cost, len(sure))
-        better = again.cost[taken] < end.cost[have]
+        better = again.cost[taken] < end.cost[have] * torch.where(again.continued[taken], 1.0, SNAPPED)
         end.put(have[better], again.at(taken[better]))
     look = mechanics.march(own.arms, end.unknowns, end.place * own.limits, each_pressure=own.limits)
     _, gradient, _ = own.goal.model(look)

@@ -89,15 +89,21 @@ class Block:
         own = self.searches
         return Course(own.arms, place * own.limits, loading, own.scale, own.tolerance)
 
-    def reach(self, place: Tensor, near: Tensor | None = None, far: bool = False) -> Reached:
-        """What continuation reaches at shares of the limits (M, B); `near` are unloaded arms (C, 1, B) nearby, and
-        where they are too far it starts from no pressure, if wanted; else these are given up."""
+    def reach(self, place: Tensor, near: Tensor | None = None, *, far: bool = False, looks: int = LOOKS) -> Reached:
+        """What continuation reaches.
+
+        Args:
+            place: (M, B) shares of the limits.
+            near: (C, 1, B) unloaded arms at pressures nearby.
+            far: whether to start from no pressure where these are too far; else they are given up.
+            looks: evaluations of the balance, at most, as the load grows.
+        """
         rest, still = self.rest(place) if near is None else self.rest_near(place, near)
         left = (~still).nonzero().squeeze(-1)
         if near is not None and far and len(left):
             rest[:, :, left], still[left] = self[left].rest(place[:, left])
         start = rest.expand(-1, self.nodes, -1).contiguous()
-        path = trace(self._course(place, True), start, FIRST_SHARE, LOOKS, LEAST_SHARE)
+        path = trace(self._course(place, True), start, FIRST_SHARE, looks, LEAST_SHARE)
         cost = self.searches.goal.cost(path.unknowns, self.searches.arms.base_pose)
         cost = torch.where(path.arrived & still & cost.isfinite(), cost, float("inf"))
         return Reached(place, cost, path.unknowns, rest, path.quick, path.rush, path.share)
