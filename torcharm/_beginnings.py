@@ -17,12 +17,16 @@ POOL = 4
 
 def begin(block: Block, wanted: Tensor, starts: int, seed: int) -> Reached:
     """S starts for each, one lot after the other: the best of those loaded, the middle of the box among them; and
-    if there are several, one that is at the task shape, with the pressure that is best there to first order."""
+    if there are several, one that is at the task shape, with the pressure that is best there to first order.
+
+    Loaded are S that are promising to first order at the task shape, half as many spread over the box, and none at all.
+    """
     own, total = block.searches, wanted.shape[-1]
     size = len(own.limits)
     like = own.limits
     guided, spread = starts, spread_points(starts // 2 + 1, size, like, seed)
     spread[1:] = (1.6 * spread[1:] - 0.3).clamp(0, 1)
+    spread = torch.cat((spread, torch.zeros_like(spread[:1])))
     pool = torch.rand(guided * POOL, size, generator=torch.Generator().manual_seed(seed)).to(like)
     pool = (1.2 * pool - 0.1).clamp(0, 1)  # the bounds are where optima like to be
     expected = _expected_cost(own, wanted, pool).unflatten(0, (guided, POOL))

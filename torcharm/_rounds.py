@@ -22,7 +22,7 @@ CROSSED = 3
 """Descents of a search that were not confirmed, from whose ends the boundary is crossed at first."""
 SLIDES = ((0.0, (1e-4, 1e-3)), (1.0, (1e-4, 1e-3, 4e-3, 1.6e-2)), (0.5, (1e-4, 1e-3, 4e-3)))
 """Parts of a step along a boundary, and the distances from it that are tried there, in lengths of the box."""
-SHORTENED, FEWER = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1), (0.8, 0.6, 0.4, 0.2, 0.1)
+SHORTENED, FEWER = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1), (0.6, 0.3, 0.1, 0.03)
 """Parts of a descent that was not confirmed: without a boundary that is known, and with one."""
 ASIDE = (0.0, 0.03, 0.1)
 """Steps along a boundary that is known roughly: moves away from it, in lengths of the step."""
