@@ -21,7 +21,7 @@ from torcharm.pose_cost import PoseCost
 from torcharm.task import Task
 
 METHODS = ("batched", "scipy")
-STARTS = {"batched": 8, "scipy": 1}
+STARTS = {"batched": 6, "scipy": 1}
 CHUNK_SHARE = 4
 """Work on a start, in equilibria at once."""
 
@@ -69,7 +69,7 @@ def search_pressure(
     method: str = "batched",
     *,
     starts: int | None = None,
-    hops: int = 8,
+    hops: int = 4,
     node_weights: str | Tensor | Sequence[float] = "ramp",
     error_weights: Sequence[float] = (1.0, 1.0, 0.05),
     shear_stiffness: float | None = None,
@@ -90,8 +90,9 @@ def search_pressure(
     shapes together. Of pressures that are promising to first order at the task shape, or spread over the box, the best
     are its starts, and one more descent begins at the task shape itself. Ends are confirmed by continuation. Under
     compression it may lead elsewhere: an arm buckles to one side or to the other, and the best pressures often lie
-    where that is decided. There the cost jumps; the search goes on along the boundary, in rounds, and is not
-    `converged`.
+    where that is decided. There the cost jumps. The boundary is found by Newton's method, as where the equilibria on
+    the way bifurcate, and the search goes on along it, in rounds; it is not `converged`. Next to the boundary
+    continuation may fail; pressures that it lost are tried with `solve_equilibrium` at last, and may have snapped.
     "scipy" is the paper's baseline, one pressure at a time: `scipy.optimize.minimize` with finite differences, from
     the middle of the box and, for more starts, from points spread over it.
 
@@ -99,8 +100,8 @@ def search_pressure(
         arm: designs, of any batch shape.
         task: tasks, of any batch shape; the search is an outer product.
         method: "batched" or "scipy".
-        starts: S, the number of descents; None takes 8 (batched) or 1 (scipy).
-        hops: rounds at most, after the first descents, for what is not at its end: descents that go on, and moves
+        starts: S, the number of descents; None takes 6 (batched) or 1 (scipy).
+        hops: rounds at most, after the first descents, for what is not at its end: descents that go on, and moves to,
             across and along boundaries (batched).
         node_weights: ω. "ramp" is `linspace(0, 1, N)` on nodes 1 to N (the paper's validation), "uniform" ones on these
             (its shape study), "tip" the tip alone; or N or N+1 numbers, the last of N+1 for the tip.

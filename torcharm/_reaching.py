@@ -1,0 +1,109 @@
+"""What continuation from zero load reaches, for the batched pressure search. The batch comes last."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torcharm import mechanics
+from torcharm._continuation import FIRST_FILLING
+from torcharm._descent import Searches
+from torcharm._tracing import FIRST_SHARE, Course, trace
+from torcharm.mechanics import pick
+
+LOOKS, LEAST_SHARE = 40, 4e-3
+"""Of paths: evaluations of the balance at most, and the share of the load below which they are given up."""
+SAME_SHAPE, COARSE_SHAPE = 1e-6, 1e-2
+"""Twists [m, rad] that differ by less are of one branch; in single precision."""
+NEWTON_STEPS = 5
+"""From an unloaded arm to that at another pressure."""
+
+
+def lowest(rows: Tensor, cost: Tensor, total: int) -> tuple[Tensor, Tensor]:
+    """The lowest of the costs (B,) that belong to rows (B,) of T: which rows have any that is finite, and where."""
+    least = cost.new_full((total,), float("inf")).scatter_reduce(0, rows, cost, "amin")
+    index = ((cost == least[rows]) & cost.isfinite()).nonzero().squeeze(-1)
+    where = torch.full((total,), -1, dtype=torch.long, device=rows.device)
+    where[rows[index]] = index
+    have = (where >= 0).nonzero().squeeze(-1)
+    return have, where[have]
+
+
+class Reached(NamedTuple):
+    """What continuation from zero load reaches at B pressures.
+
+    Attributes:
+        place: (M, B) the pressures, as shares of their limits.
+        cost: (B,) infinite where the branch ends.
+        unknowns: (C, N, B) at the full load.
+        rest: (C, 1, B) without load.
+        quick, rush: (C, N, B) the equilibrium on the way at which the arm gives way most, and its rate by the
+            share of the load: next to a bifurcation if there is any.
+        share: (B,) of the load there.
+    """
+
+    place: Tensor
+    cost: Tensor
+    unknowns: Tensor
+    rest: Tensor
+    quick: Tensor
+    rush: Tensor
+    share: Tensor
+
+    def at(self, index: Tensor) -> "Reached":
+        return Reached(*(pick(value, index) for value in self))
+
+    def put(self, index: Tensor, new: "Reached") -> None:
+        for old, fresh in zip(self, new, strict=True):
+            old[..., index] = fresh
+
+
+@dataclass(frozen=True)
+class Block:
+    """T searches, with what continuation starts from: idle arms (C, 1, T), without load or pressure."""
+
+    searches: Searches
+    idle: Tensor
+    nodes: int
+
+    def __getitem__(self, index: Tensor) -> "Block":
+        return Block(self.searches[index], pick(self.idle, index), self.nodes)
+
+    def rest(self, place: Tensor) -> tuple[Tensor, Tensor]:
+        """The unloaded arms (C, 1, B) at (M, B), continued from zero pressure; and whether there."""
+        path = trace(self._course(place, False), self.idle, FIRST_FILLING, LOOKS, LEAST_SHARE)
+        return path.unknowns, path.arrived
+
+    def rest_near(self, place: Tensor, near: Tensor) -> tuple[Tensor, Tensor]:
+        """The same, from unloaded arms at pressures nearby."""
+        course = self._course(place, False)
+        size = place.new_zeros(place.shape[-1])
+        for _ in range(NEWTON_STEPS):
+            look = mechanics.relax(course.arms, near, course.pressure, course.pressure)
+            near = near + look.change[:, :, 0]
+            size = course.scale.moves(look.change[:, :, :1], look.turned[:, :1])[0]
+        return near, size <= (SAME_SHAPE if near.dtype == torch.float64 else COARSE_SHAPE)
+
+    def _course(self, place: Tensor, loading: bool) -> Course:
+        own = self.searches
+        return Course(own.arms, place * own.limits, loading, own.scale, own.tolerance, own.compiled)
+
+    def reach(self, place: Tensor, near: Tensor | None = None, *, far: bool = False, looks: int = LOOKS) -> Reached:
+        """What continuation reaches.
+
+        Args:
+            place: (M, B) shares of the limits.
+            near: (C, 1, B) unloaded arms at pressures nearby.
+            far: whether to start from no pressure where these are too far; else they are given up.
+            looks: evaluations of the balance, at most, as the load grows.
+        """
+        rest, still = self.rest(place) if near is None else self.rest_near(place, near)
+        left = (~still).nonzero().squeeze(-1)
+        if near is not None and far and len(left):
+            rest[:, :, left], still[left] = self[left].rest(place[:, left])
+        start = rest.expand(-1, self.nodes, -1).contiguous()
+        path = trace(self._course(place, True), start, FIRST_SHARE, looks, LEAST_SHARE)
+        cost = self.searches.goal.cost(path.unknowns, self.searches.arms.base_pose)
+        cost = torch.where(path.arrived & still & cost.isfinite(), cost, float("inf"))
+        return Reached(place, cost, path.unknowns, rest, path.quick, path.rush, path.share)
