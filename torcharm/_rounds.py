@@ -1,5 +1,8 @@
 """The rounds of the batched pressure search: descents that go on, and moves along the boundary of what is reached.
 
+Where a descent leads over the boundary, the best pressure is on it, or near. If the boundary is known, a descent along
+its tangent, set back on it, is the next place; a little away from it continuation can be followed. If it is not, the
+way to where the descent led is divided, so that it is near in the next round. All trials of a round are one batch.
 The batch comes last.
 """
 
@@ -24,13 +27,14 @@ SLIDES = ((0.0, (1e-4, 1e-3)), (1.0, (1e-4, 1e-3, 4e-3, 1.6e-2)), (0.5, (1e-4, 1
 """Parts of a step along a boundary, and the distances from it that are tried there, in lengths of the box."""
 SHORTENED, FEWER = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1), (0.6, 0.3, 0.1, 0.03)
 """Parts of a descent that was not confirmed: without a boundary that is known, and with one."""
-ASIDE = (0.0, 0.03, 0.1)
+ASIDE = (0.03, 0.1)
 """Steps along a boundary that is known roughly: moves away from it, in lengths of the step."""
+LEAST_STEP = 1e-3
+"""Their length, at least, in lengths of the box."""
 DAMPING = 1.0
 """Of the step regardless of it."""
 CROSS, FLIPS = (3e-4, 1e-3, 4e-3, 1.6e-2), (0.01, 0.03, 0.1, 0.3)
-"""Steps across a boundary, from it, and from a place somewhere on the other side."""
-LEAST_STEP = 1e-3
+"""Steps across a boundary, from it, and from a place somewhere on the other side, in lengths of the box."""
 NEWTON_STEPS, AGAIN_STEPS = 8, 4
 """To the boundary; and from there to another place on it."""
 
@@ -247,7 +251,7 @@ def _regardless(block: Block, best: Reached, normal: Tensor, along: Tensor) -> T
     look = mechanics.march(own.arms, best.unknowns, place * own.limits, each_pressure=own.limits)
     _, gradient, matrix = own.goal.model(look)
     free = place + box_step(matrix, gradient, place, torch.full_like(length, DAMPING))
-    trials = torch.stack([along + offset * length * inner for offset in ASIDE[1:]] + [free], 1).clamp(0, 1)
+    trials = torch.stack([along + offset * length * inner for offset in ASIDE] + [free], 1).clamp(0, 1)
     return torch.where(trials.isfinite(), trials, place.unsqueeze(1))  # a step that is no number is none
 
 
