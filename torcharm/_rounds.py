@@ -37,13 +37,17 @@ CROSS, FLIPS = (3e-4, 1e-3, 4e-3, 1.6e-2), (0.01, 0.03, 0.1, 0.3)
 """Steps across a boundary, from it, and from a place somewhere on the other side, in lengths of the box."""
 NEWTON_STEPS, AGAIN_STEPS = 8, 4
 """To the boundary; and from there to another place on it."""
+BESIDE, NEXT = 12, 3e-4
+"""Places beside the end of a descent that could not be followed, and how near, in lengths of the box."""
 
 
 class Lost(NamedTuple):
-    """(L,) rows of searches, and places (M, L) to which continuation could not be followed."""
+    """(L,) rows of searches, places (M, L) to which continuation could not be followed, and whether a descent ended
+    there (L,)."""
 
     rows: Tensor
     place: Tensor
+    ended: Tensor
 
 
 @dataclass
@@ -80,7 +84,9 @@ class State:
         warm = torch.where(same, float("inf"), end.cost).view(-1, total).amin(0)
         held = _worth(warm, best.cost)
         start = torch.minimum(found.cost, begun.cost).view(-1, total)
-        return State(best, converged & ~held, ~converged | held, held, start, Lost(rank[:0], best.place[:, :0]))
+        return State(
+            best, converged & ~held, ~converged | held, held, start, Lost(rank[:0], best.place[:, :0], held[:0])
+        )
 
 
 @dataclass(frozen=True)
@@ -163,8 +169,8 @@ def work(block: Block, state: State, others: Others) -> Others:
     state.converged[rows] = done
     state.held[rows] = ~same
     state.active[rows] = ~done
-    gone = found.cost.isinf().nonzero().squeeze(-1)
-    state.lost = Lost(many[gone], found.place[:, gone])
+    gone = found.cost.isinf()
+    state.lost = _lost(many, found.place, gone, rows, end.place[:, :count], gone[:count] & end.ended[:count])
     return Others.nearest(block, state, many, found)
 
 
@@ -174,6 +180,22 @@ def _take(state: State, rows: Tensor, found: Reached) -> None:
     better = found.cost[taken] < state.best.cost[have]
     have, taken = have[better], taken[better]
     state.best.put(have, found.at(taken))
+
+
+def _lost(rows: Tensor, place: Tensor, gone: Tensor, searches: Tensor, end: Tensor, ended: Tensor) -> Lost:
+    """Trials that are gone; and places beside the ends of descents that are, so near that the cost is the same, along
+    bounds of the box."""
+    index, at = gone.nonzero().squeeze(-1), ended.nonzero().squeeze(-1)
+    end = end[:, at].unsqueeze(1)
+    drawn = torch.randn(len(end), BESIDE, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    way = drawn.to(end).unsqueeze(-1) * ((end > 0) & (end < 1))
+    beside = (end + NEXT * way / way.norm(dim=0).clamp(min=1e-9)).clamp(0, 1).flatten(1)
+    optimal = torch.ones_like(beside[0], dtype=torch.bool)
+    return Lost(
+        torch.cat((rows[index], searches[at].repeat(BESIDE))),
+        torch.cat((place[:, index], beside), 1),
+        torch.cat((torch.zeros_like(index, dtype=torch.bool), optimal)),
+    )
 
 
 def _edges(block: Block, near: Reached) -> tuple[Boundary, Tensor]:
