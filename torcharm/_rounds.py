@@ -23,9 +23,9 @@ GAIN, AGAIN_LOOKS = 1e-9, 12
 """Of a descent: relative decrease of the cost at which it ends; evaluations of the balance, where it goes on."""
 CROSSED = 3
 """Descents of a search that were not confirmed, from whose ends the boundary is crossed at first."""
-SLIDES = ((0.0, (1e-4, 1e-3)), (1.0, (1e-4, 1e-3, 4e-3, 1.6e-2)), (0.5, (1e-4, 1e-3, 4e-3)))
+SLIDES = ((0.0, (1e-4, 1e-3)), (1.0, (1e-4, 1e-3, 4e-3, 1.6e-2)), (0.5, (1e-4, 1e-3, 4e-3)), (-1.0, (1e-4, 1e-3, 4e-3)))
 """Parts of a step along a boundary, and the distances from it that are tried there, in lengths of the box."""
-SHORTENED, FEWER = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1), (0.6, 0.3, 0.1, 0.03)
+SHORTENED, FEWER = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1), (0.95, 0.85, 0.7, 0.5, 0.25)
 """Parts of a descent that was not confirmed: without a boundary that is known, and with one."""
 ASIDE = (0.03, 0.1)
 """Steps along a boundary that is known roughly: moves away from it, in lengths of the step."""
@@ -154,8 +154,8 @@ def work(block: Block, state: State, others: Others) -> Others:
     groups = (
         (rows, end.place[:, :count].unsqueeze(1)),
         (held, torch.stack((along, best.place.round()), 1)),
-        (held[known], _slides(block[held[known]], best.at(known), edge.at(known), pick(along, known))),
-        (held[known], _shortened(best.place[:, known], free[:, known], FEWER)),
+        (held[known], _slides(block[held[known]], best.at(known), edge.at(known), along[:, known], free[:, known])),
+        (held[known], _until(best.place[:, known], edge.at(known), free[:, known], FEWER)),
         (held[unknown], _shortened(part.place, free[:, unknown], SHORTENED)),
         (held[unknown], _regardless(block[held[unknown]], part, normal[:, unknown], along[:, unknown])),
         (theirs[lost], _crossings(other.at(lost), edges.at(len(held) + lost), normals[:, len(held) + lost])),
@@ -239,12 +239,22 @@ def _shortened(place: Tensor, free: Tensor, parts: tuple[float, ...]) -> Tensor:
     return torch.stack([torch.lerp(place, free, part) for part in parts], 1)
 
 
-def _slides(block: Block, best: Reached, edge: Boundary, along: Tensor) -> Tensor:
-    """(M, Q, H) next to the boundary, which is known: at the nearest place, and further on, towards `along` (M, H)."""
+def _until(place: Tensor, edge: Boundary, free: Tensor, parts: tuple[float, ...]) -> Tensor:
+    """(M, Q, H) on the way to `free`, as parts of it until it crosses the boundary's tangent."""
+    far, near = ((edge.normal * (point - place)).sum(0) for point in (free, edge.place))
+    crossing = (near / torch.where(far == 0, 1.0, far)).clamp(0, 1)
+    crossing = torch.where(far * near > 0, crossing, 1.0)
+    return torch.stack([torch.lerp(place, free, part * crossing) for part in parts], 1)
+
+
+def _slides(block: Block, best: Reached, edge: Boundary, along: Tensor, free: Tensor) -> Tensor:
+    """(M, Q, H) next to the boundary, which is known: at the nearest place, where the way to `free` (M, H) crosses it,
+    and towards `along` (M, H)."""
     count = along.shape[-1]
     parts = len(SLIDES)
     many = torch.arange(count, device=along.device).repeat(parts)
-    targets = torch.cat([torch.lerp(best.place, along, part) for part, _ in SLIDES], 1)
+    across = _until(best.place, edge, free, (1.0,)).squeeze(1)
+    targets = torch.cat([across if part < 0 else torch.lerp(best.place, along, part) for part, _ in SLIDES], 1)
     start, measure = edge.at(many), pick(_measure(block, best), many)
     sign = (_normal(block, best) * edge.normal).sum(0).sign()
     normal = pick(edge.normal * sign, many)
