@@ -93,7 +93,7 @@ def find_boundary(
         torch.full_like(share, float("inf")),
         torch.ones_like(share, dtype=torch.bool),
     )
-    for step in range(steps + 1):
+    for step in range(steps + 1 if len(share) else 0):
         state = _advance(three, state, measure, direction, aside, share.new_tensor(float(step > 0)))
         if not bool(state.on.any()):
             break

@@ -26,10 +26,10 @@ from torcharm.mechanics import pick
 DESCENT_LOOKS, ONLY_LOOKS = 20, 200
 """Evaluations of the balance in a descent; in one without further rounds."""
 
-TRIED_AGAIN, NEARBY = 3, 0.1
+TRIED_AGAIN, NEARBY = 10, 0.1
 """Places for each search that are tried again at the end, and how near they are, in lengths of the box."""
 SNAPPED = 0.99
-"""Share of the cost that a place to which continuation does not lead must come down to."""
+"""Share of the cost that a place where the arm snaps must come down to, unless a descent ended there."""
 
 
 class Searched(NamedTuple):
@@ -93,7 +93,8 @@ def _finish(problem: Problem, block: Block, state: State) -> Searched:
         first = torch.arange(len(left), device=rows.device)
         end.put(left, again.at(first))
         have, taken = lowest(rows, again.cost, len(sure))
-        better = again.cost[taken] < end.cost[have] * torch.where(again.continued[taken], 1.0, SNAPPED)
+        whole = torch.cat((torch.ones_like(left, dtype=torch.bool), lost.ended)) | again.continued
+        better = again.cost[taken] < end.cost[have] * torch.where(whole[taken], 1.0, SNAPPED)
         end.put(have[better], again.at(taken[better]))
     look = mechanics.march(own.arms, end.unknowns, end.place * own.limits, each_pressure=own.limits)
     _, gradient, _ = own.goal.model(look)
@@ -124,7 +125,7 @@ def _hopeful(own: Searches, best: Reached, lost: Lost, wanted: Tensor) -> Lost:
     rows = lost.rows[order]
     rank = torch.arange(len(rows), device=rows.device) - torch.searchsorted(rows, rows)
     order = order[rank < TRIED_AGAIN]
-    return Lost(lost.rows[order], lost.place[:, order])
+    return Lost(lost.rows[order], lost.place[:, order], lost.ended[order])
 
 
 class _Solved(NamedTuple):

@@ -1,5 +1,8 @@
 """The rounds of the batched pressure search: descents that go on, and moves along the boundary of what is reached.
 
+Where a descent leads over the boundary, the best pressure is on it, or near. If the boundary is known, a descent along
+its tangent, set back on it, is the next place; a little away from it continuation can be followed. If it is not, the
+way to where the descent led is divided, so that it is near in the next round. All trials of a round are one batch.
 The batch comes last.
 """
 
@@ -20,26 +23,31 @@ GAIN, AGAIN_LOOKS = 1e-9, 12
 """Of a descent: relative decrease of the cost at which it ends; evaluations of the balance, where it goes on."""
 CROSSED = 3
 """Descents of a search that were not confirmed, from whose ends the boundary is crossed at first."""
-SLIDES = ((0.0, (1e-4, 1e-3)), (1.0, (1e-4, 1e-3, 4e-3, 1.6e-2)), (0.5, (1e-4, 1e-3, 4e-3)))
+SLIDES = ((0.0, (1e-4, 1e-3)), (1.0, (1e-4, 1e-3, 4e-3, 1.6e-2)), (0.5, (1e-4, 1e-3, 4e-3)), (-1.0, (1e-4, 1e-3, 4e-3)))
 """Parts of a step along a boundary, and the distances from it that are tried there, in lengths of the box."""
-SHORTENED, FEWER = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1), (0.6, 0.3, 0.1, 0.03)
+SHORTENED, FEWER = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1), (0.95, 0.85, 0.7, 0.5, 0.25)
 """Parts of a descent that was not confirmed: without a boundary that is known, and with one."""
-ASIDE = (0.0, 0.03, 0.1)
+ASIDE = (0.03, 0.1)
 """Steps along a boundary that is known roughly: moves away from it, in lengths of the step."""
+LEAST_STEP = 1e-3
+"""Their length, at least, in lengths of the box."""
 DAMPING = 1.0
 """Of the step regardless of it."""
 CROSS, FLIPS = (3e-4, 1e-3, 4e-3, 1.6e-2), (0.01, 0.03, 0.1, 0.3)
-"""Steps across a boundary, from it, and from a place somewhere on the other side."""
-LEAST_STEP = 1e-3
+"""Steps across a boundary, from it, and from a place somewhere on the other side, in lengths of the box."""
 NEWTON_STEPS, AGAIN_STEPS = 8, 4
 """To the boundary; and from there to another place on it."""
+BESIDE, NEXT = 12, 3e-4
+"""Places beside the end of a descent that could not be followed, and how near, in lengths of the box."""
 
 
 class Lost(NamedTuple):
-    """(L,) rows of searches, and places (M, L) to which continuation could not be followed."""
+    """(L,) rows of searches, places (M, L) to which continuation could not be followed, and whether a descent ended
+    there (L,)."""
 
     rows: Tensor
     place: Tensor
+    ended: Tensor
 
 
 @dataclass
@@ -76,7 +84,9 @@ class State:
         warm = torch.where(same, float("inf"), end.cost).view(-1, total).amin(0)
         held = _worth(warm, best.cost)
         start = torch.minimum(found.cost, begun.cost).view(-1, total)
-        return State(best, converged & ~held, ~converged | held, held, start, Lost(rank[:0], best.place[:, :0]))
+        return State(
+            best, converged & ~held, ~converged | held, held, start, Lost(rank[:0], best.place[:, :0], held[:0])
+        )
 
 
 @dataclass(frozen=True)
@@ -145,8 +155,8 @@ def work(block: Block, state: State, others: Others) -> Others:
     groups = (
         (rows, end.place[:, :count].unsqueeze(1)),
         (held, torch.stack((along, best.place.round()), 1)),
-        (held[known], _slides(block[held[known]], best.at(known), edge.at(known), pick(along, known))),
-        (held[known], _shortened(best.place[:, known], free[:, known], FEWER)),
+        (held[known], _slides(block[held[known]], best.at(known), edge.at(known), along[:, known], free[:, known])),
+        (held[known], _until(best.place[:, known], edge.at(known), free[:, known], FEWER)),
         (held[unknown], _shortened(part.place, free[:, unknown], SHORTENED)),
         (held[unknown], _regardless(block[held[unknown]], part, normal[:, unknown], along[:, unknown])),
         (theirs[lost], _crossings(other.at(lost), edges.at(len(held) + lost), normals[:, len(held) + lost])),
@@ -160,8 +170,8 @@ def work(block: Block, state: State, others: Others) -> Others:
     state.converged[rows] = done
     state.held[rows] = ~same
     state.active[rows] = ~done
-    gone = found.cost.isinf().nonzero().squeeze(-1)
-    state.lost = Lost(many[gone], found.place[:, gone])
+    gone = found.cost.isinf()
+    state.lost = _lost(many, found.place, gone, rows, end.place[:, :count], gone[:count] & end.ended[:count])
     return Others.nearest(block, state, many, found)
 
 
@@ -171,6 +181,22 @@ def _take(state: State, rows: Tensor, found: Reached) -> None:
     better = found.cost[taken] < state.best.cost[have]
     have, taken = have[better], taken[better]
     state.best.put(have, found.at(taken))
+
+
+def _lost(rows: Tensor, place: Tensor, gone: Tensor, searches: Tensor, end: Tensor, ended: Tensor) -> Lost:
+    """Trials that are gone; and places beside the ends of descents that are, so near that the cost is the same, along
+    bounds of the box."""
+    index, at = gone.nonzero().squeeze(-1), ended.nonzero().squeeze(-1)
+    end = end[:, at].unsqueeze(1)
+    drawn = torch.randn(len(end), BESIDE, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    way = drawn.to(end).unsqueeze(-1) * ((end > 0) & (end < 1))
+    beside = (end + NEXT * way / way.norm(dim=0).clamp(min=1e-9)).clamp(0, 1).flatten(1)
+    optimal = torch.ones_like(beside[0], dtype=torch.bool)
+    return Lost(
+        torch.cat((rows[index], searches[at].repeat(BESIDE))),
+        torch.cat((place[:, index], beside), 1),
+        torch.cat((torch.zeros_like(index, dtype=torch.bool), optimal)),
+    )
 
 
 def _edges(block: Block, near: Reached) -> tuple[Boundary, Tensor]:
@@ -214,12 +240,22 @@ def _shortened(place: Tensor, free: Tensor, parts: tuple[float, ...]) -> Tensor:
     return torch.stack([torch.lerp(place, free, part) for part in parts], 1)
 
 
-def _slides(block: Block, best: Reached, edge: Boundary, along: Tensor) -> Tensor:
-    """(M, Q, H) next to the boundary, which is known: at the nearest place, and further on, towards `along` (M, H)."""
+def _until(place: Tensor, edge: Boundary, free: Tensor, parts: tuple[float, ...]) -> Tensor:
+    """(M, Q, H) on the way to `free`, as parts of it until it crosses the boundary's tangent."""
+    far, near = ((edge.normal * (point - place)).sum(0) for point in (free, edge.place))
+    crossing = (near / torch.where(far == 0, 1.0, far)).clamp(0, 1)
+    crossing = torch.where(far * near > 0, crossing, 1.0)
+    return torch.stack([torch.lerp(place, free, part * crossing) for part in parts], 1)
+
+
+def _slides(block: Block, best: Reached, edge: Boundary, along: Tensor, free: Tensor) -> Tensor:
+    """(M, Q, H) next to the boundary, which is known: at the nearest place, where the way to `free` (M, H) crosses it,
+    and towards `along` (M, H)."""
     count = along.shape[-1]
     parts = len(SLIDES)
     many = torch.arange(count, device=along.device).repeat(parts)
-    targets = torch.cat([torch.lerp(best.place, along, part) for part, _ in SLIDES], 1)
+    across = _until(best.place, edge, free, (1.0,)).squeeze(1)
+    targets = torch.cat([across if part < 0 else torch.lerp(best.place, along, part) for part, _ in SLIDES], 1)
     start, measure = edge.at(many), pick(_measure(block, best), many)
     sign = (_normal(block, best) * edge.normal).sum(0).sign()
     normal = pick(edge.normal * sign, many)
@@ -248,7 +284,7 @@ def _regardless(block: Block, best: Reached, normal: Tensor, along: Tensor) -> T
     look = mechanics.march(own.arms, best.unknowns, place * own.limits, each_pressure=own.limits)
     _, gradient, matrix = own.goal.model(look)
     free = place + box_step(matrix, gradient, place, torch.full_like(length, DAMPING))
-    trials = torch.stack([along + offset * length * inner for offset in ASIDE[1:]] + [free], 1).clamp(0, 1)
+    trials = torch.stack([along + offset * length * inner for offset in ASIDE] + [free], 1).clamp(0, 1)
     return torch.where(trials.isfinite(), trials, place.unsqueeze(1))  # a step that is no number is none
 
 
