@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torcharm import mechanics
 from torcharm._descent import Searches
+from torcharm._underway import run
 from torcharm.mechanics import pick
 
 ASIDE = 1e-4
@@ -50,22 +51,30 @@ class Boundary(NamedTuple):
 
 
 class _State(NamedTuple):
-    """B equilibria, then these with x, then these with s a little larger; (3B,) after each other, and what is known.
+    """Three equilibria for each of A points: one at x and s, one with x and one with s a little larger; and what is
+    known of the first.
 
     Attributes:
-        unknowns, place, share: of all.
-        shift, gains: (C, N, M, B) and (M, B) of the first: changes of z and of x by the place.
-        size: (B,) of the last Newton step.
-        on: (B,) whether there is more to do.
+        element: (A,) place in the batch.
+        unknowns, place, share: (C, N, 3, A), (M, 3, A), (3, A).
+        measure, direction: (C, N, A) of x, (M, A) along which pressures change.
+        shift, gains: (C, N, M, A), (M, A) changes of z and of x by the place.
+        size: (A,) of the last Newton step.
+        beside: (A,) whether the equilibria beside are taken.
+        over: (A,) whether nothing more is to be done.
     """
 
+    element: Tensor
     unknowns: Tensor
     place: Tensor
     share: Tensor
+    measure: Tensor
+    direction: Tensor
     shift: Tensor
     gains: Tensor
     size: Tensor
-    on: Tensor
+    beside: Tensor
+    over: Tensor
 
 
 def find_boundary(
@@ -82,28 +91,33 @@ def find_boundary(
         direction: (M, B) along which pressures change.
         steps: of Newton's method, at most.
     """
-    three = own[torch.arange(len(share), device=place.device).repeat(3)]
-    aside = ASIDE / own.scale.length
+    count, none = len(share), torch.zeros_like(share)
     state = _State(
-        unknowns.repeat(1, 1, 3),
-        place.repeat(1, 3),
-        share.repeat(3),
+        torch.arange(count, device=share.device),
+        unknowns.unsqueeze(2).repeat(1, 1, 3, 1),
+        place.unsqueeze(1).repeat(1, 3, 1),
+        share.repeat(3, 1),
+        measure,
+        direction,
         place.new_zeros(*unknowns.shape[:2], *place.shape),
         torch.zeros_like(place),
-        torch.full_like(share, float("inf")),
-        torch.ones_like(share, dtype=torch.bool),
+        none + float("inf"),
+        none.bool(),
+        none.bool(),
     )
-    for step in range(steps + 1 if len(share) else 0):
-        state = _advance(three, state, measure, direction, aside, share.new_tensor(float(step > 0)))
-        if not bool(state.on.any()):
-            break
-    count = len(share)
-    end, there, when = state.unknowns[..., :count], state.place[:, :count], state.share[:count]
-    normal = state.gains / state.gains.norm(dim=0)
-    along = (direction * state.gains).sum(0)
-    shift = state.shift - (state.shift * direction.unsqueeze(0)).sum(2, keepdim=True) * (state.gains / along)
+    out = _State(*(value.clone() for value in state))
+
+    def store(state: _State) -> None:
+        for whole, part in zip(out, state, strict=True):
+            whole[..., state.element] = part
+
+    run(_advance, own, state, steps + 1, store, (), own.compiled)
+    end, there, when = out.unknowns[:, :, 0], out.place[:, 0], out.share[0]
+    normal = out.gains / out.gains.norm(dim=0)
+    along = (direction * out.gains).sum(0)
+    shift = out.shift - (out.shift * direction.unsqueeze(0)).sum(2, keepdim=True) * (out.gains / along)
     numbers = end.isfinite().all(0).all(0) & (there + normal).isfinite().all(0) & shift.isfinite().all(0).all(0).all(0)
-    found = numbers & (state.size < FOUND) & (when > 0) & (when < 1)
+    found = numbers & (out.size < FOUND) & (when > 0) & (when < 1)
     return Boundary(
         torch.where(found, there, place),
         torch.where(found, normal, 0.0),
@@ -114,21 +128,23 @@ def find_boundary(
     )
 
 
-def _advance(own: Searches, state: _State, measure: Tensor, direction: Tensor, aside: Tensor, moving: Tensor) -> _State:
-    """One evaluation of the balance for each, and the Newton step that follows; at first (0) only the equilibria
-    beside are taken. What is done stays as it is."""
-    count = len(aside)
+def _advance(own: Searches, state: _State) -> _State:
+    """One evaluation of the balance for each, and the Newton step that follows; at first only the equilibria beside are
+    taken. What is over stays as it is."""
+    count = len(state.over)
+    three = own[torch.arange(count, device=state.over.device).repeat(3)]
     look = mechanics.march(
-        own.arms,
-        state.unknowns,
-        state.place * own.limits,
-        state.share,
-        each_pressure=own.limits,
-        load=own.arms.tip_load,
+        three.arms,
+        state.unknowns.flatten(2),
+        state.place.flatten(1) * three.limits,
+        state.share.flatten(),
+        each_pressure=three.limits,
+        load=three.arms.tip_load,
         poses=False,
     )
-    newton, by_share, by_place = look.change[:, :, 0], look.change[:, :, 1], look.change[:, :, 2:]
-    lines, ways = measure.repeat(1, 1, 3), direction.repeat(1, 3)
+    change = look.change.unflatten(-1, (3, count))  # (C, N, 2 + M, 3, A)
+    newton, by_share, by_place = change[:, :, 0], change[:, :, 1], change[:, :, 2:]
+    lines, ways = state.measure.unsqueeze(2), state.direction.unsqueeze(1)
     by_way = (by_place * ways).sum(2)
     gain = (lines * by_way).sum((0, 1))
     slope_x, slope_s = gain.reciprocal(), -(lines * by_share).sum((0, 1)) / gain
@@ -136,32 +152,33 @@ def _advance(own: Searches, state: _State, measure: Tensor, direction: Tensor, a
     # Newton's step to the equilibrium at this x and s, and the saddle of P
     back = -(lines * newton).sum((0, 1)) / gain
     unknowns, place = state.unknowns + newton + by_way * back, state.place + ways * back
-    x0, x1, x2 = slope_x.view(3, count)
-    s0, s1, s2 = slope_s.view(3, count)
+    aside = ASIDE / own.scale.length
+    (x0, x1, x2), (s0, s1, s2) = slope_x.unbind(0), slope_s.unbind(0)
     xx, sx, xs, ss = (x1 - x0) / aside, (s1 - s0) / aside, (x2 - x0) / ASIDE, (s2 - s0) / ASIDE
     determinant = xx * ss - xs * sx
     move_x, move_s = (xs * s0 - ss * x0) / determinant, (sx * x0 - xx * s0) / determinant
     size = torch.maximum(move_x.abs() * (ASIDE / aside), move_s.abs())
     short = (LARGEST / size).clamp(max=1.0)
-    starting = moving == 0
-    move_x = torch.where(starting, 0.0, move_x * short)
-    move_s = torch.where(starting, 0.0, move_s * short)
+    move_x = torch.where(state.beside, move_x * short, 0.0)
+    move_s = torch.where(state.beside, move_s * short, 0.0)
 
     # Along the equilibria, and beside
-    way = ways[:, :count]
-    along_x = (by_way * slope_x)[..., :count]
-    along_s = (by_share + by_way * slope_s)[..., :count]
-    base = unknowns[..., :count] + along_x * move_x + along_s * move_s
-    here = place[:, :count] + way * (x0 * move_x + s0 * move_s)
-    when = state.share[:count] + move_s
-    gains = (measure.unsqueeze(2) * by_place[..., :count]).sum((0, 1))
-    on, three = state.on, state.on.repeat(3)
+    along_x = (by_way * slope_x)[:, :, 0]
+    along_s = (by_share + by_way * slope_s)[:, :, 0]
+    base = unknowns[:, :, 0] + along_x * move_x + along_s * move_s
+    here = place[:, 0] + state.direction * (x0 * move_x + s0 * move_s)
+    when, way, on = state.share[0] + move_s, state.direction, ~state.over
+    gains = (state.measure.unsqueeze(2) * by_place[:, :, :, 0]).sum((0, 1))
     return _State(
-        torch.where(three, torch.cat((base, base + along_x * aside, base + along_s * ASIDE), -1), state.unknowns),
-        torch.where(three, torch.cat((here, here + way * (x0 * aside), here + way * (s0 * ASIDE)), -1), state.place),
-        torch.where(three, torch.cat((when, when, when + ASIDE)), state.share),
-        torch.where(on, by_place[..., :count], state.shift),
+        state.element,
+        torch.where(on, torch.stack((base, base + along_x * aside, base + along_s * ASIDE), 2), state.unknowns),
+        torch.where(on, torch.stack((here, here + way * (x0 * aside), here + way * (s0 * ASIDE)), 1), state.place),
+        torch.where(on, torch.stack((when, when, when + ASIDE)), state.share),
+        state.measure,
+        state.direction,
+        torch.where(on, by_place[:, :, :, 0], state.shift),
         torch.where(on, gains, state.gains),
-        torch.where(on & ~starting, size, state.size),
-        on & (starting | (size > DONE)),
+        torch.where(on & state.beside, size, state.size),
+        state.beside | on,
+        state.over | (state.beside & ~(size > DONE)),
     )
