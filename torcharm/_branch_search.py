@@ -92,9 +92,10 @@ def _finish(problem: Problem, block: Block, state: State) -> Searched:
         again = _solved(problem, block, rows, torch.cat((best.place[:, left], lost.place), 1))
         first = torch.arange(len(left), device=rows.device)
         end.put(left, again.at(first))
-        have, taken = lowest(rows, again.cost, len(sure))
         whole = torch.cat((torch.ones_like(left, dtype=torch.bool), lost.ended)) | again.continued
-        better = again.cost[taken] < end.cost[have] * torch.where(whole[taken], 1.0, SNAPPED)
+        handicapped = torch.where(whole, again.cost, again.cost / SNAPPED)
+        have, taken = lowest(rows, handicapped, len(sure))
+        better = handicapped[taken] < end.cost[have]
         end.put(have[better], again.at(taken[better]))
     look = mechanics.march(own.arms, end.unknowns, end.place * own.limits, each_pressure=own.limits)
     _, gradient, _ = own.goal.model(look)
