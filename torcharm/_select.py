@@ -1,8 +1,9 @@
 """Choosing between branches, element by element, and choosing elements."""
 
-from dataclasses import fields, is_dataclass
+from dataclasses import is_dataclass
 from typing import TypeVar, cast
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -18,12 +19,12 @@ def select(mask: Tensor, chosen: Tensor, other: Tensor) -> Tensor:
     return torch.lerp(other, chosen, mask.to(other.dtype))
 
 
-def pick(value: T, index: Tensor) -> T:
-    """Entries in `index` along the last dimension of a tensor, or of all tensors in a dataclass or tuple."""
-    if isinstance(value, Tensor):
-        return cast(T, value.index_select(-1, index))
+def pick(value: T, index: np.ndarray) -> T:  # type: ignore[type-arg]
+    """Entries in `index` along the last dimension of an array, or of all arrays in a dataclass or tuple."""
+    if isinstance(value, np.ndarray):
+        return cast(T, value.take(index, -1))
     if isinstance(value, tuple):
         return cast(T, tuple(pick(part, index) for part in value))
     if is_dataclass(value) and not isinstance(value, type):
-        return type(value)(*(pick(getattr(value, field.name), index) for field in fields(value)))
+        return type(value)(*(pick(part, index) for part in vars(value).values()))
     return value

@@ -10,15 +10,13 @@ straight. `n·(w - s)` and `|w - s|` are bounds on the distance: their gap says 
 
 from dataclasses import dataclass, replace
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from torcharm._select import pick
+from torcharm.distance.arcs import Array
 from torcharm.distance.touch import CurveSums, Touch
 
 ROUNDS = 24
-FEWER, FEW = 0.6, 200
-"""Below this share of those left the ones that are done are left out, unless so few are left that it costs more."""
 HEAD = 5
 """Rows of what is known of an end before those of its actuators."""
 CLOSING, AFTER_CHORD = 0.25, 4.0
@@ -39,19 +37,17 @@ class Problems:
         point: (2, Q) x and y.
         normal: (2, Q) outward unit vectors to start from, those of a polygon inside the set.
         side: (Q) 1 outside the polygon and -1 inside.
-        distance: (Q) to it.
         tolerance: (Q) what counts as nothing, as a length.
         edge: (Q) whether the polygon's nearest point lies inside an edge.
         ends: (2, 2, Q) ends of the nearest edge, clockwise first, and x and y.
     """
 
-    point: Tensor
-    normal: Tensor
-    side: Tensor
-    distance: Tensor
-    tolerance: Tensor
-    edge: Tensor
-    ends: Tensor
+    point: Array
+    normal: Array
+    side: Array
+    tolerance: Array
+    edge: Array
+    ends: Array
 
 
 @dataclass(frozen=True)
@@ -65,10 +61,10 @@ class Found:
         done: (Q).
     """
 
-    square: Tensor
-    inside: Tensor
-    fraction: Tensor | None
-    done: Tensor
+    square: Array
+    inside: Array
+    fraction: Array | None
+    done: Array
 
 
 @dataclass(frozen=True)
@@ -77,71 +73,31 @@ class _Search:
 
     Attributes:
         curves: theirs.
-        given: (4, q) the points' x and y, their side and their tolerance.
+        x, y, side, tolerance: (q) as of `Problems`.
         best: (3, q) the furthest over a line that touches they were seen, and its normal.
         number: (q) which they are.
-        normal: (2, q) to try next.
+        nx, ny: (q) the normal to try next.
         ends: (2, R, q) what was last touched clockwise and counter-clockwise of the answers: x and y, the normals
-            (0: nothing), the boundary's radius, and of M actuators the parts of x and of y and the fractions.
+            (0: nothing), the boundary's radius, and of M actuators the fractions and the forces. At first the
+            polygon's.
         chord: (q) whether the normal is that of the chord between the two.
-        pace: (2, q) how far off to a side the last touched point was; and the next turn where Newton's step makes no
-            sense [rad].
-        live: (q) whether it is not done.
+        before: (q) how far off to a side the last touched point was.
+        widest: (q) the next turn where Newton's step makes no sense [rad].
     """
 
     curves: CurveSums
-    given: Tensor
-    best: Tensor
-    number: Tensor
-    normal: Tensor
-    ends: Tensor
-    chord: Tensor
-    pace: Tensor
-    live: Tensor
-
-
-def solve(problems: Problems, curves: CurveSums, *, fractions: bool) -> Found:
-    """Search for all nearest points at once, those that are done left out."""
-    x, actuators = problems.side, len(curves.radii)
-    none, no = torch.zeros_like(x), torch.zeros_like(x, dtype=torch.bool)
-    found = Found(none.clone(), no, x.new_zeros(2, actuators, len(x)) if fractions else None, no.clone())
-    normals = problems.normal.clone()
-    search = _begin(problems, curves)
-    for count in range(ROUNDS):
-        search, hit = _round(search, problems if count == 0 else None)
-        fresh = (hit.done & search.live).nonzero().squeeze(-1)
-        if len(fresh):
-            number = search.number[fresh]
-            found.square[number] = hit.distance[fresh].square()
-            found.inside[number], found.done[number] = hit.over[fresh] < 0, True
-            if found.fraction is not None:
-                found.fraction[:, :, number] = torch.stack((hit.touch.u, hit.other)).index_select(-1, fresh)
-                normals[:, number] = search.normal.index_select(-1, fresh)
-            live = search.live.index_fill(0, fresh, False)
-            left = live.nonzero().squeeze(-1)
-            if not len(left):
-                break
-            search = replace(search, live=live)
-            if len(live) > FEW and len(left) < FEWER * len(live):
-                search, hit = pick(search, left), pick(hit, left)
-        search = _turned(search, hit)
-    if found.fraction is not None:
-        # Where both ends are one, the fractions of the last normal are nearer still.
-        again = curves.touch(normals).u
-        found.fraction.copy_(torch.where((found.fraction[0] == found.fraction[1]).all(0), again, found.fraction))
-    return found
-
-
-def _begin(p: Problems, curves: CurveSums) -> _Search:
-    """Nothing touched yet; the polygon's edge in place of it."""
-    count = p.point.shape[1]
-    given = torch.cat((p.point, torch.stack((p.side, p.tolerance))))
-    best = torch.cat((torch.full_like(p.side, -torch.inf)[None], p.normal))
-    ends = p.point.new_full((2, HEAD + 3 * len(curves.radii), count), torch.nan)
-    ends[:, :2], ends[:, 2:HEAD] = p.ends, 0
-    number = torch.arange(count, device=p.point.device)
-    pace = p.point.new_tensor((torch.finfo(p.point.dtype).max, FIRST_TURN)).unsqueeze(-1).expand(2, count)
-    return _Search(curves, given, best, number, p.normal, ends, p.edge, pace, torch.ones_like(p.edge))
+    x: Array
+    y: Array
+    side: Array
+    tolerance: Array
+    best: Array
+    number: Array
+    nx: Array
+    ny: Array
+    ends: Array
+    chord: Array
+    before: Array
+    widest: Array
 
 
 @dataclass(frozen=True)
@@ -149,105 +105,178 @@ class _Hit:
     """What came of a round.
 
     Attributes:
-        touch: with the fractions at one end of the nearest face.
-        other: (M, q) those at the other.
+        touch: with the fractions and forces at one end of the nearest face.
+        other: (M, q) fractions at the other.
         over, aside: (q) the points from where sets were touched, along the normals and to the left of them.
-        distance: (q).
-        done: (q) whether that is it.
+        behind: (q) whether they were seen further over another line.
     """
 
     touch: Touch
-    other: Tensor
-    over: Tensor
-    aside: Tensor
-    distance: Tensor
-    done: Tensor
+    other: Array
+    over: Array
+    aside: Array
+    behind: Array
 
 
-def _round(s: _Search, first: Problems | None) -> tuple[_Search, _Hit]:
+def solve(problems: Problems, curves: CurveSums, *, fractions: bool) -> Found:
+    """Search for all nearest points at once; those that are done are left out."""
+    count, actuators = len(problems.side), len(curves.radii)
+    none, no = np.zeros_like(problems.side), np.zeros(count, dtype=bool)
+    fraction = np.zeros((2, actuators, count), none.dtype) if fractions else None
+    found = Found(none, no, fraction, no.copy())
+    normals = problems.normal.copy()
+    with np.errstate(all="ignore"):
+        search = _begin(problems, curves)
+        for turns in range(ROUNDS):
+            hit = _touched(search)
+            distance, done = _judged(search, hit)
+            fresh = done.nonzero()[0]
+            if len(fresh):
+                number = search.number[fresh]
+                found.square[number] = np.square(distance[fresh])
+                found.inside[number], found.done[number] = hit.over[fresh] < 0, True
+                if fraction is not None:
+                    fraction[0][:, number], fraction[1][:, number] = hit.touch.u[:, fresh], hit.other[:, fresh]
+                    normals[0, number], normals[1, number] = search.nx[fresh], search.ny[fresh]
+                left = (~done).nonzero()[0]
+                if not len(left):
+                    break
+                search, hit = pick(search, left), pick(hit, left)
+            search = _noted(search, hit, first=turns == 0)
+            search = _turned(search, hit)
+        if fraction is not None:
+            # Where both ends are one, the fractions of the last normal are nearer still.
+            again = curves.touch(*normals).u
+            fraction[:] = np.where((fraction[0] == fraction[1]).all(0), again, fraction)
+    return found
+
+
+def _begin(p: Problems, curves: CurveSums) -> _Search:
+    """Nothing touched yet; the polygon's edge in place of it."""
+    count = len(p.side)
+    best = np.concatenate((np.full_like(p.side, -np.inf)[None], p.normal))
+    ends = np.full((2, HEAD + 2 * len(curves.radii), count), np.nan, p.side.dtype)
+    ends[:, :2], ends[:, 2:HEAD] = p.ends, 0
+    before, widest = np.full_like(p.side, np.inf), np.full_like(p.side, FIRST_TURN)
+    number = np.arange(count)
+    return _Search(curves, *p.point, p.side, p.tolerance, best, number, *p.normal, ends, p.edge, before, widest)
+
+
+def _touched(s: _Search) -> _Hit:
     """Touch the sets once."""
-    _, _, side, tolerance = s.given
-    nx, ny = s.normal
-    chords = bool(s.chord.any())
-    touch = s.curves.touch(s.normal, tolerance if chords else None)
-    entry = torch.cat((touch.point, s.normal, touch.radius[None], touch.parts.flatten(0, 1), touch.u))
-    from_x, from_y = s.given[:2] - touch.point
-    over, aside, other = _dot(nx, ny, from_x, from_y), nx * from_y - ny * from_x, touch.u
-    if touch.face is not None:
-        entry, aside, other = _along_face(s, touch, touch.face, entry, aside)
-        from_x, from_y = s.given[:2] - entry[:2]
-        over = _dot(nx, ny, from_x, from_y)
-    distance, deep = torch.hypot(over, aside), over.abs()
-    done = aside * aside <= tolerance * (distance + deep)
-    if touch.rest is not None:
-        done = done & (touch.rest <= tolerance)
-    # The distance is the most that points are seen over a line that touches.
-    most, best_x, best_y = s.best
-    behind = over < most - tolerance
-    done = done & ~behind & ((side > 0) | (over <= tolerance))
-    # Where they are less over it than over another, the answer is on that one's side.
-    ahead = torch.where(behind, nx * best_y - ny * best_x, aside).unsqueeze(0) > 0
-    far = _polygon_end(s, entry, aside, first) if first is not None else s.ends
-    further = over > most if touch.rest is None else (over > most) & (touch.rest <= tolerance)
-    best = torch.where(further, torch.stack((over, nx, ny)), s.best)
-    s = replace(s, best=best, ends=torch.where(torch.cat((ahead, ~ahead)).unsqueeze(1), entry, far))
-    touch = replace(touch, u=entry[-len(other) :], face=None)
-    return s, _Hit(touch, other, over, aside, distance, done)
+    nx, ny = s.nx, s.ny
+    touch = s.curves.touch(nx, ny)
+    from_x, from_y = s.x - touch.x, s.y - touch.y
+    over, aside, other = nx * from_x + ny * from_y, nx * from_y - ny * from_x, touch.u
+    faces = (touch.margin <= s.tolerance).any(0)
+    if faces.any() or s.chord.any():
+        other = other.copy()
+        on = np.zeros_like(faces)
+        _along_face(s, faces.nonzero()[0], touch, other, aside, on)
+        _along_chord(s, (s.chord & ~on).nonzero()[0], touch, other, over, aside)
+    return _Hit(touch, other, over, aside, over < s.best[0] - s.tolerance)
 
 
-def _along_face(
-    s: _Search, touch: Touch, face: tuple[Tensor, ...], entry: Tensor, aside: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Of what was touched the point nearest to being ahead, how far it is aside, and fractions at the other end.
+def _along_face(s: _Search, index: Array, touch: Touch, other: Array, aside: Array, on: Array) -> None:
+    """Where sets are touched along a face because curves are twice: go to its point nearest to being ahead.
 
-    Sets may be touched along a face: because curves are twice, or because the chord between the ends has nothing beyond
-    it.
+    Args:
+        s: the searches.
+        index: which of them.
+        touch, other, aside: as of `_Hit`, to be changed.
+        on: (q) whether the nearest point is on the face, to be set.
     """
-    actuators = len(touch.u)
-    nx, ny = s.normal
-    low, high, low_u, high_u = face
+    if not len(index):
+        return
+    nx, ny, ahead = s.nx[index], s.ny[index], aside[index]
+    u, force = touch.u[:, index], touch.force[:, index]
+    low, high, low_u, high_u, low_force, high_force = pick(s.curves, index).spread(nx, ny, u, force, s.tolerance[index])
     least, most = low.sum(0), high.sum(0)
-    above, below = aside > most, aside < least
-    own, u = torch.where(above, high, low), torch.where(above, high_u, low_u)
-    on = ~(above | below)
-    shift = torch.where(on, aside, own.sum(0))
-    moved = torch.cat((-ny * shift, nx * shift))
-    entry = torch.cat(
-        (
-            entry[:2] + moved.view(2, -1),
-            entry[2:HEAD],
-            entry[HEAD : HEAD + actuators] - ny * own,
-            entry[HEAD + actuators : HEAD + 2 * actuators] + nx * own,
-            u,
-        )
-    )
-    aside, other = aside - shift, torch.where(on, high_u, u)
-
-    (a, b), (x, y) = s.ends, s.given[:2]
-    behind = nx * (entry[0] - s.ends[:, 0]) + ny * (entry[1] - s.ends[:, 1])
-    touched = ~s.ends[:, -1].isnan().any(0) & (s.ends[:, 2:4] != 0).any(1).all(0)
-    flat = s.chord & ~on & (behind.amax(0) <= s.given[3]) & touched
-    if bool(flat.any()):
-        beside_a, beside_b = nx * (y - a[1]) - ny * (x - a[0]), nx * (y - b[1]) - ny * (x - b[0])
-        end = torch.where(beside_b > 0, b, a)
-        entry = torch.where(flat, torch.cat((end[:2], s.normal, end[4:])), entry)
-        on = flat & (beside_a >= 0) & (beside_b <= 0)
-        other = torch.where(flat, torch.where(on, b[-actuators:], end[-actuators:]), other)
-        aside = torch.where(flat, torch.where(on, 0.0, torch.where(beside_b > 0, beside_b, beside_a)), aside)
-    return entry, aside, other
+    above = ahead > most
+    inside = ~(above | (ahead < least))
+    shift = np.where(inside, ahead, np.where(above, most, least))
+    touch.x[index] -= ny * shift
+    touch.y[index] += nx * shift
+    touch.u[:, index] = u = np.where(above, high_u, low_u)
+    touch.force[:, index] = np.where(above, high_force, low_force)
+    other[:, index] = np.where(inside, high_u, u)
+    aside[index] = ahead - shift
+    on[index] = inside
 
 
-def _polygon_end(s: _Search, entry: Tensor, aside: Tensor, p: Problems) -> Tensor:
+def _along_chord(s: _Search, index: Array, touch: Touch, other: Array, over: Array, aside: Array) -> None:
+    """The same where the chord between the ends has nothing beyond it."""
+    if not len(index):
+        return
+    actuators = len(touch.u)
+    a, b = s.ends[:, :, index]
+    nx, ny, slack = s.nx[index], s.ny[index], s.tolerance[index]
+    x, y = touch.x[index], touch.y[index]
+    beyond = np.maximum(nx * (x - a[0]) + ny * (y - a[1]), nx * (x - b[0]) + ny * (y - b[1]))
+    flat = ((beyond <= slack) & ~np.isnan(a[-1] + b[-1]) & _known(a) & _known(b)).nonzero()[0]
+    if not len(flat):
+        return
+    index, a, b, nx, ny = index[flat], a[:, flat], b[:, flat], nx[flat], ny[flat]
+    x, y = s.x[index], s.y[index]
+    beside_a, beside_b = nx * (y - a[1]) - ny * (x - a[0]), nx * (y - b[1]) - ny * (x - b[0])
+    last = beside_b > 0
+    end = np.where(last, b, a)
+    inside = (beside_a >= 0) & ~last
+    touch.x[index], touch.y[index], touch.radius[index] = end[0], end[1], end[4]
+    touch.u[:, index], touch.force[:, index] = end[HEAD : HEAD + actuators], end[HEAD + actuators :]
+    other[:, index] = np.where(inside, b[HEAD : HEAD + actuators], end[HEAD : HEAD + actuators])
+    over[index] = nx * (x - end[0]) + ny * (y - end[1])
+    aside[index] = np.where(inside, 0.0, np.where(last, beside_b, beside_a))
+
+
+def _known(end: Array) -> Array:
+    """Whether (q) an end (R, q) has a normal."""
+    known: Array = (end[2] != 0) | (end[3] != 0)
+    return known
+
+
+def _judged(s: _Search, hit: _Hit) -> tuple[Array, Array]:
+    """The distances (q), and whether they are it.
+
+    The distance is the most that points are seen over a line that touches.
+    """
+    over, aside = hit.over, hit.aside
+    squared = aside * aside
+    distance = np.sqrt(over * over + squared)
+    done = squared <= s.tolerance * (distance + np.abs(over))
+    done &= ~hit.behind
+    done &= (s.side > 0) | (over <= s.tolerance)
+    if hit.touch.rest is not None:
+        done &= hit.touch.rest <= s.tolerance
+    return distance, done
+
+
+def _noted(s: _Search, hit: _Hit, *, first: bool) -> _Search:
+    """With what was touched as one of the ends. Where points are less over it than over another, that one's side tells."""
+    nx, ny, over, touch = s.nx, s.ny, hit.over, hit.touch
+    most, best_x, best_y = s.best
+    ahead = np.where(hit.behind, nx * best_y - ny * best_x, hit.aside) > 0
+    entry = np.concatenate((touch.x[None], touch.y[None], nx[None], ny[None], touch.radius[None], touch.u, touch.force))
+    far = _polygon_ends(s, hit) if first else s.ends
+    further = over > most
+    if touch.rest is not None:
+        further &= touch.rest <= s.tolerance
+    best = np.where(further, np.stack((over, nx, ny)), s.best)
+    return replace(s, best=best, ends=np.where(np.stack((ahead, ~ahead))[:, None], entry, far))
+
+
+def _polygon_ends(s: _Search, hit: _Hit) -> Array:
     """The polygon's ends, as if touched where the normal has turned twice as far as to the chord's; on arcs, thrice."""
-    nx, ny = s.normal
-    dx, dy = torch.where(aside > 0, p.ends[1], p.ends[0]) - entry[:2]
-    along, drop = nx * dy - ny * dx, -_dot(nx, ny, dx, dy)
-    held = (along * aside > 0) & (drop > s.given[3])
-    turn = torch.complex(along.abs(), drop * along.sign()).sgn()
-    twice = turn * turn
-    normal = torch.complex(nx, ny) * torch.where(entry[4] > 0, twice * turn, twice)
-    ends = s.ends.clone()
-    ends[:, 2:4] = torch.where(held, torch.view_as_real(normal).T, 0.0)
+    nx, ny, touch = s.nx, s.ny, hit.touch
+    left = hit.aside > 0
+    dx, dy = (np.where(left, s.ends[1, row], s.ends[0, row]) - value for row, value in enumerate((touch.x, touch.y)))
+    along, drop = nx * dy - ny * dx, -(nx * dx + ny * dy)
+    held = (along * hit.aside > 0) & (drop > s.tolerance)
+    turn = np.abs(along) + 1j * (drop * np.sign(along))
+    turn /= np.abs(turn)
+    normal = (nx + 1j * ny) * np.where(touch.radius > 0, turn * turn * turn, turn * turn)
+    ends = s.ends.copy()
+    ends[:, 2], ends[:, 3] = np.where(held, normal.real, 0.0), np.where(held, normal.imag, 0.0)
     return ends
 
 
@@ -258,88 +287,60 @@ def _turned(s: _Search, hit: _Hit) -> _Search:
     ends, or straight away from one if the point, outside, is past it. Newton's step sees the boundary as an arc, and
     makes no sense from inside it beyond its centre.
     """
-    over, aside, far = hit.over, hit.aside, hit.aside.abs()
-    before, turn = s.pace
+    nx, ny, over, aside = s.nx, s.ny, hit.over, hit.aside
+    far, outside = np.abs(aside), over > 0
     steep = over + hit.touch.radius
-    newton = (over > 0) | (steep > far)
-    step = s.curves.turn(hit.touch, aside / steep, steep)
-    step = torch.where(over < 0, step.clamp(-MOST_INSIDE, MOST_INSIDE), step)
-    across = torch.where(newton, step, turn * aside.sign())
-    nx, ny = s.normal
-    next_x, next_y = torch.addcmul(nx, across, ny, value=-1), torch.addcmul(ny, across, nx)
+    newton = outside | (steep > far)
+    step = s.curves.turn(nx, ny, hit.touch, aside / steep, steep)
+    if not outside.all():
+        step = np.where(over < 0, step.clip(-MOST_INSIDE, MOST_INSIDE), step)
+    across = np.where(newton, step, s.widest * np.sign(aside))
+    next_x, next_y = nx - across * ny, ny + across * nx
 
-    e = _Ends.of(s)
-    (face_x, face_y), straight = _face(s, e, over)
-    past = _dot(face_x, face_y, next_x, next_y) * aside > 0
-    clockwise, counter = e.normal_x * next_y - e.normal_y * next_x
-    closing = (clockwise > 0) & (counter < 0) & (far < CLOSING * before)
-    stuck = e.known & ~(closing & ~(straight & past))
-    (ax, bx), (ay, by) = e.from_x, e.from_y
-    foot = _dot(ax, ay, e.dx, e.dy)
+    (ax, ay, a_nx, a_ny, a_radius), (bx, by, b_nx, b_ny, b_radius) = s.ends[:, :HEAD]
+    dx, dy = bx - ax, by - ay
+    span = dx * dx + dy * dy
+    face_x, face_y, straight = _face(s, dx, dy, span, over)
+    past = (face_x * next_x + face_y * next_y) * aside > 0
+    clockwise, counter = a_nx * next_y - a_ny * next_x, b_nx * next_y - b_ny * next_x
+    closing = (clockwise > 0) & (counter < 0) & (far < CLOSING * s.before)
+    stuck = _known(s.ends[0]) & _known(s.ends[1]) & ~(closing & ~(straight & past))
+    from_ax, from_ay, from_bx, from_by = s.x - ax, s.y - ay, s.x - bx, s.y - by
+    foot = from_ax * dx + from_ay * dy
     first = foot <= 0
-    corner = stuck & (over > 0) & (e.dy * ax >= e.dx * ay) & (first | (foot >= e.span))
-    chord = stuck & ~corner & (e.span > 0)
+    corner = stuck & outside & (dy * from_ax >= dx * from_ay) & (first | (foot >= span))
+    chord = stuck & ~corner & (span > 0)
     # Away from the centre of an end's arc, as seen from the point.
-    (ax, bx), (ay, by) = torch.addcmul(e.from_x, e.radius, e.normal_x), torch.addcmul(e.from_y, e.radius, e.normal_y)
-    next_x = torch.where(corner, torch.where(first, ax, bx), torch.where(chord, face_y, next_x))
-    next_y = torch.where(corner, torch.where(first, ay, by), torch.where(chord, -face_x, next_y))
-    normal = torch.stack((next_x, next_y)) / torch.hypot(next_x, next_y)
-    pace = torch.stack((torch.where(chord, AFTER_CHORD * far, far), torch.where(newton, FIRST_TURN, turn * WIDEN)))
-    return replace(s, normal=normal, chord=chord, pace=pace)
+    away_x = np.where(first, from_ax + a_radius * a_nx, from_bx + b_radius * b_nx)
+    away_y = np.where(first, from_ay + a_radius * a_ny, from_by + b_radius * b_ny)
+    next_x = np.where(corner, away_x, np.where(chord, face_y, next_x))
+    next_y = np.where(corner, away_y, np.where(chord, -face_x, next_y))
+    length = np.hypot(next_x, next_y)
+    return replace(
+        s,
+        nx=next_x / length,
+        ny=next_y / length,
+        chord=chord,
+        before=np.where(chord, AFTER_CHORD * far, far),
+        widest=np.where(newton, FIRST_TURN, s.widest * WIDEN),
+    )
 
 
-@dataclass(frozen=True)
-class _Ends:
-    """What is known of both ends, (2, q) each, and of the chord between them, (q) each.
-
-    Attributes:
-        normal_x, normal_y, radius: as of `_Search`.
-        from_x, from_y: the points from the ends.
-        chord: (R, q) all that changes from the first to the second.
-        dx, dy, span: the chord and its square.
-        known: whether both ends are.
-    """
-
-    normal_x: Tensor
-    normal_y: Tensor
-    radius: Tensor
-    from_x: Tensor
-    from_y: Tensor
-    chord: Tensor
-    dx: Tensor
-    dy: Tensor
-    span: Tensor
-    known: Tensor
-
-    @classmethod
-    def of(cls, s: _Search) -> "_Ends":
-        x, y, normal_x, normal_y, radius = s.ends[:, :HEAD].unbind(1)
-        a, b = s.ends
-        chord = b - a
-        dx, dy = chord[:2]
-        known = ((normal_x != 0) | (normal_y != 0)).all(0)
-        span = _dot(dx, dy, dx, dy)
-        return cls(normal_x, normal_y, radius, s.given[0] - x, s.given[1] - y, chord, dx, dy, span, known)
-
-
-def _dot(x: Tensor, y: Tensor, other_x: Tensor, other_y: Tensor) -> Tensor:
-    return torch.addcmul(x * other_x, y, other_y)
-
-
-def _face(s: _Search, e: _Ends, over: Tensor) -> tuple[tuple[Tensor, Tensor], Tensor]:
+def _face(s: _Search, dx: Array, dy: Array, span: Array, over: Array) -> tuple[Array, Array, Array]:
     """Faces that may lie between ends, as edges, and whether (q) one is to be expected.
 
-    They are the chords of the actuator that is moved most, or else the whole chords. A face is expected
+    They are the chords of the actuator that is moved most, or else the whole chords (dx, dy). A face is expected
     where the boundary bends less on the way than it would as the arc of the rounder end.
     """
-    (drop_a, drop_b), (round_a, round_b) = _dot(e.normal_x, e.normal_y, e.dx, e.dy), e.radius
-    drop = torch.where(round_a >= round_b, drop_a, drop_b).abs()
-    straight = drop * (torch.maximum(round_a, round_b) + over.clamp(min=0)) < STRAIGHTER / 2 * e.span
     actuators = len(s.curves.radii)
-    jumps = e.chord[HEAD : HEAD + 2 * actuators].view(2, actuators, -1)
-    jumps = s.curves.jumps(jumps, *s.ends[:, HEAD + 2 * actuators :])
-    x, y = jumps.gather(1, jumps.abs().sum(0).max(0).indices.expand(2, 1, -1)).squeeze(1)
+    (_, _, a_nx, a_ny, a_radius), (_, _, b_nx, b_ny, b_radius) = s.ends[:, :HEAD]
+    rounder = a_radius >= b_radius
+    drop = np.where(rounder, a_nx * dx + a_ny * dy, b_nx * dx + b_ny * dy)
+    straight = np.abs(drop) * (np.maximum(a_radius, b_radius) + np.maximum(over, 0)) < STRAIGHTER / 2 * span
+    (first, last), force = s.ends[:, HEAD : HEAD + actuators], s.ends[:, HEAD + actuators :]
+    x, y = s.curves.jumps(first, last, force[1] - force[0])
+    most = (np.abs(x) + np.abs(y)).argmax(0) * x.shape[1] + np.arange(x.shape[1])
+    x, y = x.reshape(-1)[most], y.reshape(-1)[most]
     # An edge turns left of the normals clockwise of its own.
-    rise_a, rise_b = _dot(e.normal_x, e.normal_y, x, y)
-    between = (rise_a < 0) & (rise_b > 0)
-    return (torch.where(between, x, e.dx), torch.where(between, y, e.dy)), straight
+    between = (a_nx * x + a_ny * y < 0) & (b_nx * x + b_ny * y > 0)
+    return np.where(between, x, dx), np.where(between, y, dy), straight
