@@ -79,8 +79,7 @@ class Cubics:
 
     def peaks(self, along: Array, slope: Array, span: Span) -> Peaks:
         """The local maxima of pieces within spans, of slopes (J, m, Q) at fraction 0 and reaches a newton (m, Q)."""
-        drop = along * self.bend
-        drop *= -2
+        drop = -2 * along * self.bend
         least = np.abs(slope) + np.abs(drop)
         least *= FLAT * np.finfo(slope.dtype).eps
         if self.twist is None:
@@ -88,8 +87,7 @@ class Cubics:
             u = slope / steep
             bend = self.bend
         else:
-            third = along * self.twist
-            third *= 3
+            third = 3 * along * self.twist
             steep = np.sqrt(np.maximum(drop * drop - 4 * third * slope, 0))
             u = 2 * slope / (drop + steep)
             if self.winding:  # the same root, where the sum cancels
@@ -254,10 +252,10 @@ class Arcs:
             u, force, reach, drops = self._candidates(lines)
             best = reach.argmax(0)
             top, at_zero = _at(reach, best), None
-            reach[best, np.arange(best.shape[0])[:, None], np.arange(best.shape[1])] = -np.inf
-            margin = top - reach.max(0)
+            chosen = _at(u, best)
+            margin = top - np.where(u == chosen, -np.inf, reach).max(0)
             drop = None if drops is None else _at(drops, best)
-            found = Highest(_at(u, best), _at(force, best), drop, None, margin)
+            found = Highest(chosen, _at(force, best), drop, None, margin)
         if self.twins is None:
             return found
         return self._twins_too(self.twins, lines, found, top, at_zero)
@@ -303,7 +301,8 @@ class Arcs:
 
     def _twins_too(self, twins: Twins, lines: Lines, one: Highest, top: Array | None, slope: Array | None) -> Highest:
         """Put maxima of differences of two powers in place of lower ones; how much higher (m, Q) they may be."""
-        assert top is not None and one.drop is not None
+        assert top is not None
+        assert one.drop is not None
         at = twins.at()
         along, per_fraction, rate = lines.along[at], lines.per_fraction[at], self.rate[0][at]
         twin, higher = twins.peaks(at, along, per_fraction + along * rate if slope is None else slope[at])

@@ -37,6 +37,7 @@ class Problems:
         point: (2, Q) x and y.
         normal: (2, Q) outward unit vectors to start from, those of a polygon inside the set.
         side: (Q) 1 outside the polygon and -1 inside.
+        distance: (Q) to it.
         tolerance: (Q) what counts as nothing, as a length.
         edge: (Q) whether the polygon's nearest point lies inside an edge.
         ends: (2, 2, Q) ends of the nearest edge, clockwise first, and x and y.
@@ -45,6 +46,7 @@ class Problems:
     point: Array
     normal: Array
     side: Array
+    distance: Array
     tolerance: Array
     edge: Array
     ends: Array
@@ -74,6 +76,7 @@ class _Search:
     Attributes:
         curves: theirs.
         x, y, side, tolerance: (q) as of `Problems`.
+        most: (q) no point is further away, outside.
         best: (3, q) the furthest over a line that touches they were seen, and its normal.
         number: (q) which they are.
         nx, ny: (q) the normal to try next.
@@ -90,6 +93,7 @@ class _Search:
     y: Array
     side: Array
     tolerance: Array
+    most: Array
     best: Array
     number: Array
     nx: Array
@@ -109,6 +113,7 @@ class _Hit:
         other: (M, q) fractions at the other.
         over, aside: (q) the points from where sets were touched, along the normals and to the left of them.
         behind: (q) whether they were seen further over another line.
+        met: (q) whether they are as far over the line as they are away.
     """
 
     touch: Touch
@@ -116,6 +121,7 @@ class _Hit:
     over: Array
     aside: Array
     behind: Array
+    met: Array
 
 
 def solve(problems: Problems, curves: CurveSums, *, fractions: bool) -> Found:
@@ -126,7 +132,7 @@ def solve(problems: Problems, curves: CurveSums, *, fractions: bool) -> Found:
     found = Found(none, no, fraction, no.copy())
     normals = problems.normal.copy()
     with np.errstate(all="ignore"):
-        search = _begin(problems, curves)
+        search = _begin(problems, curves, bounded=not fractions)
         for turns in range(ROUNDS):
             hit = _touched(search)
             distance, done = _judged(search, hit)
@@ -151,15 +157,18 @@ def solve(problems: Problems, curves: CurveSums, *, fractions: bool) -> Found:
     return found
 
 
-def _begin(p: Problems, curves: CurveSums) -> _Search:
-    """Nothing touched yet; the polygon's edge in place of it."""
+def _begin(p: Problems, curves: CurveSums, *, bounded: bool) -> _Search:
+    """Nothing touched yet; the polygon's edge in place of it. Bounded: its distance is an answer, though of no face."""
     count = len(p.side)
     best = np.concatenate((np.full_like(p.side, -np.inf)[None], p.normal))
     ends = np.full((2, HEAD + 2 * len(curves.radii), count), np.nan, p.side.dtype)
     ends[:, :2], ends[:, 2:HEAD] = p.ends, 0
     before, widest = np.full_like(p.side, np.inf), np.full_like(p.side, FIRST_TURN)
     number = np.arange(count)
-    return _Search(curves, *p.point, p.side, p.tolerance, best, number, *p.normal, ends, p.edge, before, widest)
+    most = np.where(p.side > 0, p.distance, np.inf) if bounded else before
+    x, y = p.point
+    nx, ny = p.normal
+    return _Search(curves, x, y, p.side, p.tolerance, most, best, number, nx, ny, ends, p.edge, before, widest)
 
 
 def _touched(s: _Search) -> _Hit:
@@ -168,13 +177,14 @@ def _touched(s: _Search) -> _Hit:
     touch = s.curves.touch(nx, ny)
     from_x, from_y = s.x - touch.x, s.y - touch.y
     over, aside, other = nx * from_x + ny * from_y, nx * from_y - ny * from_x, touch.u
-    faces = (touch.margin <= s.tolerance).any(0)
+    met = s.most - over <= s.tolerance
+    faces = (touch.margin <= s.tolerance).any(0) & ~met
     if faces.any() or s.chord.any():
         other = other.copy()
         on = np.zeros_like(faces)
         _along_face(s, faces.nonzero()[0], touch, other, aside, on)
-        _along_chord(s, (s.chord & ~on).nonzero()[0], touch, other, over, aside)
-    return _Hit(touch, other, over, aside, over < s.best[0] - s.tolerance)
+        _along_chord(s, (s.chord & ~(on | met)).nonzero()[0], touch, other, over, aside)
+    return _Hit(touch, other, over, aside, over < s.best[0] - s.tolerance, met)
 
 
 def _along_face(s: _Search, index: Array, touch: Touch, other: Array, aside: Array, on: Array) -> None:
@@ -244,6 +254,8 @@ def _judged(s: _Search, hit: _Hit) -> tuple[Array, Array]:
     squared = aside * aside
     distance = np.sqrt(over * over + squared)
     done = squared <= s.tolerance * (distance + np.abs(over))
+    distance = np.where(done, distance, s.most)
+    done |= hit.met
     done &= ~hit.behind
     done &= (s.side > 0) | (over <= s.tolerance)
     if hit.touch.rest is not None:
@@ -252,7 +264,7 @@ def _judged(s: _Search, hit: _Hit) -> tuple[Array, Array]:
 
 
 def _noted(s: _Search, hit: _Hit, *, first: bool) -> _Search:
-    """With what was touched as one of the ends. Where points are less over it than over another, that one's side tells."""
+    """With what was touched as one of the ends; where points are further over another, that one's side tells which."""
     nx, ny, over, touch = s.nx, s.ny, hit.over, hit.touch
     most, best_x, best_y = s.best
     ahead = np.where(hit.behind, nx * best_y - ny * best_x, hit.aside) > 0
@@ -295,7 +307,8 @@ def _turned(s: _Search, hit: _Hit) -> _Search:
     if not outside.all():
         step = np.where(over < 0, step.clip(-MOST_INSIDE, MOST_INSIDE), step)
     across = np.where(newton, step, s.widest * np.sign(aside))
-    next_x, next_y = nx - across * ny, ny + across * nx
+    next_x: Array = nx - across * ny
+    next_y: Array = ny + across * nx
 
     (ax, ay, a_nx, a_ny, a_radius), (bx, by, b_nx, b_ny, b_radius) = s.ends[:, :HEAD]
     dx, dy = bx - ax, by - ay

@@ -98,7 +98,8 @@ def polish(
         open_ones = wanted & ~converged
     left = open_ones.nonzero()
     if len(left[0]):
-        take(*left, search_faces(sections, hulls, faces, point, *left, relative))
+        section, load = left
+        take(section, load, search_faces(sections, hulls, faces, point, section, load, relative))
     device = faces.square.device
     answers = replace(faces, square=torch.from_numpy(square).to(device), inside=torch.from_numpy(inside).to(device))
     ends = None if fraction is None else torch.from_numpy(fraction).to(device)
@@ -165,8 +166,8 @@ def start(
 ) -> Problems:
     """From the polygons' nearest faces to problems: those (Q) of sections and loads."""
     assert faces.slot is not None
-    x, y, blur, inside, slot = (
-        as_array(value)[section, load] for value in (*point, faces.blur, faces.inside, faces.slot)
+    x, y, blur, square, inside, slot = (
+        as_array(value)[section, load] for value in (*point, faces.blur, faces.square, faces.inside, faces.slot)
     )
     begin_x, begin_y, edge_x, edge_y = (as_array(value)[slot, section] for value in vars(hulls.polygons).values())
     tiny = np.finfo(x.dtype).tiny
@@ -188,4 +189,4 @@ def start(
     turned = facing < 0
     if turned.any():
         ends = np.where(turned, ends[::-1], ends)
-    return Problems(np.stack((x, y)), normal, side, _gap(blur), edge & (nowhere == 0), ends)
+    return Problems(np.stack((x, y)), normal, side, np.sqrt(square), _gap(blur), edge & (nowhere == 0), ends)

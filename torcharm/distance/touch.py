@@ -89,8 +89,7 @@ class CurveSums:
 
     def places(self, u: Array, force: Array) -> tuple[Array, Array]:
         """The sums' x and y (Q) of fractions and forces (M, Q)."""
-        moment = self.bending * u
-        moment -= self.radii * force
+        moment: Array = self.bending * u - self.radii * force
         return self.scale[0] * force.sum(0), moment.sum(0)
 
     def _of_groups(self, lines: Lines) -> list[tuple[Arcs, Lines]]:
