@@ -16,6 +16,10 @@ from torcharm._select import pick
 from torcharm.distance.arcs import Array
 from torcharm.distance.touch import CurveSums, Touch
 
+STEPS = 6
+"""So many steps of Newton's are taken without looking left or right."""
+FEWER = 0.75
+"""Below this share of those left the ones that are done are left out."""
 ROUNDS = 24
 HEAD = 5
 """Rows of what is known of an end before those of its actuators."""
@@ -113,7 +117,8 @@ class _Hit:
         other: (M, q) fractions at the other.
         over, aside: (q) the points from where sets were touched, along the normals and to the left of them.
         behind: (q) whether they were seen further over another line.
-        met: (q) whether they are as far over the line as they are away.
+        distance: (q).
+        done: (q) whether that is it.
     """
 
     touch: Touch
@@ -121,7 +126,8 @@ class _Hit:
     over: Array
     aside: Array
     behind: Array
-    met: Array
+    distance: Array
+    done: Array
 
 
 def solve(problems: Problems, curves: CurveSums, *, fractions: bool) -> Found:
@@ -130,51 +136,104 @@ def solve(problems: Problems, curves: CurveSums, *, fractions: bool) -> Found:
     none, no = np.zeros_like(problems.side), np.zeros(count, dtype=bool)
     fraction = np.zeros((2, actuators, count), none.dtype) if fractions else None
     found = Found(none, no, fraction, no.copy())
-    normals = problems.normal.copy()
     with np.errstate(all="ignore"):
-        search = _begin(problems, curves, bounded=not fractions)
-        for turns in range(ROUNDS):
-            hit = _touched(search)
-            distance, done = _judged(search, hit)
-            fresh = done.nonzero()[0]
-            if len(fresh):
-                number = search.number[fresh]
-                found.square[number] = np.square(distance[fresh])
-                found.inside[number], found.done[number] = hit.over[fresh] < 0, True
-                if fraction is not None:
-                    fraction[0][:, number], fraction[1][:, number] = hit.touch.u[:, fresh], hit.other[:, fresh]
-                    normals[0, number], normals[1, number] = search.nx[fresh], search.ny[fresh]
-                left = (~done).nonzero()[0]
-                if not len(left):
-                    break
-                search, hit = pick(search, left), pick(hit, left)
-            search = _noted(search, hit, first=turns == 0)
-            search = _turned(search, hit)
-        if fraction is not None:
-            # Where both ends are one, the fractions of the last normal are nearer still.
-            again = curves.touch(*normals).u
-            fraction[:] = np.where((fraction[0] == fraction[1]).all(0), again, fraction)
+        first = _step(problems, curves, found)
+        left = (~found.done).nonzero()[0]
+        if len(left):
+            if len(left) < count:
+                problems, curves, first = pick((problems, curves, first), left)
+            _search(problems, curves, found, left, first)
     return found
 
 
-def _begin(p: Problems, curves: CurveSums, *, bounded: bool) -> _Search:
+def _step(p: Problems, curves: CurveSums, found: Found) -> Touch:
+    """Newton's steps alone, as long as they close in: all that most points outside need. And what was touched first."""
+    x, y = p.point
+    tolerance, number = p.tolerance, np.arange(len(p.side))
+    # Of no face, the distance from the polygon does not say where the nearest point is.
+    most = p.distance if found.fraction is None else np.full_like(p.distance, np.inf)
+    before = np.full_like(most, np.inf)
+    first = touch = curves.touch(*p.normal)
+    for _ in range(STEPS):
+        from_x, from_y = x - touch.x, y - touch.y
+        over, aside = touch.nx * from_x + touch.ny * from_y, touch.nx * from_y - touch.ny * from_x
+        squared = aside * aside
+        distance = np.sqrt(over * over + squared)
+        done = squared <= tolerance * (distance + over)
+        if found.fraction is None:
+            distance = np.where(done, distance, most)
+            done |= most - over <= tolerance
+        else:
+            done &= ~(touch.margin <= tolerance).any(0)
+        done &= over > tolerance
+        if touch.rest is not None:
+            done &= touch.rest <= tolerance
+        fresh = done.nonzero()[0]
+        own = number[fresh]
+        found.square[own], found.done[own] = np.square(distance[fresh]), True
+        if found.fraction is not None:
+            found.fraction[:, :, own] = touch.u[:, fresh]
+        far = np.abs(aside)
+        left = ((far < CLOSING * before) & ~done & (over > 0)).nonzero()[0]
+        if not len(left):
+            break
+        before = far
+        if len(left) < FEWER * len(number):
+            curves, touch, x, y, over, aside, tolerance, most, number, before = pick(
+                (curves, touch, x, y, over, aside, tolerance, most, number, before), left
+            )
+        steep = over + touch.radius
+        turn = curves.turn(touch, aside / steep, steep)
+        nx, ny = touch.nx - turn * touch.ny, touch.ny + turn * touch.nx
+        length = np.sqrt(nx * nx + ny * ny)
+        touch = curves.touch(nx / length, ny / length)
+    return first
+
+
+def _search(problems: Problems, curves: CurveSums, found: Found, numbers: Array, first: Touch) -> None:
+    """Search for those that are left over, and put what is found in their places.
+
+    Args:
+        problems, curves: those.
+        found: of all.
+        numbers: where in it they are.
+        first: what their first normals touch.
+    """
+    search = _begin(problems, curves, numbers, bounded=found.fraction is None)
+    for count in range(ROUNDS):
+        hit = _judged(search, first if count == 0 else search.curves.touch(search.nx, search.ny))
+        fresh = hit.done.nonzero()[0]
+        if len(fresh):
+            number = search.number[fresh]
+            found.square[number] = np.square(hit.distance[fresh])
+            found.inside[number], found.done[number] = hit.over[fresh] < 0, True
+            if found.fraction is not None:
+                found.fraction[0][:, number] = hit.touch.u[:, fresh]
+                found.fraction[1][:, number] = hit.other[:, fresh]
+            left = (~hit.done).nonzero()[0]
+            if not len(left):
+                break
+            search, hit = pick(search, left), pick(hit, left)
+        search = _noted(search, hit, first=count == 0)
+        search = _turned(search, hit)
+
+
+def _begin(p: Problems, curves: CurveSums, number: Array, *, bounded: bool) -> _Search:
     """Nothing touched yet; the polygon's edge in place of it. Bounded: its distance is an answer, though of no face."""
     count = len(p.side)
     best = np.concatenate((np.full_like(p.side, -np.inf)[None], p.normal))
     ends = np.full((2, HEAD + 2 * len(curves.radii), count), np.nan, p.side.dtype)
     ends[:, :2], ends[:, 2:HEAD] = p.ends, 0
     before, widest = np.full_like(p.side, np.inf), np.full_like(p.side, FIRST_TURN)
-    number = np.arange(count)
     most = np.where(p.side > 0, p.distance, np.inf) if bounded else before
     x, y = p.point
     nx, ny = p.normal
     return _Search(curves, x, y, p.side, p.tolerance, most, best, number, nx, ny, ends, p.edge, before, widest)
 
 
-def _touched(s: _Search) -> _Hit:
-    """Touch the sets once."""
-    nx, ny = s.nx, s.ny
-    touch = s.curves.touch(nx, ny)
+def _judged(s: _Search, touch: Touch) -> _Hit:
+    """What was touched, as an answer: the distance is the most that points are seen over a line that touches."""
+    nx, ny = touch.nx, touch.ny
     from_x, from_y = s.x - touch.x, s.y - touch.y
     over, aside, other = nx * from_x + ny * from_y, nx * from_y - ny * from_x, touch.u
     met = s.most - over <= s.tolerance
@@ -184,7 +243,17 @@ def _touched(s: _Search) -> _Hit:
         on = np.zeros_like(faces)
         _along_face(s, faces.nonzero()[0], touch, other, aside, on)
         _along_chord(s, (s.chord & ~(on | met)).nonzero()[0], touch, other, over, aside)
-    return _Hit(touch, other, over, aside, over < s.best[0] - s.tolerance, met)
+    squared = aside * aside
+    distance = np.sqrt(over * over + squared)
+    done = squared <= s.tolerance * (distance + np.abs(over))
+    distance = np.where(done, distance, s.most)
+    done |= met
+    behind = over < s.best[0] - s.tolerance
+    done &= ~behind
+    done &= (s.side > 0) | (over <= s.tolerance)
+    if touch.rest is not None:
+        done &= touch.rest <= s.tolerance
+    return _Hit(touch, other, over, aside, behind, distance, done)
 
 
 def _along_face(s: _Search, index: Array, touch: Touch, other: Array, aside: Array, on: Array) -> None:
@@ -198,7 +267,7 @@ def _along_face(s: _Search, index: Array, touch: Touch, other: Array, aside: Arr
     """
     if not len(index):
         return
-    nx, ny, ahead = s.nx[index], s.ny[index], aside[index]
+    nx, ny, ahead = touch.nx[index], touch.ny[index], aside[index]
     u, force = touch.u[:, index], touch.force[:, index]
     low, high, low_u, high_u, low_force, high_force = pick(s.curves, index).spread(nx, ny, u, force, s.tolerance[index])
     least, most = low.sum(0), high.sum(0)
@@ -220,7 +289,7 @@ def _along_chord(s: _Search, index: Array, touch: Touch, other: Array, over: Arr
         return
     actuators = len(touch.u)
     a, b = s.ends[:, :, index]
-    nx, ny, slack = s.nx[index], s.ny[index], s.tolerance[index]
+    nx, ny, slack = touch.nx[index], touch.ny[index], s.tolerance[index]
     x, y = touch.x[index], touch.y[index]
     beyond = np.maximum(nx * (x - a[0]) + ny * (y - a[1]), nx * (x - b[0]) + ny * (y - b[1]))
     flat = ((beyond <= slack) & ~np.isnan(a[-1] + b[-1]) & _known(a) & _known(b)).nonzero()[0]
@@ -245,27 +314,10 @@ def _known(end: Array) -> Array:
     return known
 
 
-def _judged(s: _Search, hit: _Hit) -> tuple[Array, Array]:
-    """The distances (q), and whether they are it.
-
-    The distance is the most that points are seen over a line that touches.
-    """
-    over, aside = hit.over, hit.aside
-    squared = aside * aside
-    distance = np.sqrt(over * over + squared)
-    done = squared <= s.tolerance * (distance + np.abs(over))
-    distance = np.where(done, distance, s.most)
-    done |= hit.met
-    done &= ~hit.behind
-    done &= (s.side > 0) | (over <= s.tolerance)
-    if hit.touch.rest is not None:
-        done &= hit.touch.rest <= s.tolerance
-    return distance, done
-
-
 def _noted(s: _Search, hit: _Hit, *, first: bool) -> _Search:
     """With what was touched as one of the ends; where points are further over another, that one's side tells which."""
-    nx, ny, over, touch = s.nx, s.ny, hit.over, hit.touch
+    over, touch = hit.over, hit.touch
+    nx, ny = touch.nx, touch.ny
     most, best_x, best_y = s.best
     ahead = np.where(hit.behind, nx * best_y - ny * best_x, hit.aside) > 0
     entry = np.concatenate((touch.x[None], touch.y[None], nx[None], ny[None], touch.radius[None], touch.u, touch.force))
@@ -279,7 +331,8 @@ def _noted(s: _Search, hit: _Hit, *, first: bool) -> _Search:
 
 def _polygon_ends(s: _Search, hit: _Hit) -> Array:
     """The polygon's ends, as if touched where the normal has turned twice as far as to the chord's; on arcs, thrice."""
-    nx, ny, touch = s.nx, s.ny, hit.touch
+    touch = hit.touch
+    nx, ny = touch.nx, touch.ny
     left = hit.aside > 0
     dx, dy = (np.where(left, s.ends[1, row], s.ends[0, row]) - value for row, value in enumerate((touch.x, touch.y)))
     along, drop = nx * dy - ny * dx, -(nx * dx + ny * dy)
@@ -299,11 +352,11 @@ def _turned(s: _Search, hit: _Hit) -> _Search:
     ends, or straight away from one if the point, outside, is past it. Newton's step sees the boundary as an arc, and
     makes no sense from inside it beyond its centre.
     """
-    nx, ny, over, aside = s.nx, s.ny, hit.over, hit.aside
+    nx, ny, over, aside = hit.touch.nx, hit.touch.ny, hit.over, hit.aside
     far, outside = np.abs(aside), over > 0
     steep = over + hit.touch.radius
     newton = outside | (steep > far)
-    step = s.curves.turn(nx, ny, hit.touch, aside / steep, steep)
+    step = s.curves.turn(hit.touch, aside / steep, steep)
     if not outside.all():
         step = np.where(over < 0, step.clip(-MOST_INSIDE, MOST_INSIDE), step)
     across = np.where(newton, step, s.widest * np.sign(aside))
@@ -328,7 +381,7 @@ def _turned(s: _Search, hit: _Hit) -> _Search:
     away_y = np.where(first, from_ay + a_radius * a_ny, from_by + b_radius * b_ny)
     next_x = np.where(corner, away_x, np.where(chord, face_y, next_x))
     next_y = np.where(corner, away_y, np.where(chord, -face_x, next_y))
-    length = np.hypot(next_x, next_y)
+    length = np.sqrt(next_x * next_x + next_y * next_y)
     return replace(
         s,
         nx=next_x / length,

@@ -21,6 +21,7 @@ class Touch:
     """Where sets are touched.
 
     Attributes:
+        nx, ny: (Q) the lines' normals.
         x, y: (Q).
         u: (M, Q) the pressure fractions that provide them.
         force: (M, Q) [N].
@@ -32,6 +33,8 @@ class Touch:
         margin: (M, Q) by how much other maxima of the curves reach less far.
     """
 
+    nx: Array
+    ny: Array
     x: Array
     y: Array
     u: Array
@@ -81,7 +84,7 @@ class CurveSums:
         radius = np.zeros_like(nx) if bends is None else bends.sum(0)
         rest = None if rest is None else rest.sum(0)
         x, y = self.places(u, force)
-        return Touch(x, y, u, force, lines.along, drop, bends, radius, rest, margin)
+        return Touch(nx, ny, x, y, u, force, lines.along, drop, bends, radius, rest, margin)
 
     def lines(self, nx: Array, ny: Array) -> Lines:
         """What a newton and a fraction of each curve reach along directions (Q)."""
@@ -124,7 +127,7 @@ class CurveSums:
                 rise[own] = np.where(there, slope * run[own], rise[own])
         return self.scale[0] * rise, self.bending * run - self.radii * rise
 
-    def turn(self, nx: Array, ny: Array, touch: Touch, angle: Array, steep: Array) -> Array:
+    def turn(self, touch: Touch, angle: Array, steep: Array) -> Array:
         """How far (Q, as tangents) normals turn in Newton's step, if to first order that is an angle.
 
         Of the rate (steep) at which the points come ahead as the normal turns, that part which is the curves' radii
@@ -133,7 +136,7 @@ class CurveSums:
         if touch.drop is None or touch.bends is None:
             return angle
         along, u, bends = touch.along, touch.u, touch.bends
-        across = self.scale[0] * -ny - self.radii * nx
+        across = self.scale[0] * -touch.ny - self.radii * touch.nx
         # The place along the line is quadratic in the fraction.
         rate = angle / along
         sway = (0.5 * across * rate).clip(-MOST_SWAY, MOST_SWAY)
