@@ -100,9 +100,10 @@ class Laws:
         grid = torch.linspace(0, 1, samples, dtype=radii.dtype, device=radii.device).view(-1, 1, 1)
         most = max(len(law.kinks) for law in self.groups)
         if kinks and most:
-            grid = torch.cat((grid.expand(-1, *radii.shape), radii.new_ones(most, *radii.shape)))
+            grid = torch.cat((grid.expand(-1, *radii.shape), radii.new_zeros(most, *radii.shape)))
             for law in self.groups:
-                grid[samples : samples + len(law.kinks), law.rows] = law.kinks.clamp(0, 1)
+                inner = (law.kinks > 0) & (law.kinks < 1)
+                grid[samples : samples + len(law.kinks), law.rows] = torch.where(inner, law.kinks, 0.0)
             grid = grid.sort(0).values
         force = radii.new_empty(len(grid), *radii.shape)
         for law in self.groups:

@@ -162,7 +162,7 @@ def _step(p: Problems, curves: CurveSums, found: Found) -> Touch:
         done = squared <= tolerance * (distance + over)
         if found.fraction is None:
             distance = np.where(done, distance, most)
-            done |= most - over <= tolerance
+            done |= np.abs(most - over) <= tolerance
         else:
             done &= ~(touch.margin <= tolerance).any(0)
         done &= over > tolerance
@@ -184,7 +184,8 @@ def _step(p: Problems, curves: CurveSums, found: Found) -> Touch:
             )
         steep = over + touch.radius
         turn = curves.turn(touch, aside / steep, steep)
-        nx, ny = touch.nx - turn * touch.ny, touch.ny + turn * touch.nx
+        nx: Array = touch.nx - turn * touch.ny
+        ny: Array = touch.ny + turn * touch.nx
         length = np.sqrt(nx * nx + ny * ny)
         touch = curves.touch(nx / length, ny / length)
     return first
@@ -236,7 +237,7 @@ def _judged(s: _Search, touch: Touch) -> _Hit:
     nx, ny = touch.nx, touch.ny
     from_x, from_y = s.x - touch.x, s.y - touch.y
     over, aside, other = nx * from_x + ny * from_y, nx * from_y - ny * from_x, touch.u
-    met = s.most - over <= s.tolerance
+    met = np.abs(s.most - over) <= s.tolerance
     faces = (touch.margin <= s.tolerance).any(0) & ~met
     if faces.any() or s.chord.any():
         other = other.copy()
