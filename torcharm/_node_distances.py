@@ -33,6 +33,8 @@ from torcharm.hulls import (
 from torcharm.polygon import face_square
 
 if TYPE_CHECKING:
+    from torcharm.distance.arcs import Array
+    from torcharm.distance.touch import CurveSums
     from torcharm.laws import Laws
 
 
@@ -76,8 +78,8 @@ AGREEMENT = 1e-8
 """By how much of the polygon's size a distance may differ when its face is evaluated again with gradients."""
 FEW_SECTIONS = 300
 """Up to so many the polygons' graph is the faster one, whatever the loads."""
-INNER_SAMPLES = 5
-"""Samples a curve, at least, and their kinks, of sets to be polished from inside."""
+CORNERS, INNER_SAMPLES = 3, 5
+"""Samples a curve that laws choose themselves; and at least, with their kinks, of sets to be polished from inside."""
 COLUMNS = tuple(field.name for field in fields(Residuals))
 Columns = tuple[Tensor, ...]
 
@@ -214,24 +216,34 @@ class _Sampled:
             return self.curves.force.requires_grad
         return self.laws is not None and self.laws.requires_grad
 
-    def metric(self, sections: Sections, check: Check, relative: bool) -> "tuple[Curves, Laws | None]":
-        """The curves of absolute or relative reactions.
+    def metric(
+        self, sections: Sections, check: Check, relative: bool
+    ) -> "tuple[Curves, tuple[CurveSums, Array] | None]":
+        """The curves of absolute or relative reactions; and by their laws, if known, with where these are right.
 
         From outside few samples show what to polish; inside, where the nearest of all faces counts, it takes more.
         """
         if self.curves is not None:
             return relative_curves(sections, self.curves) if relative else self.curves, None
+        from torcharm.distance.touch import curve_sums
+
         assert self.laws is not None
         laws = self.laws.minus_first(sections) if relative else self.laws
-        samples = max(check.samples, INNER_SAMPLES) if check.signed else check.samples
-        return laws.curves(sections, samples, relative=relative, kinks=check.signed), laws
+        bending, radii = sections.bending, sections.radii
+        bending = bending - sections.at_first_node(bending) if relative else bending
+        sums = curve_sums(laws, bending, radii, check.scale)
+        if check.signed or check.samples != CORNERS:
+            grid, force = laws.samples(radii, max(check.samples, INNER_SAMPLES), kinks=check.signed)
+        else:
+            grid, force = (torch.from_numpy(value).to(radii.device) for value in sums[0].corners())
+        return Curves(grid, force, bending, radii, sections.resting_moment(relative=relative)), sums
 
 
 def _nearest_face(
     block: Block, sections: Sections, sampled: _Sampled, check: Check, metric: str, *, slots: bool
 ) -> _Nearest:
     relative = metric == "relative"
-    curves, laws = sampled.metric(sections, check, relative)
+    curves, sums = sampled.metric(sections, check, relative)
     hulls = build_hulls(curves, check.hull, check.scale)
     point = required_points(block, check.scale, relative)
     faces = nearest_faces(hulls.polygons, *point, slots=slots or check.polish)
@@ -245,7 +257,7 @@ def _nearest_face(
 
     assert isinstance(hulls, ExactHulls)
 
-    polished = polish(sections, hulls, laws, faces, point, relative=relative, signed=check.signed, fractions=slots)
+    polished = polish(sections, hulls, sums, faces, point, relative=relative, signed=check.signed, fractions=slots)
     fraction = polished.fraction
     if fraction is not None and not bool(polished.converged.all()):
         fraction = torch.where(polished.converged, fraction, _fractions(hulls, faces, point))

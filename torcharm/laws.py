@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torcharm.actuators import PressureLaw, pressure_law
-from torcharm.hulls import Curves, Sections
+from torcharm.hulls import Sections
 from torcharm.wrenches import group_alike
 
 LEAST = 1e-30
@@ -94,22 +94,26 @@ class Laws:
         groups = tuple(law.minus_first(sections) for law in self.groups)
         return Laws(groups, self.holds & sections.at_first_node(self.holds))
 
-    def curves(self, sections: Sections, samples: int, *, relative: bool, kinks: bool) -> Curves:
-        """Curves sampled at evenly spaced fractions, and if asked for at the laws' kinks."""
-        bending, radii = sections.bending, sections.radii
-        grid = torch.linspace(0, 1, samples, dtype=radii.dtype, device=radii.device).view(-1, 1, 1)
+    def samples(self, like: Tensor, count: int, *, kinks: bool) -> tuple[Tensor, Tensor]:
+        """Evenly spaced fractions (S, 1, 1), or with the laws' kinks (S, M, B), and the forces (S, M, B) there.
+
+        Args:
+            like: (M, B).
+            count: of fractions.
+            kinks: whether to add the kinks.
+        """
+        grid = torch.linspace(0, 1, count, dtype=like.dtype, device=like.device).view(-1, 1, 1)
         most = max(len(law.kinks) for law in self.groups)
         if kinks and most:
-            grid = torch.cat((grid.expand(-1, *radii.shape), radii.new_zeros(most, *radii.shape)))
+            grid = torch.cat((grid.expand(-1, *like.shape), like.new_zeros(most, *like.shape)))
             for law in self.groups:
                 inner = (law.kinks > 0) & (law.kinks < 1)
-                grid[samples : samples + len(law.kinks), law.rows] = torch.where(inner, law.kinks, 0.0)
+                grid[count : count + len(law.kinks), law.rows] = torch.where(inner, law.kinks, 0.0)
             grid = grid.sort(0).values
-        force = radii.new_empty(len(grid), *radii.shape)
+        force = like.new_empty(len(grid), *like.shape)
         for law in self.groups:
             force[:, law.rows] = law.force(grid if grid.shape[1] == 1 else grid[:, law.rows])
-        bending = bending - sections.at_first_node(bending) if relative else bending
-        return Curves(grid, force, bending, radii, sections.resting_moment(relative=relative))
+        return grid, force
 
 
 def section_laws(sections: Sections) -> Laws | None:

@@ -95,6 +95,17 @@ class Cubics:
             bend = self.bend + self.twist * u
         return Peaks(u, bend * u * u, steep, _within(u, span) & (steep > least))
 
+    def middle(self) -> tuple[Array, Array]:
+        """Where curves are furthest from their chords, and by how much; of winding ones, where lines from ends touch."""
+        b, c = self.bend, 0.0 if self.twist is None else self.twist
+        u = (b + c) / (b + np.copysign(np.sqrt(b * b + 3 * c * (b + c)), b))
+        if self.winding:
+            touched = b / (-2 * c)
+            touched = np.where((touched > 0) & (touched < 1), touched, touched - 0.5)
+            u = np.where(b * (b + 3 * c) < 0, touched, u)
+        u = np.where((u > 0) & (u < 1), u, 0.5)
+        return u, (b + c * u) * u * u - (b + c) * u
+
     def slope_change(self, u: Array, step: Array) -> Array:
         """By how much slopes (m, Q) change from fractions on by steps."""
         change: Array = 2 * self.bend
@@ -137,6 +148,10 @@ class Powers:
         u = np.exp(np.log(share) / self.less)
         return Peaks(u, self.gain * share * u, self.less * slope / u, _within(u, span) & (fall > 0))
 
+    def middle(self) -> tuple[Array, Array]:
+        """Half-way, and how far from their chords curves are there."""
+        return np.full_like(self.gain, 0.5), self.gain * (np.exp2(-1 - self.less) - 0.5)
+
     def slope_change(self, u: Array, step: Array) -> Array:
         """As of `Cubics`."""
         first, last = (np.exp(self.less * np.log(np.maximum(value, LEAST))) for value in (u, u + step))
@@ -158,6 +173,12 @@ class Twins:
 
     table: Array
     latest: Array
+
+    def middle(self) -> Array:
+        """As of `Powers`."""
+        p, q, g, h = self.table[:4]
+        off: Array = g * (np.exp2(-1 - p) - 0.5) + np.where(g == 0, 0.0, h) * (np.exp2(-1 - q) - 0.5)
+        return off
 
     def at(self) -> tuple[Array, Array]:
         """Which of m Q curves they are; gains of others are 0."""
@@ -242,6 +263,23 @@ class Arcs:
         if not isinstance(shape, Cubics) or not shape.winding or shape.twist is None or self.span is not None:
             return None
         return shape.tangent(self.rate[0], first, last)
+
+    def middle(self) -> tuple[Array, Array]:
+        """Fractions and forces (m, Q), on curves or behind them, that with their ends say most about their hulls."""
+        first, last = self.force[0], self.force[-1]
+        u, off = (np.full_like(first, 0.5), np.zeros_like(first)) if self.shape is None else self.shape.middle()
+        if self.twins is not None:
+            off = off + self.twins.middle()
+        if self.span is not None:
+            off = np.where(self.span[1][0] < 1, 0.0, off)  # not with kinks
+        force = first + (last - first) * u + off
+        if self.grid is not None:
+            corner, there = self.grid[1:-1], self.force[1:-1]
+            away = np.abs(there - first - (last - first) * corner)
+            best = away.argmax(0)
+            further = _at(away, best) > np.abs(off)
+            u, force = np.where(further, _at(corner, best), u), np.where(further, _at(there, best), force)
+        return u, force
 
     def highest(self, lines: Lines) -> Highest:
         """The curves' maxima along normals."""
@@ -343,29 +381,28 @@ class Arcs:
         )
 
 
-def arcs(law: Law, ends: Array) -> tuple[Arcs, Array]:
-    """The curves of a law at B sections as pieces; and whether (B) they are all there is to them.
-
-    Args:
-        law: of m actuators.
-        ends: (2, m, B) their forces at fractions 0 and 1.
-    """
+def arcs(law: Law) -> tuple[Arcs, Array]:
+    """The curves of a law at B sections as pieces; and whether (B) they are all there is to them."""
     coefficients = [as_array(value) for value in law.coefficients]
-    kinks, slopes = as_array(law.kinks), as_array(law.slopes)
+    kinks, slopes, gains = as_array(law.kinks), as_array(law.slopes), as_array(law.gain)
     base = coefficients[0]
     rate = coefficients[1] if len(coefficients) > 1 else np.zeros_like(base)
     holds = np.ones(base.shape[-1], dtype=bool)
-    grid, force = None, ends
+    last = sum(coefficients[1:], base) + gains.sum(0)
+    grid, force = None, np.stack((base, last))
+    if len(kinks):
+        force[0] += (slopes * np.maximum(-kinks, 0)).sum(0)
+        force[1] += (slopes * np.maximum(1 - kinks, 0)).sum(0)
     inner = ((kinks > 0) & (kinks < 1) & (slopes != 0)).reshape(len(kinks), base.size).any(1)
     if inner.any():
-        zero, one = np.zeros_like(base)[None], np.ones_like(base)[None]
-        grid = np.concatenate((zero, kinks[inner].clip(0, 1), one))
-        force = as_array(law.force(torch.as_tensor(grid, device=law.kinks.device)))
+        corners = law.kinks[torch.as_tensor(inner, device=law.kinks.device)].clamp(0, 1)
+        grid = np.concatenate((np.zeros_like(force[:1]), as_array(corners), np.ones_like(force[:1])))
+        force = np.concatenate((force[:1], as_array(law.force(corners)), force[1:]))
     shape: Cubics | Powers | None = None
     twins = None
     if len(law.gain):
-        shape, twins = _powers(as_array(law.gain), as_array(law.exponent))
-        bent = (as_array(law.gain) != 0).any(0)
+        shape, twins = _powers(gains, as_array(law.exponent))
+        bent = (gains != 0).any(0)
     elif len(coefficients) > 2:
         bend, twist = coefficients[2], coefficients[3] if len(coefficients) > 3 else None
         winding = twist is not None and (len(kinks) > 0 or bool((bend * (bend + 3 * twist) < 0).any()))

@@ -11,9 +11,8 @@ from torcharm.distance.arcs import Array, as_array
 from torcharm.distance.closed_form import BOUNDARY_ULPS, NearestFaces
 from torcharm.distance.newton import Found, Problems, solve
 from torcharm.distance.search import search_faces
-from torcharm.distance.touch import CurveSums, curve_sums
+from torcharm.distance.touch import CurveSums
 from torcharm.hulls import ExactHulls, Sections
-from torcharm.laws import Laws
 
 RIVALS = 4
 """So many times at most a nearer face is searched for from inside."""
@@ -41,7 +40,7 @@ class Polished:
 def polish(
     sections: Sections,
     hulls: ExactHulls,
-    laws: Laws | None,
+    sums: tuple[CurveSums, Array] | None,
     faces: NearestFaces,
     point: tuple[Tensor, Tensor],
     *,
@@ -57,7 +56,7 @@ def polish(
     Args:
         sections: the actuators.
         hulls: sampled from their curves.
-        laws: of the curves, if all models write theirs.
+        sums: of the curves, and where they are right, if all models write out their laws.
         faces: nearest to the points, with slots.
         point: (B, L) each.
         relative: whether the sets are of differences from node 1.
@@ -83,17 +82,17 @@ def polish(
             fraction[:, :, section, load] = found.fraction
 
     open_ones = wanted
-    if laws is not None:
-        sums, holds = curve_sums(laws, hulls.curves, hulls.scale)
+    if sums is not None:
+        curves, holds = sums
         section, load = (wanted & holds[:, None]).nonzero()
         if len(section):
-            own = sums if square.shape[1] == 1 and len(section) == len(square) else pick(sums, section)
+            own = curves if square.shape[1] == 1 and len(section) == len(square) else pick(curves, section)
             problems = start(hulls, faces, point, section, load)
             found = solve(problems, own, fractions=fractions)
             if signed:
                 _try_rivals(hulls, section, problems, own, found, fractions=fractions)
             if found.fraction is not None:
-                found = replace(found, fraction=found.fraction[:, sums.order])
+                found = replace(found, fraction=found.fraction[:, curves.order])
             take(section, load, found)
         open_ones = wanted & ~converged
     left = open_ones.nonzero()

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
+from torch import Tensor
 
 from torcharm.distance.arcs import Arcs, Array, Highest, Lines, arcs, as_array
-from torcharm.hulls import Curves
 from torcharm.laws import Laws
 
 LEAST_TURN, MOST_TURN = 0.1, 4.0
@@ -85,6 +85,18 @@ class CurveSums:
         rest = None if rest is None else rest.sum(0)
         x, y = self.places(u, force)
         return Touch(nx, ny, x, y, u, force, lines.along, drop, bends, radius, rest, margin)
+
+    def corners(self) -> tuple[Array, Array]:
+        """Fractions and forces (3, M, Q) of curves' ends and of a place between, actuators in the arm's order."""
+        u, force = (np.empty((3, *self.radii.shape), self.radii.dtype) for _ in range(2))
+        u[0], u[2] = 0, 1
+        for group, own in self.groups:
+            force[0, own], force[2, own] = group.force[0], group.force[-1]
+            with np.errstate(all="ignore"):
+                u[1, own], force[1, own] = group.middle()
+        if len(self.groups) > 1:
+            u, force = u[:, self.order], force[:, self.order]
+        return u, force
 
     def lines(self, nx: Array, ny: Array) -> Lines:
         """What a newton and a fraction of each curve reach along directions (Q)."""
@@ -179,28 +191,29 @@ def _joined(parts: list[Highest]) -> Highest:
     return Highest(u, force, drop, rest, margin)
 
 
-def curve_sums(laws: Laws, curves: Curves, scale: tuple[float, float]) -> tuple[CurveSums, Array]:
+def curve_sums(laws: Laws, bending: Tensor, radii: Tensor, scale: tuple[float, float]) -> tuple[CurveSums, Array]:
     """The sums of laws' curves at B sections; and whether (B) they are right.
 
     Args:
         laws: of M actuators.
-        curves: the same sampled.
+        bending: (M, B) bending moments at fraction 1 [N·m].
+        radii: (M, B) [m].
         scale: factors on force and moment.
     """
     holds, groups, start = as_array(laws.holds), [], 0
-    bending, radii, force = as_array(curves.bending), as_array(curves.radii), as_array(curves.force)
-    ends = force[:: max(1, len(force) - 1)]
-    for law in laws.groups:
-        group, known = arcs(law, ends[:, law.rows])
-        holds = holds & known
-        groups.append((group, slice(start, start + len(group.rate[0]))))
-        start = groups[-1][1].stop
+    with np.errstate(all="ignore"):
+        for law in laws.groups:
+            group, known = arcs(law)
+            holds = holds & known
+            groups.append((group, slice(start, start + len(group.rate[0]))))
+            start = groups[-1][1].stop
     count = len(radii)
     places = [
         place for law in laws.groups for place in (range(count)[law.rows] if isinstance(law.rows, slice) else law.rows)
     ]
     order = tuple(places.index(own) for own in range(count))
+    moments, offsets = as_array(bending), as_array(radii)
     if len(groups) > 1:
-        bending, radii = bending[places], radii[places]
-    bending = scale[1] * bending
-    return CurveSums(tuple(groups), bending, scale[0] * bending, scale[1] * radii, scale, order), holds
+        moments, offsets = moments[places], offsets[places]
+    moments = scale[1] * moments
+    return CurveSums(tuple(groups), moments, scale[0] * moments, scale[1] * offsets, scale, order), holds
