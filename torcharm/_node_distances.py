@@ -225,6 +225,7 @@ class _Sampled:
         """
         if self.curves is not None:
             return relative_curves(sections, self.curves) if relative else self.curves, None
+        from torcharm.distance.rings import rings  # loads when it is first asked for
         from torcharm.distance.touch import curve_sums
 
         assert self.laws is not None
@@ -232,11 +233,12 @@ class _Sampled:
         bending, radii = sections.bending, sections.radii
         bending = bending - sections.at_first_node(bending) if relative else bending
         sums = curve_sums(laws, bending, radii, check.scale)
+        turn = None
         if check.signed or check.samples != CORNERS:
             grid, force = laws.samples(radii, max(check.samples, INNER_SAMPLES), kinks=check.signed)
         else:
-            grid, force = (torch.from_numpy(value).to(radii.device) for value in sums[0].corners())
-        return Curves(grid, force, bending, radii, sections.resting_moment(relative=relative)), sums
+            grid, force, turn = (torch.from_numpy(value).to(radii.device) for value in rings(sums[0]))
+        return Curves(grid, force, bending, radii, sections.resting_moment(relative=relative), turn), sums
 
 
 def _nearest_face(

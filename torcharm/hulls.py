@@ -128,11 +128,13 @@ class Curves:
     """Each actuator's reaction curve at B sections: S forces, and a moment linear in pressure.
 
     Attributes:
-        grid: (S, 1, 1) pressure fractions, evenly spaced from 0 to 1.
+        grid: (S, 1, 1) pressure fractions, evenly spaced from 0 to 1, or (S, M, B), of any.
         force: (S, M, B) [N].
         bending: (M, B) bending moment at fraction 1 [N·m].
         radii: (M, B) [m].
         resting: (B) moment at no pressure, of all actuators [N·m]; None is none.
+        turn: (M, B) 1 if the samples go round the curve's hull counter-clockwise in the plane of pressure and force,
+            -1 if clockwise; None if they are in order of pressure.
     """
 
     grid: Tensor
@@ -140,6 +142,7 @@ class Curves:
     bending: Tensor
     radii: Tensor
     resting: Tensor | None = None
+    turn: Tensor | None = None
 
     def lifted(self, moment: Tensor) -> Tensor:
         """Sums of moments (..., B) over the actuators, with what they bear at no pressure."""
@@ -173,9 +176,6 @@ class ExactHulls:
     polygons: Polygons
     curves: Curves
     scale: tuple[float, float]
-    order: Tensor
-    step: Tensor
-    turn: Tensor
 
     def fractions(self, slot: Tensor, normal: Pair, point: Pair, square: Tensor) -> Tensor:
         """Pressure fractions (2, M, B, L) at the two ends of faces.
@@ -267,7 +267,10 @@ def build_hulls(curves: Curves, kind: str, scale: tuple[float, float]) -> Hulls:
 
 
 def _exact_hulls(curves: Curves, scale: tuple[float, float]) -> ExactHulls:
-    step, rise, turn = convex_curves(curves.grid, curves.force)
+    if curves.turn is None:
+        step, rise, turn = convex_curves(curves.grid, curves.force)
+    else:
+        step, rise, turn = (*(value.roll(-1, 0).sub_(value) for value in (curves.grid, curves.force)), curves.turn)
     # The graph of force over pressure turns the other way in the (f, m) plane if τ grows with p.
     turn = turn * (1 - 2 * (curves.bending > 0).to(rise.dtype))
     edge_force = rise.mul_(scale[0] * turn)
@@ -275,13 +278,13 @@ def _exact_hulls(curves: Curves, scale: tuple[float, float]) -> ExactHulls:
         edge_force, curves.radii, value=-scale[1] / scale[0]
     )
     least, start = _leftmost(curves)
-    polygons, order = minkowski_sum(
+    polygons, _ = minkowski_sum(
         scale[0] * least.sum(0),
         scale[1] * curves.lifted((curves.bending * start - curves.radii * least).sum(0)),
         edge_force.flatten(0, 1),
         edge_moment.flatten(0, 1),
     )
-    return ExactHulls(polygons, curves, scale, order, step, turn)
+    return ExactHulls(polygons, curves, scale)
 
 
 def _leftmost(curves: Curves) -> tuple[Tensor, Tensor]:

@@ -23,6 +23,8 @@ STEPS, MORE_STEPS = 5, 2
 """Newton's on a difference of two powers: from afar, and from where the last ones led."""
 FLOOR = -69.0
 """The logarithm of a fraction as good as none."""
+BETWEEN = (0.3, 0.7)
+"""Fractions that stand for a power's curve."""
 
 Array = NDArray[Any]
 Span = tuple[Array, Array] | None
@@ -39,7 +41,7 @@ def _within(u: Array, span: Span) -> Array:
     return inside
 
 
-def _at(values: Array, index: Array) -> Array:
+def at_index(values: Array, index: Array) -> Array:
     """Of values (S, m, Q) those (m, Q) at an index along the first dimension."""
     flat = index.ravel() * index.size + np.arange(index.size)
     chosen: Array = values.reshape(-1).take(flat).reshape(index.shape)
@@ -95,15 +97,18 @@ class Cubics:
             bend = self.bend + self.twist * u
         return Peaks(u, bend * u * u, steep, _within(u, span) & (steep > least))
 
-    def middle(self) -> tuple[Array, Array]:
-        """Where curves are furthest from their chords, and by how much; of winding ones, where lines from ends touch."""
+    def between(self) -> tuple[Array, Array]:
+        """Fractions (C, m, Q), and how far above their chords curves are there.
+
+        There they are furthest from the chords; winding ones are touched there by lines from their ends.
+        """
         b, c = self.bend, 0.0 if self.twist is None else self.twist
         u = (b + c) / (b + np.copysign(np.sqrt(b * b + 3 * c * (b + c)), b))
+        u = np.where((u > 0) & (u < 1), u, 0.5)[None]
         if self.winding:
-            touched = b / (-2 * c)
-            touched = np.where((touched > 0) & (touched < 1), touched, touched - 0.5)
-            u = np.where(b * (b + 3 * c) < 0, touched, u)
-        u = np.where((u > 0) & (u < 1), u, 0.5)
+            turns, touched = b * (b + 3 * c) < 0, b / (-2 * c)
+            u = np.concatenate((np.where(turns, touched, u), np.where(turns, touched - 0.5, u)))
+            u = np.where((u > 0) & (u < 1), u, u[::-1])
         return u, (b + c * u) * u * u - (b + c) * u
 
     def slope_change(self, u: Array, step: Array) -> Array:
@@ -148,9 +153,11 @@ class Powers:
         u = np.exp(np.log(share) / self.less)
         return Peaks(u, self.gain * share * u, self.less * slope / u, _within(u, span) & (fall > 0))
 
-    def middle(self) -> tuple[Array, Array]:
-        """Half-way, and how far from their chords curves are there."""
-        return np.full_like(self.gain, 0.5), self.gain * (np.exp2(-1 - self.less) - 0.5)
+    def between(self) -> tuple[Array, Array]:
+        """As of `Cubics`: some fractions and how far from their chords curves are there."""
+        u = np.empty((len(BETWEEN), *self.gain.shape), self.gain.dtype)
+        u[:] = np.reshape(BETWEEN, (-1, 1, 1))
+        return u, np.stack([self.gain * (np.power(share, 1 + self.less) - share) for share in BETWEEN])
 
     def slope_change(self, u: Array, step: Array) -> Array:
         """As of `Cubics`."""
@@ -174,11 +181,13 @@ class Twins:
     table: Array
     latest: Array
 
-    def middle(self) -> Array:
-        """As of `Powers`."""
+    def between(self) -> Array:
+        """Of `Powers.between`, how far from their chords."""
         p, q, g, h = self.table[:4]
-        off: Array = g * (np.exp2(-1 - p) - 0.5) + np.where(g == 0, 0.0, h) * (np.exp2(-1 - q) - 0.5)
-        return off
+        h = np.where(g == 0, 0.0, h)
+        return np.stack(
+            [g * (np.power(share, 1 + p) - share) + h * (np.power(share, 1 + q) - share) for share in BETWEEN]
+        )
 
     def at(self) -> tuple[Array, Array]:
         """Which of m Q curves they are; gains of others are 0."""
@@ -264,22 +273,10 @@ class Arcs:
             return None
         return shape.tangent(self.rate[0], first, last)
 
-    def middle(self) -> tuple[Array, Array]:
-        """Fractions and forces (m, Q), on curves or behind them, that with their ends say most about their hulls."""
-        first, last = self.force[0], self.force[-1]
-        u, off = (np.full_like(first, 0.5), np.zeros_like(first)) if self.shape is None else self.shape.middle()
-        if self.twins is not None:
-            off = off + self.twins.middle()
-        if self.span is not None:
-            off = np.where(self.span[1][0] < 1, 0.0, off)  # not with kinks
-        force = first + (last - first) * u + off
-        if self.grid is not None:
-            corner, there = self.grid[1:-1], self.force[1:-1]
-            away = np.abs(there - first - (last - first) * corner)
-            best = away.argmax(0)
-            further = _at(away, best) > np.abs(off)
-            u, force = np.where(further, _at(corner, best), u), np.where(further, _at(there, best), force)
-        return u, force
+    @property
+    def corners(self) -> int:
+        """How many corners curves may have beside their ends."""
+        return 0 if self.grid is None else len(self.grid) - 2
 
     def highest(self, lines: Lines) -> Highest:
         """The curves' maxima along normals."""
@@ -289,11 +286,11 @@ class Arcs:
         else:
             u, force, reach, drops = self._candidates(lines)
             best = reach.argmax(0)
-            top, at_zero = _at(reach, best), None
-            chosen = _at(u, best)
+            top, at_zero = at_index(reach, best), None
+            chosen = at_index(u, best)
             margin = top - np.where(u == chosen, -np.inf, reach).max(0)
-            drop = None if drops is None else _at(drops, best)
-            found = Highest(chosen, _at(force, best), drop, None, margin)
+            drop = None if drops is None else at_index(drops, best)
+            found = Highest(chosen, at_index(force, best), drop, None, margin)
         if self.twins is None:
             return found
         return self._twins_too(self.twins, lines, found, top, at_zero)
@@ -370,14 +367,14 @@ class Arcs:
         place = across.along * (forces - force) + across.per_fraction * (grid - u)
         right, left = np.where(off, np.inf, place), np.where(off, -np.inf, place)
         first, last = right.argmin(0), left.argmax(0)
-        low, high = np.minimum(_at(right, first), 0), np.maximum(_at(left, last), 0)
+        low, high = np.minimum(at_index(right, first), 0), np.maximum(at_index(left, last), 0)
         return (
             low,
             high,
-            np.where(low < 0, _at(grid, first), u),
-            np.where(high > 0, _at(grid, last), u),
-            np.where(low < 0, _at(forces, first), force),
-            np.where(high > 0, _at(forces, last), force),
+            np.where(low < 0, at_index(grid, first), u),
+            np.where(high > 0, at_index(grid, last), u),
+            np.where(low < 0, at_index(forces, first), force),
+            np.where(high > 0, at_index(forces, last), force),
         )
 
 

@@ -86,18 +86,6 @@ class CurveSums:
         x, y = self.places(u, force)
         return Touch(nx, ny, x, y, u, force, lines.along, drop, bends, radius, rest, margin)
 
-    def corners(self) -> tuple[Array, Array]:
-        """Fractions and forces (3, M, Q) of curves' ends and of a place between, actuators in the arm's order."""
-        u, force = (np.empty((3, *self.radii.shape), self.radii.dtype) for _ in range(2))
-        u[0], u[2] = 0, 1
-        for group, own in self.groups:
-            force[0, own], force[2, own] = group.force[0], group.force[-1]
-            with np.errstate(all="ignore"):
-                u[1, own], force[1, own] = group.middle()
-        if len(self.groups) > 1:
-            u, force = u[:, self.order], force[:, self.order]
-        return u, force
-
     def lines(self, nx: Array, ny: Array) -> Lines:
         """What a newton and a fraction of each curve reach along directions (Q)."""
         return Lines(self.scale[0] * nx - self.radii * ny, self.bending * ny)

@@ -1,0 +1,73 @@
+"""From curves that are written out to few points each, whose hulls are near the curves' own."""
+
+import numpy as np
+
+from torcharm.distance.arcs import Arcs, Array, at_index
+from torcharm.distance.touch import CurveSums
+
+
+def rings(sums: CurveSums) -> tuple[Array, Array, Array]:
+    """Of each curve's hull both ends and the one or two points between that stand out most, in their order round it.
+
+    Returns:
+        Fractions and forces (S, M, Q), actuators in the arm's order, and whether (M, Q) they go round
+        counter-clockwise in the plane of pressure and force, 1, or clockwise, -1.
+    """
+    most = max(group.corners for group, _ in sums.groups)
+    count = 3 if most < 2 else 4
+    u, force = (np.empty((count, *sums.radii.shape), sums.radii.dtype) for _ in range(2))
+    turn = np.empty_like(sums.radii)
+    for group, own in sums.groups:
+        with np.errstate(all="ignore"):
+            u[:, own], force[:, own], turn[own] = _ring(group, count)
+    if len(sums.groups) > 1:
+        order = list(sums.order)
+        u, force, turn = u[:, order], force[:, order], turn[order]
+    return u, force, turn
+
+
+def _ring(curves: Arcs, count: int) -> tuple[Array, Array, Array]:
+    first, rise = curves.force[0], curves.force[-1] - curves.force[0]
+    u, off = _standing_out(curves)
+    best = np.abs(off).argmax(0)
+    one, one_off = at_index(u, best), at_index(off, best)
+    above = one_off > 0
+    turn = np.where(above, -1.0, 1.0).astype(first.dtype)
+    zero, unit = np.zeros_like(first), np.ones_like(first)
+    if count == 3:
+        grid, offs = np.stack((zero, one, unit)), np.stack((zero, one_off, zero))
+        return grid, first + rise * grid + offs, turn
+    # What stands out from the triangle of the three, on its side or on the other.
+    behind = turn * off
+    beyond = turn * (one_off * np.minimum(u / one, (1 - u) / (1 - one))) - behind
+    best = np.maximum(beyond, behind).argmax(0)
+    two, two_off = at_index(u, best), at_index(off, best)
+    across = at_index(behind, best)
+    more = (across > 0) | (at_index(beyond, best) > 0)
+    two, two_off = np.where(more, two, one), np.where(more, two_off, one_off)
+    opposite = more & (across > 0)
+    swap = np.where(opposite, above, one > two)
+    low, high = np.where(swap, two, one), np.where(swap, one, two)
+    low_off, high_off = np.where(swap, two_off, one_off), np.where(swap, one_off, two_off)
+    grid = np.stack((zero, low, np.where(opposite, unit, high), np.where(opposite, high, unit)))
+    offs = np.stack((zero, low_off, np.where(opposite, zero, high_off), np.where(opposite, high_off, zero)))
+    return grid, first + rise * grid + offs, np.where(opposite, unit, turn)
+
+
+def _standing_out(curves: Arcs) -> tuple[Array, Array]:
+    """Points (C, m, Q) inside the curves' hulls: fractions, and how far above the chords of the curves' ends."""
+    first, rise = curves.force[0], curves.force[-1] - curves.force[0]
+    u = off = None
+    if curves.shape is not None:
+        u, off = curves.shape.between()
+        if curves.twins is not None:
+            off = off + curves.twins.between()
+        if curves.span is not None:
+            off = np.where(curves.span[1][0] < 1, 0.0, off)  # not with kinks
+    if curves.grid is None:
+        return (np.full_like(first, 0.5)[None], np.zeros_like(first)[None]) if u is None or off is None else (u, off)
+    corner = curves.grid[1:-1]
+    away = curves.force[1:-1] - first - rise * corner
+    if u is None or off is None:
+        return corner, away
+    return np.concatenate((u, corner)), np.concatenate((off, away))
