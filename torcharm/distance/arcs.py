@@ -43,8 +43,9 @@ def _within(u: Array, span: Span) -> Array:
 
 def at_index(values: Array, index: Array) -> Array:
     """Of values (S, m, Q) those (m, Q) at an index along the first dimension."""
-    flat = index.ravel() * index.size + np.arange(index.size)
-    chosen: Array = values.reshape(-1).take(flat).reshape(index.shape)
+    flat = index * index.size
+    flat += np.arange(index.size).reshape(index.shape)
+    chosen: Array = values.reshape(-1).take(flat)
     return chosen
 
 
@@ -134,6 +135,12 @@ class Cubics:
         return slope, ((low == 0) | (high == 1)) & (u > low) & (u < high)
 
 
+def _bow(share: float, less: Array) -> Array:
+    """How far `u^(1 + less)` is above its chord at a fraction."""
+    bow: Array = share * (np.exp(np.log(share) * less) - 1)
+    return bow
+
+
 @dataclass(frozen=True)
 class Powers:
     """What curves bend by: `g u^x`, (m, Q) each.
@@ -157,7 +164,7 @@ class Powers:
         """As of `Cubics`: some fractions and how far from their chords curves are there."""
         u = np.empty((len(BETWEEN), *self.gain.shape), self.gain.dtype)
         u[:] = np.reshape(BETWEEN, (-1, 1, 1))
-        return u, np.stack([self.gain * (np.power(share, 1 + self.less) - share) for share in BETWEEN])
+        return u, np.stack([self.gain * _bow(share, self.less) for share in BETWEEN])
 
     def slope_change(self, u: Array, step: Array) -> Array:
         """As of `Cubics`."""
@@ -185,9 +192,7 @@ class Twins:
         """Of `Powers.between`, how far from their chords."""
         p, q, g, h = self.table[:4]
         h = np.where(g == 0, 0.0, h)
-        return np.stack(
-            [g * (np.power(share, 1 + p) - share) + h * (np.power(share, 1 + q) - share) for share in BETWEEN]
-        )
+        return np.stack([g * _bow(share, p) + h * _bow(share, q) for share in BETWEEN])
 
     def at(self) -> tuple[Array, Array]:
         """Which of m Q curves they are; gains of others are 0."""
@@ -339,6 +344,8 @@ class Arcs:
         assert top is not None
         assert one.drop is not None
         at = twins.at()
+        if not len(at[0]):
+            return one
         along, per_fraction, rate = lines.along[at], lines.per_fraction[at], self.rate[0][at]
         twin, higher = twins.peaks(at, along, per_fraction + along * rate if slope is None else slope[at])
         force = self.base[0][at] + twin.force + rate * twin.u
@@ -416,19 +423,22 @@ def arcs(law: Law) -> tuple[Arcs, Array]:
 def _pieces(kinks: Array, slopes: Array, base: Array, rate: Array, bent: Array) -> tuple[Array, Array, Span]:
     """Lines and spans (J, m, B) of the pieces between kinks, of curves that are bent (m, B)."""
     real = (slopes != 0) & (kinks < 1) & bent
-    ends = np.where(real, kinks.clip(min=0), 1.0)
-    order = ends.argsort(0, kind="stable")
-    ends, slopes, kinks = (
-        np.take_along_axis(value, order, 0)
-        for value in (ends, np.where(real, slopes, 0.0), np.where(real, slopes * kinks, 0.0))
-    )
-    count = int((ends < 1).reshape(len(ends), -1).any(1).sum())
-    base = np.concatenate((base[None], base - kinks.cumsum(0)[:count]))
-    rate = np.concatenate((rate[None], rate + slopes.cumsum(0)[:count]))
-    if not count:
-        return base, rate, None
-    zero, one = np.zeros_like(base[:1]), np.ones_like(base[:1])
-    return base, rate, (np.concatenate((zero, ends[:count])), np.concatenate((ends[:count], one)))
+    at = real.any(0).nonzero()
+    if not len(at[0]):
+        return base[None], rate[None], None
+    real, kinks, slopes = (value[:, at[0], at[1]] for value in (real, kinks, slopes))
+    ends, slopes = np.where(real, np.maximum(kinks, 0), 1.0), np.where(real, slopes, 0.0)
+    place = ends.argsort(0, kind="stable"), np.arange(len(at[0]))
+    count = int(real.sum(0).max())
+    shifts, slopes, ends = (slopes * kinks)[place].cumsum(0)[:count], slopes[place].cumsum(0)[:count], ends[place]
+    bases, rates, begins = (np.empty((count + 1, *base.shape), base.dtype) for _ in range(3))
+    bases[:], rates[:], begins[:] = base, rate, 1
+    begins[0] = 0
+    finishes = np.ones_like(begins)
+    bases[1:, at[0], at[1]] -= shifts
+    rates[1:, at[0], at[1]] += slopes
+    begins[1:, at[0], at[1]] = finishes[:-1, at[0], at[1]] = ends[:count]
+    return bases, rates, (begins, finishes)
 
 
 @np.errstate(all="ignore")
