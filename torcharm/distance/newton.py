@@ -18,8 +18,8 @@ from torcharm.distance.touch import CurveSums, Touch
 
 STEPS = 6
 """So many steps of Newton's are taken without looking left or right."""
-FEWER = 0.75
-"""Below this share of those left the ones that are done are left out."""
+FEWER, MANY = 0.75, 200
+"""Below this share of those left the ones that are done are left out, of so many that it pays."""
 ROUNDS = 24
 HEAD = 5
 """Rows of what is known of an end before those of its actuators."""
@@ -203,7 +203,7 @@ def _search(problems: Problems, curves: CurveSums, found: Found, numbers: Array,
     search = _begin(problems, curves, numbers, bounded=found.fraction is None)
     for count in range(ROUNDS):
         hit = _judged(search, first if count == 0 else search.curves.touch(search.nx, search.ny))
-        fresh = hit.done.nonzero()[0]
+        fresh = (hit.done & ~found.done[search.number]).nonzero()[0]
         if len(fresh):
             number = search.number[fresh]
             found.square[number] = np.square(hit.distance[fresh])
@@ -211,10 +211,11 @@ def _search(problems: Problems, curves: CurveSums, found: Found, numbers: Array,
             if found.fraction is not None:
                 found.fraction[0][:, number] = hit.touch.u[:, fresh]
                 found.fraction[1][:, number] = hit.other[:, fresh]
-            left = (~hit.done).nonzero()[0]
+            left = (~found.done[search.number]).nonzero()[0]
             if not len(left):
                 break
-            search, hit = pick(search, left), pick(hit, left)
+            if len(hit.done) > MANY and len(left) < FEWER * len(hit.done):
+                search, hit = pick((search, hit), left)
         search = _noted(search, hit, first=count == 0)
         search = _turned(search, hit)
 
@@ -268,9 +269,14 @@ def _along_face(s: _Search, index: Array, touch: Touch, other: Array, aside: Arr
     """
     if not len(index):
         return
+    curves = s.curves
+    if len(aside) > MANY:
+        curves = pick(curves, index)
+    else:
+        index = np.arange(len(aside))
     nx, ny, ahead = touch.nx[index], touch.ny[index], aside[index]
     u, force = touch.u[:, index], touch.force[:, index]
-    low, high, low_u, high_u, low_force, high_force = pick(s.curves, index).spread(nx, ny, u, force, s.tolerance[index])
+    low, high, low_u, high_u, low_force, high_force = curves.spread(nx, ny, u, force, s.tolerance[index])
     least, most = low.sum(0), high.sum(0)
     above = ahead > most
     inside = ~(above | (ahead < least))
