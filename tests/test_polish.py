@@ -165,7 +165,7 @@ def test_sets_are_touched_where_a_fine_scan_of_pressures_finds_them(shape, relat
     laws = section_laws(sections)
     laws = laws.minus_first(sections) if relative else laws
     bending = sections.bending - sections.at_first_node(sections.bending) if relative else sections.bending
-    sums, holds = curve_sums(laws, bending, sections.radii, (1.0, 2.0))
+    sums, holds = curve_sums(laws, sections, (1.0, 2.0), relative=relative)
     assert holds.all()
     grid, force = laws.samples(sections.radii, 20_001, kinks=False)
     moment = bending * grid - sections.radii * force

@@ -128,13 +128,11 @@ class Curves:
     """Each actuator's reaction curve at B sections: S forces, and a moment linear in pressure.
 
     Attributes:
-        grid: (S, 1, 1) pressure fractions, evenly spaced from 0 to 1, or (S, M, B), of any.
+        grid: (S, 1, 1) pressure fractions, evenly spaced from 0 to 1, or (S, M, B), rising.
         force: (S, M, B) [N].
         bending: (M, B) bending moment at fraction 1 [N·m].
         radii: (M, B) [m].
         resting: (B) moment at no pressure, of all actuators [N·m]; None is none.
-        turn: (M, B) 1 if the samples go round the curve's hull counter-clockwise in the plane of pressure and force,
-            -1 if clockwise; None if they are in order of pressure.
     """
 
     grid: Tensor
@@ -142,7 +140,6 @@ class Curves:
     bending: Tensor
     radii: Tensor
     resting: Tensor | None = None
-    turn: Tensor | None = None
 
     def lifted(self, moment: Tensor) -> Tensor:
         """Sums of moments (..., B) over the actuators, with what they bear at no pressure."""
@@ -267,10 +264,7 @@ def build_hulls(curves: Curves, kind: str, scale: tuple[float, float]) -> Hulls:
 
 
 def _exact_hulls(curves: Curves, scale: tuple[float, float]) -> ExactHulls:
-    if curves.turn is None:
-        step, rise, turn = convex_curves(curves.grid, curves.force)
-    else:
-        step, rise, turn = (*(value.roll(-1, 0).sub_(value) for value in (curves.grid, curves.force)), curves.turn)
+    step, rise, turn = convex_curves(curves.grid, curves.force)
     # The graph of force over pressure turns the other way in the (f, m) plane if τ grows with p.
     turn = turn * (1 - 2 * (curves.bending > 0).to(rise.dtype))
     edge_force = rise.mul_(scale[0] * turn)

@@ -14,8 +14,13 @@ import numpy as np
 
 from torcharm._select import pick
 from torcharm.distance.arcs import Array
+from torcharm.distance.closed_form import BOUNDARY_ULPS
 from torcharm.distance.touch import CurveSums, Touch
 
+GAP = 1e-12
+"""By how much the two bounds of a distance may differ, relative to the size of the coordinates."""
+LEAST_GAP = 8.0
+"""The same in blurs, where numbers hold less."""
 STEPS = 6
 """So many steps of Newton's are taken without looking left or right."""
 FEWER, MANY = 0.75, 200
@@ -128,6 +133,53 @@ class _Hit:
     behind: Array
     distance: Array
     done: Array
+
+
+def gap_of(blur: Array) -> Array:
+    """By how much the two bounds of distances may differ."""
+    gap: Array = blur * max(LEAST_GAP, GAP / (BOUNDARY_ULPS * float(np.finfo(blur.dtype).eps)))
+    return gap
+
+
+def problems_of(
+    x: Array,
+    y: Array,
+    begin_x: Array,
+    begin_y: Array,
+    edge_x: Array,
+    edge_y: Array,
+    square: Array,
+    inside: Array,
+    blur: Array,
+) -> Problems:
+    """Searches for points' nearest ones, from polygons' nearest edges, (Q) each.
+
+    Args:
+        x, y: the points.
+        begin_x, begin_y, edge_x, edge_y: the edges.
+        square: squared distances from them.
+        inside: whether points are inside the polygons.
+        blur: as of `NearestFaces`.
+    """
+    tiny = np.finfo(x.dtype).tiny
+    side = 1 - 2 * inside.astype(x.dtype)
+    from_x, from_y, span = x - begin_x, y - begin_y, edge_x * edge_x + edge_y * edge_y
+    foot = from_x * edge_x + from_y * edge_y
+    edge = (foot > 0) & (foot < span)
+    share = np.clip(foot / np.maximum(span, tiny), 0, 1)
+    # Of a polygon without area the point may be on either side of either edge.
+    facing = np.sign(side * (from_x * edge_y - from_y * edge_x))
+    nx = np.where(edge, facing * edge_y, side * (from_x - share * edge_x))
+    ny = np.where(edge, -facing * edge_x, side * (from_y - share * edge_y))
+    length = np.hypot(nx, ny)
+    nowhere = (length <= tiny).astype(x.dtype)
+    normal = np.stack((nx + nowhere, ny)) / (length + nowhere)
+    begin = np.stack((begin_x, begin_y))
+    ends = np.stack((begin, begin + np.stack((edge_x, edge_y))))
+    turned = facing < 0
+    if turned.any():
+        ends = np.where(turned, ends[::-1], ends)
+    return Problems(np.stack((x, y)), normal, side, np.sqrt(square), gap_of(blur), edge & (nowhere == 0), ends)
 
 
 def solve(problems: Problems, curves: CurveSums, *, fractions: bool) -> Found:

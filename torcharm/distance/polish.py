@@ -8,18 +8,14 @@ from torch import Tensor
 
 from torcharm._select import pick
 from torcharm.distance.arcs import Array, as_array
-from torcharm.distance.closed_form import BOUNDARY_ULPS, NearestFaces
-from torcharm.distance.newton import Found, Problems, solve
+from torcharm.distance.closed_form import NearestFaces
+from torcharm.distance.newton import Found, Problems, gap_of, problems_of, solve
 from torcharm.distance.search import search_faces
 from torcharm.distance.touch import CurveSums
 from torcharm.hulls import ExactHulls, Sections
 
 RIVALS = 4
 """So many times at most a nearer face is searched for from inside."""
-GAP = 1e-12
-"""By how much the two bounds of a distance may differ, relative to the size of the coordinates."""
-LEAST_GAP = 8.0
-"""The same in blurs, where numbers hold less."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +70,7 @@ def polish(
         before = was_inside[place]
         gain = np.sqrt(was_square[place]) - np.sqrt(found.square)
         gain = np.where(before & found.inside, -gain, gain)
-        better = found.done & ((gain >= -2 * _gap(blur[place])) | (found.inside & ~before))
+        better = found.done & ((gain >= -2 * gap_of(blur[place])) | (found.inside & ~before))
         square[place] = np.where(better, found.square, was_square[place])
         inside[place] = np.where(better, found.inside, before)
         converged[place] = better
@@ -148,12 +144,6 @@ def _try_rivals(
         index = number[better]
 
 
-def _gap(blur: Array) -> Array:
-    """By how much the two bounds of distances may differ."""
-    gap: Array = blur * max(LEAST_GAP, GAP / (BOUNDARY_ULPS * float(np.finfo(blur.dtype).eps)))
-    return gap
-
-
 def _lowered(hulls: ExactHulls, y: Array, section: Array) -> Array:
     """Scaled moments (..., Q) required of sections (Q), less what is borne at no pressure: for curves without it."""
     resting = hulls.curves.resting
@@ -169,23 +159,5 @@ def start(
         as_array(value)[section, load] for value in (*point, faces.blur, faces.square, faces.inside, faces.slot)
     )
     begin_x, begin_y, edge_x, edge_y = (as_array(value)[slot, section] for value in vars(hulls.polygons).values())
-    tiny = np.finfo(x.dtype).tiny
-    side = 1 - 2 * inside.astype(x.dtype)
-    from_x, from_y, span = x - begin_x, y - begin_y, edge_x * edge_x + edge_y * edge_y
-    foot = from_x * edge_x + from_y * edge_y
-    edge = (foot > 0) & (foot < span)
-    share = np.clip(foot / np.maximum(span, tiny), 0, 1)
-    # Of a polygon without area the point may be on either side of either edge.
-    facing = np.sign(side * (from_x * edge_y - from_y * edge_x))
-    nx = np.where(edge, facing * edge_y, side * (from_x - share * edge_x))
-    ny = np.where(edge, -facing * edge_x, side * (from_y - share * edge_y))
-    length = np.hypot(nx, ny)
-    nowhere = (length <= tiny).astype(x.dtype)
-    normal = np.stack((nx + nowhere, ny)) / (length + nowhere)
     y, begin_y = _lowered(hulls, y, section), _lowered(hulls, begin_y, section)
-    begin = np.stack((begin_x, begin_y))
-    ends = np.stack((begin, begin + np.stack((edge_x, edge_y))))
-    turned = facing < 0
-    if turned.any():
-        ends = np.where(turned, ends[::-1], ends)
-    return Problems(np.stack((x, y)), normal, side, np.sqrt(square), _gap(blur), edge & (nowhere == 0), ends)
+    return problems_of(x, y, begin_x, begin_y, edge_x, edge_y, square, inside, blur)

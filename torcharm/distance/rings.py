@@ -10,7 +10,7 @@ def rings(sums: CurveSums) -> tuple[Array, Array, Array]:
     """Of each curve's hull both ends and the one or two points between that stand out most, in their order round it.
 
     Returns:
-        Fractions and forces (S, M, Q), actuators in the arm's order, and whether (M, Q) they go round
+        Fractions and forces (S, M, Q), actuators in the groups' order, and whether (M, Q) they go round
         counter-clockwise in the plane of pressure and force, 1, or clockwise, -1.
     """
     most = max(group.corners for group, _ in sums.groups)
@@ -20,9 +20,6 @@ def rings(sums: CurveSums) -> tuple[Array, Array, Array]:
     for group, own in sums.groups:
         with np.errstate(all="ignore"):
             u[:, own], force[:, own], turn[own] = _ring(group, count)
-    if len(sums.groups) > 1:
-        order = list(sums.order)
-        u, force, turn = u[:, order], force[:, order], turn[order]
     return u, force, turn
 
 

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from torch import Tensor
 
 from torcharm.distance.arcs import Arcs, Array, Highest, Lines, arcs, as_array
+from torcharm.hulls import Sections
 from torcharm.laws import Laws
 
 LEAST_TURN, MOST_TURN = 0.1, 4.0
@@ -179,14 +179,16 @@ def _joined(parts: list[Highest]) -> Highest:
     return Highest(u, force, drop, rest, margin)
 
 
-def curve_sums(laws: Laws, bending: Tensor, radii: Tensor, scale: tuple[float, float]) -> tuple[CurveSums, Array]:
+def curve_sums(
+    laws: Laws, sections: Sections, scale: tuple[float, float], *, relative: bool
+) -> tuple[CurveSums, Array]:
     """The sums of laws' curves at B sections; and whether (B) they are right.
 
     Args:
-        laws: of M actuators.
-        bending: (M, B) bending moments at fraction 1 [N·m].
-        radii: (M, B) [m].
+        laws: of the actuators; relative: of differences from node 1.
+        sections: the actuators.
         scale: factors on force and moment.
+        relative: whether the sums are of differences.
     """
     holds, groups, start = as_array(laws.holds), [], 0
     with np.errstate(all="ignore"):
@@ -195,12 +197,14 @@ def curve_sums(laws: Laws, bending: Tensor, radii: Tensor, scale: tuple[float, f
             holds = holds & known
             groups.append((group, slice(start, start + len(group.rate[0]))))
             start = groups[-1][1].stop
-    count = len(radii)
+    count = len(sections.radii)
     places = [
         place for law in laws.groups for place in (range(count)[law.rows] if isinstance(law.rows, slice) else law.rows)
     ]
     order = tuple(places.index(own) for own in range(count))
-    moments, offsets = as_array(bending), as_array(radii)
+    bending = sections.bending
+    moments = as_array(bending - sections.at_first_node(bending) if relative else bending)
+    offsets = as_array(sections.radii)
     if len(groups) > 1:
         moments, offsets = moments[places], offsets[places]
     moments = scale[1] * moments
