@@ -254,8 +254,9 @@ def _search(problems: Problems, curves: CurveSums, found: Found, numbers: Array,
     """
     search = _begin(problems, curves, numbers, bounded=found.fraction is None)
     for count in range(ROUNDS):
-        hit = _judged(search, first if count == 0 else search.curves.touch(search.nx, search.ny))
-        fresh = (hit.done & ~found.done[search.number]).nonzero()[0]
+        going = ~found.done[search.number]
+        hit = _judged(search, first if count == 0 else search.curves.touch(search.nx, search.ny), going)
+        fresh = (hit.done & going).nonzero()[0]
         if len(fresh):
             number = search.number[fresh]
             found.square[number] = np.square(hit.distance[fresh])
@@ -285,18 +286,25 @@ def _begin(p: Problems, curves: CurveSums, number: Array, *, bounded: bool) -> _
     return _Search(curves, x, y, p.side, p.tolerance, most, best, number, nx, ny, ends, p.edge, before, widest)
 
 
-def _judged(s: _Search, touch: Touch) -> _Hit:
-    """What was touched, as an answer: the distance is the most that points are seen over a line that touches."""
+def _judged(s: _Search, touch: Touch, going: Array) -> _Hit:
+    """What was touched, as an answer: the distance is the most that points are seen over a line that touches.
+
+    Args:
+        s: the searches.
+        touch: what their normals touch.
+        going: (q) which are not done yet.
+    """
     nx, ny = touch.nx, touch.ny
     from_x, from_y = s.x - touch.x, s.y - touch.y
     over, aside, other = nx * from_x + ny * from_y, nx * from_y - ny * from_x, touch.u
     met = np.abs(s.most - over) <= s.tolerance
-    faces = (touch.margin <= s.tolerance).any(0) & ~met
-    if faces.any() or s.chord.any():
+    faces = (touch.margin <= s.tolerance).any(0) & ~met & going
+    chords = s.chord & ~met & going
+    if faces.any() or chords.any():
         other = other.copy()
         on = np.zeros_like(faces)
         _along_face(s, faces.nonzero()[0], touch, other, aside, on)
-        _along_chord(s, (s.chord & ~(on | met)).nonzero()[0], touch, other, over, aside)
+        _along_chord(s, (chords & ~on).nonzero()[0], touch, other, over, aside)
     squared = aside * aside
     distance = np.sqrt(over * over + squared)
     done = squared <= s.tolerance * (distance + np.abs(over))
