@@ -329,14 +329,13 @@ def _along_face(s: _Search, index: Array, touch: Touch, other: Array, aside: Arr
     """
     if not len(index):
         return
-    curves = s.curves
+    few, curves = touch, s.curves
     if len(aside) > MANY:
-        curves = pick(curves, index)
+        few, curves = pick((touch, curves), index)
     else:
         index = np.arange(len(aside))
-    nx, ny, ahead = touch.nx[index], touch.ny[index], aside[index]
-    u, force = touch.u[:, index], touch.force[:, index]
-    low, high, low_u, high_u, low_force, high_force = curves.spread(nx, ny, u, force, s.tolerance[index])
+    nx, ny, ahead = few.nx, few.ny, aside[index]
+    low, high, low_u, high_u, low_force, high_force = curves.spread(few, s.tolerance[index])
     least, most = low.sum(0), high.sum(0)
     above = ahead > most
     inside = ~(above | (ahead < least))

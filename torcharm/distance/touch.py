@@ -100,16 +100,23 @@ class CurveSums:
             return [(self.groups[0][0], lines)]
         return [(group, Lines(lines.along[own], lines.per_fraction[own])) for group, own in self.groups]
 
-    def spread(self, nx: Array, ny: Array, u: Array, force: Array, slack: Array) -> tuple[Array, ...]:
-        """As of `Arcs`, of all actuators."""
-        lines, across = self.lines(nx, ny), self.lines(-ny, nx)
-        parts = [
-            group.spread(own, aside, u[rows], force[rows], slack)
-            for (group, own), (_, aside), (_, rows) in zip(
-                self._of_groups(lines), self._of_groups(across), self.groups, strict=True
-            )
-        ]
-        return parts[0] if len(parts) == 1 else tuple(np.concatenate(values) for values in zip(*parts, strict=True))
+    def spread(self, touch: Touch, slack: Array) -> tuple[Array, ...]:
+        """As of `Arcs`, of all actuators, of what is touched within slack (Q)."""
+        u, force = touch.u, touch.force
+        lines, across = self.lines(touch.nx, touch.ny), self.lines(-touch.ny, touch.nx)
+        near = (touch.margin <= slack).any(1)
+        nothing = np.zeros_like(u)
+        if len(self.groups) == 1:
+            return self.groups[0][0].spread(lines, across, u, force, slack)
+        parts = []
+        for (group, rows), (_, own), (_, aside) in zip(
+            self.groups, self._of_groups(lines), self._of_groups(across), strict=True
+        ):
+            if near[rows].any():
+                parts.append(group.spread(own, aside, u[rows], force[rows], slack))
+            else:
+                parts.append((nothing[rows], nothing[rows], u[rows], u[rows], force[rows], force[rows]))
+        return tuple(np.concatenate(values) for values in zip(*parts, strict=True))
 
     def jumps(self, first: Array, last: Array, rise: Array) -> tuple[Array, Array]:
         """Faces (M, Q) that curves may have between fractions: chords, or tangents if known, as long.
