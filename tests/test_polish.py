@@ -8,7 +8,7 @@ import torcharm as ta
 from experiments.reference import converged_distance
 from torcharm import hulls
 from torcharm.actuators import pressure_law
-from torcharm.distance.arcs import Cubics
+from torcharm.distance.shapes import Cubics
 from torcharm.distance.touch import curve_sums
 from torcharm.laws import section_laws
 from torcharm.pieces import fit_pieces

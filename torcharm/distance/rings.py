@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from torcharm.distance.arcs import Arcs, Array, at_index
+from torcharm.distance.arcs import Arcs
+from torcharm.distance.shapes import Array, at_index
 from torcharm.distance.touch import CurveSums
 
 

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torcharm.distance.arcs import Arcs, Array, Highest, Lines, arcs, as_array
+from torcharm.distance.arcs import Arcs, Highest, Lines, arcs
+from torcharm.distance.shapes import Array, as_array
 from torcharm.hulls import Sections
 from torcharm.laws import Laws
 
