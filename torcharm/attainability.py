@@ -29,7 +29,7 @@ CHOICES = (*METRICS, PREDICTED)
 """All metrics there are."""
 BLOCK_ELEMENTS = 300_000
 """Hull slots × points in one block: a tensor of them is 2.4 MB, small enough for the caches."""
-POLISHED_SAMPLES, POLISHING_SAMPLES = 3, 5
+POLISHED_SAMPLES, POLISHING_SAMPLES = 3, 3
 """Samples a curve to polish from; and as how many more polishing counts in sizing blocks."""
 SOLVER_ELEMENTS = 3_000_000
 """Hull slots² × points in one block of a solver, which holds matrices over the vertices."""

@@ -216,6 +216,12 @@ def _along_chord(s: _Search, index: Array, touch: Touch, other: Array, over: Arr
     aside[index] = np.where(inside, 0.0, np.where(last, beside_b, beside_a))
 
 
+def closer(aside: Array, before: Array) -> Array:
+    """Whether (q) touched points are enough nearer to straight ahead than those before; on the other side, any nearer."""
+    near: Array = np.abs(aside) < np.where(aside * before < 0, 1.0, CLOSING) * np.abs(before)
+    return near
+
+
 def _known(end: Array) -> Array:
     """Whether (q) an end (R, q) has a normal."""
     known: Array = (end[2] != 0) | (end[3] != 0)
@@ -277,7 +283,7 @@ def _turned(s: _Search, hit: _Hit) -> _Search:
     face_x, face_y, straight = _face(s, dx, dy, span, over)
     past = (face_x * next_x + face_y * next_y) * aside > 0
     clockwise, counter = a_nx * next_y - a_ny * next_x, b_nx * next_y - b_ny * next_x
-    closing = (clockwise > 0) & (counter < 0) & (far < CLOSING * s.before)
+    closing = (clockwise > 0) & (counter < 0) & closer(aside, s.before)
     stuck = _known(s.ends[0]) & _known(s.ends[1]) & ~(closing & ~(straight & past))
     from_ax, from_ay, from_bx, from_by = s.x - ax, s.y - ay, s.x - bx, s.y - by
     foot = from_ax * dx + from_ay * dy
@@ -295,7 +301,7 @@ def _turned(s: _Search, hit: _Hit) -> _Search:
         nx=next_x / length,
         ny=next_y / length,
         chord=chord,
-        before=np.where(chord, AFTER_CHORD * far, far),
+        before=np.where(chord, AFTER_CHORD * aside, aside),
         widest=np.where(newton, FIRST_TURN, s.widest * WIDEN),
     )
 

@@ -62,11 +62,10 @@ def _step(p: Problems, curves: CurveSums, found: Found) -> Touch:
         found.square[own], found.done[own] = np.square(distance[fresh]), True
         if found.fraction is not None:
             found.fraction[:, :, own] = touch.u[:, fresh]
-        far = np.abs(aside)
-        left = ((far < CLOSING * before) & ~done & (over > 0)).nonzero()[0]
+        left = ((np.abs(aside) < CLOSING * np.abs(before)) & ~done & (over > 0)).nonzero()[0]
         if not len(left):
             break
-        before = far
+        before = aside
         if len(left) < FEWER * len(number):
             curves, touch, x, y, over, aside, tolerance, most, number, before = pick(
                 (curves, touch, x, y, over, aside, tolerance, most, number, before), left
