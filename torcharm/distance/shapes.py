@@ -17,8 +17,10 @@ from torcharm.laws import LEAST
 
 FLAT = 256.0
 """Roundings of its slope by which a curve may bend and count as straight: its peak would be anywhere."""
-STEPS, MORE_STEPS = 5, 2
-"""Newton's on a difference of two powers: from afar, and from where the last ones led."""
+STEPS, MORE_STEPS, MOST_STEPS = 5, 2, 20
+"""Newton's on a difference of two powers: from afar, from where the last ones led, and at most."""
+NEAR = 1e-4
+"""By how much the logarithm of a fraction may still change when the next step would square that."""
 FLOOR = -69.0
 """The logarithm of a fraction as good as none."""
 BETWEEN = (0.3, 0.7)
@@ -215,10 +217,13 @@ class Twins:
             one, two = a * first, b * second
             return slope + one + two, p * one + q * two, first, second
 
-        for _ in range(STEPS if not (known | ~found).all() else MORE_STEPS):
+        fewest = STEPS if not (known | ~found).all() else MORE_STEPS
+        for count in range(MOST_STEPS):
             miss, fall, _, _ = slopes()
             step = np.log(np.maximum(1 - less * miss / fall, 1e-6)) / less
-            t = np.minimum(np.maximum(t + step, low), high)
+            before, t = t, np.minimum(np.maximum(t + step, low), high)
+            if count + 1 >= fewest and not (found & (np.abs(t - before) > NEAR)).any():
+                break
         miss, fall, first, second = slopes()
         u = np.exp(t)
         drop = -fall / u
