@@ -18,8 +18,9 @@ FEWER, MANY = 0.75, 200
 ROUNDS = 24
 HEAD = 5
 """Rows of what is known of an end before those of its actuators."""
-CLOSING, AFTER_CHORD = 0.25, 4.0
-"""Factor by which a step must bring the touched point nearer to straight ahead; and by how much less after a chord."""
+CLOSING, ACROSS, AFTER_CHORD = 0.25, 0.8, 4.0
+"""Factors by which a step must bring the touched point nearer to straight ahead, on the same side of that or on the
+other; and by how much less after a chord."""
 STRAIGHTER = 0.4
 """Between its ends a boundary that bends less than by this share of its bend at one of them has a face."""
 MOST_INSIDE = 0.1
@@ -43,7 +44,7 @@ class _Search:
             (0: nothing), the boundary's radius, and of M actuators the fractions and the forces. At first the
             polygon's.
         chord: (q) whether the normal is that of the chord between the two.
-        before: (q) how far off to a side the last touched point was.
+        before: (q) how far to the left of the last touched points the searched ones were.
         widest: (q) the next turn where Newton's step makes no sense [rad].
     """
 
@@ -217,8 +218,8 @@ def _along_chord(s: _Search, index: Array, touch: Touch, other: Array, over: Arr
 
 
 def closer(aside: Array, before: Array) -> Array:
-    """Whether (q) touched points are enough nearer to straight ahead than those before; on the other side, any nearer."""
-    near: Array = np.abs(aside) < np.where(aside * before < 0, 1.0, CLOSING) * np.abs(before)
+    """Whether (q) touched points are enough nearer to straight ahead than those before."""
+    near: Array = np.abs(aside) < np.where(aside * before < 0, ACROSS, CLOSING) * np.abs(before)
     return near
 
 

@@ -63,8 +63,8 @@ def _step(p: Problems, curves: CurveSums, found: Found) -> Touch:
         if found.fraction is not None:
             found.fraction[:, :, own] = touch.u[:, fresh]
         left = ((np.abs(aside) < CLOSING * np.abs(before)) & ~done & (over > 0)).nonzero()[0]
-        if not len(left):
-            break
+        if 2 * len(left) <= len(found.done) - int(found.done.sum()):
+            break  # most of what is left, if anything is, has to be searched for
         before = aside
         if len(left) < FEWER * len(number):
             curves, touch, x, y, over, aside, tolerance, most, number, before = pick(

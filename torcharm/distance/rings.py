@@ -14,27 +14,32 @@ def rings(sums: CurveSums) -> tuple[Array, Array, Array]:
         Fractions and forces (S, M, Q), actuators in the groups' order, and whether (M, Q) they go round
         counter-clockwise in the plane of pressure and force, 1, or clockwise, -1.
     """
-    most = max(group.corners for group, _ in sums.groups)
-    count = 3 if most < 2 else 4
-    u, force = (np.empty((count, *sums.radii.shape), sums.radii.dtype) for _ in range(2))
-    turn = np.empty_like(sums.radii)
-    for group, own in sums.groups:
-        with np.errstate(all="ignore"):
-            u[:, own], force[:, own], turn[own] = _ring(group, count)
-    return u, force, turn
+    groups = [group for group, _ in sums.groups]
+    with np.errstate(all="ignore"):
+        points = [_standing_out(group) for group in groups]
+        rows = max(len(u) for u, _ in points)
+        u, off = (
+            _joined([np.concatenate((value, *[value[:1]] * (rows - len(value)))) for value in values], 1)
+            for values in zip(*points, strict=True)
+        )
+        first, last = (_joined([group.force[end] for group in groups], 0) for end in (0, -1))
+        grid, off, turn = _ring(u, off, 3 if max(group.corners for group in groups) < 2 else 4)
+        return grid, first + (last - first) * grid + off, turn
 
 
-def _ring(curves: Arcs, count: int) -> tuple[Array, Array, Array]:
-    first, rise = curves.force[0], curves.force[-1] - curves.force[0]
-    u, off = _standing_out(curves)
+def _joined(parts: list[Array], axis: int) -> Array:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis)
+
+
+def _ring(u: Array, off: Array, count: int) -> tuple[Array, Array, Array]:
+    """Rings (count, M, Q) of ends and points (C, M, Q): fractions, how far above the chords; and their turns."""
     best = np.abs(off).argmax(0)
     one, one_off = at_index(u, best), at_index(off, best)
     above = one_off > 0
-    turn = np.where(above, -1.0, 1.0).astype(first.dtype)
-    zero, unit = np.zeros_like(first), np.ones_like(first)
+    turn = np.where(above, -1.0, 1.0).astype(u.dtype)
+    zero, unit = np.zeros_like(one), np.ones_like(one)
     if count == 3:
-        grid, offs = np.stack((zero, one, unit)), np.stack((zero, one_off, zero))
-        return grid, first + rise * grid + offs, turn
+        return np.stack((zero, one, unit)), np.stack((zero, one_off, zero)), turn
     # What stands out from the triangle of the three, on its side or on the other.
     behind = turn * off
     beyond = turn * (one_off * np.minimum(u / one, (1 - u) / (1 - one))) - behind
@@ -49,7 +54,7 @@ def _ring(curves: Arcs, count: int) -> tuple[Array, Array, Array]:
     low_off, high_off = np.where(swap, two_off, one_off), np.where(swap, one_off, two_off)
     grid = np.stack((zero, low, np.where(opposite, unit, high), np.where(opposite, high, unit)))
     offs = np.stack((zero, low_off, np.where(opposite, zero, high_off), np.where(opposite, high_off, zero)))
-    return grid, first + rise * grid + offs, np.where(opposite, unit, turn)
+    return grid, offs, np.where(opposite, unit, turn)
 
 
 def _standing_out(curves: Arcs) -> tuple[Array, Array]:
