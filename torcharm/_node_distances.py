@@ -33,7 +33,7 @@ from torcharm.hulls import (
 from torcharm.polygon import face_square
 
 if TYPE_CHECKING:
-    from torcharm.distance.shapes import Array
+    from torcharm._arrays import Array
     from torcharm.distance.touch import CurveSums
     from torcharm.laws import Laws
 
@@ -271,8 +271,8 @@ def _outside(
     sections: Sections, sums: "CurveSums", point: tuple[Tensor, Tensor], check: Check, relative: bool, fractions: bool
 ) -> _Nearest:
     """Nearest faces of sets whose curves are written out, if points inside do not count."""
+    from torcharm._arrays import as_array
     from torcharm.distance.outside import nearest_outside  # loads when it is first asked for
-    from torcharm.distance.shapes import as_array
 
     x, y = point
     resting = sections.resting_moment(relative=relative)

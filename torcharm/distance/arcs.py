@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
-from torcharm.distance.shapes import Array, Cubics, Powers, Span, Twins, as_array, at_index
+from torcharm._arrays import Array
+from torcharm.distance.shapes import Cubics, Powers, Span, Twins, at_index
 from torcharm.laws import STRAIGHT, Law
 
 
@@ -166,8 +166,7 @@ class Arcs:
 
 def arcs(law: Law) -> tuple[Arcs, Array]:
     """The curves of a law at B sections as pieces; and whether (B) they are all there is to them."""
-    coefficients = [as_array(value) for value in law.coefficients]
-    kinks, slopes, gains = as_array(law.kinks), as_array(law.slopes), as_array(law.gain)
+    coefficients, kinks, slopes, gains = law.coefficients, law.kinks, law.slopes, law.gain
     base = coefficients[0]
     rate = coefficients[1] if len(coefficients) > 1 else np.zeros_like(base)
     holds = np.ones(base.shape[-1], dtype=bool)
@@ -178,13 +177,13 @@ def arcs(law: Law) -> tuple[Arcs, Array]:
         force[1] += (slopes * np.maximum(1 - kinks, 0)).sum(0)
     inner = ((kinks > 0) & (kinks < 1) & (slopes != 0)).reshape(len(kinks), base.size).any(1)
     if inner.any():
-        corners = law.kinks[torch.as_tensor(inner, device=law.kinks.device)].clamp(0, 1)
-        grid = np.concatenate((np.zeros_like(force[:1]), as_array(corners), np.ones_like(force[:1])))
-        force = np.concatenate((force[:1], as_array(law.force(corners)), force[1:]))
+        corners = kinks[inner].clip(0, 1)
+        grid = np.concatenate((np.zeros_like(force[:1]), corners, np.ones_like(force[:1])))
+        force = np.concatenate((force[:1], law.force(corners), force[1:]))
     shape: Cubics | Powers | None = None
     twins = None
     if len(law.gain):
-        shape, twins = _powers(gains, as_array(law.exponent))
+        shape, twins = _powers(gains, law.exponent)
         bent = (gains != 0).any(0)
     elif len(coefficients) > 2:
         bend, twist = coefficients[2], coefficients[3] if len(coefficients) > 3 else None

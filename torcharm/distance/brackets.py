@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from torcharm._select import pick
+from torcharm._arrays import Array, pick
 from torcharm.distance.problems import Found, Problems
-from torcharm.distance.shapes import Array
 from torcharm.distance.touch import CurveSums, Touch
 
 FEWER, MANY = 0.75, 200
@@ -217,7 +216,7 @@ def _along_chord(s: _Search, index: Array, touch: Touch, other: Array, over: Arr
     aside[index] = np.where(inside, 0.0, np.where(last, beside_b, beside_a))
 
 
-def closer(aside: Array, before: Array) -> Array:
+def _closer(aside: Array, before: Array) -> Array:
     """Whether (q) touched points are enough nearer to straight ahead than those before."""
     near: Array = np.abs(aside) < np.where(aside * before < 0, ACROSS, CLOSING) * np.abs(before)
     return near
@@ -284,7 +283,7 @@ def _turned(s: _Search, hit: _Hit) -> _Search:
     face_x, face_y, straight = _face(s, dx, dy, span, over)
     past = (face_x * next_x + face_y * next_y) * aside > 0
     clockwise, counter = a_nx * next_y - a_ny * next_x, b_nx * next_y - b_ny * next_x
-    closing = (clockwise > 0) & (counter < 0) & closer(aside, s.before)
+    closing = (clockwise > 0) & (counter < 0) & _closer(aside, s.before)
     stuck = _known(s.ends[0]) & _known(s.ends[1]) & ~(closing & ~(straight & past))
     from_ax, from_ay, from_bx, from_by = s.x - ax, s.y - ay, s.x - bx, s.y - by
     foot = from_ax * dx + from_ay * dy

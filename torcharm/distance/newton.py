@@ -9,10 +9,9 @@ polygon inside the set are upper ones: their gap says when it is found.
 
 import numpy as np
 
-from torcharm._select import pick
+from torcharm._arrays import Array, pick
 from torcharm.distance.brackets import CLOSING, FEWER, search
 from torcharm.distance.problems import Found, Problems
-from torcharm.distance.shapes import Array
 from torcharm.distance.touch import CurveSums, Touch
 
 STEPS = 6

@@ -4,12 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torcharm._select import pick
+from torcharm._arrays import Array, pick
 from torcharm.distance.closed_form import BOUNDARY_ULPS, INSIDE_ULPS
 from torcharm.distance.newton import solve
 from torcharm.distance.problems import problems_of
 from torcharm.distance.rings import rings
-from torcharm.distance.shapes import Array
 from torcharm.distance.touch import CurveSums
 
 

@@ -6,12 +6,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm._select import pick
+from torcharm._arrays import Array, as_array, pick
 from torcharm.distance.closed_form import NearestFaces
 from torcharm.distance.newton import solve
 from torcharm.distance.problems import Found, Problems, gap_of, problems_of
 from torcharm.distance.search import search_faces
-from torcharm.distance.shapes import Array, as_array
 from torcharm.distance.touch import CurveSums
 from torcharm.hulls import ExactHulls, Sections
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from torcharm._arrays import Array
 from torcharm.distance.closed_form import BOUNDARY_ULPS
-from torcharm.distance.shapes import Array
 
 GAP = 1e-12
 """By how much the two bounds of a distance may differ, relative to the size of the coordinates."""

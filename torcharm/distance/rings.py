@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from torcharm._arrays import Array
 from torcharm.distance.arcs import Arcs
-from torcharm.distance.shapes import Array, at_index
+from torcharm.distance.shapes import at_index
 from torcharm.distance.touch import CurveSums
 
 

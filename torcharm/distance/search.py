@@ -7,9 +7,9 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from torcharm._arrays import Array, as_array
 from torcharm.distance.closed_form import NearestFaces, start_normals
 from torcharm.distance.problems import Found
-from torcharm.distance.shapes import Array, as_array
 from torcharm.distance.support import LEAST, NARROW, REFITS, WINDOW, CurveSum, NearestPoints, nearest_points
 from torcharm.hulls import ExactHulls, Sections
 from torcharm.pieces import Pieces, fit_pieces, refit_pieces

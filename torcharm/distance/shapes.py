@@ -7,12 +7,10 @@ All in NumPy: what is left to search for is soon so little that calls cost more 
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from torch import Tensor
 
+from torcharm._arrays import Array
 from torcharm.laws import LEAST
 
 FLAT = 256.0
@@ -26,14 +24,7 @@ FLOOR = -69.0
 BETWEEN = (0.3, 0.7)
 """Fractions that stand for a power's curve."""
 
-Array = NDArray[Any]
 Span = tuple[Array, Array] | None
-
-
-def as_array(value: Tensor) -> Array:
-    """A tensor's numbers, not copied if they are the processor's own."""
-    array: Array = value.detach().cpu().numpy()
-    return array
 
 
 def _within(u: Array, span: Span) -> Array:

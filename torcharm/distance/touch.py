@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from torcharm._arrays import Array, as_array
 from torcharm.distance.arcs import Arcs, Highest, Lines, arcs
-from torcharm.distance.shapes import Array, as_array
 from torcharm.hulls import Sections
 from torcharm.laws import Laws
 
@@ -198,7 +198,7 @@ def curve_sums(
         scale: factors on force and moment.
         relative: whether the sums are of differences.
     """
-    holds, groups, start = as_array(laws.holds), [], 0
+    holds, groups, start = laws.holds, [], 0
     with np.errstate(all="ignore"):
         for law in laws.groups:
             group, known = arcs(law)
