@@ -121,6 +121,7 @@ class Laws:
         return torch.from_numpy(grid).to(like.device), torch.from_numpy(force).to(like.device)
 
 
+@np.errstate(all="ignore")
 def section_laws(sections: Sections) -> Laws | None:
     """The laws of absolute forces, if every model writes its own."""
     limit = as_array(sections.limit)

@@ -219,7 +219,6 @@ def _pieces(kinks: Array, slopes: Array, base: Array, rate: Array, bent: Array) 
     return bases, rates, (begins, finishes)
 
 
-@np.errstate(all="ignore")
 def _powers(gains: Array, exponents: Array) -> tuple[Powers, Twins | None]:
     """The powers of curves that have one, and of those that have two."""
     less = exponents - 1

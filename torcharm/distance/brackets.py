@@ -17,7 +17,7 @@ FEWER, MANY = 0.75, 200
 ROUNDS = 24
 HEAD = 5
 """Rows of what is known of an end before those of its actuators."""
-CLOSING, ACROSS, AFTER_CHORD = 0.25, 0.8, 4.0
+CLOSING, ACROSS, AFTER_CHORD = 0.25, 0.9, 4.0
 """Factors by which a step must bring the touched point nearer to straight ahead, on the same side of that or on the
 other; and by how much less after a chord."""
 STRAIGHTER = 0.4

@@ -18,19 +18,19 @@ STEPS = 6
 """So many steps of Newton's are taken without looking left or right."""
 
 
+@np.errstate(all="ignore")
 def solve(problems: Problems, curves: CurveSums, *, fractions: bool) -> Found:
     """Search for all nearest points at once; those that are done are left out."""
     count, actuators = len(problems.side), len(curves.radii)
     none, no = np.zeros_like(problems.side), np.zeros(count, dtype=bool)
     fraction = np.zeros((2, actuators, count), none.dtype) if fractions else None
     found = Found(none, no, fraction, no.copy())
-    with np.errstate(all="ignore"):
-        first = _step(problems, curves, found)
-        left = (~found.done).nonzero()[0]
-        if len(left):
-            if len(left) < count:
-                problems, curves, first = pick((problems, curves, first), left)
-            search(problems, curves, found, left, first)
+    first = _step(problems, curves, found)
+    left = (~found.done).nonzero()[0]
+    if len(left):
+        if len(left) < count:
+            problems, curves, first = pick((problems, curves, first), left)
+        search(problems, curves, found, left, first)
     return found
 
 

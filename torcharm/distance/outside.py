@@ -41,6 +41,7 @@ class _Edges:
     edge_y: Array
 
 
+@np.errstate(all="ignore")  # of a NaN there is no distance, and it says so
 def nearest_outside(sums: CurveSums, x: Array, y: Array, *, fractions: bool) -> Outside:
     """Nearest faces to points x, y (B, L)."""
     edges = _polygons(sums)

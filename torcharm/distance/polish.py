@@ -33,6 +33,7 @@ class Polished:
     converged: Tensor
 
 
+@np.errstate(all="ignore")  # of a NaN there is no distance, and it says so
 def polish(
     sections: Sections,
     hulls: ExactHulls,
@@ -122,8 +123,7 @@ def _try_rivals(
         slot, place = ((length > 0) & (over > -margin * length)).nonzero()
         own, size = index[place], length[slot, place]
         normal = np.stack((edge_y[slot, place], -edge_x[slot, place])) / size
-        with np.errstate(all="ignore"):
-            touch = pick(curves, own).touch(*normal)
+        touch = pick(curves, own).touch(*normal)
         over = normal[0] * (problems.point[0, own] - touch.x) + normal[1] * (problems.point[1, own] - touch.y)
         best = np.full_like(margin, -np.inf)
         np.maximum.at(best, place, over)

@@ -8,6 +8,7 @@ from torcharm.distance.shapes import at_index
 from torcharm.distance.touch import CurveSums
 
 
+@np.errstate(all="ignore")
 def rings(sums: CurveSums) -> tuple[Array, Array, Array]:
     """Of each curve's hull both ends and the one or two points between that stand out most, in their order round it.
 
@@ -16,16 +17,15 @@ def rings(sums: CurveSums) -> tuple[Array, Array, Array]:
         counter-clockwise in the plane of pressure and force, 1, or clockwise, -1.
     """
     groups = [group for group, _ in sums.groups]
-    with np.errstate(all="ignore"):
-        points = [_standing_out(group) for group in groups]
-        rows = max(len(u) for u, _ in points)
-        u, off = (
-            _joined([np.concatenate((value, *[value[:1]] * (rows - len(value)))) for value in values], 1)
-            for values in zip(*points, strict=True)
-        )
-        first, last = (_joined([group.force[end] for group in groups], 0) for end in (0, -1))
-        grid, off, turn = _ring(u, off, 3 if max(group.corners for group in groups) < 2 else 4)
-        return grid, first + (last - first) * grid + off, turn
+    points = [_standing_out(group) for group in groups]
+    rows = max(len(u) for u, _ in points)
+    u, off = (
+        _joined([np.concatenate((value, *[value[:1]] * (rows - len(value)))) for value in values], 1)
+        for values in zip(*points, strict=True)
+    )
+    first, last = (_joined([group.force[end] for group in groups], 0) for end in (0, -1))
+    grid, off, turn = _ring(u, off, 3 if max(group.corners for group in groups) < 2 else 4)
+    return grid, first + (last - first) * grid + off, turn
 
 
 def _joined(parts: list[Array], axis: int) -> Array:

@@ -187,6 +187,7 @@ def _joined(parts: list[Highest]) -> Highest:
     return Highest(u, force, drop, rest, margin)
 
 
+@np.errstate(all="ignore")
 def curve_sums(
     laws: Laws, sections: Sections, scale: tuple[float, float], *, relative: bool
 ) -> tuple[CurveSums, Array]:
@@ -199,12 +200,11 @@ def curve_sums(
         relative: whether the sums are of differences.
     """
     holds, groups, start = laws.holds, [], 0
-    with np.errstate(all="ignore"):
-        for law in laws.groups:
-            group, known = arcs(law)
-            holds = holds & known
-            groups.append((group, slice(start, start + len(group.rate[0]))))
-            start = groups[-1][1].stop
+    for law in laws.groups:
+        group, known = arcs(law)
+        holds = holds & known
+        groups.append((group, slice(start, start + len(group.rate[0]))))
+        start = groups[-1][1].stop
     count = len(sections.radii)
     places = [
         place for law in laws.groups for place in (range(count)[law.rows] if isinstance(law.rows, slice) else law.rows)
