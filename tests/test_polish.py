@@ -8,7 +8,7 @@ import torcharm as ta
 from experiments.reference import converged_distance
 from torcharm import hulls
 from torcharm.actuators import pressure_law
-from torcharm.distance.arcs import Cubics
+from torcharm.distance.shapes import Cubics
 from torcharm.distance.touch import curve_sums
 from torcharm.laws import section_laws
 from torcharm.pieces import fit_pieces
@@ -153,7 +153,7 @@ def test_laws_are_the_forces(name, relative):
     if relative:
         force = force - LAWFUL[name].force(sections.at_first_node(sections.strain), u * sections.limit)
     (law,) = laws.groups
-    torch.testing.assert_close(law.force(u), force, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(law.force(u.numpy()), force.numpy(), rtol=0, atol=1e-11)
 
 
 @pytest.mark.parametrize("shape", [*SHAPES, (4.0, 0.0)])
@@ -164,30 +164,29 @@ def test_sets_are_touched_where_a_fine_scan_of_pressures_finds_them(shape, relat
     sections = hulls.cross_sections(arm.flatten(), affine(*shape)[None])
     laws = section_laws(sections)
     laws = laws.minus_first(sections) if relative else laws
-    curves = laws.curves(sections, 20_001, relative=relative, kinks=False)
-    sums, holds = curve_sums(laws, curves.bending, curves.radii, (1.0, 2.0))
+    bending = sections.bending - sections.at_first_node(sections.bending) if relative else sections.bending
+    sums, holds = curve_sums(laws, sections, (1.0, 2.0), relative=relative)
     assert holds.all()
-    moment = curves.bending * curves.grid - curves.radii * curves.force
+    grid, force = laws.samples(sections.radii, 20_001, kinks=False)
+    moment = bending * grid - sections.radii * force
     compared = 0
     for angle in np.linspace(0.1, 6.2, 12):
-        turned = angle + torch.tensor([0.0, -1e-6, 1e-6], dtype=torch.float64)
-        normals = torch.stack((turned.cos(), turned.sin()), -1)
-        nx, ny = normals[0].tolist()
-        touches = [sums.touch(normal.unsqueeze(-1).expand(2, 10)) for normal in normals]
-        reach = nx * touches[0].point[0] + ny * touches[0].point[1]
-        rest = torch.zeros_like(reach) if touches[0].rest is None else touches[0].rest
-        reaches = nx * curves.force + 2 * ny * moment
-        scanned, between = reaches.amax(0).sum(0), reaches.diff(dim=0).abs().amax(0).sum(0)
+        turned = angle + np.array([0.0, -1e-6, 1e-6])
+        with np.errstate(all="ignore"):
+            first, before, after = (sums.touch(np.full(10, np.cos(a)), np.full(10, np.sin(a))) for a in turned)
+        nx, ny = np.cos(angle), np.sin(angle)
+        reach = nx * first.x + ny * first.y
+        rest = np.zeros_like(reach) if first.rest is None else first.rest
+        reaches = (nx * force + 2 * ny * moment).numpy()
+        scanned, between = reaches.max(0).sum(0), np.abs(np.diff(reaches, axis=0)).max(0).sum(0)
         assert (rest < 1e-5).all()
         assert (reach + 2 * rest >= scanned - 1e-10).all()
         assert (reach <= scanned + between).all()
-        moved = touches[2].point - touches[1].point
-        smooth = (touches[2].u - touches[1].u).abs().amax(0) < 1e-3
-        smooth &= ((touches[2].radius - touches[1].radius).abs() < 1e-3 * touches[0].radius) | (touches[0].radius == 0)
-        torch.testing.assert_close(
-            (nx * moved[1] - ny * moved[0])[smooth] / 2e-6, touches[0].radius[smooth], rtol=1e-3, atol=1e-6
-        )
-        compared += int((smooth & (touches[0].radius > 0)).sum())
+        moved = nx * (after.y - before.y) - ny * (after.x - before.x)
+        smooth = np.abs(after.u - before.u).max(0) < 1e-3
+        smooth &= (np.abs(after.radius - before.radius) < 1e-3 * first.radius) | (first.radius == 0)
+        np.testing.assert_allclose(moved[smooth] / 2e-6, first.radius[smooth], rtol=1e-3, atol=1e-6)
+        compared += int((smooth & (first.radius > 0)).sum())
     assert compared > 10 or not relative
 
 
@@ -209,11 +208,11 @@ def test_straight_faces_between_two_moving_maxima_of_one_curve():
     arm, twists = ta.ArmDesign([-0.04, 0.03], 0.5, [ta.McKibben(), ta.McKibben()]), affine(6.0, -1.0, nodes=8)
     sections = hulls.cross_sections(arm.flatten(), twists[None])
     (law,) = section_laws(sections).minus_first(sections).groups
-    force = law.force(torch.linspace(0, 1, 1001, dtype=torch.float64).view(-1, 1, 1))
+    force = law.force(np.linspace(0, 1, 1001).reshape(-1, 1, 1))
     mixed = (law.slopes != 0).any(0) & (law.gain != 0).any(0)
     ends = [
-        longest_face((force[:, row, node] * law.gain.sum(0)[row, node].sign()).tolist())
-        for row, node in mixed.nonzero().tolist()
+        longest_face((force[:, row, node] * np.sign(law.gain.sum(0)[row, node])).tolist())
+        for row, node in np.argwhere(mixed)
     ]
     assert sum(0 < first < last - 100 and last < 1000 for first, last in ends) >= 3
     for seed in range(30):
@@ -232,13 +231,12 @@ def test_lines_from_an_end_touch_a_winding_cubic_where_the_steepest_chord_does()
     chord = rate + bend * (u + end) + twist * (u * u + u * end + end * end)  # (f(u) - f(end)) / (u - end)
     extreme = np.where(twist > 0, chord.argmin(0), chord.argmax(0))
     inner = (extreme > 0) & (extreme < len(u) - 1)
-    ends = torch.tensor(np.stack((end, np.where(end == 0, 1 - 1e-4, 1e-4))))[:, None]
-    curves = Cubics(torch.tensor(bend)[None], torch.tensor(twist)[None], True)
-    slope, there = curves.tangent(torch.tensor(rate)[None], *ends)
+    ends = np.stack((end, np.where(end == 0, 1 - 1e-4, 1e-4)))[:, None]
+    slope, there = Cubics(bend[None], twist[None], True).tangent(rate[None], *ends)
     assert 0.1 < inner.mean() < 0.9
-    np.testing.assert_array_equal(there[0].numpy(), inner)
+    np.testing.assert_array_equal(there[0], inner)
     best = chord[extreme, np.arange(400)]
-    np.testing.assert_allclose(slope[0].numpy()[inner], best[inner], rtol=0, atol=1e-7)
+    np.testing.assert_allclose(slope[0][inner], best[inner], rtol=0, atol=1e-7)
 
 
 def test_a_law_ends_where_the_model_jumps():

@@ -33,6 +33,8 @@ from torcharm.hulls import (
 from torcharm.polygon import face_square
 
 if TYPE_CHECKING:
+    from torcharm._arrays import Array
+    from torcharm.distance.touch import CurveSums
     from torcharm.laws import Laws
 
 
@@ -214,28 +216,41 @@ class _Sampled:
             return self.curves.force.requires_grad
         return self.laws is not None and self.laws.requires_grad
 
-    def metric(self, sections: Sections, check: Check, relative: bool) -> "tuple[Curves, Laws | None]":
-        """The curves of absolute or relative reactions.
+    def metric(self, sections: Sections, relative: bool) -> "Laws | None":
+        """The laws of absolute or relative reactions, if known."""
+        return self.laws.minus_first(sections) if self.laws is not None and relative else self.laws
+
+    def samples(self, sections: Sections, check: Check, relative: bool, laws: "Laws | None") -> Curves:
+        """The curves of absolute or relative reactions, sampled.
 
         From outside few samples show what to polish; inside, where the nearest of all faces counts, it takes more.
         """
         if self.curves is not None:
-            return relative_curves(sections, self.curves) if relative else self.curves, None
-        assert self.laws is not None
-        laws = self.laws.minus_first(sections) if relative else self.laws
-        samples = max(check.samples, INNER_SAMPLES) if check.signed else check.samples
-        return laws.curves(sections, samples, relative=relative, kinks=check.signed), laws
+            return relative_curves(sections, self.curves) if relative else self.curves
+        assert laws is not None
+        count = max(check.samples, INNER_SAMPLES) if check.signed else check.samples
+        grid, force = laws.samples(sections.radii, count, kinks=check.signed)
+        bending = sections.bending - sections.at_first_node(sections.bending) if relative else sections.bending
+        return Curves(grid, force, bending, sections.radii, sections.resting_moment(relative=relative))
 
 
 def _nearest_face(
     block: Block, sections: Sections, sampled: _Sampled, check: Check, metric: str, *, slots: bool
 ) -> _Nearest:
-    relative = metric == "relative"
-    curves, laws = sampled.metric(sections, check, relative)
-    hulls = build_hulls(curves, check.hull, check.scale)
+    relative, auditor = metric == "relative", check.auditor
     point = required_points(block, check.scale, relative)
+    laws = sampled.metric(sections, relative)
+    sums = None
+    if laws is not None:
+        from torcharm.distance.touch import curve_sums  # loads when it is first asked for
+
+        sums = curve_sums(laws, sections, check.scale, relative=relative)
+        if not check.signed and auditor is None and bool(sums[1].all()):
+            nearest = _outside(sections, sums[0], point, check, relative, slots)
+            if bool(nearest.converged.all()):
+                return nearest
+    hulls = build_hulls(sampled.samples(sections, check, relative, laws), check.hull, check.scale)
     faces = nearest_faces(hulls.polygons, *point, slots=slots or check.polish)
-    auditor = check.auditor
     residuals = () if auditor is None else _solve(sections, hulls, point, check, relative, auditor)[2:]
     if not check.polish:
         fraction = _fractions(hulls, faces, point) if slots else None
@@ -245,11 +260,31 @@ def _nearest_face(
 
     assert isinstance(hulls, ExactHulls)
 
-    polished = polish(sections, hulls, laws, faces, point, relative=relative, signed=check.signed, fractions=slots)
+    polished = polish(sections, hulls, sums, faces, point, relative=relative, signed=check.signed, fractions=slots)
     fraction = polished.fraction
     if fraction is not None and not bool(polished.converged.all()):
         fraction = torch.where(polished.converged, fraction, _fractions(hulls, faces, point))
     return _Nearest(polished.faces, fraction, polished.converged, residuals)
+
+
+def _outside(
+    sections: Sections, sums: "CurveSums", point: tuple[Tensor, Tensor], check: Check, relative: bool, fractions: bool
+) -> _Nearest:
+    """Nearest faces of sets whose curves are written out, if points inside do not count."""
+    from torcharm._arrays import as_array
+    from torcharm.distance.outside import nearest_outside  # loads when it is first asked for
+
+    x, y = point
+    resting = sections.resting_moment(relative=relative)
+    y = y if resting is None else y - check.scale[1] * resting.unsqueeze(-1)
+    found = nearest_outside(sums, as_array(x), as_array(y), fractions=fractions)
+
+    def tensor(value: "Array") -> Tensor:
+        return torch.from_numpy(value).to(x.device)
+
+    faces = NearestFaces(tensor(found.square), tensor(found.inside), tensor(found.blur), None)
+    fraction = None if found.fraction is None else tensor(found.fraction)
+    return _Nearest(faces, fraction, tensor(found.converged), ())
 
 
 def _fractions(hulls: Hulls, faces: NearestFaces, point: tuple[Tensor, Tensor]) -> Tensor:

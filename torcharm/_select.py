@@ -1,12 +1,7 @@
-"""Choosing between branches, element by element, and choosing elements."""
-
-from dataclasses import fields, is_dataclass
-from typing import TypeVar, cast
+"""Choosing between branches, element by element."""
 
 import torch
 from torch import Tensor
-
-T = TypeVar("T")
 
 
 def select(mask: Tensor, chosen: Tensor, other: Tensor) -> Tensor:
@@ -16,14 +11,3 @@ def select(mask: Tensor, chosen: Tensor, other: Tensor) -> Tensor:
     costs one, and is exact at both of its ends.
     """
     return torch.lerp(other, chosen, mask.to(other.dtype))
-
-
-def pick(value: T, index: Tensor) -> T:
-    """Entries in `index` along the last dimension of a tensor, or of all tensors in a dataclass or tuple."""
-    if isinstance(value, Tensor):
-        return cast(T, value.index_select(-1, index))
-    if isinstance(value, tuple):
-        return cast(T, tuple(pick(part, index) for part in value))
-    if is_dataclass(value) and not isinstance(value, type):
-        return type(value)(*(pick(getattr(value, field.name), index) for field in fields(value)))
-    return value

@@ -128,7 +128,7 @@ class Curves:
     """Each actuator's reaction curve at B sections: S forces, and a moment linear in pressure.
 
     Attributes:
-        grid: (S, 1, 1) pressure fractions, evenly spaced from 0 to 1.
+        grid: (S, 1, 1) pressure fractions, evenly spaced from 0 to 1, or (S, M, B), rising.
         force: (S, M, B) [N].
         bending: (M, B) bending moment at fraction 1 [N·m].
         radii: (M, B) [m].
@@ -173,9 +173,6 @@ class ExactHulls:
     polygons: Polygons
     curves: Curves
     scale: tuple[float, float]
-    order: Tensor
-    step: Tensor
-    turn: Tensor
 
     def fractions(self, slot: Tensor, normal: Pair, point: Pair, square: Tensor) -> Tensor:
         """Pressure fractions (2, M, B, L) at the two ends of faces.
@@ -275,13 +272,13 @@ def _exact_hulls(curves: Curves, scale: tuple[float, float]) -> ExactHulls:
         edge_force, curves.radii, value=-scale[1] / scale[0]
     )
     least, start = _leftmost(curves)
-    polygons, order = minkowski_sum(
+    polygons, _ = minkowski_sum(
         scale[0] * least.sum(0),
         scale[1] * curves.lifted((curves.bending * start - curves.radii * least).sum(0)),
         edge_force.flatten(0, 1),
         edge_moment.flatten(0, 1),
     )
-    return ExactHulls(polygons, curves, scale, order, step, turn)
+    return ExactHulls(polygons, curves, scale)
 
 
 def _leftmost(curves: Curves) -> tuple[Tensor, Tensor]:

@@ -6,11 +6,13 @@ Over pressure fractions u from 0 to 1 each force, or difference of two, is
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from torcharm._arrays import Array, as_array
 from torcharm.actuators import PressureLaw, pressure_law
-from torcharm.hulls import Curves, Sections
+from torcharm.hulls import Sections
 from torcharm.wrenches import group_alike
 
 LEAST = 1e-30
@@ -33,20 +35,24 @@ class Law:
     """
 
     rows: Rows
-    coefficients: tuple[Tensor, ...]
-    kinks: Tensor
-    slopes: Tensor
-    gain: Tensor
-    exponent: Tensor
+    coefficients: tuple[Array, ...]
+    kinks: Array
+    slopes: Array
+    gain: Array
+    exponent: Array
 
     def minus_first(self, sections: Sections) -> "Law":
         """Differences from node 1's forces at the same pressures."""
 
-        def both(value: Tensor, factor: int = 1) -> Tensor:
-            return torch.cat((value, factor * sections.at_first_node(value))) if len(value) else value
+        def first(value: Array) -> Array:
+            by_node = value.reshape(*value.shape[:-1], *sections.shape)
+            return np.broadcast_to(by_node[..., :1, :], by_node.shape).reshape(value.shape)
 
-        coefficients = [value - sections.at_first_node(value) for value in self.coefficients]
-        while len(coefficients) > 1 and not bool(coefficients[-1].any()):
+        def both(value: Array, factor: int = 1) -> Array:
+            return np.concatenate((value, factor * first(value))) if len(value) else value
+
+        coefficients = [value - first(value) for value in self.coefficients]
+        while len(coefficients) > 1 and not coefficients[-1].any():
             coefficients.pop()
         return Law(
             self.rows,
@@ -57,17 +63,17 @@ class Law:
             both(self.exponent),
         )
 
-    def force(self, u: Tensor) -> Tensor:
+    def force(self, u: Array) -> Array:
         """Forces (S, m, B) at fractions (S, m, B) or (S, 1, 1)."""
-        total = self.coefficients[-1].expand(len(u), *self.coefficients[0].shape)
+        total: Array = np.broadcast_to(self.coefficients[-1], (len(u), *self.coefficients[0].shape))
         for coefficient in self.coefficients[-2::-1]:
-            total = torch.addcmul(coefficient, total, u)
+            total = coefficient + total * u
         for kink, slope in zip(self.kinks, self.slopes, strict=True):
-            total = torch.addcmul(total, (u - kink).relu_(), slope)
+            total = total + np.maximum(u - kink, 0) * slope
         if len(self.gain):
-            log = u.clamp(min=LEAST).log_()
+            log = np.log(np.maximum(u, LEAST))
             for gain, exponent in zip(self.gain, self.exponent, strict=True):
-                total = torch.addcmul(total, (exponent * log).exp_(), gain)
+                total = total + np.exp(exponent * log) * gain
         return total
 
 
@@ -78,65 +84,74 @@ class Laws:
     Attributes:
         groups: of actuators alike.
         holds: (B) whether the laws hold up to the pressure limits.
+        requires_grad: whether the force models hold something that wants a gradient.
     """
 
     groups: tuple[Law, ...]
-    holds: Tensor
-
-    @property
-    def requires_grad(self) -> bool:
-        """Whether the force models hold something that wants a gradient."""
-        parts = (part for law in self.groups for part in (*law.coefficients, law.kinks, law.slopes, law.gain))
-        return any(part.requires_grad for part in parts)
+    holds: Array
+    requires_grad: bool
 
     def minus_first(self, sections: Sections) -> "Laws":
         """Differences from node 1's forces at the same pressures."""
         groups = tuple(law.minus_first(sections) for law in self.groups)
-        return Laws(groups, self.holds & sections.at_first_node(self.holds))
+        shape = sections.shape
+        first = np.broadcast_to(self.holds.reshape(shape)[:, :1], shape).reshape(-1)
+        return Laws(groups, self.holds & first, self.requires_grad)
 
-    def curves(self, sections: Sections, samples: int, *, relative: bool, kinks: bool) -> Curves:
-        """Curves sampled at evenly spaced fractions, and if asked for at the laws' kinks."""
-        bending, radii = sections.bending, sections.radii
-        grid = torch.linspace(0, 1, samples, dtype=radii.dtype, device=radii.device).view(-1, 1, 1)
+    def samples(self, like: Tensor, count: int, *, kinks: bool) -> tuple[Tensor, Tensor]:
+        """Evenly spaced fractions (S, 1, 1), or with the laws' kinks (S, M, B), and the forces (S, M, B) there.
+
+        Args:
+            like: (M, B).
+            count: of fractions.
+            kinks: whether to add the kinks.
+        """
+        numbers = as_array(like)
+        grid = np.linspace(0, 1, count, dtype=numbers.dtype).reshape(-1, 1, 1)
         most = max(len(law.kinks) for law in self.groups)
         if kinks and most:
-            grid = torch.cat((grid.expand(-1, *radii.shape), radii.new_ones(most, *radii.shape)))
+            more = np.zeros((most, *numbers.shape), numbers.dtype)
             for law in self.groups:
-                grid[samples : samples + len(law.kinks), law.rows] = law.kinks.clamp(0, 1)
-            grid = grid.sort(0).values
-        force = radii.new_empty(len(grid), *radii.shape)
+                inner = (law.kinks > 0) & (law.kinks < 1)
+                more[: len(law.kinks), law.rows] = np.where(inner, law.kinks, 0.0)
+            grid = np.sort(np.concatenate((np.broadcast_to(grid, (count, *numbers.shape)), more)), 0)
+        force = np.empty((len(grid), *numbers.shape), numbers.dtype)
         for law in self.groups:
             force[:, law.rows] = law.force(grid if grid.shape[1] == 1 else grid[:, law.rows])
-        bending = bending - sections.at_first_node(bending) if relative else bending
-        return Curves(grid, force, bending, radii, sections.resting_moment(relative=relative))
+        return torch.from_numpy(grid).to(like.device), torch.from_numpy(force).to(like.device)
 
 
+@np.errstate(all="ignore")
 def section_laws(sections: Sections) -> Laws | None:
     """The laws of absolute forces, if every model writes its own."""
-    limit = sections.limit
-    groups, holds = [], torch.ones_like(limit[0], dtype=torch.bool)
+    limit = as_array(sections.limit)
+    groups, holds, wanted = [], np.ones(limit.shape[1], dtype=bool), False
     for model, rows in group_alike(sections.actuators):
         law = pressure_law(model, sections.strain[rows])
         if law is None or (law.gain is not None and len(law.coefficients) > 2):
             return None
         groups.append(_over_fractions(law, rows, limit[rows]))
+        parts = (*law.coefficients, law.kinks, law.slopes, law.gain)
+        wanted = wanted or any(part is not None and part.requires_grad for part in parts)
         if law.until is not None:
-            holds = holds & (limit[rows] <= law.until).all(0)
-    return Laws(tuple(groups), holds)
+            holds = holds & (limit[rows] <= as_array(law.until)).all(0)
+    return Laws(tuple(groups), holds, wanted)
 
 
-def _over_fractions(law: PressureLaw, rows: Rows, limit: Tensor) -> Law:
+def _over_fractions(law: PressureLaw, rows: Rows, limit: Array) -> Law:
     """A model's law, over fractions of the pressure limits (m, B)."""
-    coefficients = [law.coefficients[0]]
+    coefficients = [as_array(law.coefficients[0])]
     power = limit
     for coefficient in law.coefficients[1:]:
-        coefficients.append(coefficient * power)
+        coefficients.append(as_array(coefficient) * power)
         power = power * limit
-    kinks = slopes = gain = exponent = limit.new_empty(0, *limit.shape)
+    kinks = slopes = gain = exponent = np.empty((0, *limit.shape), limit.dtype)
+    least = np.maximum(limit, LEAST)
     if law.kinks is not None and law.slopes is not None:
-        kinks, slopes = law.kinks / limit.clamp(min=LEAST), law.slopes * limit
-        if not bool(((slopes != 0) & (kinks < 1)).any()):
+        kinks, slopes = as_array(law.kinks) / least, as_array(law.slopes) * limit
+        if not ((slopes != 0) & (kinks < 1)).any():
             kinks = slopes = kinks[:0]
     if law.gain is not None and law.exponent is not None and bool(law.gain.any()):
-        gain, exponent = (law.gain * limit.clamp(min=LEAST).pow(law.exponent))[None], law.exponent[None]
+        exponent = as_array(law.exponent)[None]
+        gain = as_array(law.gain) * least**exponent
     return Law(rows, tuple(coefficients), kinks, slopes, gain, exponent)

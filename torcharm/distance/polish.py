@@ -2,23 +2,20 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm._select import pick
-from torcharm.distance.closed_form import BOUNDARY_ULPS, NearestFaces
-from torcharm.distance.newton import Found, Problems, solve
+from torcharm._arrays import Array, as_array, pick
+from torcharm.distance.closed_form import NearestFaces
+from torcharm.distance.newton import solve
+from torcharm.distance.problems import Found, Problems, gap_of, problems_of
 from torcharm.distance.search import search_faces
-from torcharm.distance.touch import CurveSums, curve_sums
+from torcharm.distance.touch import CurveSums
 from torcharm.hulls import ExactHulls, Sections
-from torcharm.laws import Laws
 
 RIVALS = 4
 """So many times at most a nearer face is searched for from inside."""
-GAP = 1e-12
-"""By how much the two bounds of a distance may differ, relative to the size of the coordinates."""
-LEAST_GAP = 8.0
-"""The same in blurs, where numbers hold less."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +33,11 @@ class Polished:
     converged: Tensor
 
 
+@np.errstate(all="ignore")  # of a NaN there is no distance, and it says so
 def polish(
     sections: Sections,
     hulls: ExactHulls,
-    laws: Laws | None,
+    sums: tuple[CurveSums, Array] | None,
     faces: NearestFaces,
     point: tuple[Tensor, Tensor],
     *,
@@ -55,123 +53,111 @@ def polish(
     Args:
         sections: the actuators.
         hulls: sampled from their curves.
-        laws: of the curves, if all models write theirs.
+        sums: of the curves, and where they are right, if all models write out their laws.
         faces: nearest to the points, with slots.
         point: (B, L) each.
         relative: whether the sets are of differences from node 1.
         signed: whether points inside are asked for.
         fractions: whether pressure fractions are.
     """
-    wanted = torch.ones_like(faces.inside) if signed else ~(faces.inside | (faces.square <= faces.blur.square()))
-    square, inside, converged = faces.square.clone(), faces.inside.clone(), ~wanted
-    fraction = square.new_zeros(2, len(sections.radii), *square.shape) if fractions else None
+    square, inside, blur = (as_array(value) for value in (faces.square, faces.inside, faces.blur))
+    wanted = np.ones_like(inside) if signed else ~(inside | (square <= np.square(blur)))
+    was_square, was_inside, square, inside, converged = square, inside, square.copy(), inside.copy(), ~wanted
+    fraction = np.zeros((2, len(sections.radii), *square.shape), square.dtype) if fractions else None
 
-    def take(section: Tensor, load: Tensor, found: Found) -> None:
+    def take(section: Array, load: Array, found: Found) -> None:
         # The polygon lies inside the set: its distance bounds the set's, from above outside and from below inside.
-        was_inside, blur = faces.inside[section, load], faces.blur[section, load]
-        gain = faces.square[section, load].sqrt() - found.square.sqrt()
-        gain = torch.where(was_inside & found.inside, -gain, gain)
-        bounded = gain >= -2 * _gap(blur)
-        better = found.done & (bounded | (found.inside & ~was_inside))
         place = section, load
-        square[place] = torch.where(better, found.square, square[place])
-        inside[place] = torch.where(better, found.inside, inside[place])
+        before = was_inside[place]
+        gain = np.sqrt(was_square[place]) - np.sqrt(found.square)
+        gain = np.where(before & found.inside, -gain, gain)
+        better = found.done & ((gain >= -2 * gap_of(blur[place])) | (found.inside & ~before))
+        square[place] = np.where(better, found.square, was_square[place])
+        inside[place] = np.where(better, found.inside, before)
         converged[place] = better
         if fraction is not None and found.fraction is not None:
             fraction[:, :, section, load] = found.fraction
 
     open_ones = wanted
-    if laws is not None:
-        sums, holds = curve_sums(laws, hulls.curves.bending, hulls.curves.radii, hulls.scale)
-        lawful = wanted & holds.unsqueeze(-1)
-        section, load = lawful.nonzero(as_tuple=True)
+    if sums is not None:
+        curves, holds = sums
+        section, load = (wanted & holds[:, None]).nonzero()
         if len(section):
-            own = sums if square.shape[1] == 1 and len(section) == len(square) else pick(sums, section)
+            own = curves if square.shape[1] == 1 and len(section) == len(square) else pick(curves, section)
             problems = start(hulls, faces, point, section, load)
             found = solve(problems, own, fractions=fractions)
             if signed:
                 _try_rivals(hulls, section, problems, own, found, fractions=fractions)
             if found.fraction is not None:
-                found = replace(found, fraction=found.fraction[:, sums.order])
+                found = replace(found, fraction=found.fraction[:, curves.order])
             take(section, load, found)
         open_ones = wanted & ~converged
-    section, load = open_ones.nonzero(as_tuple=True)
-    if len(section):
+    left = open_ones.nonzero()
+    if len(left[0]):
+        section, load = left
         take(section, load, search_faces(sections, hulls, faces, point, section, load, relative))
-    return Polished(replace(faces, square=square, inside=inside), fraction, converged)
+    device = faces.square.device
+    answers = replace(faces, square=torch.from_numpy(square).to(device), inside=torch.from_numpy(inside).to(device))
+    ends = None if fraction is None else torch.from_numpy(fraction).to(device)
+    return Polished(answers, ends, torch.from_numpy(converged).to(device))
 
 
 def _try_rivals(
-    hulls: ExactHulls, section: Tensor, problems: Problems, curves: CurveSums, found: Found, *, fractions: bool
+    hulls: ExactHulls, section: Array, problems: Problems, curves: CurveSums, found: Found, *, fractions: bool
 ) -> None:
     """From inside, put nearer faces in place of those that were found, if there are any.
 
     The set's margin in any direction is at least the polygon's: edges of the polygon further away than what was found
     are none. At the others' normals the sets' margins say whether it is worth to search from there.
     """
-    index = (found.inside & found.done).nonzero().squeeze(-1)
+    polygons = [as_array(value) for value in vars(hulls.polygons).values()]
+    index = (found.inside & found.done).nonzero()[0]
     for _ in range(RIVALS):
         if not len(index):
             break
-        margin = found.square[index].sqrt() - problems.tolerance[index]
-        x, y, edge_x, edge_y = (value[:, section[index]] for value in vars(hulls.polygons).values())
-        y = hulls.lowered(y, section[index])
-        length = torch.hypot(edge_x, edge_y)
+        margin = np.sqrt(found.square[index]) - problems.tolerance[index]
+        x, y, edge_x, edge_y = (value[:, section[index]] for value in polygons)
+        y = _lowered(hulls, y, section[index])
+        length = np.hypot(edge_x, edge_y)
         over = (problems.point[0, index] - x) * edge_y - (problems.point[1, index] - y) * edge_x
-        slot, place = ((length > 0) & (over > -margin * length)).nonzero(as_tuple=True)
+        slot, place = ((length > 0) & (over > -margin * length)).nonzero()
         own, size = index[place], length[slot, place]
-        normal = torch.stack((edge_y[slot, place], -edge_x[slot, place])) / size
-        over = (normal * (problems.point[:, own] - pick(curves, own).touch(normal).point)).sum(0)
-        best = torch.full_like(margin, -torch.inf).scatter_reduce(0, place, over, "amax")
-        chosen = ((over == best[place]) & (over > -margin[place])).nonzero().squeeze(-1)
+        normal = np.stack((edge_y[slot, place], -edge_x[slot, place])) / size
+        touch = pick(curves, own).touch(*normal)
+        over = normal[0] * (problems.point[0, own] - touch.x) + normal[1] * (problems.point[1, own] - touch.y)
+        best = np.full_like(margin, -np.inf)
+        np.maximum.at(best, place, over)
+        chosen = ((over == best[place]) & (over > -margin[place])).nonzero()[0]
         if not len(chosen):
             break
         number = own[chosen]
-        begin = torch.stack((x, y))[:, slot, place][:, chosen]
-        edge = torch.stack((edge_x, edge_y))[:, slot, place][:, chosen]
-        other = replace(pick(problems, number), normal=normal[:, chosen], ends=torch.stack((begin, begin + edge)))
+        begin = np.stack((x, y))[:, slot, place][:, chosen]
+        edge = np.stack((edge_x, edge_y))[:, slot, place][:, chosen]
+        other = replace(pick(problems, number), normal=normal[:, chosen], ends=np.stack((begin, begin + edge)))
         nearer = solve(other, pick(curves, number), fractions=fractions)
         better = nearer.done & nearer.inside & (nearer.square < found.square[number])
         # What is further than the margin seen, or not found at all, is no answer.
         found.done[number] = better
-        found.square[number] = torch.where(better, nearer.square, found.square[number])
+        found.square[number] = np.where(better, nearer.square, found.square[number])
         if found.fraction is not None and nearer.fraction is not None:
-            found.fraction[:, :, number] = torch.where(better, nearer.fraction, found.fraction[:, :, number])
+            found.fraction[:, :, number] = np.where(better, nearer.fraction, found.fraction[:, :, number])
         index = number[better]
 
 
-def _gap(blur: Tensor) -> Tensor:
-    """By how much the two bounds of distances may differ."""
-    return blur * max(LEAST_GAP, GAP / (BOUNDARY_ULPS * torch.finfo(blur.dtype).eps))
+def _lowered(hulls: ExactHulls, y: Array, section: Array) -> Array:
+    """Scaled moments (..., Q) required of sections (Q), less what is borne at no pressure: for curves without it."""
+    resting = hulls.curves.resting
+    return y if resting is None else y - hulls.scale[1] * as_array(resting)[section]
 
 
 def start(
-    hulls: ExactHulls, faces: NearestFaces, point: tuple[Tensor, Tensor], section: Tensor, load: Tensor
+    hulls: ExactHulls, faces: NearestFaces, point: tuple[Tensor, Tensor], section: Array, load: Array
 ) -> Problems:
     """From the polygons' nearest faces to problems: those (Q) of sections and loads."""
     assert faces.slot is not None
-    polygons, place, slot = hulls.polygons, (section, load), faces.slot[section, load]
-    x, y, blur, square, inside = (value[place] for value in (*point, faces.blur, faces.square, faces.inside))
-    begin_x, begin_y, edge_x, edge_y = (
-        value[slot, section] for value in (polygons.x, polygons.y, polygons.edge_x, polygons.edge_y)
+    x, y, blur, square, inside, slot = (
+        as_array(value)[section, load] for value in (*point, faces.blur, faces.square, faces.inside, faces.slot)
     )
-    side = 1 - 2 * inside.to(x.dtype)
-    from_x, from_y, span = x - begin_x, y - begin_y, edge_x * edge_x + edge_y * edge_y
-    foot = from_x * edge_x + from_y * edge_y
-    edge = (foot > 0) & (foot < span)
-    share = (foot / span.clamp(min=torch.finfo(x.dtype).tiny)).clamp(0, 1)
-    # Of a polygon without area the point may be on either side of either edge.
-    facing = (side * (from_x * edge_y - from_y * edge_x)).sign()
-    nx = torch.where(edge, facing * edge_y, side * (from_x - share * edge_x))
-    ny = torch.where(edge, -facing * edge_x, side * (from_y - share * edge_y))
-    length = torch.hypot(nx, ny)
-    nowhere = (length <= torch.finfo(x.dtype).tiny).to(x.dtype)
-    normal = torch.stack((nx + nowhere, ny)) / (length + nowhere)
-    y, begin_y = hulls.lowered(y, section), hulls.lowered(begin_y, section)
-    begin = torch.stack((begin_x, begin_y))
-    ends = torch.stack((begin, begin + torch.stack((edge_x, edge_y))))
-    turned = facing < 0
-    if bool(turned.any()):
-        ends = torch.where(turned, ends.flip(0), ends)
-    edge = edge & (nowhere == 0)
-    return Problems(torch.stack((x, y)), normal, side, square.sqrt(), _gap(blur), edge, ends)
+    begin_x, begin_y, edge_x, edge_y = (as_array(value)[slot, section] for value in vars(hulls.polygons).values())
+    y, begin_y = _lowered(hulls, y, section), _lowered(hulls, begin_y, section)
+    return problems_of(x, y, begin_x, begin_y, edge_x, edge_y, square, inside, blur)

@@ -7,8 +7,9 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from torcharm._arrays import Array, as_array
 from torcharm.distance.closed_form import NearestFaces, start_normals
-from torcharm.distance.newton import Found
+from torcharm.distance.problems import Found
 from torcharm.distance.support import LEAST, NARROW, REFITS, WINDOW, CurveSum, NearestPoints, nearest_points
 from torcharm.hulls import ExactHulls, Sections
 from torcharm.pieces import Pieces, fit_pieces, refit_pieces
@@ -20,11 +21,12 @@ def search_faces(
     hulls: ExactHulls,
     faces: NearestFaces,
     point: tuple[Tensor, Tensor],
-    section: Tensor,
-    load: Tensor,
+    sections_of: Array,
+    loads_of: Array,
     relative: bool,
 ) -> Found:
-    """The nearest faces of problems (Q), by search."""
+    """The nearest faces of problems (Q) of sections and loads, by search."""
+    section, load = (torch.from_numpy(value).to(faces.square.device) for value in (sections_of, loads_of))
     normals = start_normals(hulls.polygons, faces, *point)
     x, y, nx, ny, blur = (value[section, load] for value in (*point, *normals, faces.blur))
     y = hulls.lowered(y, section)
@@ -34,7 +36,7 @@ def search_faces(
     found = nearest_points(sums, x, y, (nx, ny), 4 * blur)
     _refit(found, sums, x, y, 4 * blur, partial(refit_pieces, sections, relative=relative), section)
     square = face_square((x, y), found.ends.corner(0), found.ends.corner(1))
-    return Found(square, found.inside, found.ends.fraction, found.converged)
+    return Found(*(as_array(value) for value in (square, found.inside, found.ends.fraction, found.converged)))
 
 
 def _refit(

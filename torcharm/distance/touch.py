@@ -2,10 +2,11 @@
 
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from torcharm._arrays import Array, as_array
 from torcharm.distance.arcs import Arcs, Highest, Lines, arcs
+from torcharm.hulls import Sections
 from torcharm.laws import Laws
 
 LEAST_TURN, MOST_TURN = 0.1, 4.0
@@ -21,28 +22,30 @@ class Touch:
     """Where sets are touched.
 
     Attributes:
-        point: (2, Q) x and y.
-        parts: (2, M, Q) the actuators' parts of them.
+        nx, ny: (Q) the lines' normals.
+        x, y: (Q).
         u: (M, Q) the pressure fractions that provide them.
-        along, across: (M, Q) reaches, and places along the lines, a newton.
+        force: (M, Q) [N].
+        along: (M, Q) reaches a newton.
         drop: (M, Q) minus the reaches' second derivatives; infinite at corners. None if all are.
         bends: (M, Q) the curves' radii of curvature in the plane.
         radius: (Q) the boundary's: their sum; 0 at corners.
         rest: (Q) how much further the sets may reach; None: not at all.
-        face: (M, Q) each, if asked for: how far actuators may go, and be touched, to the right and to the left, and
-            their fractions there.
+        margin: (M, Q) by how much other maxima of the curves reach less far.
     """
 
-    point: Tensor
-    parts: Tensor
-    u: Tensor
-    along: Tensor
-    across: Tensor
-    drop: Tensor | None
-    bends: Tensor | None
-    radius: Tensor
-    rest: Tensor | None
-    face: tuple[Tensor, ...] | None
+    nx: Array
+    ny: Array
+    x: Array
+    y: Array
+    u: Array
+    force: Array
+    along: Array
+    drop: Array | None
+    bends: Array | None
+    radius: Array
+    rest: Array | None
+    margin: Array
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ class CurveSums:
     """Q sums of M actuators' reaction curves in the plane, actuators in the order of the groups.
 
     Attributes:
-        groups: of actuators alike, and how many.
+        groups: of actuators alike, and which they are.
         bending: (M, Q) bending moment at fraction 1, scaled by moment.
         lever: (M, Q) the same, scaled by force too.
         radii: (M, Q) scaled by moment.
@@ -58,68 +61,81 @@ class CurveSums:
         order: where in it each of the arm's actuators is.
     """
 
-    groups: tuple[tuple[Arcs, int], ...]
-    bending: Tensor
-    lever: Tensor
-    radii: Tensor
+    groups: tuple[tuple[Arcs, slice], ...]
+    bending: Array
+    lever: Array
+    radii: Array
     scale: tuple[float, float]
     order: tuple[int, ...]
 
-    def touch(self, normal: Tensor, slack: Tensor | None = None) -> Touch:
-        """Where lines with normals (2, Q) touch the sets, and if asked for within slack (Q) of there.
+    def touch(self, nx: Array, ny: Array) -> Touch:
+        """Where lines with normals n (Q) touch the sets.
 
         As the normal turns, with a lever `k = s_f s_m b` of the bending moment b and a reach a newton, a fraction
         changes by `k / (a drop)`, and the place along the line by the radius `k² / (a² drop)`.
         """
-        nx, ny = normal
-        fx, fy = self.scale[0] * normal
-        along, across = torch.addcmul(fx, self.radii, ny, value=-1), -torch.addcmul(fy, self.radii, nx)
-        lines = Lines(along, self.bending * ny, across, self.bending * nx)
-        parts: list[Highest] = []
-        for group, own in self.by_group():
-            whole = len(self.groups) == 1
-            part = lines if whole else Lines(*(value[own] for value in vars(lines).values()))
-            parts.append(group.highest(part, slack))
-        if len(parts) == 1:
-            u, force, drop, rest, face = vars(parts[0]).values()
-        else:
-            u, force = torch.cat([part.u for part in parts]), torch.cat([part.force for part in parts])
-            drops = [torch.full_like(part.u, torch.inf) if part.drop is None else part.drop for part in parts]
-            drop = None if all(part.drop is None for part in parts) else torch.cat(drops)
-            rests = [part.rest for part in parts if part.rest is not None]
-            rest = torch.cat(rests) if rests else None
-            face = None
-            if slack is not None:
-                face = tuple(torch.cat(values) for values in zip(*(part.faces or () for part in parts), strict=True))
-        shares = torch.stack((self.scale[0] * force, torch.addcmul(self.bending * u, self.radii, force, value=-1)))
-        bends = None if drop is None else (self.lever / along).square_().div_(drop)
-        radius = torch.zeros_like(nx) if bends is None else bends.sum(0)
+        lines = self.lines(nx, ny)
+        parts = [group.highest(own) for group, own in self._of_groups(lines)]
+        u, force, drop, rest, margin = vars(parts[0] if len(parts) == 1 else _joined(parts)).values()
+        bends = None
+        if drop is not None:
+            bends = self.lever / lines.along
+            bends *= bends
+            bends /= drop
+        radius = np.zeros_like(nx) if bends is None else bends.sum(0)
         rest = None if rest is None else rest.sum(0)
-        return Touch(shares.sum(1), shares, u, along, across, drop, bends, radius, rest, face)
+        x, y = self.places(u, force)
+        return Touch(nx, ny, x, y, u, force, lines.along, drop, bends, radius, rest, margin)
 
-    def by_group(self) -> list[tuple[Arcs, slice]]:
-        """The groups, and which actuators they are."""
-        starts = [0]
-        for _, count in self.groups:
-            starts.append(starts[-1] + count)
-        return [
-            (group, slice(start, start + count)) for (group, count), start in zip(self.groups, starts, strict=False)
-        ]
+    def lines(self, nx: Array, ny: Array) -> Lines:
+        """What a newton and a fraction of each curve reach along directions (Q)."""
+        return Lines(self.scale[0] * nx - self.radii * ny, self.bending * ny)
 
-    def jumps(self, chord: Tensor, first: Tensor, last: Tensor) -> Tensor:
-        """Faces (2, M, Q) that curves may have between fractions (M, Q): chords, or tangents if known, as long."""
-        for group, own in self.by_group():
+    def places(self, u: Array, force: Array) -> tuple[Array, Array]:
+        """The sums' x and y (Q) of fractions and forces (M, Q)."""
+        moment: Array = self.bending * u - self.radii * force
+        return self.scale[0] * force.sum(0), moment.sum(0)
+
+    def _of_groups(self, lines: Lines) -> list[tuple[Arcs, Lines]]:
+        if len(self.groups) == 1:
+            return [(self.groups[0][0], lines)]
+        return [(group, Lines(lines.along[own], lines.per_fraction[own])) for group, own in self.groups]
+
+    def spread(self, touch: Touch, slack: Array) -> tuple[Array, ...]:
+        """As of `Arcs`, of all actuators, of what is touched within slack (Q)."""
+        u, force = touch.u, touch.force
+        lines, across = self.lines(touch.nx, touch.ny), self.lines(-touch.ny, touch.nx)
+        near = (touch.margin <= slack).any(1)
+        nothing = np.zeros_like(u)
+        if len(self.groups) == 1:
+            return self.groups[0][0].spread(lines, across, u, force, slack)
+        parts = []
+        for (group, rows), (_, own), (_, aside) in zip(
+            self.groups, self._of_groups(lines), self._of_groups(across), strict=True
+        ):
+            if near[rows].any():
+                parts.append(group.spread(own, aside, u[rows], force[rows], slack))
+            else:
+                parts.append((nothing[rows], nothing[rows], u[rows], u[rows], force[rows], force[rows]))
+        return tuple(np.concatenate(values) for values in zip(*parts, strict=True))
+
+    def jumps(self, first: Array, last: Array, rise: Array) -> tuple[Array, Array]:
+        """Faces (M, Q) that curves may have between fractions: chords, or tangents if known, as long.
+
+        Args:
+            first, last: fractions (M, Q).
+            rise: (M, Q) of force between them.
+        """
+        run = last - first
+        for group, own in self.groups:
             known = group.tangent(first[own], last[own])
             if known is not None:
                 slope, there = known
-                edge = torch.stack((self.scale[0] * slope, self.bending[own] - self.radii[own] * slope))
-                face = torch.where(there, edge * (last[own] - first[own]), chord[:, own])
-                chord = (
-                    face if len(self.groups) == 1 else torch.cat((chord[:, : own.start], face, chord[:, own.stop :]), 1)
-                )
-        return chord
+                rise = rise.copy() if len(self.groups) > 1 else rise
+                rise[own] = np.where(there, slope * run[own], rise[own])
+        return self.scale[0] * rise, self.bending * run - self.radii * rise
 
-    def turn(self, touch: Touch, angle: Tensor, steep: Tensor) -> Tensor:
+    def turn(self, touch: Touch, angle: Array, steep: Array) -> Array:
         """How far (Q, as tangents) normals turn in Newton's step, if to first order that is an angle.
 
         Of the rate (steep) at which the points come ahead as the normal turns, that part which is the curves' radii
@@ -127,58 +143,77 @@ class CurveSums:
         """
         if touch.drop is None or touch.bends is None:
             return angle
-        lever, along, u, bends = self.lever, touch.along, touch.u, touch.bends
+        along, u, bends = touch.along, touch.u, touch.bends
+        across = self.scale[0] * -touch.ny - self.radii * touch.nx
         # The place along the line is quadratic in the fraction.
         rate = angle / along
-        sway = (0.5 * touch.across * rate).clamp(-MOST_SWAY, MOST_SWAY)
-        step = rate * lever / touch.drop
-        target = torch.addcmul(u, step, 1 + sway)
+        sway = (0.5 * across * rate).clip(-MOST_SWAY, MOST_SWAY)
+        step = rate * self.lever / touch.drop
+        target = u + step * (1 + sway)
         # Short of a corner that is missed by little.
         left = ENDING * u
         right = ENDING - left
         low, high = (target > -left) * left, 1 - (target < 1 + right) * right
-        step = torch.clamp(target, low, high).sub_(u)
+        step = np.minimum(np.maximum(target, low), high) - u
         change = self._slope_change(touch, step)
         curved = (bends > 0) & (angle != 0)
-        slope = along * torch.where(curved, change, 0.0)
-        turns = slope / (torch.addcmul(lever, touch.across, slope) * -rate)
-        gain = (bends * torch.where(curved, turns.clamp(LEAST_TURN, MOST_TURN) - 1, 0.0)).sum(0) / steep
-        return angle * (1 + gain.clamp(LEAST_TURN - 1, MOST_TURN - 1))
+        slope = along * np.where(curved, change, 0.0)
+        turns = slope / ((self.lever + across * slope) * -rate)
+        factor = np.where(curved, turns.clip(LEAST_TURN, MOST_TURN) - 1, 0.0)
+        gain = (bends * factor).sum(0) / steep
+        turned: Array = angle * (1 + gain.clip(LEAST_TURN - 1, MOST_TURN - 1))
+        return turned
 
-    def _slope_change(self, touch: Touch, step: Tensor) -> Tensor:
+    def _slope_change(self, touch: Touch, step: Array) -> Array:
         """By how much the curves' slopes (M, Q) change from where they are touched on by steps."""
         assert touch.drop is not None
-        (group, _), *others = self.groups
-        if not others and group.shape is not None and group.twins is None:
-            return group.shape.slope_change(touch.u, step)
-        change = -step * touch.drop / touch.along
-        for group, own in self.by_group():
+        change: Array = -step * touch.drop / touch.along
+        for group, own in self.groups:
             if group.shape is not None:
                 known = group.shape.slope_change(touch.u[own], step[own])
-                change[own] = known if group.twins is None else torch.where(known != 0, known, change[own])
+                change[own] = known if group.twins is None else np.where(known != 0, known, change[own])
         return change
 
 
-def curve_sums(laws: Laws, bending: Tensor, radii: Tensor, scale: tuple[float, float]) -> tuple[CurveSums, Tensor]:
+def _joined(parts: list[Highest]) -> Highest:
+    """Maxima of all groups."""
+    drop = rest = None
+    if any(part.drop is not None for part in parts):
+        drop = np.concatenate([np.full_like(part.u, np.inf) if part.drop is None else part.drop for part in parts])
+    rests = [part.rest for part in parts if part.rest is not None]
+    if rests:
+        rest = np.concatenate(rests)
+    u, force, margin = (np.concatenate([getattr(part, name) for part in parts]) for name in ("u", "force", "margin"))
+    return Highest(u, force, drop, rest, margin)
+
+
+@np.errstate(all="ignore")
+def curve_sums(
+    laws: Laws, sections: Sections, scale: tuple[float, float], *, relative: bool
+) -> tuple[CurveSums, Array]:
     """The sums of laws' curves at B sections; and whether (B) they are right.
 
     Args:
-        laws: of M actuators.
-        bending: (M, B) bending moments at fraction 1 [N·m].
-        radii: (M, B) [m].
+        laws: of the actuators; relative: of differences from node 1.
+        sections: the actuators.
         scale: factors on force and moment.
+        relative: whether the sums are of differences.
     """
-    holds, groups = laws.holds, []
+    holds, groups, start = laws.holds, [], 0
     for law in laws.groups:
         group, known = arcs(law)
         holds = holds & known
-        groups.append((group, len(law.coefficients[0])))
-    count = len(radii)
+        groups.append((group, slice(start, start + len(group.rate[0]))))
+        start = groups[-1][1].stop
+    count = len(sections.radii)
     places = [
         place for law in laws.groups for place in (range(count)[law.rows] if isinstance(law.rows, slice) else law.rows)
     ]
     order = tuple(places.index(own) for own in range(count))
+    bending = sections.bending
+    moments = as_array(bending - sections.at_first_node(bending) if relative else bending)
+    offsets = as_array(sections.radii)
     if len(groups) > 1:
-        bending, radii = (torch.cat([value[law.rows] for law in laws.groups]) for value in (bending, radii))
-    bending = scale[1] * bending
-    return CurveSums(tuple(groups), bending, scale[0] * bending, scale[1] * radii, scale, order), holds
+        moments, offsets = moments[places], offsets[places]
+    moments = scale[1] * moments
+    return CurveSums(tuple(groups), moments, scale[0] * moments, scale[1] * offsets, scale, order), holds
