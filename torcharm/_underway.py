@@ -92,17 +92,9 @@ def compiling(device: torch.device) -> Iterator[None]:
     Raises:
         ValueError: there is no C++ compiler, or the device is none that it compiles for.
     """
-    from torch._inductor.cpp_builder import get_cpp_compiler
-    from torch._inductor.exc import InvalidCxxCompiler
-
     if device.type != "cpu":
         raise ValueError(f"compiled: must be False for tensors that are not on the CPU, got them on {device}")
-    try:
-        get_cpp_compiler()
-    except InvalidCxxCompiler:
-        raise ValueError(
-            "compiled: must be False without a C++ compiler, and none was found (g++, or what CXX names)"
-        ) from None
+    check_compiler()
     settings = {
         "specialize_float": True,
         "specialize_int": True,
@@ -112,3 +104,16 @@ def compiling(device: torch.device) -> Iterator[None]:
     with torch._dynamo.config.patch(settings), warnings.catch_warnings():
         warnings.filterwarnings("ignore", category=FutureWarning, module="torch")  # of PyTorch by itself
         yield
+
+
+def check_compiler() -> None:
+    """Raise a ValueError where PyTorch finds no C++ compiler."""
+    from torch._inductor.cpp_builder import get_cpp_compiler
+    from torch._inductor.exc import InvalidCxxCompiler
+
+    try:
+        get_cpp_compiler()
+    except InvalidCxxCompiler:
+        raise ValueError(
+            "compiled: must be False without a C++ compiler, and none was found (g++, or what CXX names)"
+        ) from None
