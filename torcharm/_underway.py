@@ -17,6 +17,8 @@ from torcharm.mechanics import pick
 
 KEPT = 0.6
 """Whoever is through is dropped once no more than this share of the batch is under way."""
+WORTH = 24
+"""Compiled, only if these are so many at least."""
 KINDS = 256
 """Kinds of arms for which a process keeps compiled steps, at most."""
 SMALL_PRODUCT = 16
@@ -48,9 +50,9 @@ def run(
         options: of the step.
         compiled: whether it runs compiled; within `compiling` only.
     """
-    least, settings = 0, tuple[Any, ...](options)
+    least, worth, settings = 0, 1, tuple[Any, ...](options)
     if compiled and len(state.over):
-        step, least = _compiled(step), _least_batch(state)
+        step, least, worth = _compiled(step), _least_batch(state), WORTH
         settings = tuple(torch.tensor([value], dtype=torch.float64) for value in options)  # numbers would be constants
         index = torch.arange(max(least, len(state.over)), device=state.over.device) % len(state.over)
         state, own = _at(state, index), own[index]  # and no two tensors share memory, or code is for those that do
@@ -58,12 +60,10 @@ def run(
         state = step(own, state, *settings)
         count = len(state.over)
         left = count - int(state.over.sum())
-        if left > KEPT * count:
-            continue
-        store(state)
         if left == 0:
-            return
-        if count > least:
+            break
+        if left <= KEPT * count and count - max(left, least) >= worth:
+            store(state)
             on = (~state.over).nonzero().squeeze(-1)
             if left < least:  # some that are over stay
                 on = torch.cat((on, state.over.nonzero().squeeze(-1)[: least - left]))
@@ -82,7 +82,7 @@ def _least_batch(state: Any) -> int:
 
 @cache
 def _compiled(step: Step) -> Step:
-    return torch.compile(step, dynamic=True, fullgraph=True)
+    return torch.compile(step, dynamic=True, fullgraph=True, options={"cpp_wrapper": True})
 
 
 @contextmanager
