@@ -43,7 +43,11 @@ def _ring(u: Array, off: Array, count: int) -> tuple[Array, Array, Array]:
         return np.stack((zero, one, unit)), np.stack((zero, one_off, zero)), turn
     # What stands out from the triangle of the three, on its side or on the other.
     behind = turn * off
-    beyond = turn * (one_off * np.minimum(u / one, (1 - u) / (1 - one))) - behind
+    depth = turn * one_off
+    beyond, other = u * (depth / one), 1 - u
+    other *= depth / (1 - one)
+    np.maximum(beyond, other, out=beyond)  # the depth is negative
+    beyond -= behind
     best = first_highest(np.maximum(beyond, behind))
     two, two_off = at_index(u, best), at_index(off, best)
     across = at_index(behind, best)
