@@ -65,15 +65,24 @@ class Law:
 
     def force(self, u: Array) -> Array:
         """Forces (S, m, B) at fractions (S, m, B) or (S, 1, 1)."""
-        total: Array = np.broadcast_to(self.coefficients[-1], (len(u), *self.coefficients[0].shape))
+        total: Array = np.empty((len(u), *self.coefficients[0].shape), u.dtype)
+        total[:] = self.coefficients[-1]
         for coefficient in self.coefficients[-2::-1]:
-            total = coefficient + total * u
+            total *= u
+            total += coefficient
+        part = np.empty_like(total)
         for kink, slope in zip(self.kinks, self.slopes, strict=True):
-            total = total + np.maximum(u - kink, 0) * slope
+            np.subtract(u, kink, out=part)
+            np.maximum(part, 0, out=part)
+            part *= slope
+            total += part
         if len(self.gain):
             log = np.log(np.maximum(u, LEAST))
             for gain, exponent in zip(self.gain, self.exponent, strict=True):
-                total = total + np.exp(exponent * log) * gain
+                np.multiply(exponent, log, out=part)
+                np.exp(part, out=part)
+                part *= gain
+                total += part
         return total
 
 

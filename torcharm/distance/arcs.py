@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from torcharm._arrays import Array
-from torcharm.distance.shapes import Cubics, Powers, Span, Twins, at_index
+from torcharm.distance.shapes import Cubics, Powers, Span, Twins, at_index, first_highest
 from torcharm.laws import STRAIGHT, Law
 
 
@@ -27,6 +27,21 @@ class Highest:
     drop: Array | None
     rest: Array | None
     margin: Array
+
+
+@dataclass(frozen=True)
+class _Candidates:
+    """Places on curves (C, m, Q) that may be maxima: fractions, forces, and reaches (-inf: there is none)."""
+
+    u: Array
+    force: Array
+    reach: Array
+
+
+def _others(candidates: _Candidates, u: Array) -> Array:
+    """How far (m, Q) they reach elsewhere than at fractions u."""
+    best: Array = np.where(candidates.u == u, -np.inf, candidates.reach).max(0)
+    return best
 
 
 @dataclass(frozen=True)
@@ -68,13 +83,8 @@ class Arcs:
         if self.grid is None and len(self.base) == 1 and not winding:
             found, top, at_zero = self._highest_of_one(lines)
         else:
-            u, force, reach, drops = self._candidates(lines)
-            best = reach.argmax(0)
-            top, at_zero = at_index(reach, best), None
-            chosen = at_index(u, best)
-            margin = top - np.where(u == chosen, -np.inf, reach).max(0)
-            drop = None if drops is None else at_index(drops, best)
-            found = Highest(chosen, at_index(force, best), drop, None, margin)
+            found, top = self._highest_of_all(lines)
+            at_zero = None
         if self.twins is None:
             return found
         return self._twins_too(self.twins, lines, found, top, at_zero)
@@ -97,26 +107,38 @@ class Arcs:
         margin = np.where(found, top - along * first - np.maximum(climb, 0), margin)
         return Highest(u, force, drop, None, margin), top, slope
 
-    def _candidates(self, lines: Lines) -> tuple[Array, Array, Array, Array | None]:
-        """All corners and peaks (S + J, m, Q): fractions, forces, reaches (-inf: there is none), and drops."""
+    def _highest_of_all(self, lines: Lines) -> tuple[Highest, Array]:
+        """Of all corners and peaks; and reaches."""
+        corners, peaks, drops = self._candidates(lines)
+        best = first_highest(corners.reach)
+        u, force, top = (at_index(value, best) for value in (corners.u, corners.force, corners.reach))
+        if peaks is None or drops is None:
+            return Highest(u, force, None, None, top - _others(corners, u)), top
+        best = first_highest(peaks.reach)
+        high, there, peak, drop = (at_index(value, best) for value in (peaks.u, peaks.force, peaks.reach, drops))
+        further = (peak > top) | np.isnan(peak)
+        u, force, top = np.where(further, high, u), np.where(further, there, force), np.where(further, peak, top)
+        margin = top - np.maximum(_others(corners, u), _others(peaks, u))
+        return Highest(u, force, np.where(further, drop, np.inf), None, margin), top
+
+    def _candidates(self, lines: Lines) -> tuple[_Candidates, _Candidates | None, Array | None]:
+        """All corners (S, m, Q); if there are any, all peaks (J, m, Q) and their drops."""
         along, per_fraction = lines.along, lines.per_fraction
         grid, force = self.grid, self.force
         if grid is None:
             grid = np.zeros_like(force)
             grid[1] = 1
-        reach = along * force + per_fraction * grid
+        reach = along * force
+        reach += per_fraction * grid
+        corners = _Candidates(grid, force, reach)
         if self.shape is None:
-            return grid, force, reach, None
+            return corners, None, None
         peaks = self.shape.peaks(along, per_fraction + along * self.rate, self.span)
-        there = self.base + peaks.force + self.rate * peaks.u
+        there = self.rate * peaks.u
+        there += self.base
+        there += peaks.force
         further = np.where(peaks.found, along * there + per_fraction * peaks.u, -np.inf)
-        drop = np.concatenate((np.full_like(grid, np.inf), peaks.drop))
-        return (
-            np.concatenate((grid, peaks.u)),
-            np.concatenate((force, there)),
-            np.concatenate((reach, further)),
-            drop,
-        )
+        return corners, _Candidates(peaks.u, there, further), peaks.drop
 
     def _twins_too(self, twins: Twins, lines: Lines, one: Highest, top: Array | None, slope: Array | None) -> Highest:
         """Put maxima of differences of two powers in place of lower ones; how much higher (m, Q) they may be."""
@@ -125,15 +147,18 @@ class Arcs:
         at = twins.at()
         if not len(at[0]):
             return one
-        along, per_fraction, rate = lines.along[at], lines.per_fraction[at], self.rate[0][at]
-        twin, higher = twins.peaks(at, along, per_fraction + along * rate if slope is None else slope[at])
-        force = self.base[0][at] + twin.force + rate * twin.u
-        reach = along * force + per_fraction * twin.u
-        lead = reach - top[at]
+        along, rate = lines.along[at], self.rate[0][at]
+        sloped = lines.per_fraction[at] + along * rate if slope is None else slope[at]
+        found, twin, higher = twins.peaks(at, along, sloped)
+        rest = np.zeros_like(top)
+        if not len(found):
+            return Highest(one.u, one.force, one.drop, rest, one.margin)
+        at = at[0][found], at[1][found]
+        force = self.base[0][at] + twin.force + rate[found] * twin.u
+        lead = lines.along[at] * force + lines.per_fraction[at] * twin.u - top[at]
         better = twin.found & (lead > 0)
         for old, new in zip((one.u, one.force, one.drop), (twin.u, force, twin.drop), strict=True):
             old[at] = np.where(better, new, old[at])
-        rest = np.zeros_like(top)
         rest[at] = np.where(lead + higher > 0, higher, 0.0)
         one.margin[at] = np.where(twin.found, np.minimum(np.abs(lead), one.margin[at]), one.margin[at])
         return Highest(one.u, one.force, one.drop, rest, one.margin)
@@ -148,7 +173,12 @@ class Arcs:
             u, force: the maxima.
             slack: as a length.
         """
-        grid, forces, reach, _ = self._candidates(lines)
+        corners, peaks, _ = self._candidates(lines)
+        grid, forces, reach = corners.u, corners.force, corners.reach
+        if peaks is not None:
+            grid, forces, reach = (
+                np.concatenate(pair) for pair in ((grid, peaks.u), (forces, peaks.force), (reach, peaks.reach))
+            )
         off = reach < lines.along * force + lines.per_fraction * u - slack
         place = across.along * (forces - force) + across.per_fraction * (grid - u)
         right, left = np.where(off, np.inf, place), np.where(off, -np.inf, place)
@@ -201,21 +231,19 @@ def arcs(law: Law) -> tuple[Arcs, Array]:
 def _pieces(kinks: Array, slopes: Array, base: Array, rate: Array, bent: Array) -> tuple[Array, Array, Span]:
     """Lines and spans (J, m, B) of the pieces between kinks, of curves that are bent (m, B)."""
     real = (slopes != 0) & (kinks < 1) & bent
-    at = real.any(0).nonzero()
-    if not len(at[0]):
+    at = real.any(0).reshape(-1).nonzero()[0]
+    if not len(at):
         return base[None], rate[None], None
-    real, kinks, slopes = (value[:, at[0], at[1]] for value in (real, kinks, slopes))
+    real, kinks, slopes = (value.reshape(len(value), base.size).take(at, -1) for value in (real, kinks, slopes))
     ends, slopes = np.where(real, np.maximum(kinks, 0), 1.0), np.where(real, slopes, 0.0)
-    place = ends.argsort(0, kind="stable"), np.arange(len(at[0]))
-    count = int(real.sum(0).max())
-    shifts, slopes, ends = (slopes * kinks)[place].cumsum(0)[:count], slopes[place].cumsum(0)[:count], ends[place]
-    bases, rates, begins = (np.empty((count + 1, *base.shape), base.dtype) for _ in range(3))
-    bases[:], rates[:], begins[:] = base, rate, 1
-    begins[0] = 0
-    finishes = np.ones_like(begins)
-    bases[1:, at[0], at[1]] -= shifts
-    rates[1:, at[0], at[1]] += slopes
-    begins[1:, at[0], at[1]] = finishes[:-1, at[0], at[1]] = ends[:count]
+    place = (ends.argsort(0, kind="stable") * len(at) + np.arange(len(at)))[: real.sum(0).max()]
+    shifts, slopes, ends = (value.reshape(-1).take(place) for value in (slopes * kinks, slopes, ends))
+    bases, rates, begins, finishes = (np.empty((len(place) + 1, base.size), base.dtype) for _ in range(4))
+    bases[:], rates[:], begins[0], begins[1:], finishes[:] = base.reshape(-1), rate.reshape(-1), 0, 1, 1
+    bases[1:, at] -= shifts.cumsum(0)
+    rates[1:, at] += slopes.cumsum(0)
+    begins[1:, at] = finishes[:-1, at] = ends
+    bases, rates, begins, finishes = (value.reshape(-1, *base.shape) for value in (bases, rates, begins, finishes))
     return bases, rates, (begins, finishes)
 
 
@@ -229,13 +257,16 @@ def _powers(gains: Array, exponents: Array) -> tuple[Powers, Twins | None]:
     alone = Powers(
         np.where(both, 0.0, np.where(some, gains, 0.0).sum(0)), np.where(some, less, 0.0).max(0).clip(min=STRAIGHT)
     )
-    if not both.any():
+    at = both.reshape(-1).nonzero()[0]
+    if not len(at):
         return alone, None
+    less, gains = (value.reshape(2, both.size).take(at, -1) for value in (less, gains))
     swap = less[0] > less[1]
     (p, q), (g, h) = (np.where(swap, value[::-1], value) for value in (less, gains))
     ratio = -(g * (1 + p) * p) / (h * (1 + q) * q)
     turn = np.minimum(np.log(ratio) / (q - p), 0)
     turn = np.where((ratio > 0) & np.isfinite(turn), turn, 0.0)
     at_turn = g * (1 + p) * np.exp(p * turn) + h * (1 + q) * np.exp(q * turn)
-    table = np.stack((p, q, np.where(both, g, 0.0), h, turn, at_turn, g * (1 + p) + h * (1 + q)))
-    return alone, Twins(table, np.ones_like(g))
+    table = np.zeros((7, both.size), g.dtype)
+    table[:, at] = np.stack((p, q, g, h, turn, at_turn, g * (1 + p) + h * (1 + q)))
+    return alone, Twins(table.reshape(7, *both.shape), np.ones(both.shape, g.dtype))

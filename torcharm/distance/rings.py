@@ -4,7 +4,7 @@ import numpy as np
 
 from torcharm._arrays import Array
 from torcharm.distance.arcs import Arcs
-from torcharm.distance.shapes import at_index
+from torcharm.distance.shapes import at_index, first_highest
 from torcharm.distance.touch import CurveSums
 
 
@@ -34,7 +34,7 @@ def _joined(parts: list[Array], axis: int) -> Array:
 
 def _ring(u: Array, off: Array, count: int) -> tuple[Array, Array, Array]:
     """Rings (count, M, Q) of ends and points (C, M, Q): fractions, how far above the chords; and their turns."""
-    best = np.abs(off).argmax(0)
+    best = first_highest(np.abs(off))
     one, one_off = at_index(u, best), at_index(off, best)
     above = one_off > 0
     turn = np.where(above, -1.0, 1.0).astype(u.dtype)
@@ -43,8 +43,12 @@ def _ring(u: Array, off: Array, count: int) -> tuple[Array, Array, Array]:
         return np.stack((zero, one, unit)), np.stack((zero, one_off, zero)), turn
     # What stands out from the triangle of the three, on its side or on the other.
     behind = turn * off
-    beyond = turn * (one_off * np.minimum(u / one, (1 - u) / (1 - one))) - behind
-    best = np.maximum(beyond, behind).argmax(0)
+    depth = turn * one_off
+    beyond, other = u * (depth / one), 1 - u
+    other *= depth / (1 - one)
+    np.maximum(beyond, other, out=beyond)  # the depth is negative
+    beyond -= behind
+    best = first_highest(np.maximum(beyond, behind))
     two, two_off = at_index(u, best), at_index(off, best)
     across = at_index(behind, best)
     more = (across > 0) | (at_index(beyond, best) > 0)

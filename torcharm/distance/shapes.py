@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torcharm._arrays import Array
+from torcharm._arrays import Array, pick
 from torcharm.laws import LEAST
 
 FLAT = 256.0
@@ -21,6 +21,8 @@ NEAR = 1e-4
 """By how much the logarithm of a fraction may still change when the next step would square that."""
 FLOOR = -69.0
 """The logarithm of a fraction as good as none."""
+MANY = 8192
+"""From so many numbers on passes over them cost more than calls."""
 BETWEEN = (0.3, 0.7)
 """Fractions that stand for a power's curve."""
 
@@ -34,10 +36,25 @@ def _within(u: Array, span: Span) -> Array:
 
 def at_index(values: Array, index: Array) -> Array:
     """Of values (S, m, Q) those (m, Q) at an index along the first dimension."""
+    if len(values) == 1:
+        return values[0]
     flat = index * index.size
     flat += np.arange(index.size).reshape(index.shape)
     chosen: Array = values.reshape(-1).take(flat)
     return chosen
+
+
+def first_highest(values: Array) -> Array:
+    """Where along the first dimension values (S, m, Q) are highest, first; as argmax, faster of many."""
+    if values.size < MANY or not 1 < len(values) < 256:
+        return values.argmax(0)
+    top = values.max(0)
+    if np.isnan(top.sum()):
+        return values.argmax(0)
+    rows = len(values)
+    places = np.arange(rows, 0, -1, dtype=np.uint8).reshape(-1, 1, 1)
+    places = places * (values == top)
+    return rows - places.max(0).astype(np.intp)
 
 
 @dataclass(frozen=True)
@@ -148,8 +165,15 @@ class Powers:
         """As of `Cubics`."""
         fall = along * self.gain * (-1 - self.less)
         share = slope / fall  # u^(x - 1)
-        u = np.exp(np.log(share) / self.less)
-        return Peaks(u, self.gain * share * u, self.less * slope / u, _within(u, span) & (fall > 0))
+        inside = (share > 0) & (share < 1) & (fall > 0)
+        if share.size < MANY:
+            u = np.exp(np.log(share) / self.less)
+        else:  # powers cost more than finding out where they are needed
+            u = np.zeros(share.shape, share.dtype)
+            at = inside.reshape(-1).nonzero()[0]
+            less = self.less.reshape(-1).take(at % self.less.size)
+            u.reshape(-1)[at] = np.exp(np.log(share.reshape(-1).take(at)) / less)
+        return Peaks(u, self.gain * share * u, self.less * slope / u, _within(u, span) & inside)
 
     def between(self) -> tuple[Array, Array]:
         """As of `Cubics`: some fractions and how far from their chords curves are there."""
@@ -172,7 +196,8 @@ class Twins:
     else behind it; in `u^p`, or else in `u^q`, the slope is curved such that Newton's method stays on one side.
 
     Attributes:
-        table: (7, m, Q) p, q, g, h, the logarithm of the turning point (1 at most), and there and at 1 the slope.
+        table: (7, m, Q) p, q, g, h, the logarithm of the turning point (1 at most), and there and at 1 the slope;
+            0 for other curves.
         latest: (m, Q) logarithms of the fractions last found, 1 if none; set anew by each search.
     """
 
@@ -182,23 +207,30 @@ class Twins:
     def between(self) -> Array:
         """Of `Powers.between`, how far from their chords."""
         p, q, g, h = self.table[:4]
-        h = np.where(g == 0, 0.0, h)
         return np.stack([g * _bow(share, p) + h * _bow(share, q) for share in BETWEEN])
 
     def at(self) -> tuple[Array, Array]:
         """Which of m Q curves they are; gains of others are 0."""
         return self.table[2].nonzero()
 
-    def peaks(self, at: tuple[Array, Array], along: Array, slope: Array) -> tuple[Peaks, Array]:
-        """The local maxima (n) of curves of slopes (n) at fraction 0; and how much higher they may be."""
-        p, q, g, h, turn, at_turn, at_end = self.table[:, at[0], at[1]]
-        a, b = along * g * (1 + p), along * h * (1 + q)
-        before = a < 0
+    def peaks(self, at: tuple[Array, Array], along: Array, slope: Array) -> tuple[Array, Peaks, Array]:
+        """Which (f) of curves of slopes (n) at fraction 0 have local maxima, these, and how much higher they may be."""
+        p, q, g, h, turn, at_turn, at_end = table = self.table[:, at[0], at[1]]
+        before = along * g < 0
         middle, end = slope + along * at_turn, slope + along * at_end
-        found = np.where(before, (slope > 0) & (middle < 0), (middle > 0) & (end < 0))
+        there = np.where(before, (slope > 0) & (middle < 0), (middle > 0) & (end < 0))
+        latest = self.latest[at]
+        self.latest[at] = 1.0
+        which = there.nonzero()[0]
+        if not len(which):
+            none = slope[which]
+            return which, Peaks(none, none, none, there[which]), none
+        at = at[0][which], at[1][which]
+        table, along, slope, before, latest = pick((table, along, slope, before, latest), which)
+        p, q, g, h, turn = table[:5]
+        a, b = along * g * (1 + p), along * h * (1 + q)
         less = np.where(before, p, q)
         low, high = np.where(before, FLOOR, turn), np.where(before, turn, 0.0)
-        latest = self.latest[at]
         known = (latest > low) & (latest < high)
         t = np.where(known, latest, np.where(before, np.log(slope / -a) / p, 0.0))
 
@@ -208,17 +240,17 @@ class Twins:
             one, two = a * first, b * second
             return slope + one + two, p * one + q * two, first, second
 
-        fewest = STEPS if not (known | ~found).all() else MORE_STEPS
+        fewest = MORE_STEPS if known.all() else STEPS
         for count in range(MOST_STEPS):
             miss, fall, _, _ = slopes()
             step = np.log(np.maximum(1 - less * miss / fall, 1e-6)) / less
             before, t = t, np.minimum(np.maximum(t + step, low), high)
-            if count + 1 >= fewest and not (found & (np.abs(t - before) > NEAR)).any():
+            if count + 1 >= fewest and not (np.abs(t - before) > NEAR).any():
                 break
         miss, fall, first, second = slopes()
         u = np.exp(t)
         drop = -fall / u
-        rest = np.where(found, np.where(drop > 0, miss * miss / (2 * drop), np.inf), 0.0)
-        found = found & (drop > 0)
+        rest = np.where(drop > 0, miss * miss / (2 * drop), np.inf)
+        found = drop > 0
         self.latest[at] = np.where(found, t, 1.0)
-        return Peaks(u, (g * first + h * second) * u, drop, found), rest
+        return which, Peaks(u, (g * first + h * second) * u, drop, found), rest
