@@ -120,10 +120,10 @@ def evaluate(
         polish: go on from the sampled polygons (3 samples are enough, and chosen; from outside, laws choose their own
             points) to the sets themselves: exact to 1e-8 N for force models that write out their `pressure_law`, as
             this package's do; for others if they are smooth between the kinks they name, within their characterised
-            range. A node that does not converge keeps its sampled distance and clears `converged`. In a sweep of
-            designs absolute sets take half as long as with 9 samples and relative ones about as long; a batch of 2,000
-            takes 0.7 to 1.0 times as long, or 1.3 to 1.5 times (relative), one small call 1.2 to 1.7 times. Searches
-            run on the CPU. Needs hull="exact" and the closed form; second derivatives hold the pressures.
+            range. A node that does not converge keeps its sampled distance and clears `converged`. It takes
+            about as long as 9 samples: a batch of 2,000 0.7 to 1.0 times (absolute) and 1.2 to 1.5 times (relative),
+            with gradients 0.7 to 1.0 times, a sweep of designs less, one small call 1.2 to 1.8 times. Searches run on
+            the CPU. Needs hull="exact" and the closed form; second derivatives hold the pressures.
         residuals: whether to report each node's optimality residuals, as of the sampled polygons.
         pose_cost: what the predicted error measures; None is the paper's `PoseCost()`.
         steps: of the predicted error: None solves the balance itself; 1 carries the load to first order from the
