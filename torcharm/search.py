@@ -112,8 +112,8 @@ def search_pressure(
         progress: whether to show a bar; None shows one for "scipy", on a terminal.
         raise_on_failure: makes it an error if any search does not converge.
         chunk_size: searches worked on at once (batched); None chooses. Bounds memory.
-        compiled: whether steps run as code compiled by `torch.compile` (batched, on the CPU): the same answers in a
-            third of the time. It needs a C++ compiler, and a minute or two at the first search of a process for each
+        compiled: whether steps run as code compiled by `torch.compile` (batched, on the CPU): the same answers in
+            less than half the time. It needs a C++ compiler, and two minutes at the first search of a process for each
             kind of arm (its models, M and N); some ten seconds where PyTorch finds the code on disk, from processes
             before. For many searches, as in a design loop.
 
