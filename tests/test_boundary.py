@@ -5,6 +5,7 @@ import torch
 
 import torcharm as ta
 from torcharm._boundary import find_boundary
+from torcharm._branch_search import _distinct
 from torcharm._continuation import resting
 from torcharm._descent import Goal, Searches
 from torcharm._reaching import Block, lowest
@@ -19,7 +20,7 @@ CASES = {"antagonistic": ([0.75, 0.18, 0.3, 0.275], 85), "bellows": ([0.3, 0.1, 
 def block_of(arm, task):
     outer = checked_outer(arm, task)
     problem, _ = flat_problem(outer, None)
-    weight = torch.ones(outer.nodes + 1, 3, dtype=torch.float64)
+    weight = outer.twists.new_ones(outer.nodes + 1, 3)
     goal = Goal.of(outer_poses(outer), weight)
     own = Searches(problem.arms, problem.scale, problem.arm.max_pressure.mT.contiguous(), goal, problem.tolerance)
     return problem, Block(own, resting(problem).unknowns.movedim(0, -1).contiguous(), outer.nodes)
@@ -114,3 +115,20 @@ def test_lowest_of_each_row():
     have, where = lowest(rows, cost, 5)
     assert have.tolist() == [0, 2]
     assert where.tolist() == [1, 2]
+
+
+def test_in_single_precision_no_direction_is_none():
+    arm = ARMS["bellows"]
+    design = ta.ArmDesign(arm.radii.float(), arm.length.float(), arm.actuators)
+    task = ta.Task(ta.affine_curvature(-3.0, 3.0, nodes=4), ta.sample_loads(1)).to(torch.float32)
+    _, block = block_of(design, task)
+    near = block.reach(torch.full((4, 1), 0.5))
+    still = near._replace(rush=torch.zeros_like(near.rush))
+    assert torch.equal(_measure(block, still), still.rush)
+    assert torch.equal(_normal(block, still), torch.zeros(4, 1))
+
+
+def test_places_are_told_apart_by_where_they_come_first():
+    columns = torch.tensor([[1.0, 0.0, 1.0, 0.0, 1.0], [2.0, 2.0, 2.0, 2.0, 3.0]])
+    assert _distinct(columns).tolist() == [0, 1, 4]
+    assert _distinct(columns[:, :0]).tolist() == []

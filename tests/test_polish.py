@@ -1,5 +1,7 @@
 """Polished distances against converged ones that are found without polygons, and against certificates."""
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 import pytest
 import torch
@@ -8,6 +10,7 @@ import torcharm as ta
 from experiments.reference import converged_distance
 from torcharm import hulls
 from torcharm.actuators import pressure_law
+from torcharm.distance.outside import nearest_outside
 from torcharm.distance.shapes import Cubics
 from torcharm.distance.touch import curve_sums
 from torcharm.laws import section_laws
@@ -52,6 +55,52 @@ def test_random_designs_within_the_characterised_range_are_exact_or_flagged(seed
     wanted = converged_distance(arm, twists, load, relative=relative)
     assert converged.all()
     np.testing.assert_allclose(value.numpy(), wanted, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("signed", [False, True])
+def test_a_muscle_of_its_neutral_length_pulls_in_a_straight_line(signed):
+    # Unstrained, a muscle's power of pressure is a line; node 1's, extended, is not, and the difference bends by it.
+    arm = ta.ArmDesign([0.0, 0.05], 0.5, [ta.McKibben()] * 2)
+    twists, load = affine(3.0, -3.0), ta.sample_loads(4)[3]
+    twists[:, 0] = torch.tensor([0.53, 0.5, 0.51, 0.5, 0.5, 0.49, 0.5, 0.52, 0.5, 0.5])
+    value, converged = polished(arm, twists, load, relative=True, signed=signed)
+    assert converged.all()
+    wanted = converged_distance(arm, twists, load, relative=True, signed=signed)
+    np.testing.assert_allclose(value.numpy(), wanted, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("metric", ["absolute", "relative"])
+def test_what_is_not_a_number_does_not_converge(metric):
+    @dataclass(frozen=True)
+    class Broken(ta.PolynomialActuator):
+        """Without a force where it is squeezed."""
+
+        def pressure_law(self, strain):
+            law = super().pressure_law(strain)
+            return replace(law, coefficients=tuple(c + 0 * (strain + 0.01).sqrt() for c in law.coefficients))
+
+    model = Broken(((1, 0, -40.0), (0, 1, 0.8), (0, 2, -0.002)), (-0.5, 0.5), (0.0, 60.0), 60.0)
+    arm = ta.ArmDesign([-0.05, 0.05], 0.5, [model] * 2)
+    loads, straight = ta.sample_loads(3), affine(0.0, 0.0, nodes=3)
+    for twists, right in ((straight, True), (affine(0.0, 8.0, nodes=3), False)):
+        found = ta.evaluate(arm, ta.Task(twists, loads), (metric,), samples=3, polish=True)
+        assert (found.converged == right).all()
+        assert getattr(found, metric).isfinite().all() == right
+    x = np.array([[np.nan]])
+    sections = hulls.cross_sections(ta.bellows_arm().flatten(), affine(1.0, 1.0, nodes=1)[None])
+    sums, _ = curve_sums(section_laws(sections), sections, (1.0, 1.0), relative=False)
+    assert not nearest_outside(sums, x, x, fractions=False).converged
+
+
+def test_no_search_leaves_a_trace_in_the_curves():
+    arm = ta.ArmDesign([0.03, 0.06, 0.05], 0.5, [ta.McKibben()] * 3)
+    sections = hulls.cross_sections(arm.flatten(), affine(6.0, -6.0)[None])
+    sums, _ = curve_sums(section_laws(sections).minus_first(sections), sections, (1.0, 1.0), relative=True)
+    (kept,) = (group.twins.latest for group, _ in sums.groups)
+    for angle in np.linspace(0, 6, 20):  # one point a set: its curves are not copied
+        x, y = (np.full((10, 1), 1e3 * part) for part in (np.cos(angle), np.sin(angle)))
+        nearest_outside(sums, x, y, fractions=False)
+        assert (kept == 1).all()
 
 
 @pytest.mark.parametrize("relative", [False, True])

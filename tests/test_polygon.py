@@ -150,7 +150,7 @@ def summed(summands):
     start = torch.tensor(starts, dtype=torch.float64).sum(0)
     edge_x = torch.cat([polygons.edge_x for polygons in hulls])
     edge_y = torch.cat([polygons.edge_y for polygons in hulls])
-    return minkowski_sum(start[:1], start[1:], edge_x, edge_y)[0], edge_x, edge_y
+    return minkowski_sum(start[:1], start[1:], edge_x, edge_y), edge_x, edge_y
 
 
 SUMMANDS = {

@@ -6,7 +6,7 @@ from torch import Tensor
 from torcharm import mechanics
 from torcharm._box import spread_points
 from torcharm._descent import Searches
-from torcharm._reaching import Block, Reached
+from torcharm._reaching import Block, Reached, joined
 from torcharm.mechanics import pick
 
 LOOKS = 20
@@ -16,8 +16,8 @@ POOL = 4
 
 
 def begin(block: Block, wanted: Tensor, starts: int, seed: int) -> Reached:
-    """S starts for each, one lot after the other: the best of those loaded, the middle of the box among them; and
-    if there are several, one that is at the task shape, with the pressure that is best there to first order.
+    """S starts for each, one lot after the other: the best of those loaded, from three on the middle of the box among
+    them; the last of several is at the task shape, with the pressure that is best there to first order.
 
     Loaded are S that are promising to first order at the task shape, half as many spread over the box, and none at all.
     """
@@ -40,13 +40,13 @@ def begin(block: Block, wanted: Tensor, starts: int, seed: int) -> Reached:
     rank = loaded.cost.view(count, total).topk(kept, dim=0, largest=False).indices
     if kept > 1:
         rank[-1] = torch.where((rank == guided).any(0), rank[-1], guided)
-    begun = loaded.at((rank * total + every).flatten())
+    begun = pick(loaded, (rank * total + every).flatten())
     if starts == 1:
         return begun
     first = pool[expected.flatten(0, 1).argmin(0)].mT
     none = wanted.new_full((total,), float("inf"))
     at_shape = Reached(first, none, wanted, block.idle, wanted, torch.zeros_like(wanted), torch.zeros_like(none))
-    return Reached(*(torch.cat(pair, -1) for pair in zip(begun, at_shape, strict=True)))
+    return joined(begun, at_shape)
 
 
 def _expected_cost(own: Searches, wanted: Tensor, pool: Tensor) -> Tensor:

@@ -17,7 +17,7 @@ from torch import Tensor
 from torcharm import mechanics
 from torcharm._descent import Searches
 from torcharm._underway import run
-from torcharm.mechanics import pick
+from torcharm.mechanics import put
 
 ASIDE = 1e-4
 """Steps to the two equilibria beside: in the share of the load, and in x over the arm's length."""
@@ -45,9 +45,6 @@ class Boundary(NamedTuple):
     share: Tensor
     shift: Tensor
     found: Tensor
-
-    def at(self, index: Tensor) -> "Boundary":
-        return Boundary(*(pick(value, index) for value in self))
 
 
 class _State(NamedTuple):
@@ -108,8 +105,7 @@ def find_boundary(
     out = _State(*(value.clone() for value in state))
 
     def store(state: _State) -> None:
-        for whole, part in zip(out, state, strict=True):
-            whole[..., state.element] = part
+        put(out, state.element, state)
 
     run(_advance, own, state, steps + 1, store, (), own.compiled)
     end, there, when = out.unknowns[:, :, 0], out.place[:, 0], out.share[0]

@@ -3,7 +3,7 @@
 What a pressure costs is decided by continuation from zero load. A descent goes along warm equilibria, which
 continuation may not reach: under compression an arm buckles to one side or to the other, and a small change of pressure
 decides to which. The best pressures often lie where it does. So what a descent finds is confirmed by continuation;
-where it is not, the search goes on at the boundary, from what is confirmed: see `_trials`.
+where it is not, the search goes on at the boundary, from what is confirmed: see `_rounds`.
 The batch comes last, as in `mechanics.march`.
 """
 
@@ -21,7 +21,7 @@ from torcharm._descent import Goal, Searches, descend
 from torcharm._reaching import COARSE_SHAPE, SAME_SHAPE, Block, Reached, lowest
 from torcharm._rounds import GAIN, Lost, Others, State, work
 from torcharm.equilibrium import solved
-from torcharm.mechanics import pick
+from torcharm.mechanics import pick, put
 
 DESCENT_LOOKS, ONLY_LOOKS = 20, 200
 """Evaluations of the balance in a descent; in one without further rounds."""
@@ -72,7 +72,7 @@ def search_block(problem: Problem, goal: Goal, shape: Tensor, starts: int, hops:
     for _ in range(hops):
         if not bool(state.active.any()):
             break
-        others = work(block, state, others)
+        others = work(block, state, others, seed)
     return _finish(problem, block, state)
 
 
@@ -91,12 +91,12 @@ def _finish(problem: Problem, block: Block, state: State) -> Searched:
     if len(rows):
         again = _solved(problem, block, rows, torch.cat((best.place[:, left], lost.place), 1))
         first = torch.arange(len(left), device=rows.device)
-        end.put(left, again.at(first))
+        put(end, left, pick(again, first))
         whole = torch.cat((torch.ones_like(left, dtype=torch.bool), lost.ended)) | again.continued
         handicapped = torch.where(whole, again.cost, again.cost / SNAPPED)
         have, taken = lowest(rows, handicapped, len(sure))
         better = handicapped[taken] < end.cost[have]
-        end.put(have[better], again.at(taken[better]))
+        put(end, have[better], pick(again, taken[better]))
     look = mechanics.march(own.arms, end.unknowns, end.place * own.limits, each_pressure=own.limits)
     _, gradient, _ = own.goal.model(look)
     place = end.place.mT
@@ -122,11 +122,19 @@ def _hopeful(own: Searches, best: Reached, lost: Lost, wanted: Tensor) -> Lost:
     worth = wanted[lost.rows] & (corner | ((move.norm(dim=0) < NEARBY) & (hoped < best.cost[lost.rows])))
     order = torch.where(corner, -1.0, hoped).argsort()
     order = order[worth[order]]
+    order = order[_distinct(torch.cat((lost.rows.to(lost.place).unsqueeze(0), lost.place))[:, order])]
     order = order[lost.rows[order].argsort(stable=True)]
     rows = lost.rows[order]
     rank = torch.arange(len(rows), device=rows.device) - torch.searchsorted(rows, rows)
     order = order[rank < TRIED_AGAIN]
     return Lost(lost.rows[order], lost.place[:, order], lost.ended[order])
+
+
+def _distinct(columns: Tensor) -> Tensor:
+    """(D,) where each of the columns (K, L) is for the first time."""
+    _, kind = columns.unique(dim=1, return_inverse=True)
+    index = torch.arange(len(kind), device=kind.device)
+    return torch.full_like(kind, len(kind)).scatter_reduce(0, kind, index, "amin")[kind].eq(index).nonzero().squeeze(-1)
 
 
 class _Solved(NamedTuple):
@@ -137,13 +145,6 @@ class _Solved(NamedTuple):
     cost: Tensor
     unknowns: Tensor
     continued: Tensor
-
-    def at(self, index: Tensor) -> "_Solved":
-        return _Solved(*(value[..., index] for value in self))
-
-    def put(self, index: Tensor, new: "_Solved") -> None:
-        for old, fresh in zip(self, new, strict=True):
-            old[..., index] = fresh
 
 
 def _solved(problem: Problem, block: Block, rows: Tensor, place: Tensor) -> _Solved:

@@ -115,7 +115,7 @@ class Searches:
     wall: Tensor | None = None
 
     def __getitem__(self, index: Tensor) -> "Searches":
-        scale = Scale(*(pick(value, index) for value in self.scale))
+        scale = pick(self.scale, index)
         arms, goal = self.arms[index], self.goal[index]
         return Searches(
             arms, scale, pick(self.limits, index), goal, self.tolerance, self.compiled, pick(self.wall, index)

@@ -51,12 +51,10 @@ class Reached(NamedTuple):
     rush: Tensor
     share: Tensor
 
-    def at(self, index: Tensor) -> "Reached":
-        return Reached(*(pick(value, index) for value in self))
 
-    def put(self, index: Tensor, new: "Reached") -> None:
-        for old, fresh in zip(self, new, strict=True):
-            old[..., index] = fresh
+def joined(one: Reached, two: Reached) -> Reached:
+    """The one and then the other."""
+    return Reached(*(torch.cat(pair, -1) for pair in zip(one, two, strict=True)))
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from torcharm import mechanics
 from torcharm._boundary import Boundary, find_boundary
 from torcharm._box import box_step
 from torcharm._descent import Descended, descend
-from torcharm._reaching import COARSE_SHAPE, SAME_SHAPE, Block, Reached, lowest
-from torcharm.mechanics import pick
+from torcharm._reaching import COARSE_SHAPE, SAME_SHAPE, Block, Reached, joined, lowest
+from torcharm.mechanics import pick, put
 
 GAIN, AGAIN_LOOKS = 1e-9, 12
 """Of a descent: relative decrease of the cost at which it ends; evaluations of the balance, where it goes on."""
@@ -44,7 +44,7 @@ BESIDE, NEXT = 12, 3e-4
 
 class Lost(NamedTuple):
     """(L,) rows of searches, places (M, L) to which continuation could not be followed, and whether a descent ended
-    there (L,)."""
+    beside them (L,)."""
 
     rows: Tensor
     place: Tensor
@@ -79,7 +79,7 @@ class State:
         index = rank * total + torch.arange(total, device=rank.device)
         at_end = index < len(found.cost)
         index_end = index.where(at_end, 0)
-        best = _joined(found, begun).at(index)
+        best = pick(joined(found, begun), index)
         same = _same(found, end.unknowns)
         converged = at_end & (same & end.ended)[index_end]
         warm = torch.where(same, float("inf"), end.cost).view(-1, total).amin(0)
@@ -104,20 +104,16 @@ class Others:
         warm = torch.where(_same(found, end.unknowns), float("inf"), end.cost).view(-1, total)[:, rows]
         rank = warm.topk(min(CROSSED, len(warm)), dim=0, largest=False)
         worth = _worth(rank.values, state.best.cost[rows])
-        return Others(rows.expand_as(worth)[worth], found.at((rank.indices * total + rows)[worth]))
+        return Others(rows.expand_as(worth)[worth], pick(found, (rank.indices * total + rows)[worth]))
 
     @staticmethod
     def nearest(block: Block, state: State, rows: Tensor, found: Reached) -> "Others":
         """Of what was found, the nearest to the best for each search that is held."""
-        best = state.best.at(rows)
+        best = pick(state.best, rows)
         across = (_measure(block[rows], best) * found.rush).sum((0, 1)) < 0
         distance = (found.place - best.place).norm(dim=0)
         have, taken = lowest(rows, distance.where(across & state.held[rows], float("inf")), len(state.held))
-        return Others(have, found.at(taken))
-
-
-def _joined(one: Reached, two: Reached) -> Reached:
-    return Reached(*(torch.cat(pair, -1) for pair in zip(one, two, strict=True)))
+        return Others(have, pick(found, taken))
 
 
 def _same(found: Reached, unknowns: Tensor) -> Tensor:
@@ -131,48 +127,52 @@ def _worth(cost: Tensor, best: Tensor) -> Tensor:
     return cost < best * (1 - 1e-4) - 1e-12
 
 
-def work(block: Block, state: State, others: Others) -> Others:
+def work(block: Block, state: State, others: Others, seed: int) -> Others:
     """One round: descend further from the best; and where that leads over a boundary, go along it, or look for it
-    between both sides. Returns what is on the other side for the next round."""
+    between both sides. Changes the state, and returns what is on the other side for the next round."""
     rows = state.active.nonzero().squeeze(-1)
     at = state.held[rows].nonzero().squeeze(-1)
     held, count = rows[at], len(rows)
     keep = state.held[others.rows].nonzero().squeeze(-1)
-    theirs, other = others.rows[keep], others.reached.at(keep)
-    best = state.best.at(held)
-    edges, normals = _edges(block[torch.cat((held, theirs))], _joined(best, other))
-    edge, normal = edges.at(torch.arange(len(held), device=rows.device)), normals[:, : len(held)]
+    theirs, other = others.rows[keep], pick(others.reached, keep)
+    best = pick(state.best, held)
+    edges, normals = _edges(block[torch.cat((held, theirs))], joined(best, other))
+    edge, normal = pick(edges, torch.arange(len(held), device=rows.device)), normals[:, : len(held)]
 
     both = torch.cat((rows, held))
     wall = torch.cat((normal.new_zeros(len(normal), count), normal), 1)
-    start = state.best.at(both)
+    start = pick(state.best, both)
     searches = replace(block[both].searches, wall=wall)
     end = descend(searches, start.place, start.unknowns, gain=GAIN, looks=AGAIN_LOOKS)
     along, free = end.place[:, count:], end.place[:, at]
     known = edge.found.nonzero().squeeze(-1)
+    clear, sharp = pick(best, known), pick(edge, known)
     unknown = (~edge.found).nonzero().squeeze(-1)
-    part = best.at(unknown)
+    part = pick(best, unknown)
     lost = (~edge.found)[torch.searchsorted(held, theirs)].nonzero().squeeze(-1)
     groups = (
         (rows, end.place[:, :count].unsqueeze(1)),
         (held, torch.stack((along, best.place.round()), 1)),
-        (held[known], _slides(block[held[known]], best.at(known), edge.at(known), along[:, known], free[:, known])),
-        (held[known], _until(best.place[:, known], edge.at(known), free[:, known], UNTIL)),
+        (
+            held[known],
+            _slides(block[held[known]], clear, sharp, along[:, known], free[:, known]),
+        ),
+        (held[known], _until(clear.place, sharp, free[:, known], UNTIL)),
         (held[unknown], _shortened(part.place, free[:, unknown], SHORTENED)),
         (held[unknown], _regardless(block[held[unknown]], part, normal[:, unknown], along[:, unknown])),
-        (theirs[lost], _crossings(other.at(lost), edges.at(len(held) + lost), normals[:, len(held) + lost])),
+        (theirs[lost], _crossings(pick(other, lost), pick(edges, len(held) + lost), normals[:, len(held) + lost])),
     )
     many = torch.cat([own.repeat(places.shape[1]) for own, places in groups])
     found = block[many].reach(torch.cat([places.flatten(1) for _, places in groups], 1), pick(state.best.rest, many))
     _take(state, many, found)
-    own_end = found.at(torch.arange(count, device=rows.device))
+    own_end = pick(found, torch.arange(count, device=rows.device))
     same = _same(own_end, end.unknowns[:, :, :count])
     done = same & end.ended[:count] & (own_end.cost <= state.best.cost[rows])
     state.converged[rows] = done
     state.held[rows] = ~same
     state.active[rows] = ~done
     gone = found.cost.isinf()
-    state.lost = _lost(many, found.place, gone, rows, end.place[:, :count], gone[:count] & end.ended[:count])
+    state.lost = _lost(many, found.place, gone, rows, end.place[:, :count], gone[:count] & end.ended[:count], seed)
     return Others.nearest(block, state, many, found)
 
 
@@ -181,22 +181,21 @@ def _take(state: State, rows: Tensor, found: Reached) -> None:
     have, taken = lowest(rows, found.cost, len(state.held))
     better = found.cost[taken] < state.best.cost[have]
     have, taken = have[better], taken[better]
-    state.best.put(have, found.at(taken))
+    put(state.best, have, pick(found, taken))
 
 
-def _lost(rows: Tensor, place: Tensor, gone: Tensor, searches: Tensor, end: Tensor, ended: Tensor) -> Lost:
+def _lost(rows: Tensor, place: Tensor, gone: Tensor, searches: Tensor, end: Tensor, ended: Tensor, seed: int) -> Lost:
     """Trials that are gone; and places beside the ends of descents that are, so near that the cost is the same, along
     bounds of the box."""
     index, at = gone.nonzero().squeeze(-1), ended.nonzero().squeeze(-1)
     end = end[:, at].unsqueeze(1)
-    drawn = torch.randn(len(end), BESIDE, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    drawn = torch.randn(len(end), BESIDE, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
     way = drawn.to(end).unsqueeze(-1) * ((end > 0) & (end < 1))
     beside = (end + NEXT * way / way.norm(dim=0).clamp(min=1e-9)).clamp(0, 1).flatten(1)
-    optimal = torch.ones_like(beside[0], dtype=torch.bool)
     return Lost(
         torch.cat((rows[index], searches[at].repeat(BESIDE))),
         torch.cat((place[:, index], beside), 1),
-        torch.cat((torch.zeros_like(index, dtype=torch.bool), optimal)),
+        torch.cat((torch.zeros_like(index, dtype=torch.bool), torch.ones_like(beside[0], dtype=torch.bool))),
     )
 
 
@@ -220,14 +219,14 @@ def _normal(block: Block, at: Reached) -> Tensor:
     look = mechanics.march(own.arms, at.quick, at.place * own.limits, at.share, each_pressure=own.limits, poses=False)
     normal = (look.change[:, :, 1:] * _measure(block, at).unsqueeze(2)).sum((0, 1))
     normal = torch.where(normal.isfinite().all(0), normal, 0.0)  # no direction is known: none is taken
-    return normal / normal.norm(dim=0).clamp(min=1e-300)
+    return normal / normal.norm(dim=0).clamp(min=torch.finfo(normal.dtype).tiny)
 
 
 def _measure(block: Block, at: Reached) -> Tensor:
     """(C, N, B) what changes of the unknowns are multiplied by, to tell how far the arm gives way."""
     rush = torch.where(at.rush.isfinite(), at.rush, 0.0)
     rush[:-1] /= block.searches.scale.length**2
-    return rush / rush.square().sum((0, 1)).sqrt().clamp(min=1e-300)
+    return rush / rush.square().sum((0, 1)).sqrt().clamp(min=torch.finfo(rush.dtype).tiny)
 
 
 def _inner(normal: Tensor, place: Tensor) -> Tensor:
@@ -256,7 +255,7 @@ def _slides(block: Block, best: Reached, edge: Boundary, along: Tensor, free: Te
     across = _until(best.place, edge, free, (1.0,)).squeeze(1)
     targets = torch.cat([torch.lerp(best.place, along, part) for part, _ in SLIDES] + [across], 1)
     many = torch.arange(count, device=along.device).repeat(len(SLIDES) + 1)
-    start, measure = edge.at(many), pick(_measure(block, best), many)
+    start, measure = pick(edge, many), pick(_measure(block, best), many)
     sign = (_normal(block, best) * edge.normal).sum(0).sign()
     normal = pick(edge.normal * sign, many)
     way = _inner(normal, targets)
@@ -268,9 +267,9 @@ def _slides(block: Block, best: Reached, edge: Boundary, along: Tensor, free: Te
     place = torch.where(there.found, there.place, targets).clamp(0, 1)
     turned = there.normal * (there.normal * normal).sum(0).sign()
     way = torch.where(there.found, _inner(turned, place), way)
-    margins = (*(margins for _, margins in SLIDES), CROSSING)
+    margins = (*(each for _, each in SLIDES), CROSSING)
     points = zip(*(value.view(len(value), len(margins), count).unbind(1) for value in (place, way)), strict=True)
-    trials = [at + margin * inner for (at, inner), some in zip(points, margins, strict=True) for margin in some]
+    trials = [at + margin * inner for (at, inner), each in zip(points, margins, strict=True) for margin in each]
     return torch.stack(trials, 1).clamp(0, 1)
 
 

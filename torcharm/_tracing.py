@@ -73,7 +73,7 @@ class Course:
     compiled: bool = False
 
     def __getitem__(self, index: Tensor) -> "Course":
-        scale = Scale(*(pick(value, index) for value in self.scale))
+        scale = pick(self.scale, index)
         return replace(self, arms=self.arms[index], pressure=pick(self.pressure, index), scale=scale)
 
     def look(self, unknowns: Tensor, share: Tensor) -> Marched:

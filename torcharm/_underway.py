@@ -8,10 +8,10 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
+from threading import RLock
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from torcharm.mechanics import pick
 
@@ -23,6 +23,9 @@ KINDS = 256
 """Kinds of arms for which a process keeps compiled steps, at most."""
 SMALL_PRODUCT = 16
 """Sizes to which PyTorch compiles matrix products apart."""
+
+ONE_AT_A_TIME = RLock()
+"""Whoever sets PyTorch's settings, which are the whole process's."""
 
 Step = Callable[..., Any]
 """From what the elements are of, which can be indexed, their state, and options, to their next state. A state is a
@@ -55,7 +58,7 @@ def run(
         step, least, worth = _compiled(step), _least_batch(state), WORTH
         settings = tuple(torch.tensor([value], dtype=torch.float64) for value in options)  # numbers would be constants
         index = torch.arange(max(least, len(state.over)), device=state.over.device) % len(state.over)
-        state, own = _at(state, index), own[index]  # and no two tensors share memory, or code is for those that do
+        state, own = pick(state, index), own[index]  # and no two tensors share memory, or code is for those that do
     for _ in range(looks):
         state = step(own, state, *settings)
         count = len(state.over)
@@ -67,12 +70,8 @@ def run(
             on = (~state.over).nonzero().squeeze(-1)
             if left < least:  # some that are over stay
                 on = torch.cat((on, state.over.nonzero().squeeze(-1)[: least - left]))
-            state, own = _at(state, on), own[on]
+            state, own = pick(state, on), own[on]
     store(state)
-
-
-def _at(state: Any, index: Tensor) -> Any:
-    return type(state)(*(pick(value, index) for value in state))
 
 
 def _least_batch(state: Any) -> int:
@@ -101,13 +100,15 @@ def compiling(device: torch.device) -> Iterator[None]:
         "recompile_limit": KINDS,
         "accumulated_recompile_limit": 8 * KINDS,
     }
-    with torch._dynamo.config.patch(settings), warnings.catch_warnings():
+    with ONE_AT_A_TIME, torch._dynamo.config.patch(settings), warnings.catch_warnings():
         warnings.filterwarnings("ignore", category=FutureWarning, module="torch")  # of PyTorch by itself
         yield
 
 
 def check_compiler() -> None:
-    """Raise a ValueError where PyTorch finds no C++ compiler."""
+    """Raise a ValueError where PyTorch finds no C++ compiler, or is too old."""
+    if not hasattr(torch._dynamo.config, "accumulated_recompile_limit"):
+        raise ValueError(f"compiled: must be False with a PyTorch as old as {torch.__version__}")
     from torch._inductor.cpp_builder import get_cpp_compiler
     from torch._inductor.exc import InvalidCxxCompiler
 

@@ -272,7 +272,7 @@ def _exact_hulls(curves: Curves, scale: tuple[float, float]) -> ExactHulls:
         edge_force, curves.radii, value=-scale[1] / scale[0]
     )
     least, start = _leftmost(curves)
-    polygons, _ = minkowski_sum(
+    polygons = minkowski_sum(
         scale[0] * least.sum(0),
         scale[1] * curves.lifted((curves.bending * start - curves.radii * least).sum(0)),
         edge_force.flatten(0, 1),

@@ -41,7 +41,7 @@ def heading_key(edge_x: Tensor, edge_y: Tensor) -> Tensor:
     return (edge_y / size).sub_(1.0).mul_(rightward)
 
 
-def minkowski_sum(start_x: Tensor, start_y: Tensor, edge_x: Tensor, edge_y: Tensor) -> tuple[Polygons, Tensor]:
+def minkowski_sum(start_x: Tensor, start_y: Tensor, edge_x: Tensor, edge_y: Tensor) -> Polygons:
     """The Minkowski sum of convex polygons from all their edges, headed counter-clockwise.
 
     The sum's boundary is the summands' edges in order of heading. Parallel edges follow one
@@ -56,7 +56,7 @@ def minkowski_sum(start_x: Tensor, start_y: Tensor, edge_x: Tensor, edge_y: Tens
     edge_x, edge_y = edge_x.gather(0, order), edge_y.gather(0, order)
     x = edge_x.cumsum(0).sub_(edge_x).add_(start_x)
     y = edge_y.cumsum(0).sub_(edge_y).add_(start_y)
-    return Polygons(x, y, edge_x, edge_y), order
+    return Polygons(x, y, edge_x, edge_y)
 
 
 def face_square(point: tuple[Tensor, Tensor], start: tuple[Tensor, Tensor], end: tuple[Tensor, Tensor]) -> Tensor:

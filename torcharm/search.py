@@ -88,7 +88,7 @@ def search_pressure(
 
     "batched" descends from all starts of all tasks at once, by projected Levenberg-Marquardt steps in pressures and
     shapes together. Of pressures that are promising to first order at the task shape, or spread over the box, the best
-    are its starts, and one more descent begins at the task shape itself. Ends are confirmed by continuation. Under
+    are its starts; of two or more, the last begins at the task shape itself. Ends are confirmed by continuation. Under
     compression it may lead elsewhere: an arm buckles to one side or to the other, and the best pressures often lie
     where that is decided. There the cost jumps. The boundary is found by Newton's method, as where the equilibria on
     the way bifurcate, and the search goes on along it, in rounds; it is not `converged`. Next to the boundary

@@ -199,6 +199,8 @@ def arcs(law: Law) -> tuple[Arcs, Array]:
     coefficients, kinks, slopes, gains = law.coefficients, law.kinks, law.slopes, law.gain
     base = coefficients[0]
     rate = coefficients[1] if len(coefficients) > 1 else np.zeros_like(base)
+    if len(gains):  # powers that are lines
+        rate = rate + np.where(law.exponent - 1 > STRAIGHT, 0.0, gains).sum(0)
     holds = np.ones(base.shape[-1], dtype=bool)
     last = sum(coefficients[1:], base) + gains.sum(0)
     grid, force = None, np.stack((base, last))

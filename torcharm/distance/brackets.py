@@ -165,7 +165,7 @@ def _along_face(s: _Search, index: Array, touch: Touch, other: Array, aside: Arr
 
     Args:
         s: the searches.
-        index: which of them.
+        index: which of them; of few, all are taken, as of the others nothing else is within slack.
         touch, other, aside: as of `_Hit`, to be changed.
         on: (q) whether the nearest point is on the face, to be set.
     """

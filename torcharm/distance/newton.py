@@ -21,7 +21,7 @@ STEPS = 6
 @np.errstate(all="ignore")
 def solve(problems: Problems, curves: CurveSums, *, fractions: bool) -> Found:
     """Search for all nearest points at once; those that are done are left out."""
-    count, actuators = len(problems.side), len(curves.radii)
+    count, actuators, curves = len(problems.side), len(curves.radii), curves.afresh()
     none, no = np.zeros_like(problems.side), np.zeros(count, dtype=bool)
     fraction = np.zeros((2, actuators, count), none.dtype) if fractions else None
     found = Found(none, no, fraction, no.copy())

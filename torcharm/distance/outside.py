@@ -20,7 +20,7 @@ class Outside:
         square: squared distances to the sets; of points inside, to the polygons.
         inside: whether they are strictly inside.
         blur: as of `NearestFaces`.
-        fraction: (2, M, B, L) pressure fractions at the ends of the nearest faces, if asked for; 0 inside.
+        fraction: (2, M, B, L) pressure fractions at the ends of the faces that were searched for, if asked for; else 0.
         converged: whether they are within rounding of a set, or as far outside as was proved.
     """
 
@@ -46,7 +46,7 @@ def nearest_outside(sums: CurveSums, x: Array, y: Array, *, fractions: bool) -> 
     """Nearest faces to points x, y (B, L)."""
     edges = _polygons(sums)
     square, slot, inside, blur = _nearest(edges, x, y)
-    wanted = ~inside & (square > blur * blur)
+    wanted = ~(inside | (square <= blur * blur))  # a NaN is wanted, and not found
     section, load = wanted.nonzero()
     converged, fraction = ~wanted, None
     if fractions:
@@ -74,7 +74,7 @@ def nearest_outside(sums: CurveSums, x: Array, y: Array, *, fractions: bool) -> 
         square[place] = np.where(better, found.square, square[place])
         inside[place], converged[place] = found.inside & better, better
         if fraction is not None and found.fraction is not None:
-            fraction[:, :, section, load] = found.fraction[:, list(sums.order)]
+            fraction[:, :, section, load] = found.fraction[:, sums.order]
     return Outside(square, inside, blur, fraction, converged)
 
 

@@ -198,7 +198,7 @@ class Twins:
     Attributes:
         table: (7, m, Q) p, q, g, h, the logarithm of the turning point (1 at most), and there and at 1 the slope;
             0 for other curves.
-        latest: (m, Q) logarithms of the fractions last found, 1 if none; set anew by each search.
+        latest: (m, Q) logarithms of the fractions last found, 1 if none: a search's own, see `CurveSums.afresh`.
     """
 
     table: Array
@@ -244,8 +244,8 @@ class Twins:
         for count in range(MOST_STEPS):
             miss, fall, _, _ = slopes()
             step = np.log(np.maximum(1 - less * miss / fall, 1e-6)) / less
-            before, t = t, np.minimum(np.maximum(t + step, low), high)
-            if count + 1 >= fewest and not (np.abs(t - before) > NEAR).any():
+            last, t = t, np.minimum(np.maximum(t + step, low), high)
+            if count + 1 >= fewest and not (np.abs(t - last) > NEAR).any():
                 break
         miss, fall, first, second = slopes()
         u = np.exp(t)

@@ -1,6 +1,6 @@
 """Where lines touch sums of curves that are written out."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -58,7 +58,7 @@ class CurveSums:
         lever: (M, Q) the same, scaled by force too.
         radii: (M, Q) scaled by moment.
         scale: factors on force and moment.
-        order: where in it each of the arm's actuators is.
+        order: for each of the arm's actuators, its row here.
     """
 
     groups: tuple[tuple[Arcs, slice], ...]
@@ -67,6 +67,15 @@ class CurveSums:
     radii: Array
     scale: tuple[float, float]
     order: tuple[int, ...]
+
+    def afresh(self) -> "CurveSums":
+        """The same for a search of its own, which notes where maxima were."""
+        groups = []
+        for group, own in self.groups:
+            twins = group.twins
+            twins = None if twins is None else replace(twins, latest=np.ones_like(twins.latest))
+            groups.append((group if twins is None else replace(group, twins=twins), own))
+        return replace(self, groups=tuple(groups))
 
     def touch(self, nx: Array, ny: Array) -> Touch:
         """Where lines with normals n (Q) touch the sets.
@@ -126,12 +135,11 @@ class CurveSums:
             first, last: fractions (M, Q).
             rise: (M, Q) of force between them.
         """
-        run = last - first
+        run, rise = last - first, rise.copy()
         for group, own in self.groups:
             known = group.tangent(first[own], last[own])
             if known is not None:
                 slope, there = known
-                rise = rise.copy() if len(self.groups) > 1 else rise
                 rise[own] = np.where(there, slope * run[own], rise[own])
         return self.scale[0] * rise, self.bending * run - self.radii * rise
 

@@ -26,7 +26,7 @@ from torcharm.mechanics.kinematics import (
     to_unknowns,
 )
 from torcharm.mechanics.load import LoadPart, load_part, load_wrench
-from torcharm.mechanics.march import Arms, Marched, march, pick, relax
+from torcharm.mechanics.march import Arms, Marched, march, pick, put, relax
 from torcharm.mechanics.sections import ActuatorPart, actuator_part, actuator_wrench
 
 __all__ = [
@@ -49,6 +49,7 @@ __all__ = [
     "pose_change",
     "pose_error",
     "pose_jacobian",
+    "put",
     "relax",
     "solve",
     "solve_signed",

@@ -13,7 +13,7 @@ closes it. The work grows with N, where a factorisation's grows with its cube. B
 """
 
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar, cast
 
 import torch
 from torch import Tensor
@@ -23,6 +23,8 @@ from torcharm.actuators.bending import bending_model
 from torcharm.arm import ArmDesign
 from torcharm.mechanics.sections import any_bending, bending_moments
 from torcharm.wrenches import actuator_slopes, reference_pressures
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -53,9 +55,19 @@ class Arms:
         return Arms(*(pick(getattr(self, field.name), index) for field in fields(self)))
 
 
-def pick(value: Any, index: Tensor) -> Any:
-    """Some of the batch of a tensor; anything else as it is."""
-    return value.index_select(-1, index) if isinstance(value, Tensor) else value
+def pick(value: T, index: Tensor) -> T:
+    """Some of the batch of a tensor, or of those in a named tuple; anything else as it is."""
+    if isinstance(value, Tensor):
+        return cast(T, value.index_select(-1, index))
+    if isinstance(value, tuple) and hasattr(value, "_fields"):
+        return cast(T, type(value)(*(pick(part, index) for part in value)))
+    return value
+
+
+def put(whole: tuple[Tensor, ...], index: Tensor, part: tuple[Tensor, ...]) -> None:
+    """Set some of the batch of the tensors in a named tuple."""
+    for old, new in zip(whole, part, strict=True):
+        old[..., index] = new
 
 
 class _Rod(NamedTuple):
