@@ -31,7 +31,7 @@ def hulls(task: ta.Task, answers: Sequence["Answers"]) -> Figure:
 
 def shapes(task: ta.Task, answers: Sequence["Answers"]) -> Figure:
     """Each arm's closest shapes, coloured by whether its absolute unattainability is below the median."""
-    figure = Figure(figsize=(5.5 * len(answers), 7.8), layout="constrained")
+    figure = Figure(figsize=(5.5 * len(answers), 6.9), layout="constrained")
     wanted = ta.poses(task.twists)
     for one, axes in zip(answers, figure.subplots(1, len(answers), sharey=True), strict=True):
         below = one.metric("absolute") <= one.metric("absolute").median()
@@ -55,7 +55,7 @@ def shapes(task: ta.Task, answers: Sequence["Answers"]) -> Figure:
             bbox_to_anchor=(0.5, -0.13),
             fontsize=8,
         )
-        axes.set(title=one.name, xlabel="x [m]", aspect="equal", xlim=(-0.4, 0.65), ylim=(-0.9, 0.06))
+        axes.set(title=one.name, xlabel="x [m]", aspect="equal", anchor="N", xlim=(-0.4, 0.65), ylim=(-0.9, 0.06))
     figure.axes[0].set_ylabel("y [m]")
     figure.suptitle("The closest shapes that pressures reach under 100 loads")
     return figure
