@@ -16,7 +16,7 @@ from torch import Tensor
 from torcharm import mechanics
 from torcharm._beginnings import begin
 from torcharm._box import optimality
-from torcharm._continuation import Problem, resting
+from torcharm._continuation import SETTLING_STEPS, Problem, resting
 from torcharm._descent import Goal, Searches, descend
 from torcharm._reaching import COARSE_SHAPE, SAME_SHAPE, Block, Reached, lowest
 from torcharm._rounds import GAIN, Lost, Others, State, work
@@ -26,8 +26,10 @@ from torcharm.mechanics import pick, put
 DESCENT_LOOKS, ONLY_LOOKS = 20, 200
 """Evaluations of the balance in a descent; in one without further rounds."""
 
-TRIED_AGAIN, NEARBY = 10, 0.1
+TRIED_AGAIN, NEARBY = 10, 0.5
 """Places for each search that are tried again at the end, and how near they are, in lengths of the box."""
+TRIAL_SETTLING = 30
+"""Steps of letting go there, at most: a few that never come to rest take as long as all others."""
 SNAPPED = 0.99
 """Share of the cost that a place where the arm snaps must come down to, unless a descent ended there."""
 
@@ -89,9 +91,11 @@ def _finish(problem: Problem, block: Block, state: State) -> Searched:
     lost = _hopeful(own, best, state.lost, ~converged)
     rows = torch.cat((left, lost.rows))
     if len(rows):
-        again = _solved(problem, block, rows, torch.cat((best.place[:, left], lost.place), 1))
-        first = torch.arange(len(left), device=rows.device)
-        put(end, left, pick(again, first))
+        again = _solved(problem, block, rows, torch.cat((best.place[:, left], lost.place), 1), TRIAL_SETTLING)
+        slow = again.cost[: len(left)].isinf().nonzero().squeeze(-1)
+        if len(slow):
+            put(again, slow, _solved(problem, block, rows[slow], again.place[:, slow], SETTLING_STEPS))
+        put(end, left, pick(again, torch.arange(len(left), device=rows.device)))
         whole = torch.cat((torch.ones_like(left, dtype=torch.bool), lost.ended)) | again.continued
         handicapped = torch.where(whole, again.cost, again.cost / SNAPPED)
         have, taken = lowest(rows, handicapped, len(sure))
@@ -147,9 +151,9 @@ class _Solved(NamedTuple):
     continued: Tensor
 
 
-def _solved(problem: Problem, block: Block, rows: Tensor, place: Tensor) -> _Solved:
+def _solved(problem: Problem, block: Block, rows: Tensor, place: Tensor, settling: int) -> _Solved:
     part, own = problem[rows], block.searches
-    found = solved(replace(part, pressure=place.mT * part.arm.max_pressure), block.nodes)
+    found = solved(replace(part, pressure=place.mT * part.arm.max_pressure), block.nodes, settling=settling)
     unknowns = found.unknowns.movedim(0, -1)
     cost = own.goal[rows].cost(unknowns, pick(own.arms.base_pose, rows))
     return _Solved(place, torch.where(found.converged, cost, float("inf")), unknowns, found.continued)

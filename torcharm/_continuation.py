@@ -20,7 +20,8 @@ LOOKS = 200
 """Evaluations of the balance along a path, at most."""
 FIRST_FILLING = 0.3
 """Of the pressure, taken by the first step."""
-SETTLING_STEPS = 150
+SETTLING_STEPS = 60
+"""To rest, at most: of 450 arms that came to rest one took more than 40, and none more than 50."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +165,7 @@ def _move(problem: Problem, step: Tensor) -> Tensor:
     return torch.maximum(heading, 3 * stretch / problem.length)
 
 
-def settle(problem: Problem, start: Tensor, damping: float = 0.4) -> Settled:
+def settle(problem: Problem, start: Tensor, damping: float = 0.4, steps: int = SETTLING_STEPS) -> Settled:
     """Let the arms go, and follow them to rest: what follows where a branch ends is a snap.
 
     Overdamped motion `D ż = R` by implicit Euler steps `(J - D/h) δ = -R` that grow as the motion slows down
@@ -173,12 +174,13 @@ def settle(problem: Problem, start: Tensor, damping: float = 0.4) -> Settled:
     Args:
         problem, start: (B, C, N) where they are let go.
         damping: of the first step, D/h over the sections' own stiffness; little of it makes Newton steps at once.
+        steps: at most.
     """
     here, arrived = start.clone(), torch.zeros(len(start), dtype=torch.bool, device=start.device)
     active = torch.arange(len(start), device=start.device)
     amount = start.new_full((len(start),), 2.5 * damping)
     last = start.new_full((len(start),), float("inf"))
-    for _ in range(SETTLING_STEPS):
+    for _ in range(steps):
         part, z = problem[active], here[active]
         found = part.balance(z)
         miss = part.imbalance(found.residual)

@@ -12,7 +12,7 @@ from torcharm._descent import Searches
 from torcharm._tracing import FIRST_SHARE, Course, trace
 from torcharm.mechanics import pick
 
-LOOKS, LEAST_SHARE = 40, 4e-3
+LOOKS, LEAST_SHARE = 30, 4e-3
 """Of paths: evaluations of the balance at most, and the share of the load below which they are given up."""
 SAME_SHAPE, COARSE_SHAPE = 1e-6, 1e-2
 """Twists [m, rad] that differ by less are of one branch; in single precision."""

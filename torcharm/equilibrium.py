@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from torcharm import mechanics, rod
-from torcharm._continuation import LOOKS, Problem, loaded, settle, unloaded
+from torcharm._continuation import LOOKS, SETTLING_STEPS, Problem, loaded, settle, unloaded
 from torcharm._inputs import (
     TensorLike,
     as_floating,
@@ -217,7 +217,9 @@ class Solved(NamedTuple):
     in_range: Tensor
 
 
-def solved(problem: Problem, nodes: int, start: Tensor | None = None, looks: int = LOOKS) -> Solved:
+def solved(
+    problem: Problem, nodes: int, start: Tensor | None = None, looks: int = LOOKS, settling: int = SETTLING_STEPS
+) -> Solved:
     """The equilibria of a problem without graph: a warm start, then continuation, then letting go.
 
     Args:
@@ -225,6 +227,7 @@ def solved(problem: Problem, nodes: int, start: Tensor | None = None, looks: int
         nodes: N.
         start: (B, N, 3) twists of a warm start.
         looks: evaluations of the balance along a path, at most.
+        settling: steps of letting go, at most.
     """
     shape = (len(problem.pressure), problem.components, nodes)
     unknowns = problem.pressure.new_zeros(shape)
@@ -242,7 +245,7 @@ def solved(problem: Problem, nodes: int, start: Tensor | None = None, looks: int
         unknowns[left], continued[left] = path.unknowns, rest.arrived & path.arrived
         snapped = left[~path.arrived]
         if len(snapped):
-            unknowns[snapped] = settle(problem[snapped], unknowns[snapped]).unknowns
+            unknowns[snapped] = settle(problem[snapped], unknowns[snapped], steps=settling).unknowns
     residual = problem.imbalance(problem.residual(unknowns))
     converged = residual <= problem.tolerance  # false for a NaN
     return Solved(unknowns, residual, converged, continued & converged, *strain_excess(problem, unknowns))

@@ -21,7 +21,7 @@ from torcharm.pose_cost import PoseCost
 from torcharm.task import Task
 
 METHODS = ("batched", "scipy")
-STARTS = {"batched": 6, "scipy": 1}
+STARTS = {"batched": 8, "scipy": 1}
 CHUNK_SHARE = 4
 """Work on a start, in equilibria at once."""
 
@@ -69,7 +69,7 @@ def search_pressure(
     method: str = "batched",
     *,
     starts: int | None = None,
-    hops: int = 4,
+    hops: int = 5,
     node_weights: str | Tensor | Sequence[float] = "ramp",
     error_weights: Sequence[float] = (1.0, 1.0, 0.05),
     shear_stiffness: float | None = None,
@@ -100,7 +100,7 @@ def search_pressure(
         arm: designs, of any batch shape.
         task: tasks, of any batch shape; the search is an outer product.
         method: "batched" or "scipy".
-        starts: S, the number of descents; None takes 6 (batched) or 1 (scipy).
+        starts: S, the number of descents; None takes 8 (batched) or 1 (scipy).
         hops: rounds at most, after the first descents, for what is not at its end: descents that go on, and moves to,
             across and along boundaries (batched).
         node_weights: ω. "ramp" is `linspace(0, 1, N)` on nodes 1 to N (the paper's validation), "uniform" ones on these
