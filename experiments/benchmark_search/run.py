@@ -29,7 +29,7 @@ HERE = Path(__file__).parent
 ARMS = {"antagonistic": ta.antagonistic_arm(), "bellows-only": ta.bellows_arm()}
 OTHERS = {"antagonistic": reference.ANTAGONISTIC, "bellows-only": reference.BELLOWS}
 SHAPE = ta.affine_curvature(-3.0, 3.0, length=0.5, nodes=10)
-STARTS, ROUNDS, FEWER_ROUNDS = 6, 4, 2
+STARTS, ROUNDS, FEWER_ROUNDS = 8, 5, 2
 """The defaults of the search, and rounds of a faster one."""
 PLANS = ((1, 0), (STARTS, FEWER_ROUNDS), (STARTS, ROUNDS))
 HARD = ((50.0, 0.0, 0.0, 0.0), (1.0, 1.0, 1.0, 1.0), (1.3, 2.65, 1.59, 4.59), (20.0, 50.0, 10.0, 5.0), (0.0,) * 4)
@@ -230,7 +230,7 @@ def searches(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
     """The validation's 200 searches against the scipy baseline on some of them."""
     part = "search: validation shape (-3, 3), M0 = 2, ω = linspace(0, 1, N)"
     count = 3 if quick else 100
-    plans = (("SLSQP", 1, 1),) if quick else (("L-BFGS-B", 1, 100), ("SLSQP", 1, 100), ("SLSQP", STARTS, 5))
+    plans = (("SLSQP", 1, 1),) if quick else (("L-BFGS-B", 1, 100), ("SLSQP", 1, 100), ("SLSQP", STARTS, 20))
     methods = ("SLSQP",) if quick else ("SLSQP", "L-BFGS-B", "Nelder-Mead", "trust-constr")
     few = 1 if quick else 2
     spent_of: dict[tuple[str, int], Any] = {}
