@@ -92,6 +92,27 @@ def test_what_is_not_a_number_does_not_converge(metric):
     assert not nearest_outside(sums, x, x, fractions=False).converged
 
 
+@pytest.mark.parametrize("metric", ["absolute", "relative"])
+def test_a_block_whose_search_from_outside_fails_is_searched_for_from_its_polygons(monkeypatch, metric):
+    arm, task = ta.antagonistic_arm(), ta.Task(affine(1.0, 1.5), ta.sample_loads(3))
+    wanted = ta.evaluate(arm, task, (metric,), polish=True)
+    answered = []
+
+    def failing(*arguments, **options):
+        found = nearest_outside(*arguments, **options)
+        found.square[4], found.converged[4] = 0.0, False
+        answered.append(found)
+        return found
+
+    monkeypatch.setattr("torcharm.distance.outside.nearest_outside", failing)
+    again = ta.evaluate(arm, task, (metric,), polish=True)
+    assert len(answered) == 1
+    assert again.converged.all()
+    value, other = getattr(again, f"{metric}_per_node"), getattr(wanted, f"{metric}_per_node")
+    assert float(other[:, 4].max()) > 0.1
+    torch.testing.assert_close(value, other, rtol=0, atol=1e-9)
+
+
 def test_no_search_leaves_a_trace_in_the_curves():
     arm = ta.ArmDesign([0.03, 0.06, 0.05], 0.5, [ta.McKibben()] * 3)
     sections = hulls.cross_sections(arm.flatten(), affine(6.0, -6.0)[None])

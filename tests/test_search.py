@@ -5,8 +5,10 @@ from hull_cases import unchecked
 from scipy.optimize import lsq_linear
 
 import torcharm as ta
-from torcharm import search
+from torcharm import _branch_search, search
 from torcharm._box import box_step, optimality
+from torcharm._continuation import SETTLING_STEPS
+from torcharm.equilibrium import solved
 
 ARMS = {"antagonistic": ta.antagonistic_arm(), "bellows": ta.bellows_arm()}
 
@@ -140,6 +142,24 @@ def test_what_snaps_is_an_equilibrium_and_says_so():
     for row in range(2):
         task = ta.Task(VALIDATION, tasks.tip_load[row])
         assert float(found.cost[row]) == pytest.approx(cost_at(arm, task, found.pressure[row], weights), rel=1e-7)
+
+
+def test_answers_that_come_to_rest_slowly_are_waited_for(monkeypatch):
+    arm, task = ARMS["bellows"], ta.Task(ta.affine_curvature(-3.0, 3.0, nodes=5), ta.sample_loads(3))
+    wanted = ta.search_pressure(arm, task, starts=2, hops=1)
+    patience = []
+
+    def impatient(problem, nodes, **options):
+        found = solved(problem, nodes, **options)
+        patience.append(options["settling"])
+        return found._replace(converged=found.converged & (options["settling"] > _branch_search.TRIAL_SETTLING))
+
+    monkeypatch.setattr(_branch_search, "SAME_SHAPE", -1.0)  # nothing is sure
+    monkeypatch.setattr(_branch_search, "solved", impatient)
+    found = ta.search_pressure(arm, task, starts=2, hops=1)
+    assert patience == [_branch_search.TRIAL_SETTLING, SETTLING_STEPS]
+    torch.testing.assert_close(found.cost, wanted.cost, rtol=1e-9, atol=0)
+    assert not found.converged.any()
 
 
 def test_scipy_finds_a_held_task():
