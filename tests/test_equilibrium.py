@@ -280,7 +280,9 @@ def test_strains_and_pressures_out_of_range_are_reported():
     [
         ({"pressure": [1.0, 2.0]}, "pressure: must have shape"),
         ({"pressure": [-1.0, 0.0, 0.0, 0.0]}, "pressure: must be at least 0 kPa, got -1"),
-        ({"tip_load": [0.0, float("nan"), 0.0]}, "tip_load: must be finite"),
+        ({"tip_load": [0.0, float("nan"), 0.0]}, "tip_load: must be finite, got nan"),
+        ({"tip_load": [0.0, 1e200, 0.0]}, r"tip_load: must be finite, and at most 1.3e\+150 in size, got 1e\+200"),
+        ({"raise_on_failure": "yes"}, "raise_on_failure: must be True or False, got 'yes'"),
         ({"nodes": 0}, "nodes: must be an integer of at least 1"),
         ({"shear_stiffness": 0.0}, "shear_stiffness: must be a finite number above 0"),
         ({"tolerance": -1.0}, "tolerance: must be"),

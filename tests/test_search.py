@@ -162,6 +162,21 @@ def test_answers_that_come_to_rest_slowly_are_waited_for(monkeypatch):
     assert not found.converged.any()
 
 
+@pytest.mark.parametrize("stiffness", [np.int64(1000), torch.tensor(1e3)])
+def test_a_stiffness_may_be_any_number(stiffness):
+    arm, task = ARMS["bellows"], ta.Task(ta.affine_curvature(-1.0, 1.0, nodes=3), ta.sample_loads(1))
+    with unchecked():
+        one, other = (ta.search_pressure(arm, task, starts=1, hops=0, shear_stiffness=k) for k in (stiffness, 1e3))
+    assert torch.equal(one.cost, other.cost)
+
+
+def test_where_no_equilibrium_is_found_nothing_is_near():
+    task = ta.Task(ta.affine_curvature(-1.0, 1.0, nodes=5), [[0.0, 1e4, 0.0], [0.0, 1.0, 0.0]])
+    found = ta.search_pressure(ARMS["antagonistic"], task, starts=2, hops=1)
+    assert found.cost.isinf().tolist() == found.tip_error.isinf().tolist() == [True, False]
+    assert not found.converged[0]
+
+
 def test_scipy_finds_a_held_task():
     arm = ARMS["bellows"]
     task = held_task(arm, [20.0, 30.0, 25.0, 25.0], double([0.5, -1.0, 0.05]), nodes=3)
@@ -257,7 +272,14 @@ def test_optimality_looks_only_inside_the_box():
         ({"error_weights": (1.0, 1.0, -1.0)}, "error_weights: must be a list of numbers, finite, at least 0"),
         ({"shear_stiffness": -1.0}, "shear_stiffness: must be a finite number above 0"),
         ({"method": "scipy", "scipy_method": "magic", "progress": False}, "scipy_method: must be one of L-BFGS-B"),
+        ({"shear_stiffness": True}, "shear_stiffness: must be a finite number above 0, or None, got True"),
         ({"chunk_size": 0}, "chunk_size: must be"),
+        ({"chunk_size": 0, "method": "scipy", "progress": False}, "chunk_size: must be"),
+        ({"seed": 2**63}, "seed: must be an integer of at least 0 and below 2\\*\\*63, got 9223372036854775808"),
+        ({"compiled": "no"}, "compiled: must be True or False, got 'no'"),
+        ({"progress": 2}, "progress: must be True or False, got 2"),
+        ({"raise_on_failure": "x"}, "raise_on_failure: must be True or False, got 'x'"),
+        ({"task": ta.Task(ta.affine_curvature(1.0, 1.0, nodes=1), [0.0] * 3)}, "'tip' weighs its end"),
         ({"task": None}, "task: must be of type Task"),
     ],
 )

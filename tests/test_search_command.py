@@ -79,6 +79,35 @@ def test_shape_takes_an_arm_of_a_study(study_file, tmp_path):
     )
     assert output.startswith("soft: tip at x")
     assert "out of range" in output
+    assert "Pressures are above the arm's limits: 60 of 50, 60 of 50, 60 of 50, 60 of 50 kPa." in " ".join(
+        output.split()
+    )
+
+
+def test_searches_that_find_no_equilibrium_count_as_failed(tmp_path):
+    study = tmp_path / "heavy.toml"
+    study.write_text(
+        """
+        name = "heavy"
+        [[arm]]
+        name = "antagonist"
+        kind = "antagonistic"
+        [[task]]
+        name = "heavy"
+        shape = { kind = "affine", slope = -1, intercept = 1, nodes = 4 }
+        loads = [[0.0, 10000.0, 0.0], [0.0, 1.0, 0.0]]
+        """,
+        encoding="utf-8",
+    )
+    output = invoke("search", study, "--starts", 2, "--out", tmp_path / "found.csv")
+    heavy, light = csv.DictReader((tmp_path / "found.csv").open(encoding="utf-8"))
+    assert (heavy["cost_m2"], heavy["tip_error_m"]) == ("inf", "inf")
+    (line,) = (line for line in output.splitlines() if line.startswith("antagonist "))
+    cost, largest, tip, *counts = line.split()[1:]
+    assert "antagonist: no equilibrium was found under 1 load" in output
+    assert float(cost) == float(largest) == pytest.approx(float(light["cost_m2"]), rel=1e-3)
+    assert float(tip) == pytest.approx(1e3 * float(light["tip_error_m"]), rel=1e-3)
+    assert counts == ["0", "of", "2", "0", "0"]
 
 
 @pytest.mark.parametrize(

@@ -139,6 +139,8 @@ def test_replace_makes_a_new_checked_task():
     assert heavier.twists is task.twists
     with pytest.raises(ValueError, match=r"^tip_load: must be finite"):
         dataclasses.replace(task, tip_load=[float("nan"), 0.0, 0.0])
+    with pytest.raises(ValueError, match=r"^tip_load: must be finite, and at most 1.8e\+15 in size, got 1e\+20"):
+        Task(affine_curvature(0.0, 0.0).float(), torch.tensor([1e20, 0.0, 0.0]))
 
 
 def test_gradients_flow_to_shape_and_load():

@@ -86,11 +86,14 @@ def check_tensor(name: str, value: object, *dims: str | int) -> None:
 
 
 def check_finite(name: str, value: Tensor) -> None:
-    """Raise unless every entry is finite."""
-    finite = torch.isfinite(value)
-    if not bool(finite.all()):
-        bad = value[~finite].flatten()[0].item()
-        raise ValueError(f"{name}: must be finite, got {bad}")
+    """Raise unless every entry is finite, and so are squares of sums of what it is multiplied with."""
+    largest = torch.finfo(value.dtype).max
+    most = largest if value.dtype == torch.float16 else 1e-4 * math.sqrt(largest)
+    good = value.abs() <= most
+    if not bool(good.all()):
+        bad = value[~good].flatten()[0].item()
+        bound = f", and at most {most:.1e} in size" if math.isfinite(bad) else ""
+        raise ValueError(f"{name}: must be finite{bound}, got {bad:g}")
 
 
 def check_at_least(name: str, value: Tensor, low: float, *, strict: bool = False, unit: str = "") -> None:
@@ -120,14 +123,31 @@ def check_choice(name: str, value: object, allowed: Collection[str]) -> None:
 
 
 def check_count(name: str, value: Any, low: int) -> int:
-    """An integer of at least `low`; numpy's integers count."""
+    """An integer of at least `low` that PyTorch takes; numpy's integers count."""
     try:
         count = operator.index(value)
     except TypeError:
         count = low - 1
-    if isinstance(value, bool) or count < low:
-        raise ValueError(f"{name}: must be an integer of at least {low}, got {shown(value)}")
+    if isinstance(value, bool) or not low <= count < 2**63:
+        bound = "" if count < 2**63 else " and below 2**63"
+        raise ValueError(f"{name}: must be an integer of at least {low}{bound}, got {shown(value)}")
     return count
+
+
+def check_flag(name: str, value: object) -> None:
+    """Raise unless `value` is True or False."""
+    if not isinstance(value, bool):
+        raise ValueError(f"{name}: must be True or False, got {shown(value)}")
+
+
+def check_above_zero(name: str, value: Any) -> float | None:
+    """A finite number above 0, or None."""
+    if value is None:
+        return None
+    try:
+        return check_number(name, math.nan if isinstance(value, (bool, np.bool_)) else value, 0.0, strict=True)
+    except ValueError:
+        raise ValueError(f"{name}: must be a finite number above 0, or None, got {shown(value)}") from None
 
 
 def broadcast_shapes(**shapes: tuple[int, ...]) -> torch.Size:

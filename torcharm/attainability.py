@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from torcharm._inputs import check_choice, check_count, shown
+from torcharm._inputs import check_choice, check_count, check_flag, shown
 from torcharm._node_distances import Check, Residuals, node_distances
 from torcharm._outer import OuterProduct, check_arm_and_task, map_blocks, outer_product
 from torcharm._sampled_distances import required_by_metric, strain_excess
@@ -134,6 +134,7 @@ def evaluate(
         ValueError: an argument is none of those allowed, or arm and task differ in dtype or device.
     """
     _check_arguments(arm, task, power, signed)
+    check_flag("residuals", residuals)
     solver = None if distance == "closed_form" else find_solver(distance)
     if signed and solver is not None:
         raise ValueError("signed: True needs distance='closed_form'; solvers know no distance inside a hull")
@@ -184,8 +185,7 @@ def _predict(
 
 def _check_arguments(arm: ArmDesign, task: Task, power: int, signed: bool) -> None:
     check_arm_and_task(arm, task)
-    if not isinstance(signed, bool):
-        raise ValueError(f"signed: must be of type bool, got {shown(signed)}")
+    check_flag("signed", signed)
     if isinstance(power, bool) or not isinstance(power, int) or power not in (1, 2):
         raise ValueError(f"power: must be 1 or 2, got {shown(power)}")
 

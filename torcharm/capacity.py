@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from torcharm._inputs import check_choice, check_count
+from torcharm._inputs import check_choice, check_count, check_flag
 from torcharm._node_distances import required_points
 from torcharm._outer import Block, OuterProduct, check_arm_and_task, map_blocks, outer_product
 from torcharm._sampled_distances import inputs_want_gradient, strain_excess
@@ -110,8 +110,7 @@ def load_capacity(
     """
     check_arm_and_task(arm, task)
     check_choice("metric", metric, METRICS)
-    if not isinstance(polish, bool):
-        raise ValueError(f"polish: must be True or False, got {polish!r:.60}")
+    check_flag("polish", polish)
     count = sample_count(arm, "exact", samples)
     outer = outer_product(arm, task)
     low, high, slack, converged, excess = _per_node(outer, count, metric == "relative", polish, chunk_size)

@@ -18,9 +18,11 @@ from torcharm._inputs import (
     TensorLike,
     as_floating,
     broadcast_shapes,
+    check_above_zero,
     check_at_least,
     check_count,
     check_finite,
+    check_flag,
     check_tensor,
     shown,
 )
@@ -117,7 +119,10 @@ def solve_equilibrium(
         raise ValueError(f"arm: must be of type ArmDesign, got {shown(arm)}")
     check_count("nodes", nodes, 1)
     pressure, load, base, _ = as_floating(pressure=pressure, tip_load=tip_load, base_pose=base_pose, radii=arm.radii)
-    _check_inputs(arm, pressure, load, base, shear_stiffness, tolerance)
+    _check_inputs(arm, pressure, load, base)
+    shear_stiffness = check_above_zero("shear_stiffness", shear_stiffness)
+    tolerance = check_above_zero("tolerance", tolerance)
+    check_flag("raise_on_failure", raise_on_failure)
     if start is not None:
         check_tensor("start", start, nodes, 3)
         check_finite("start", start)
@@ -141,14 +146,7 @@ def solve_equilibrium(
     return result
 
 
-def _check_inputs(
-    arm: ArmDesign,
-    pressure: Tensor,
-    load: Tensor,
-    base: Tensor,
-    shear_stiffness: float | None,
-    tolerance: float | None,
-) -> None:
+def _check_inputs(arm: ArmDesign, pressure: Tensor, load: Tensor, base: Tensor) -> None:
     for name, value, size in (
         ("pressure", pressure, arm.actuator_count),
         ("tip_load", load, 3),
@@ -157,9 +155,6 @@ def _check_inputs(
         check_tensor(name, value, size)
         check_finite(name, value)
     check_at_least("pressure", pressure, 0.0, unit="kPa")
-    for name, number in (("shear_stiffness", shear_stiffness), ("tolerance", tolerance)):
-        if number is not None and not (isinstance(number, (int, float)) and 0 < number < float("inf")):
-            raise ValueError(f"{name}: must be a finite number above 0, or None, got {shown(number)}")
 
 
 def default_chunk(nodes: int, components: int) -> int:

@@ -67,7 +67,10 @@ class PoseCost:
         else:
             omega[:-1] = 1.0
         if not bool(omega[1:].any()):
-            raise ValueError(f"node_weights: must be above 0 at a pose that moves, got {shown(self.node_weights)}")
+            alone = ", of which one segment has the base alone ('tip' weighs its end)" if nodes == 1 else ""
+            raise ValueError(
+                f"node_weights: must be above 0 at a pose that moves, got {shown(self.node_weights)}{alone}"
+            )
         return omega
 
     def __call__(self, error: Tensor) -> Tensor:

@@ -12,7 +12,7 @@ from torcharm import mechanics, rod
 from torcharm._branch_search import search_block
 from torcharm._continuation import Problem
 from torcharm._descent import Goal
-from torcharm._inputs import check_choice, check_count, shown
+from torcharm._inputs import check_above_zero, check_choice, check_count, check_flag
 from torcharm._outer import OuterProduct, check_arm_and_task, outer_product
 from torcharm._underway import compiling
 from torcharm.arm import ArmDesign
@@ -42,7 +42,7 @@ class PressureSearch:
             shares of their limits. At a kink of a force model it does not vanish.
         start_cost: (*batch, S) what each start came to by itself, without rounds; infinite where it failed.
         in_range: (*batch) as of `solve_equilibrium`.
-        tip_error: (*batch) distance of the tip from the task's [m].
+        tip_error: (*batch) distance of the tip from the task's [m]; infinite where no equilibrium was found.
     """
 
     pressure: Tensor
@@ -58,7 +58,7 @@ class PressureSearch:
 
     @property
     def spread(self) -> Tensor:
-        """(*batch) median cost of the starts that succeeded, less the best: 0 if most starts agree."""
+        """(*batch) median cost of the starts that succeeded, less the best: 0 if most starts agree; NaN if none did."""
         known = torch.where(self.start_cost.isfinite(), self.start_cost, self.start_cost.new_tensor(float("nan")))
         return known.nanmedian(-1).values - self.cost
 
@@ -112,8 +112,8 @@ def search_pressure(
         progress: whether to show a bar; None shows one for "scipy", on a terminal.
         raise_on_failure: makes it an error if any search does not converge.
         chunk_size: searches worked on at once (batched); None chooses. Bounds memory.
-        compiled: whether steps run as code compiled by `torch.compile` (batched, on the CPU): the same answers in
-            less than half the time. It needs a C++ compiler, and two minutes at the first search of a process for each
+        compiled: whether steps run as code compiled by `torch.compile` (batched, on the CPU): the same answers in half
+            the time or less. It needs a C++ compiler, and two to four minutes at the first search of a process for each
             kind of arm (its models, M and N); some ten seconds where PyTorch finds the code on disk, from processes
             before. For many searches, as in a design loop.
 
@@ -128,10 +128,13 @@ def search_pressure(
     check_count("seed", seed, 0)
     outer = checked_outer(arm, task)
     weight = PoseCost(node_weights, error_weights).weights(outer.nodes, outer.twists).sqrt()
-    if shear_stiffness is not None and not (
-        isinstance(shear_stiffness, (int, float)) and 0 < shear_stiffness < float("inf")
-    ):
-        raise ValueError(f"shear_stiffness: must be a finite number above 0, or None, got {shown(shear_stiffness)}")
+    shear_stiffness = check_above_zero("shear_stiffness", shear_stiffness)
+    for name, flag in (("raise_on_failure", raise_on_failure), ("compiled", compiled)):
+        check_flag(name, flag)
+    if progress is not None:
+        check_flag("progress", progress)
+    if chunk_size is not None:
+        check_count("chunk_size", chunk_size, 1)
     problem, shape = flat_problem(outer, shear_stiffness)
     target = outer_poses(outer)
     goal = Goal.of(target, weight)
@@ -142,7 +145,7 @@ def search_pressure(
         found = search_one_by_one(problem, goal, outer.nodes, count, seed, scipy_method, progress)
     else:
         chunk = max(1, default_chunk(outer.nodes, problem.components) // (CHUNK_SHARE * count))
-        chunk = chunk if chunk_size is None else check_count("chunk_size", chunk_size, 1)
+        chunk = chunk if chunk_size is None else chunk_size
         index = torch.arange(total, device=weight.device).split(chunk)
         problem = replace(problem, compiled=compiled)
         with torch.no_grad(), compiling(weight.device) if compiled else nullcontext():
@@ -150,7 +153,8 @@ def search_pressure(
         found = tuple(torch.cat(column) for column in zip(*parts, strict=True))
         found = found or empty_result(problem, outer.nodes, count)
     tip = rod.poses(found[2], problem.base_pose)[:, -1, :2]
-    found = (*found, (tip - goal.target[:2, -1].mT).norm(dim=-1))
+    distance = (tip - goal.target[:2, -1].mT).norm(dim=-1)
+    found = (*found, torch.where(found[1].isfinite(), distance, float("inf")))
     result = PressureSearch(*(outer.unflatten(value.reshape(*outer.sizes, *value.shape[1:])) for value in found))
     failed = total - int(result.converged.sum())
     if raise_on_failure and failed:

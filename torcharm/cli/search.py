@@ -72,6 +72,13 @@ def search(
                 console.print()
                 console.print(_table(rows))
                 console.print()
+                for name, found in rows:
+                    failed = sum(int(block.cost.isinf().sum()) for block in found)
+                    if failed:
+                        loads = count(failed, "load")
+                        say(
+                            console, f"{name}: no equilibrium was found under {loads}, left out of all but `converged`."
+                        )
         for line in LEGEND:
             say(console, line)
         if out is not None:
@@ -156,13 +163,14 @@ def _table(rows: "Sequence[tuple[str, list[PressureSearch]]]") -> "Table":
             torch.cat([getattr(block, field) for block in blocks])
             for field in ("cost", "tip_error", "converged", "continued", "in_range")
         )
+        found = cost.isfinite()
+        best, near = cost[found], tip[found]
+        measured = (best.quantile(0.5), best.max(), 1e3 * near.quantile(0.5)) if len(best) else ()
         cells = (
-            f"{cost.quantile(0.5):.4g}",
-            f"{cost.max():.4g}",
-            f"{1e3 * tip.quantile(0.5):.4g}",
+            *([f"{value:.4g}" for value in measured] or ["-"] * 3),
             f"{int(converged.sum())} of {len(cost)}",
-            str(int((~continued).sum())),
-            str(int((~within).sum())),
+            str(int((found & ~continued).sum())),
+            str(int((found & ~within).sum())),
         )
         table.add_row(Text(name), *cells)
     return table

@@ -44,6 +44,13 @@ def shape(
         say(console, f"{chosen.name}: tip at x {x:.6g} m, y {y:.6g} m, heading {angle:.6g} rad")
         if not bool(found.continued):
             say(console, "The arm snapped on the way to the full load: other shapes are possible.")
+        above = [
+            f"{given:g} of {limit:g}"
+            for given, limit in zip(pressures, chosen.design.max_pressure.tolist(), strict=True)
+            if given > limit
+        ]
+        if above:
+            say(console, f"Pressures are above the arm's limits: {', '.join(above)} kPa.")
         if not bool(found.in_range):
             excess = float(found.strain_excess)
             what = f"Strains are up to {excess:.2g} out of range" if excess > 1e-9 else "Pressures are out of range"

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from torcharm._inputs import check_choice, shown
+from torcharm._inputs import check_choice, check_flag, shown
 from torcharm.arm import ArmDesign
 from torcharm.task import Task
 
@@ -73,8 +73,7 @@ class DesignSpace:
             for name in self.tied:
                 check_choice("tied", name, FIELDS)
         for name in ("ordered", "in_range"):
-            if not isinstance(getattr(self, name), bool):
-                raise ValueError(f"{name}: must be True or False, got {shown(getattr(self, name))}")
+            check_flag(name, getattr(self, name))
         if not (isinstance(self.spacing, (int, float)) and 0 <= self.spacing < np.inf):
             raise ValueError(f"spacing: must be a distance of at least 0 m, got {shown(self.spacing)}")
         if self.spacing > 0 and not self.ordered:
