@@ -170,6 +170,18 @@ def test_a_stiffness_may_be_any_number(stiffness):
     assert torch.equal(one.cost, other.cost)
 
 
+def test_a_lone_bellows_does_not_resist_bending_without_pressure_and_is_searched_all_the_same():
+    arm = ta.ArmDesign([0.05], 0.5, (ta.Bellows(),))
+    task = ta.Task(ta.affine_curvature(1.0, 0.5), ta.sample_loads(8, seed=7)[[5, 7]])
+    found = ta.search_pressure(arm, task, starts=4)
+    scan = ta.solve_equilibrium(arm, torch.linspace(0.2, 50.0, 250)[:, None, None].double(), task.tip_load)
+    gap = scan.poses[:, :, :10] - ta.poses(task.twists)[:10]
+    cost = (gap.square() @ double([1.0, 1.0, 0.05])) @ torch.linspace(0, 1, 10, dtype=torch.float64)
+    assert scan.continued.all()
+    assert (found.cost <= cost.amin(0)).all()
+    assert found.start_cost.isfinite().all()
+
+
 def test_where_no_equilibrium_is_found_nothing_is_near():
     task = ta.Task(ta.affine_curvature(-1.0, 1.0, nodes=5), [[0.0, 1e4, 0.0], [0.0, 1.0, 0.0]])
     found = ta.search_pressure(ARMS["antagonistic"], task, starts=2, hops=1)

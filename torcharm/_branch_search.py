@@ -58,10 +58,26 @@ def search_block(problem: Problem, goal: Goal, shape: Tensor, starts: int, hops:
         hops: rounds on what is not at its end.
         seed: of the pressures to start from.
     """
+    found = _searched(problem, goal, shape, starts, hops, seed, patient=False)
+    # Of some floppy arms no start is reached
+    slow = found.start_cost.isinf().all(1).nonzero().squeeze(-1)
+    if len(slow):
+        again = _searched(problem[slow], goal[slow], shape[slow], starts, hops, seed, patient=True)
+        better = again.cost < found.cost[slow]
+        for old, new in zip(found, again, strict=True):
+            old[slow[better]] = new[better]
+    return found
+
+
+def _searched(
+    problem: Problem, goal: Goal, shape: Tensor, starts: int, hops: int, seed: int, *, patient: bool
+) -> Searched:
+    """As `search_block`, patient or not: see `Block`."""
     arms = problem.arms
     limits = problem.arm.max_pressure.mT.contiguous()
     own = Searches(arms, problem.scale, limits, goal, problem.tolerance, problem.compiled)
-    block = Block(own, resting(problem).unknowns.movedim(0, -1).contiguous(), shape.shape[-1])
+    idle = resting(problem).unknowns.movedim(0, -1).contiguous()
+    block = Block(own, idle, shape.shape[-1], problem if patient else None)
     wanted = shape.movedim(0, -1).contiguous()
     begun = begin(block, wanted, starts, seed)
     total, count = len(problem.pressure), starts

@@ -1,19 +1,20 @@
 """What continuation from zero load reaches, for the batched pressure search. The batch comes last."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torcharm import mechanics
-from torcharm._continuation import FIRST_FILLING
+from torcharm._continuation import FIRST_FILLING, Problem, unloaded
 from torcharm._descent import Searches
 from torcharm._tracing import FIRST_SHARE, Course, trace
 from torcharm.mechanics import pick
 
-LOOKS, LEAST_SHARE = 30, 4e-3
-"""Of paths: evaluations of the balance at most, and the share of the load below which they are given up."""
+LOOKS, LEAST_SHARE, PATIENCE = 30, 4e-3, (200, 1e-4)
+"""Of paths: evaluations of the balance at most, and the share of the load below which they are given up; and both of
+who is patient."""
 SAME_SHAPE, COARSE_SHAPE = 1e-6, 1e-2
 """Twists [m, rad] that differ by less are of one branch; in single precision."""
 NEWTON_STEPS = 5
@@ -59,18 +60,33 @@ def joined(one: Reached, two: Reached) -> Reached:
 
 @dataclass(frozen=True)
 class Block:
-    """T searches, with what continuation starts from: idle arms (C, 1, T), without load or pressure."""
+    """T searches, with what continuation starts from.
+
+    Attributes:
+        searches: T of them.
+        idle: (C, 1, T) arms without load or pressure.
+        nodes: N.
+        patient: the problems, if paths that take long are to be followed, and arms to be let go that do not come to
+            rest along one: without pressure a lone actuator does not resist bending.
+    """
 
     searches: Searches
     idle: Tensor
     nodes: int
+    patient: Problem | None = None
 
     def __getitem__(self, index: Tensor) -> "Block":
-        return Block(self.searches[index], pick(self.idle, index), self.nodes)
+        patient = None if self.patient is None else self.patient[index]
+        return Block(self.searches[index], pick(self.idle, index), self.nodes, patient)
 
     def rest(self, place: Tensor) -> tuple[Tensor, Tensor]:
         """The unloaded arms (C, 1, B) at (M, B), continued from zero pressure; and whether there."""
         path = trace(self._course(place, False), self.idle, FIRST_FILLING, LOOKS, LEAST_SHARE)
+        left = (~path.arrived).nonzero().squeeze(-1)
+        if self.patient is not None and len(left):
+            part = self.patient[left]
+            found = unloaded(replace(part, pressure=place[:, left].mT * part.arm.max_pressure))
+            path.unknowns[:, :, left], path.arrived[left] = found.unknowns.movedim(0, -1), found.arrived
         return path.unknowns, path.arrived
 
     def rest_near(self, place: Tensor, near: Tensor) -> tuple[Tensor, Tensor]:
@@ -94,14 +110,15 @@ class Block:
             place: (M, B) shares of the limits.
             near: (C, 1, B) unloaded arms at pressures nearby.
             far: whether to start from no pressure where these are too far; else they are given up.
-            looks: evaluations of the balance, at most, as the load grows.
+            looks: evaluations of the balance, at most, as the load grows, of those that are not patient.
         """
         rest, still = self.rest(place) if near is None else self.rest_near(place, near)
         left = (~still).nonzero().squeeze(-1)
         if near is not None and far and len(left):
             rest[:, :, left], still[left] = self[left].rest(place[:, left])
         start = rest.expand(-1, self.nodes, -1).contiguous()
-        path = trace(self._course(place, True), start, FIRST_SHARE, looks, LEAST_SHARE)
+        looks, least = (looks, LEAST_SHARE) if self.patient is None else PATIENCE
+        path = trace(self._course(place, True), start, FIRST_SHARE, looks, least)
         cost = self.searches.goal.cost(path.unknowns, self.searches.arms.base_pose)
         cost = torch.where(path.arrived & still & cost.isfinite(), cost, float("inf"))
         return Reached(place, cost, path.unknowns, rest, path.quick, path.rush, path.share)
