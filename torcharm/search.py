@@ -134,7 +134,7 @@ def search_pressure(
     if progress is not None:
         check_flag("progress", progress)
     if chunk_size is not None:
-        check_count("chunk_size", chunk_size, 1)
+        chunk_size = check_count("chunk_size", chunk_size, 1)
     problem, shape = flat_problem(outer, shear_stiffness)
     target = outer_poses(outer)
     goal = Goal.of(target, weight)
