@@ -88,6 +88,33 @@ def find_boundary(
         direction: (M, B) along which pressures change.
         steps: of Newton's method, at most.
     """
+    if own.compiled:
+        from torcharm.kernels import batch
+
+        end, there, when, shift, gains, size = batch.find_boundary(
+            own, place, unknowns, share, measure, direction, steps + 1
+        )
+    else:
+        end, there, when, shift, gains, size = _find(own, place, unknowns, share, measure, direction, steps + 1)
+    normal = gains / gains.norm(dim=0)
+    along = (direction * gains).sum(0)
+    shift = shift - (shift * direction.unsqueeze(0)).sum(2, keepdim=True) * (gains / along)
+    numbers = end.isfinite().all(0).all(0) & (there + normal).isfinite().all(0) & shift.isfinite().all(0).all(0).all(0)
+    found = numbers & (size < FOUND) & (when > 0) & (when < 1)
+    return Boundary(
+        torch.where(found, there, place),
+        torch.where(found, normal, 0.0),
+        torch.where(found, end, unknowns),
+        torch.where(found, when, share),
+        torch.where(found, shift, 0.0),
+        found,
+    )
+
+
+def _find(
+    own: Searches, place: Tensor, unknowns: Tensor, share: Tensor, measure: Tensor, direction: Tensor, looks: int
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Unknowns, places and shares where Newton's method ended, (C, N, M, B) shifts, (M, B) gains, and (B,) sizes."""
     count, none = len(share), torch.zeros_like(share)
     state = _State(
         torch.arange(count, device=share.device),
@@ -107,21 +134,8 @@ def find_boundary(
     def store(state: _State) -> None:
         put(out, state.element, state)
 
-    run(_advance, own, state, steps + 1, store, (), own.compiled)
-    end, there, when = out.unknowns[:, :, 0], out.place[:, 0], out.share[0]
-    normal = out.gains / out.gains.norm(dim=0)
-    along = (direction * out.gains).sum(0)
-    shift = out.shift - (out.shift * direction.unsqueeze(0)).sum(2, keepdim=True) * (out.gains / along)
-    numbers = end.isfinite().all(0).all(0) & (there + normal).isfinite().all(0) & shift.isfinite().all(0).all(0).all(0)
-    found = numbers & (out.size < FOUND) & (when > 0) & (when < 1)
-    return Boundary(
-        torch.where(found, there, place),
-        torch.where(found, normal, 0.0),
-        torch.where(found, end, unknowns),
-        torch.where(found, when, share),
-        torch.where(found, shift, 0.0),
-        found,
-    )
+    run(_advance, own, state, looks, store, ())
+    return out.unknowns[:, :, 0], out.place[:, 0], out.share[0], out.shift, out.gains, out.size
 
 
 def _advance(own: Searches, state: _State) -> _State:

@@ -176,6 +176,10 @@ def settle(problem: Problem, start: Tensor, damping: float = 0.4, steps: int = S
         damping: of the first step, D/h over the sections' own stiffness; little of it makes Newton steps at once.
         steps: at most.
     """
+    if problem.compiled:
+        from torcharm.kernels import batch
+
+        return Settled(*batch.settle(problem, start, damping, steps))
     here, arrived = start.clone(), torch.zeros(len(start), dtype=torch.bool, device=start.device)
     active = torch.arange(len(start), device=start.device)
     amount = start.new_full((len(start),), 2.5 * damping)

@@ -7,7 +7,7 @@ Newton's step is not small, or the determinant of the stiffness changes its sign
 goes at its own pace. The batch comes last, as in `mechanics.march`.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
@@ -171,6 +171,12 @@ def descend(searches: Searches, place: Tensor, unknowns: Tensor, *, gain: float,
         gain: promised decrease of the cost, relative, at which the descent ends.
         looks: evaluations of the balance, at most.
     """
+    least = ROUNDING * torch.finfo(place.dtype).eps
+    gain, settled = max(gain, least), max(SETTLED, least)
+    if searches.compiled:
+        from torcharm.kernels import batch
+
+        return Descended(*batch.descend(searches, place, unknowns, gain, settled, looks))
     size, count = place.shape
     components, nodes, _ = unknowns.shape
     none = place.new_zeros(count)
@@ -201,14 +207,11 @@ def descend(searches: Searches, place: Tensor, unknowns: Tensor, *, gain: float,
         out.place[:, at], out.unknowns[:, :, at], out.cost[at] = state.place, state.unknowns, state.cost
         out.ended[at] = state.cost.isfinite() & state.over
 
-    if searches.compiled and searches.wall is None:  # the same code
-        searches = replace(searches, wall=torch.zeros_like(place))
-    least = ROUNDING * torch.finfo(place.dtype).eps
-    run(_advance, searches, state, looks, store, (max(gain, least), max(SETTLED, least)), searches.compiled)
+    run(_advance, searches, state, looks, store, (gain, settled))
     return out
 
 
-def _advance(own: Searches, state: _State, gain: float | Tensor, settled: float | Tensor) -> _State:
+def _advance(own: Searches, state: _State, gain: float, settled: float) -> _State:
     """One evaluation of the balance for each, and what follows. What is over stays as it is."""
     arms, scale, limits, goal = own.arms, own.scale, own.limits, own.goal
     look = mechanics.march(arms, state.trial, state.trial_place * limits, each_pressure=limits)

@@ -141,6 +141,10 @@ def trace(course: Course, start: Tensor, first_step: float, looks: int, least_sh
         looks: evaluations of the balance, at most.
         least_share: where no longer step succeeds, the path has ended.
     """
+    if course.compiled:
+        from torcharm.kernels import batch
+
+        return Traced(*batch.trace(course, start, first_step, looks, least_share))
     count = start.shape[-1]
     none = start.new_zeros(count)
 
@@ -172,11 +176,11 @@ def trace(course: Course, start: Tensor, first_step: float, looks: int, least_sh
         none,
     )
     out = Traced(start.clone(), none.bool(), start.clone(), torch.zeros_like(start), none.clone())
-    run(_advance, course, walk, looks, store, (least_share,), course.compiled)
+    run(_advance, course, walk, looks, store, (least_share,))
     return out
 
 
-def _advance(course: Course, walk: _Walk, least_share: float | Tensor) -> _Walk:
+def _advance(course: Course, walk: _Walk, least_share: float) -> _Walk:
     """One evaluation of the balance for each, and what follows from it. What is over stays as it is."""
     look = course.look(walk.trial, walk.aim)
     newton, new_tangent = look.change.unbind(2)

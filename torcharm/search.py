@@ -1,7 +1,6 @@
 """Pressure search: the pressure that brings an arm closest to a task, through its forward mechanics."""
 
 from collections.abc import Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from math import prod
 
@@ -10,11 +9,11 @@ from torch import Tensor
 
 from torcharm import mechanics, rod
 from torcharm._branch_search import search_block
+from torcharm._compiled import check_compiled
 from torcharm._continuation import Problem
 from torcharm._descent import Goal
 from torcharm._inputs import check_above_zero, check_choice, check_count, check_flag
 from torcharm._outer import OuterProduct, check_arm_and_task, outer_product
-from torcharm._underway import compiling
 from torcharm.arm import ArmDesign
 from torcharm.equilibrium import TOLERANCES, NotConvergedError, default_chunk, strain_excess
 from torcharm.pose_cost import PoseCost
@@ -129,8 +128,8 @@ def search_pressure(
     outer = checked_outer(arm, task)
     weight = PoseCost(node_weights, error_weights).weights(outer.nodes, outer.twists).sqrt()
     shear_stiffness = check_above_zero("shear_stiffness", shear_stiffness)
-    for name, flag in (("raise_on_failure", raise_on_failure), ("compiled", compiled)):
-        check_flag(name, flag)
+    check_flag("raise_on_failure", raise_on_failure)
+    check_compiled(compiled)
     if progress is not None:
         check_flag("progress", progress)
     if chunk_size is not None:
@@ -147,8 +146,8 @@ def search_pressure(
         chunk = max(1, default_chunk(outer.nodes, problem.components) // (CHUNK_SHARE * count))
         chunk = chunk if chunk_size is None else chunk_size
         index = torch.arange(total, device=weight.device).split(chunk)
-        problem = replace(problem, compiled=compiled)
-        with torch.no_grad(), compiling(weight.device) if compiled else nullcontext():
+        problem = replace(problem, compiled=compiled and _known(problem))
+        with torch.no_grad():
             parts = [_block(problem[at], goal[at], shape[at], count, hops, seed) for at in index if total]
         found = tuple(torch.cat(column) for column in zip(*parts, strict=True))
         found = found or empty_result(problem, outer.nodes, count)
@@ -206,6 +205,12 @@ def flat_problem(outer: OuterProduct, shear_stiffness: float | None) -> tuple[Pr
     tolerance = TOLERANCES.get(base.dtype, 1e-2)
     problem = Problem.of(arm, arm.max_pressure, spread(outer.tip_load, 1, 2), base, shear_stiffness, tolerance)
     return problem, mechanics.to_unknowns(spread(outer.twists, 1), shear=shear_stiffness is not None)
+
+
+def _known(problem: Problem) -> bool:
+    from torcharm.kernels.arms import known
+
+    return known(problem.arm.actuators, problem.pressure, problem.shear_stiffness)
 
 
 def _block(problem: Problem, goal: Goal, shape: Tensor, starts: int, hops: int, seed: int) -> tuple[Tensor, ...]:

@@ -1,0 +1,76 @@
+"""Whole batches through the kernels: from tensors with the batch last, and back."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torcharm.kernels.arms import arms_of, batch_first, batch_last
+from torcharm.kernels.boundary import find_boundary as _find_boundary
+from torcharm.kernels.descend import descend as _descend
+from torcharm.kernels.goal import Goal
+from torcharm.kernels.settle import settle as _settle
+from torcharm.kernels.trace import trace as _trace
+
+if TYPE_CHECKING:
+    from torcharm._continuation import Problem
+    from torcharm._descent import Searches
+    from torcharm._tracing import Course
+
+
+def trace(
+    course: "Course", start: Tensor, first_step: float, looks: int, least_share: float
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """The fields of `Traced`."""
+    count, pressure = start.shape[-1], batch_first(course.pressure)
+    arms = arms_of(course.arms, course.scale, course.pressure, course.tolerance)
+    out, shares = np.empty((3, count, *start.shape[:-1])), np.empty((2, count))
+    _trace(arms, pressure, course.loading, batch_first(start), first_step, looks, least_share, 0, count, out, shares)
+    end, quick, rush = (batch_last(value) for value in out)
+    share, when = torch.from_numpy(shares)
+    return end, share >= 1, quick, rush, when
+
+
+def descend(
+    searches: "Searches", place: Tensor, unknowns: Tensor, gain: float, settled: float, looks: int
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """The fields of `Descended`."""
+    count, own = place.shape[-1], searches.goal
+    arms = arms_of(searches.arms, searches.scale, searches.limits, searches.tolerance)
+    goal = Goal(batch_first(own.target), np.ascontiguousarray(own.weight[..., 0].numpy()), own.turned)
+    wall = batch_first(torch.zeros_like(place) if searches.wall is None else searches.wall)
+    places, z = np.array(batch_first(place)), np.array(batch_first(unknowns))
+    cost, ended = np.empty(count), np.empty(count, dtype=bool)
+    walled = searches.wall is not None
+    _descend(arms, goal, wall, walled, gain, settled, looks, 0, count, places, z, cost, ended)
+    return batch_last(places), batch_last(z), torch.from_numpy(cost), torch.from_numpy(ended)
+
+
+def find_boundary(
+    searches: "Searches",
+    place: Tensor,
+    unknowns: Tensor,
+    share: Tensor,
+    measure: Tensor,
+    direction: Tensor,
+    looks: int,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Unknowns, places and shares where Newton's method ended, (C, N, M, B) shifts, (M, B) gains, and (B,) sizes."""
+    arms = arms_of(searches.arms, searches.scale, searches.limits, searches.tolerance)
+    z, places, shares = (np.array(batch_first(value)) for value in (unknowns, place, share))
+    count, size = places.shape
+    shifts, gains, sizes = np.zeros((count, size, *z.shape[1:])), np.zeros((count, size)), np.empty(count)
+    lines, ways = batch_first(measure), batch_first(direction)
+    _find_boundary(arms, lines, ways, looks, 0, count, z, places, shares, shifts, gains, sizes)
+    ends = batch_last(z), batch_last(places), torch.from_numpy(shares)
+    return *ends, batch_last(shifts).permute(1, 2, 0, 3), batch_last(gains), torch.from_numpy(sizes)
+
+
+def settle(problem: "Problem", start: Tensor, damping: float, steps: int) -> tuple[Tensor, Tensor]:
+    """The fields of `Settled`."""
+    pressure = problem.pressure.mT
+    arms = arms_of(problem.arms, problem.scale, pressure, problem.tolerance)
+    z, arrived = np.array(start.numpy(), order="C"), np.empty(len(start), dtype=bool)
+    _settle(arms, batch_first(pressure), damping, steps, 0, len(start), z, arrived)
+    return torch.from_numpy(z), torch.from_numpy(arrived)
