@@ -3,7 +3,6 @@
 import torch
 from torch import Tensor
 
-from torcharm import mechanics
 from torcharm._box import spread_points
 from torcharm._descent import Searches
 from torcharm._reaching import Block, Reached, joined
@@ -55,10 +54,7 @@ def _expected_cost(own: Searches, wanted: Tensor, pool: Tensor) -> Tensor:
     step = max(1, 2000 // total)
     for part in pool.split(step):
         index = torch.arange(total, device=pool.device).repeat(len(part))
-        some = own[index]
-        place = part.mT.repeat_interleave(total, 1)
-        look = mechanics.march(some.arms, pick(wanted, index), place * some.limits)
-        cost, _, _ = some.goal.model(look)
+        cost, _, _ = own.model(part.mT.repeat_interleave(total, 1), wanted, index)
         columns.append(cost.view(len(part), total))
     expected = torch.cat(columns)
     return torch.where(expected.isnan(), float("inf"), expected)  # ranked last

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torcharm import mechanics
 from torcharm._beginnings import begin
 from torcharm._box import optimality
 from torcharm._continuation import SETTLING_STEPS, Problem, resting
@@ -117,8 +116,7 @@ def _finish(problem: Problem, block: Block, state: State) -> Searched:
         have, taken = lowest(rows, handicapped, len(sure))
         better = handicapped[taken] < end.cost[have]
         put(end, have[better], pick(again, taken[better]))
-    look = mechanics.march(own.arms, end.unknowns, end.place * own.limits, each_pressure=own.limits)
-    _, gradient, _ = own.goal.model(look)
+    _, gradient, _ = own.model(end.place, end.unknowns)
     place = end.place.mT
     return Searched(
         place,
@@ -134,8 +132,7 @@ def _finish(problem: Problem, block: Block, state: State) -> Searched:
 def _hopeful(own: Searches, best: Reached, lost: Lost, wanted: Tensor) -> Lost:
     """Of the places that could not be followed, for each search that is wanted (T,) some that promise most by the
     model at the best place, if they are near; and corners of the box."""
-    look = mechanics.march(own.arms, best.unknowns, best.place * own.limits, each_pressure=own.limits)
-    cost, gradient, matrix = (pick(value, lost.rows) for value in own.goal.model(look))
+    cost, gradient, matrix = (pick(value, lost.rows) for value in own.model(best.place, best.unknowns))
     move = lost.place - best.place[:, lost.rows]
     hoped = cost + (move * (2 * gradient + (matrix * move).sum(1))).sum(0)
     corner = ((lost.place == 0) | (lost.place == 1)).all(0)
@@ -171,5 +168,5 @@ def _solved(problem: Problem, block: Block, rows: Tensor, place: Tensor, settlin
     part, own = problem[rows], block.searches
     found = solved(replace(part, pressure=place.mT * part.arm.max_pressure), block.nodes, settling=settling)
     unknowns = found.unknowns.movedim(0, -1)
-    cost = own.goal[rows].cost(unknowns, pick(own.arms.base_pose, rows))
+    cost = own[rows].cost(unknowns)
     return _Solved(place, torch.where(found.converged, cost, float("inf")), unknowns, found.continued)

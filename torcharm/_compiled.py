@@ -26,3 +26,10 @@ def jit(function: F) -> F:
     from numba import njit
 
     return njit(cache=True, nogil=True, error_model="numpy")(function)
+
+
+def inlined(function: F) -> F:
+    """The same, as a part of compiled functions: of small loops a call is half the time."""
+    from numba import njit
+
+    return njit(cache=True, nogil=True, error_model="numpy", forceinline=True)(function)

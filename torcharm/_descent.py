@@ -121,6 +121,36 @@ class Searches:
             arms, scale, pick(self.limits, index), goal, self.tolerance, self.compiled, pick(self.wall, index)
         )
 
+    def cost(self, unknowns: Tensor) -> Tensor:
+        """(B,) at z (C, N, B)."""
+        if self.compiled:
+            from torcharm.kernels import batch
+
+            return batch.costs(self, unknowns)
+        return self.goal.cost(unknowns, self.arms.base_pose)
+
+    def model(self, place: Tensor, unknowns: Tensor, rows: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+        """As of `Goal.model`, at places (M, B) and equilibria z (C, N, B), or nearly; or at places (M, R) of `rows`
+        (R,) of these searches and shapes."""
+        if self.compiled:
+            from torcharm.kernels import batch
+
+            every = torch.arange(unknowns.shape[-1]) if rows is None else rows
+            return batch.models(self, every, place, unknowns)
+        own, unknowns = (self, unknowns) if rows is None else (self[rows], pick(unknowns, rows))
+        return own.goal.model(mechanics.march(own.arms, unknowns, place * own.limits, each_pressure=own.limits))
+
+    def gains(self, place: Tensor, unknowns: Tensor, share: Tensor, measure: Tensor) -> Tensor:
+        """(M, B) changes, by the place, of the sum of products of a measure (C, N, B) and z, under shares (B,) of the
+        load."""
+        if self.compiled:
+            from torcharm.kernels import batch
+
+            return batch.gains(self, place, unknowns, share, measure)
+        limits = self.limits
+        look = mechanics.march(self.arms, unknowns, place * limits, share, each_pressure=limits, poses=False)
+        return (look.change[:, :, 1:] * measure.unsqueeze(2)).sum((0, 1))
+
 
 class Descended(NamedTuple):
     """Where the searches ended.

@@ -6,10 +6,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torcharm import mechanics
 from torcharm._continuation import FIRST_FILLING, Problem, unloaded
 from torcharm._descent import Searches
-from torcharm._tracing import FIRST_SHARE, Course, trace
+from torcharm._tracing import FIRST_SHARE, Course, relaxed, trace
 from torcharm.mechanics import pick
 
 LOOKS, LEAST_SHARE, PATIENCE = 30, 4e-3, (200, 1e-4)
@@ -91,12 +90,7 @@ class Block:
 
     def rest_near(self, place: Tensor, near: Tensor) -> tuple[Tensor, Tensor]:
         """The same, from unloaded arms at pressures nearby."""
-        course = self._course(place, False)
-        size = place.new_zeros(place.shape[-1])
-        for _ in range(NEWTON_STEPS):
-            look = mechanics.relax(course.arms, near, course.pressure, course.pressure)
-            near = near + look.change[:, :, 0]
-            size = course.scale.moves(look.change[:, :, :1], look.turned[:, :1])[0]
+        near, size = relaxed(self._course(place, False), near, NEWTON_STEPS)
         return near, size <= (SAME_SHAPE if near.dtype == torch.float64 else COARSE_SHAPE)
 
     def _course(self, place: Tensor, loading: bool) -> Course:
@@ -119,6 +113,6 @@ class Block:
         start = rest.expand(-1, self.nodes, -1).contiguous()
         looks, least = (looks, LEAST_SHARE) if self.patient is None else PATIENCE
         path = trace(self._course(place, True), start, FIRST_SHARE, looks, least)
-        cost = self.searches.goal.cost(path.unknowns, self.searches.arms.base_pose)
+        cost = self.searches.cost(path.unknowns)
         cost = torch.where(path.arrived & still & cost.isfinite(), cost, float("inf"))
         return Reached(place, cost, path.unknowns, rest, path.quick, path.rush, path.share)

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torcharm import mechanics
 from torcharm._boundary import Boundary, find_boundary
 from torcharm._box import box_step
 from torcharm._descent import Descended, descend
@@ -215,9 +214,7 @@ def _normal(block: Block, at: Reached) -> Tensor:
 
     Next to a bifurcation all changes are along one vector, with the tangent; whoever goes along it stays on the branch.
     """
-    own = block.searches
-    look = mechanics.march(own.arms, at.quick, at.place * own.limits, at.share, each_pressure=own.limits, poses=False)
-    normal = (look.change[:, :, 1:] * _measure(block, at).unsqueeze(2)).sum((0, 1))
+    normal = block.searches.gains(at.place, at.quick, at.share, _measure(block, at))
     normal = torch.where(normal.isfinite().all(0), normal, 0.0)  # no direction is known: none is taken
     return normal / normal.norm(dim=0).clamp(min=torch.finfo(normal.dtype).tiny)
 
@@ -278,8 +275,7 @@ def _regardless(block: Block, best: Reached, normal: Tensor, along: Tensor) -> T
     own, place = block.searches, best.place
     inner, step = _inner(normal, place), along - place
     length = step.norm(dim=0) + LEAST_STEP
-    look = mechanics.march(own.arms, best.unknowns, place * own.limits, each_pressure=own.limits)
-    _, gradient, matrix = own.goal.model(look)
+    _, gradient, matrix = own.model(place, best.unknowns)
     free = place + box_step(matrix, gradient, place, torch.full_like(length, DAMPING))
     trials = torch.stack([along + offset * length * inner for offset in ASIDE] + [free], 1).clamp(0, 1)
     return torch.where(trials.isfinite(), trials, place.unsqueeze(1))  # a step that is no number is none

@@ -234,3 +234,17 @@ def _advance(course: Course, walk: _Walk, least_share: float) -> _Walk:
         torch.where(faster, new_speed, walk.haste),
         torch.where(faster, share, walk.when),
     )
+
+
+def relaxed(course: Course, unknowns: Tensor, steps: int) -> tuple[Tensor, Tensor]:
+    """Unloaded arms at full pressure: Newton steps from z (C, N, B), and the sizes (B,) of the last."""
+    if course.compiled:
+        from torcharm.kernels import batch
+
+        return batch.relax(course, unknowns, steps)
+    size = course.pressure.new_zeros(unknowns.shape[-1])
+    for _ in range(steps):
+        look = mechanics.relax(course.arms, unknowns, course.pressure, course.pressure)
+        unknowns = unknowns + look.change[:, :, 0]
+        size = course.scale.moves(look.change[:, :, :1], look.turned[:, :1])[0]
+    return unknowns, size

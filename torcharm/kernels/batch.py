@@ -6,7 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm.kernels.arms import arms_of, batch_first, batch_last
+from torcharm._arrays import Array, as_array
+from torcharm.kernels import looks as _looks
+from torcharm.kernels.arms import Arms, arms_of, batch_first, batch_last
 from torcharm.kernels.boundary import find_boundary as _find_boundary
 from torcharm.kernels.descend import descend as _descend
 from torcharm.kernels.goal import Goal
@@ -36,9 +38,7 @@ def descend(
     searches: "Searches", place: Tensor, unknowns: Tensor, gain: float, settled: float, looks: int
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """The fields of `Descended`."""
-    count, own = place.shape[-1], searches.goal
-    arms = arms_of(searches.arms, searches.scale, searches.limits, searches.tolerance)
-    goal = Goal(batch_first(own.target), np.ascontiguousarray(own.weight[..., 0].numpy()), own.turned)
+    count, arms, goal = place.shape[-1], _arms(searches), _goal(searches)
     wall = batch_first(torch.zeros_like(place) if searches.wall is None else searches.wall)
     places, z = np.array(batch_first(place)), np.array(batch_first(unknowns))
     cost, ended = np.empty(count), np.empty(count, dtype=bool)
@@ -57,7 +57,7 @@ def find_boundary(
     looks: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Unknowns, places and shares where Newton's method ended, (C, N, M, B) shifts, (M, B) gains, and (B,) sizes."""
-    arms = arms_of(searches.arms, searches.scale, searches.limits, searches.tolerance)
+    arms = _arms(searches)
     z, places, shares = (np.array(batch_first(value)) for value in (unknowns, place, share))
     count, size = places.shape
     shifts, gains, sizes = np.zeros((count, size, *z.shape[1:])), np.zeros((count, size)), np.empty(count)
@@ -74,3 +74,45 @@ def settle(problem: "Problem", start: Tensor, damping: float, steps: int) -> tup
     z, arrived = np.array(start.numpy(), order="C"), np.empty(len(start), dtype=bool)
     _settle(arms, batch_first(pressure), damping, steps, 0, len(start), z, arrived)
     return torch.from_numpy(z), torch.from_numpy(arrived)
+
+
+def models(searches: "Searches", rows: Tensor, place: Tensor, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """As `Searches.model`, of searches and shapes `rows` (B,)."""
+    size, count = place.shape
+    out = np.empty((1 + size, 1 + size, count))
+    arms, goal = _arms(searches), _goal(searches)
+    _looks.models(arms, goal, as_array(rows), batch_first(place), batch_first(unknowns), out)
+    products = torch.from_numpy(out)
+    return products[0, 0], products[0, 1:], products[1:, 1:]
+
+
+def costs(searches: "Searches", unknowns: Tensor) -> Tensor:
+    """(B,) as of `Goal.cost`."""
+    out = np.empty(unknowns.shape[-1])
+    _looks.costs(_arms(searches), _goal(searches), batch_first(unknowns), out)
+    return torch.from_numpy(out)
+
+
+def gains(searches: "Searches", place: Tensor, unknowns: Tensor, share: Tensor, measure: Tensor) -> Tensor:
+    """(M, B) as of `Searches.gains`."""
+    places = batch_first(place)
+    out = np.empty_like(places)
+    _looks.gains(_arms(searches), batch_first(measure), places, batch_first(unknowns), batch_first(share), out)
+    return batch_last(out)
+
+
+def relax(course: "Course", unknowns: Tensor, steps: int) -> tuple[Tensor, Tensor]:
+    """Unloaded arms (C, 1, B) after Newton steps, and the sizes (B,) of the last."""
+    arms = arms_of(course.arms, course.scale, course.pressure, course.tolerance)
+    z, sizes = np.array(batch_first(unknowns)), np.zeros(unknowns.shape[-1])
+    _looks.relax(arms, batch_first(course.pressure), steps, z, sizes)
+    return batch_last(z), torch.from_numpy(sizes)
+
+
+def _arms(searches: "Searches") -> Arms:
+    return arms_of(searches.arms, searches.scale, searches.limits, searches.tolerance)
+
+
+def _goal(searches: "Searches") -> Goal:
+    own = searches.goal
+    return Goal(batch_first(own.target), np.ascontiguousarray(own.weight[..., 0].numpy()), own.turned)

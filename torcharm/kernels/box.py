@@ -4,12 +4,12 @@ import numpy as np
 
 from torcharm import _box
 from torcharm._arrays import Array
-from torcharm._compiled import jit
+from torcharm._compiled import inlined
 
 _SWEEPS = _box.SWEEPS
 
 
-@jit
+@inlined
 def box_step(normal: Array, gradient: Array, place: Array, damping: float, step: Array) -> None:
     """The Levenberg-Marquardt step (M,) from a place in the box, cut to it, with the matrix AᵀA and Aᵀr."""
     count = place.shape[0]
@@ -70,7 +70,7 @@ def box_step(normal: Array, gradient: Array, place: Array, damping: float, step:
             step[i] = min(max(wanted, -place[i]), 1 - place[i])
 
 
-@jit
+@inlined
 def _row(normal: Array, extra: float, step: Array, i: int) -> float:
     """The damped matrix times the step, entry i."""
     total = extra * step[i]

@@ -2,7 +2,7 @@
 
 import math
 
-from torcharm._compiled import jit
+from torcharm._compiled import inlined
 from torcharm.actuators import mckibben
 
 _A1, _A2, _B1, _B2, _B3 = mckibben._A1, mckibben._A2, mckibben._B1, mckibben._B2, mckibben._B3
@@ -11,7 +11,7 @@ _LIM, _CRIT, _RISE_LIM = mckibben._STRAIN_LIM, mckibben._STRAIN_CRIT, mckibben._
 _RISE_RATE, _COLLAPSE_RATE = mckibben._RISE_RATE, mckibben._COLLAPSE_RATE
 
 
-@jit
+@inlined
 def muscle(x: float, p: float, log_p: float) -> tuple[float, float, float]:
     """F, ∂F/∂ε and ∂F/∂p of a muscle at strain x and pressure p."""
     if x >= 0:

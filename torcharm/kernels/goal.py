@@ -4,7 +4,7 @@ import math
 from typing import NamedTuple
 
 from torcharm._arrays import Array
-from torcharm._compiled import jit
+from torcharm._compiled import inlined
 from torcharm.kernels.march import March
 
 
@@ -22,7 +22,7 @@ class Goal(NamedTuple):
     turned: bool
 
 
-@jit
+@inlined
 def cost_of(goal: Goal, at: int, pose: Array) -> float:
     """The sum of squares at poses (3, N)."""
     total = 0.0
@@ -37,7 +37,7 @@ def cost_of(goal: Goal, at: int, pose: Array) -> float:
     return total
 
 
-@jit
+@inlined
 def model(goal: Goal, at: int, march: March, first: int, columns: Array, normal: Array) -> None:
     """`CᵀC` (1 + M, 1 + M) of the errors after Newton's step, and their changes by pressures as shares of limits.
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from torcharm._arrays import Array
-from torcharm._compiled import jit
+from torcharm._compiled import inlined, jit
 from torcharm.kernels.arms import MUSCLE, Arms
 from torcharm.kernels.forces import muscle
 
@@ -66,7 +66,7 @@ def new_march(arms: Arms, nodes: int) -> March:
     )
 
 
-@jit
+@inlined
 def follow_rod(base: Array, z: Array, march: March) -> None:
     """Kinematics: a whole segment is a straight step half-way turned."""
     nodes = z.shape[1]
@@ -97,7 +97,7 @@ def follow_rod(base: Array, z: Array, march: March) -> None:
         pose[0, i], pose[1, i], pose[2, i] = x, y, heading + turned
 
 
-@jit
+@inlined
 def _react(arms: Arms, at: int, z: Array, pressure: Array, rates: bool, march: March) -> None:
     """The cross-sections' reaction, their stiffness, and their rates by pressure if wanted."""
     nodes, actuators = z.shape[1], arms.kind.shape[0]
@@ -110,6 +110,7 @@ def _react(arms: Arms, at: int, z: Array, pressure: Array, rates: bool, march: M
         reaction[i, 0] = reaction[i, 1] = 0.0
     for m in range(actuators):
         p, radius, neutral, bending = pressure[m], arms.radii[at, m], arms.neutral[at, m], arms.bending[m]
+        per_neutral = 1.0 / neutral
         is_muscle, factor = arms.kind[m] == MUSCLE, -arms.factor[m]
         log_p = math.log(max(p, 1e-30)) if is_muscle else 0.0
         if not is_muscle:
@@ -123,7 +124,7 @@ def _react(arms: Arms, at: int, z: Array, pressure: Array, rates: bool, march: M
         for i in range(nodes):
             curvature = z[1, i]
             own = z[0, i] - radius * curvature
-            strain = own / neutral - 1.0
+            strain = own * per_neutral - 1.0
             by_pressure = 0.0
             if is_muscle:
                 force, by_strain, by_pressure = muscle(strain, p, log_p)
@@ -137,7 +138,7 @@ def _react(arms: Arms, at: int, z: Array, pressure: Array, rates: bool, march: M
                     by_pressure = slope[m, powers - 1]
                     for s in range(powers - 2, -1, -1):
                         by_pressure = by_pressure * strain + slope[m, s]
-            stiff = by_strain / neutral
+            stiff = by_strain * per_neutral
             leaning = stiff * radius
             reaction[i, 0] += force
             moment, a21, a22, moment_rate = -radius * force, -leaning, leaning * radius, -radius * by_pressure
@@ -158,7 +159,7 @@ def _react(arms: Arms, at: int, z: Array, pressure: Array, rates: bool, march: M
             rate[i, m, 0], rate[i, m, 1] = by_pressure, moment_rate
 
 
-@jit
+@inlined
 def look(arms: Arms, at: int, z: Array, pressure: Array, share: float, rates: bool, march: March) -> tuple[float, float]:
     """The balance of arm `at` at z (2, N) and pressures (M,), with a share of the load: the largest imbalances of a
     node [N], [N·m]."""
@@ -181,7 +182,7 @@ def look(arms: Arms, at: int, z: Array, pressure: Array, share: float, rates: bo
     return force, moment
 
 
-@jit
+@inlined
 def solve(
     arms: Arms,
     at: int,
@@ -269,7 +270,7 @@ def solve(
     return sides, -sign if flips % 2 else sign
 
 
-@jit
+@inlined
 def imbalance(arms: Arms, at: int, force: float, moment: float) -> float:
     """As of `Equilibrium`."""
     turn = moment / arms.measure[at, 1]
@@ -278,7 +279,7 @@ def imbalance(arms: Arms, at: int, force: float, moment: float) -> float:
     return max(force, turn) / arms.measure[at, 0]
 
 
-@jit
+@inlined
 def moves(arms: Arms, at: int, change: Array, turned: Array) -> float:
     """The size of a change of z (2, N) that turns headings (N,): see `Scale.moves`."""
     stretch, bend, heading, check = 0.0, 0.0, 0.0, 0.0

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from torcharm._arrays import Array
-from torcharm._compiled import jit
+from torcharm._compiled import inlined, jit
 from torcharm.kernels.arms import Arms
 from torcharm.kernels.march import NONE, March, imbalance, look, moves, new_march, solve
 
@@ -60,7 +60,7 @@ def settle(
             last = miss
 
 
-@jit
+@inlined
 def _mobility(arms: Arms, at: int, march: March) -> tuple[float, float]:
     """A stiffness to measure damping by, the largest of the sections' own in each component."""
     rod, nodes = march.rod, march.rod.shape[0]
