@@ -1,7 +1,10 @@
 """Loops as machine code: numba, where it is installed."""
 
 from collections.abc import Callable
+from functools import cache
+from hashlib import sha256
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, TypeVar
 
 from torcharm._inputs import check_flag
@@ -9,27 +12,43 @@ from torcharm._inputs import check_flag
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def check_compiled(compiled: bool) -> bool:
-    """The flag, if it is one, and there is something to compile with.
+def check_compiled(compiled: bool) -> None:
+    """Check the flag, and that there is something to compile with.
 
     Raises:
-        ValueError: it is none, or numba is not installed.
+        ValueError: it is no flag, or numba is not installed.
     """
     check_flag("compiled", compiled)
     if compiled and find_spec("numba") is None:
         raise ValueError("compiled: must be False without numba, and it is not installed (torcharm[compiled] brings it)")
-    return compiled
 
 
 def jit(function: F) -> F:
     """Compiled at the first call, and kept on disk; a division by zero is no error, as in NumPy."""
-    from numba import njit
-
-    return njit(cache=True, nogil=True, error_model="numpy")(function)
+    return _compiled(function, inlined=False)
 
 
 def inlined(function: F) -> F:
-    """The same, as a part of compiled functions: of small loops a call is half the time."""
-    from numba import njit
+    """The same, as a part of compiled functions: a call takes as long as a small loop."""
+    return _compiled(function, inlined=True)
 
-    return njit(cache=True, nogil=True, error_model="numpy", forceinline=True)(function)
+
+def _compiled(function: F, *, inlined: bool) -> F:
+    from numba import config, njit
+
+    # numba takes code from disk unless the function's own file has changed; that of what it calls may have
+    chosen = config.CACHE_DIR
+    try:
+        config.CACHE_DIR = str(Path(chosen or Path(__file__).parent / "__pycache__") / f"torcharm-{_version()}")
+        return njit(cache=True, nogil=True, error_model="numpy", forceinline=inlined)(function)
+    finally:
+        config.CACHE_DIR = chosen
+
+
+@cache
+def _version() -> str:
+    """Of the package's sources."""
+    digest = sha256()
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]

@@ -1,5 +1,9 @@
 """Whole batches through the kernels: from tensors with the batch last, and back."""
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +24,27 @@ if TYPE_CHECKING:
     from torcharm._descent import Searches
     from torcharm._tracing import Course
 
+LEAST = 16
+"""Elements that are worth a thread."""
+PARTS = 4
+"""Of a batch for each thread: elements take unlike times."""
+
+
+def _spread(count: int, work: Callable[[int, int], None]) -> None:
+    """Work on the elements from one to another, of so many, in as many threads as PyTorch takes."""
+    threads = min(torch.get_num_threads(), count // LEAST)
+    if threads < 2:
+        work(0, count)
+        return
+    edges = [count * part // (PARTS * threads) for part in range(PARTS * threads + 1)]
+    for done in [_pool(threads).submit(work, *edge) for edge in pairwise(edges)]:
+        done.result()
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads)
+
 
 def trace(
     course: "Course", start: Tensor, first_step: float, looks: int, least_share: float
@@ -28,7 +53,12 @@ def trace(
     count, pressure = start.shape[-1], batch_first(course.pressure)
     arms = arms_of(course.arms, course.scale, course.pressure, course.tolerance)
     out, shares = np.empty((3, count, *start.shape[:-1])), np.empty((2, count))
-    _trace(arms, pressure, course.loading, batch_first(start), first_step, looks, least_share, 0, count, out, shares)
+    z, loading = batch_first(start), course.loading
+
+    def work(first: int, last: int) -> None:
+        _trace(arms, pressure, loading, z, first_step, looks, least_share, first, last, out, shares)
+
+    _spread(count, work)
     end, quick, rush = (batch_last(value) for value in out)
     share, when = torch.from_numpy(shares)
     return end, share >= 1, quick, rush, when
@@ -43,7 +73,11 @@ def descend(
     places, z = np.array(batch_first(place)), np.array(batch_first(unknowns))
     cost, ended = np.empty(count), np.empty(count, dtype=bool)
     walled = searches.wall is not None
-    _descend(arms, goal, wall, walled, gain, settled, looks, 0, count, places, z, cost, ended)
+
+    def work(first: int, last: int) -> None:
+        _descend(arms, goal, wall, walled, gain, settled, looks, first, last, places, z, cost, ended)
+
+    _spread(count, work)
     return batch_last(places), batch_last(z), torch.from_numpy(cost), torch.from_numpy(ended)
 
 
@@ -62,7 +96,11 @@ def find_boundary(
     count, size = places.shape
     shifts, gains, sizes = np.zeros((count, size, *z.shape[1:])), np.zeros((count, size)), np.empty(count)
     lines, ways = batch_first(measure), batch_first(direction)
-    _find_boundary(arms, lines, ways, looks, 0, count, z, places, shares, shifts, gains, sizes)
+
+    def work(first: int, last: int) -> None:
+        _find_boundary(arms, lines, ways, looks, first, last, z, places, shares, shifts, gains, sizes)
+
+    _spread(count, work)
     ends = batch_last(z), batch_last(places), torch.from_numpy(shares)
     return *ends, batch_last(shifts).permute(1, 2, 0, 3), batch_last(gains), torch.from_numpy(sizes)
 
@@ -72,7 +110,12 @@ def settle(problem: "Problem", start: Tensor, damping: float, steps: int) -> tup
     pressure = problem.pressure.mT
     arms = arms_of(problem.arms, problem.scale, pressure, problem.tolerance)
     z, arrived = np.array(start.numpy(), order="C"), np.empty(len(start), dtype=bool)
-    _settle(arms, batch_first(pressure), damping, steps, 0, len(start), z, arrived)
+    acting = batch_first(pressure)
+
+    def work(first: int, last: int) -> None:
+        _settle(arms, acting, damping, steps, first, last, z, arrived)
+
+    _spread(len(start), work)
     return torch.from_numpy(z), torch.from_numpy(arrived)
 
 

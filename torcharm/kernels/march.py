@@ -24,6 +24,7 @@ class March(NamedTuple):
         stiffness: (N, 4) a11, a12, a21, a22.
         rate: (N, M, 2) of axial force and moment by pressure.
         collapsed, slope: (M, S) polynomials of strain at these pressures, and their derivatives by pressure.
+        logarithm, per_neutral: (M,) of the muscles' pressures, and one over the neutral lengths.
         free: (N, K, 2); local: (N, 6); state: (N + 1, K, 2) of the march.
         change: (K, 2, N), turned: (K, N), slid: (K, 2, N): the first, u's, is not used.
         pose: (3, N) after the segments.
@@ -35,6 +36,8 @@ class March(NamedTuple):
     rate: Array
     collapsed: Array
     slope: Array
+    logarithm: Array
+    per_neutral: Array
     free: Array
     local: Array
     state: Array
@@ -56,6 +59,8 @@ def new_march(arms: Arms, nodes: int) -> March:
         np.empty((nodes, actuators, 2)),
         np.empty((actuators, arms.table.shape[2])),
         np.empty((actuators, arms.table.shape[2])),
+        np.empty(actuators),
+        np.empty(actuators),
         np.empty((nodes, sides, 2)),
         np.empty((nodes, 6)),
         np.empty((nodes + 1, sides, 2)),
@@ -102,32 +107,31 @@ def _react(arms: Arms, at: int, z: Array, pressure: Array, rates: bool, march: M
     """The cross-sections' reaction, their stiffness, and their rates by pressure if wanted."""
     nodes, actuators = z.shape[1], arms.kind.shape[0]
     table, reaction, stiffness, rate = arms.table, march.reaction, march.stiffness, march.rate
-    collapsed, slope = march.collapsed, march.slope
+    collapsed, slope, logarithm, per_neutral = march.collapsed, march.slope, march.logarithm, march.per_neutral
     degrees, powers = table.shape[1], table.shape[2]
-    for i in range(nodes):
-        for k in range(4):
-            stiffness[i, k] = 0.0
-        reaction[i, 0] = reaction[i, 1] = 0.0
     for m in range(actuators):
-        p, radius, neutral, bending = pressure[m], arms.radii[at, m], arms.neutral[at, m], arms.bending[m]
-        per_neutral = 1.0 / neutral
-        is_muscle, factor = arms.kind[m] == MUSCLE, -arms.factor[m]
-        log_p = math.log(max(p, 1e-30)) if is_muscle else 0.0
-        if not is_muscle:
-            for s in range(powers):
-                total, by = table[m, degrees - 1, s], 0.0
-                for j in range(degrees - 2, -1, -1):
-                    by = by * p + total
-                    total = total * p + table[m, j, s]
-                collapsed[m, s], slope[m, s] = total, by
-        floor = 1e-6 * neutral
-        for i in range(nodes):
-            curvature = z[1, i]
-            own = z[0, i] - radius * curvature
-            strain = own * per_neutral - 1.0
+        p = pressure[m]
+        per_neutral[m] = 1.0 / arms.neutral[at, m]
+        if arms.kind[m] == MUSCLE:
+            logarithm[m] = math.log(max(p, 1e-30))
+            continue
+        for s in range(powers):
+            total, by = table[m, degrees - 1, s], 0.0
+            for j in range(degrees - 2, -1, -1):
+                by = by * p + total
+                total = total * p + table[m, j, s]
+            collapsed[m, s], slope[m, s] = total, by
+    for i in range(nodes):
+        length, curvature = z[0, i], z[1, i]
+        axial, moment, a11, a12, a21, a22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for m in range(actuators):
+            p, radius, neutral, bending = pressure[m], arms.radii[at, m], arms.neutral[at, m], arms.bending[m]
+            own = length - radius * curvature
+            strain = own * per_neutral[m] - 1.0
             by_pressure = 0.0
-            if is_muscle:
-                force, by_strain, by_pressure = muscle(strain, p, log_p)
+            if arms.kind[m] == MUSCLE:
+                factor = -arms.factor[m]
+                force, by_strain, by_pressure = muscle(strain, p, logarithm[m])
                 force, by_strain, by_pressure = force * factor, by_strain * factor, by_pressure * factor
             else:
                 force, by_strain = collapsed[m, powers - 1], 0.0
@@ -138,25 +142,30 @@ def _react(arms: Arms, at: int, z: Array, pressure: Array, rates: bool, march: M
                     by_pressure = slope[m, powers - 1]
                     for s in range(powers - 2, -1, -1):
                         by_pressure = by_pressure * strain + slope[m, s]
-            stiff = by_strain * per_neutral
+            stiff = by_strain * per_neutral[m]
             leaning = stiff * radius
-            reaction[i, 0] += force
-            moment, a21, a22, moment_rate = -radius * force, -leaning, leaning * radius, -radius * by_pressure
+            axial += force
+            moment -= radius * force
+            a11 += stiff
+            a12 -= leaning
+            a21 -= leaning
+            a22 += leaning * radius
+            moment_rate = -radius * by_pressure
             if bending != 0:
+                floor = 1e-6 * neutral
                 held = own if abs(own) >= floor else math.copysign(floor, own)
                 per_length = 1.0 / held
-                moment_rate += bending * curvature * per_length
-                bent = per_length * bending * p
+                slant = bending * per_length
+                moment_rate += slant * curvature
+                bent = slant * p
                 squeezed = per_length * bent * curvature
                 moment += curvature * bent
                 a21 -= squeezed
                 a22 += bent + squeezed * radius
-            reaction[i, 1] += moment
-            stiffness[i, 0] += stiff
-            stiffness[i, 1] -= leaning
-            stiffness[i, 2] += a21
-            stiffness[i, 3] += a22
-            rate[i, m, 0], rate[i, m, 1] = by_pressure, moment_rate
+            if rates:
+                rate[i, m, 0], rate[i, m, 1] = by_pressure, moment_rate
+        reaction[i, 0], reaction[i, 1] = axial, moment
+        stiffness[i, 0], stiffness[i, 1], stiffness[i, 2], stiffness[i, 3] = a11, a12, a21, a22
 
 
 @inlined
