@@ -9,6 +9,7 @@ pressure and load, and are regular where the stiffness is singular. Newton's met
 two equilibria beside, finds the saddle from either side. The batch comes last, as in `mechanics.march`.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -88,14 +89,8 @@ def find_boundary(
         direction: (M, B) along which pressures change.
         steps: of Newton's method, at most.
     """
-    if own.compiled:
-        from torcharm.kernels import batch
-
-        end, there, when, shift, gains, size = batch.find_boundary(
-            own, place, unknowns, share, measure, direction, steps + 1
-        )
-    else:
-        end, there, when, shift, gains, size = _find(own, place, unknowns, share, measure, direction, steps + 1)
+    find = partial(_find, own) if own.fleet is None else own.fleet.find_boundary
+    end, there, when, shift, gains, size = find(place, unknowns, share, measure, direction, steps + 1)
     normal = gains / gains.norm(dim=0)
     along = (direction * gains).sum(0)
     shift = shift - (shift * direction.unsqueeze(0)).sum(2, keepdim=True) * (gains / along)

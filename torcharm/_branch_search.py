@@ -16,7 +16,7 @@ from torch import Tensor
 from torcharm._beginnings import begin
 from torcharm._box import optimality
 from torcharm._continuation import SETTLING_STEPS, Problem, resting
-from torcharm._descent import Goal, Searches, descend
+from torcharm._descent import Goal, Searches, Setting, descend
 from torcharm._reaching import COARSE_SHAPE, SAME_SHAPE, Block, Reached, lowest
 from torcharm._rounds import GAIN, Lost, Others, State, work
 from torcharm.equilibrium import solved
@@ -74,7 +74,7 @@ def _searched(
     """As `search_block`, patient or not: see `Block`."""
     arms = problem.arms
     limits = problem.arm.max_pressure.mT.contiguous()
-    own = Searches(arms, problem.scale, limits, goal, problem.tolerance, problem.compiled)
+    own = Searches.of(Setting(arms, problem.scale, limits, goal), problem.tolerance, compiled=problem.compiled)
     idle = resting(problem).unknowns.movedim(0, -1).contiguous()
     block = Block(own, idle, shape.shape[-1], problem if patient else None)
     wanted = shape.movedim(0, -1).contiguous()

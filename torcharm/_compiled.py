@@ -20,7 +20,9 @@ def check_compiled(compiled: bool) -> None:
     """
     check_flag("compiled", compiled)
     if compiled and find_spec("numba") is None:
-        raise ValueError("compiled: must be False without numba, and it is not installed (torcharm[compiled] brings it)")
+        raise ValueError(
+            "compiled: must be False without numba, and it is not installed (torcharm[compiled] brings it)"
+        )
 
 
 def jit(function: F) -> F:

@@ -7,7 +7,7 @@ landing on another branch: under compression an arm has several equilibria.
 """
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
@@ -15,6 +15,9 @@ from torch import Tensor
 from torcharm import mechanics
 from torcharm._tracing import FIRST_SHARE, Course, Scale, trace
 from torcharm.arm import ArmDesign
+
+if TYPE_CHECKING:
+    from torcharm.kernels.fleet import Fleet
 
 LOOKS = 200
 """Evaluations of the balance along a path, at most."""
@@ -37,7 +40,7 @@ class Problem:
         length: (B,) the designs' mean neutral length [m].
         reach: (B,) their largest offset [m].
         tolerance: of the load scale.
-        compiled: whether steps along paths run compiled.
+        compiled: whether steps run compiled: for arms that the kernels know.
     """
 
     arm: ArmDesign
@@ -110,9 +113,18 @@ class Problem:
         """What imbalances and moves are measured by."""
         return Scale(self.load_scale, self.length, self.reach)
 
+    @property
+    def fleet(self) -> "Fleet | None":
+        """The same for compiled steps, if they are to run compiled."""
+        if not self.compiled:
+            return None
+        from torcharm.kernels.fleet import Fleet
+
+        return Fleet.of(self.arms, self.scale, self.pressure.mT, self.tolerance)
+
     def course(self, *, loading: bool) -> Course:
         """The path on which the load grows from nothing, or the pressure."""
-        return Course(self.arms, self.pressure.mT.contiguous(), loading, self.scale, self.tolerance, self.compiled)
+        return Course(self.arms, self.pressure.mT.contiguous(), loading, self.scale, self.tolerance, self.fleet)
 
     def straight(self) -> Tensor:
         """One segment (B, C, 1) of the mean neutral length, straight."""
@@ -176,10 +188,9 @@ def settle(problem: Problem, start: Tensor, damping: float = 0.4, steps: int = S
         damping: of the first step, D/h over the sections' own stiffness; little of it makes Newton steps at once.
         steps: at most.
     """
-    if problem.compiled:
-        from torcharm.kernels import batch
-
-        return Settled(*batch.settle(problem, start, damping, steps))
+    fleet = problem.fleet
+    if fleet is not None:
+        return Settled(*fleet.settle(start, damping, steps))
     here, arrived = start.clone(), torch.zeros(len(start), dtype=torch.bool, device=start.device)
     active = torch.arange(len(start), device=start.device)
     amount = start.new_full((len(start),), 2.5 * damping)

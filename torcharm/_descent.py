@@ -8,7 +8,8 @@ goes at its own pace. The batch comes last, as in `mechanics.march`.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,6 +19,9 @@ from torcharm._box import LEAST_DAMPING, START_DAMPING, box_step
 from torcharm._tracing import CONTRACTION, LARGEST_MOVE, Scale
 from torcharm._underway import run
 from torcharm.mechanics import Arms, Marched, pick
+
+if TYPE_CHECKING:
+    from torcharm.kernels.fleet import Fleet
 
 NEAR = 0.05
 """Newton's step, as `Scale.moves` measures, up to which poses are trusted once it corrects them."""
@@ -94,59 +98,88 @@ class Goal:
         return products[0, 0], products[0, 1:], products[1:, 1:]
 
 
-@dataclass(frozen=True)
-class Searches:
-    """B searches.
-
-    Attributes:
-        arms, scale, goal: of each.
-        limits: (M, B) of pressure [kPa].
-        tolerance: of the load scale.
-        compiled: whether steps run compiled.
-        wall: (M, B) normals, along which the pressures are held, if they are.
-    """
+class Setting(NamedTuple):
+    """What B searches are of: arms, what imbalances are measured by, limits (M, B) of pressure [kPa], and goals."""
 
     arms: Arms
     scale: Scale
     limits: Tensor
     goal: Goal
+
+
+@dataclass(frozen=True)
+class Searches:
+    """B searches.
+
+    Attributes:
+        setting: of T.
+        rows: (B,) which of these.
+        tolerance: of the load scale.
+        fleet: the same for compiled steps, if they are to run compiled.
+        wall: (M, B) normals, along which the pressures are held, if they are.
+    """
+
+    setting: Setting
+    rows: Tensor
     tolerance: float
-    compiled: bool = False
+    fleet: "Fleet | None" = None
     wall: Tensor | None = None
 
+    @staticmethod
+    def of(setting: Setting, tolerance: float, *, compiled: bool = False) -> "Searches":
+        """All of them."""
+        rows = torch.arange(setting.limits.shape[-1], device=setting.limits.device)
+        if not compiled:
+            return Searches(setting, rows, tolerance)
+        from torcharm.kernels.fleet import Fleet
+
+        goal = setting.goal
+        fleet = Fleet.of(setting.arms, setting.scale, setting.limits, tolerance)
+        return Searches(setting, rows, tolerance, fleet.aiming(goal.target, goal.weight, goal.turned))
+
     def __getitem__(self, index: Tensor) -> "Searches":
-        scale = pick(self.scale, index)
-        arms, goal = self.arms[index], self.goal[index]
-        return Searches(
-            arms, scale, pick(self.limits, index), goal, self.tolerance, self.compiled, pick(self.wall, index)
-        )
+        fleet = None if self.fleet is None else self.fleet[index]
+        return Searches(self.setting, self.rows[index], self.tolerance, fleet, pick(self.wall, index))
+
+    @cached_property
+    def arms(self) -> Arms:
+        """B of them."""
+        return self.setting.arms[self.rows]
+
+    @cached_property
+    def scale(self) -> Scale:
+        """Theirs."""
+        return pick(self.setting.scale, self.rows)
+
+    @cached_property
+    def limits(self) -> Tensor:
+        """(M, B) [kPa]."""
+        return pick(self.setting.limits, self.rows)
+
+    @cached_property
+    def goal(self) -> Goal:
+        """Of each."""
+        return self.setting.goal[self.rows]
 
     def cost(self, unknowns: Tensor) -> Tensor:
         """(B,) at z (C, N, B)."""
-        if self.compiled:
-            from torcharm.kernels import batch
-
-            return batch.costs(self, unknowns)
+        if self.fleet is not None:
+            return self.fleet.cost(unknowns)
         return self.goal.cost(unknowns, self.arms.base_pose)
 
     def model(self, place: Tensor, unknowns: Tensor, rows: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
         """As of `Goal.model`, at places (M, B) and equilibria z (C, N, B), or nearly; or at places (M, R) of `rows`
         (R,) of these searches and shapes."""
-        if self.compiled:
-            from torcharm.kernels import batch
-
-            every = torch.arange(unknowns.shape[-1]) if rows is None else rows
-            return batch.models(self, every, place, unknowns)
+        if self.fleet is not None:
+            return self.fleet.model(place, unknowns, rows)
         own, unknowns = (self, unknowns) if rows is None else (self[rows], pick(unknowns, rows))
         return own.goal.model(mechanics.march(own.arms, unknowns, place * own.limits, each_pressure=own.limits))
 
     def gains(self, place: Tensor, unknowns: Tensor, share: Tensor, measure: Tensor) -> Tensor:
         """(M, B) changes, by the place, of the sum of products of a measure (C, N, B) and z, under shares (B,) of the
         load."""
-        if self.compiled:
-            from torcharm.kernels import batch
-
-            return batch.gains(self, place, unknowns, share, measure)
+        if self.fleet is not None:
+            return self.fleet.gains(place, unknowns, share, measure)
         limits = self.limits
         look = mechanics.march(self.arms, unknowns, place * limits, share, each_pressure=limits, poses=False)
         return (look.change[:, :, 1:] * measure.unsqueeze(2)).sum((0, 1))
@@ -203,10 +236,8 @@ def descend(searches: Searches, place: Tensor, unknowns: Tensor, *, gain: float,
     """
     least = ROUNDING * torch.finfo(place.dtype).eps
     gain, settled = max(gain, least), max(SETTLED, least)
-    if searches.compiled:
-        from torcharm.kernels import batch
-
-        return Descended(*batch.descend(searches, place, unknowns, gain, settled, looks))
+    if searches.fleet is not None:
+        return Descended(*searches.fleet.descend(searches.wall, place, unknowns, gain, settled, looks))
     size, count = place.shape
     components, nodes, _ = unknowns.shape
     none = place.new_zeros(count)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torcharm._continuation import FIRST_FILLING, Problem, unloaded
 from torcharm._descent import Searches
-from torcharm._tracing import FIRST_SHARE, Course, relaxed, trace
+from torcharm._tracing import FIRST_SHARE, Course, Traced, relaxed, trace
 from torcharm.mechanics import pick
 
 LOOKS, LEAST_SHARE, PATIENCE = 30, 4e-3, (200, 1e-4)
@@ -80,7 +80,7 @@ class Block:
 
     def rest(self, place: Tensor) -> tuple[Tensor, Tensor]:
         """The unloaded arms (C, 1, B) at (M, B), continued from zero pressure; and whether there."""
-        path = trace(self._course(place, False), self.idle, FIRST_FILLING, LOOKS, LEAST_SHARE)
+        path = self._trace(place, self.idle, LOOKS, LEAST_SHARE, loading=False)
         left = (~path.arrived).nonzero().squeeze(-1)
         if self.patient is not None and len(left):
             part = self.patient[left]
@@ -90,12 +90,22 @@ class Block:
 
     def rest_near(self, place: Tensor, near: Tensor) -> tuple[Tensor, Tensor]:
         """The same, from unloaded arms at pressures nearby."""
-        near, size = relaxed(self._course(place, False), near, NEWTON_STEPS)
+        own = self.searches
+        if own.fleet is not None:
+            near, size = own.fleet.relax(place, near, NEWTON_STEPS)
+        else:
+            near, size = relaxed(self._course(place, loading=False), near, NEWTON_STEPS)
         return near, size <= (SAME_SHAPE if near.dtype == torch.float64 else COARSE_SHAPE)
 
-    def _course(self, place: Tensor, loading: bool) -> Course:
+    def _trace(self, place: Tensor, start: Tensor, looks: int, least_share: float, *, loading: bool) -> Traced:
+        fleet, first = self.searches.fleet, FIRST_SHARE if loading else FIRST_FILLING
+        if fleet is not None:
+            return Traced(*fleet.trace(place, loading, start, first, looks, least_share))
+        return trace(self._course(place, loading=loading), start, first, looks, least_share)
+
+    def _course(self, place: Tensor, *, loading: bool) -> Course:
         own = self.searches
-        return Course(own.arms, place * own.limits, loading, own.scale, own.tolerance, own.compiled)
+        return Course(own.arms, place * own.limits, loading, own.scale, own.tolerance)
 
     def reach(self, place: Tensor, near: Tensor | None = None, *, far: bool = False, looks: int = LOOKS) -> Reached:
         """What continuation reaches.
@@ -112,7 +122,7 @@ class Block:
             rest[:, :, left], still[left] = self[left].rest(place[:, left])
         start = rest.expand(-1, self.nodes, -1).contiguous()
         looks, least = (looks, LEAST_SHARE) if self.patient is None else PATIENCE
-        path = trace(self._course(place, True), start, FIRST_SHARE, looks, least)
+        path = self._trace(place, start, looks, least, loading=True)
         cost = self.searches.cost(path.unknowns)
         cost = torch.where(path.arrived & still & cost.isfinite(), cost, float("inf"))
         return Reached(place, cost, path.unknowns, rest, path.quick, path.rush, path.share)

@@ -222,7 +222,7 @@ def _normal(block: Block, at: Reached) -> Tensor:
 def _measure(block: Block, at: Reached) -> Tensor:
     """(C, N, B) what changes of the unknowns are multiplied by, to tell how far the arm gives way."""
     rush = torch.where(at.rush.isfinite(), at.rush, 0.0)
-    rush[:-1] /= block.searches.scale.length**2
+    rush[:-1] /= pick(block.searches.setting.scale.length, block.searches.rows) ** 2
     return rush / rush.square().sum((0, 1)).sqrt().clamp(min=torch.finfo(rush.dtype).tiny)
 
 

@@ -6,7 +6,7 @@ on another branch: under compression an arm has several equilibria. The batch co
 """
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
@@ -14,6 +14,9 @@ from torch import Tensor
 from torcharm import mechanics
 from torcharm._underway import run
 from torcharm.mechanics import Arms, Marched, pick
+
+if TYPE_CHECKING:
+    from torcharm.kernels.fleet import Fleet
 
 FIRST_SHARE = 0.25
 """Of the load, taken by the first step."""
@@ -62,7 +65,7 @@ class Course:
         loading: whether the load grows, at full pressure; else the pressure, without load.
         scale: of these.
         tolerance: of the load scale, at s = 1.
-        compiled: whether steps run compiled.
+        fleet: the same for compiled steps, with the pressures as limits, if they are to run compiled.
     """
 
     arms: Arms
@@ -70,11 +73,11 @@ class Course:
     loading: bool
     scale: Scale
     tolerance: float
-    compiled: bool = False
+    fleet: "Fleet | None" = None
 
     def __getitem__(self, index: Tensor) -> "Course":
         scale = pick(self.scale, index)
-        return replace(self, arms=self.arms[index], pressure=pick(self.pressure, index), scale=scale)
+        return replace(self, arms=self.arms[index], pressure=pick(self.pressure, index), scale=scale, fleet=None)
 
     def look(self, unknowns: Tensor, share: Tensor) -> Marched:
         """The balance at z and s, with Newton's step and the tangent dz/ds as its two changes."""
@@ -141,10 +144,9 @@ def trace(course: Course, start: Tensor, first_step: float, looks: int, least_sh
         looks: evaluations of the balance, at most.
         least_share: where no longer step succeeds, the path has ended.
     """
-    if course.compiled:
-        from torcharm.kernels import batch
-
-        return Traced(*batch.trace(course, start, first_step, looks, least_share))
+    if course.fleet is not None:
+        whole = torch.ones_like(course.pressure)
+        return Traced(*course.fleet.trace(whole, course.loading, start, first_step, looks, least_share))
     count = start.shape[-1]
     none = start.new_zeros(count)
 
@@ -238,10 +240,6 @@ def _advance(course: Course, walk: _Walk, least_share: float) -> _Walk:
 
 def relaxed(course: Course, unknowns: Tensor, steps: int) -> tuple[Tensor, Tensor]:
     """Unloaded arms at full pressure: Newton steps from z (C, N, B), and the sizes (B,) of the last."""
-    if course.compiled:
-        from torcharm.kernels import batch
-
-        return batch.relax(course, unknowns, steps)
     size = course.pressure.new_zeros(unknowns.shape[-1])
     for _ in range(steps):
         look = mechanics.relax(course.arms, unknowns, course.pressure, course.pressure)

@@ -3,8 +3,6 @@
 from collections.abc import Callable
 from typing import Any
 
-import torch
-
 from torcharm.mechanics import pick
 
 KEPT = 0.6

@@ -1,6 +1,6 @@
 """What the kernels know of arms: numbers in arrays."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -53,22 +53,14 @@ def known(models: tuple[Actuator, ...], like: Tensor, shear_stiffness: float | N
 def arms_of(arms: mechanics.Arms, scale: tuple[Tensor, Tensor, Tensor], limits: Tensor, tolerance: float) -> Arms:
     """From arms of known kinds; limits (M, B)."""
     kind = [MUSCLE if isinstance(model, McKibben) else POLYNOMIAL for model in arms.models]
-    rows: list[list[list[float]]] = [[[0.0]] if kind_ == MUSCLE else model._rows() for kind_, model in zip(kind, arms.models, strict=True)]
-    table = np.zeros((len(rows), max(map(len, rows)), max(len(row[0]) for row in rows)))
-    for at, row in enumerate(rows):
-        table[at, : len(row), : len(row[0])] = row
-    bending = np.array([float(model.bending_stiffness) for model in arms.models]) / reference_pressures(arms.models)
-    factor = np.array([float(getattr(model, "force_scale", 1.0)) for model in arms.models])
+    factor = np.array([model.force_scale if isinstance(model, McKibben) else 1.0 for model in arms.models], dtype=float)
+    tables = [model._rows() if isinstance(model, PolynomialActuator) else [[0.0]] for model in arms.models]
+    table = np.zeros((len(kind), max(map(len, tables)), max(len(rows[0]) for rows in tables)))
+    for at, rows in enumerate(tables):
+        table[at, : len(rows), : len(rows[0])] = rows
+    factors = [float(model.bending_stiffness) for model in arms.models]  # type: ignore[arg-type]
+    bending = np.array(factors) / reference_pressures(arms.models)
     flat = (arms.radii[:, 0], arms.length[:, 0], arms.tip_load, arms.base_pose, torch.stack(scale), limits)
-    radii, neutral, load, base, measure, limits_ = (batch_first(value) for value in flat)
-    return Arms(np.array(kind), table, factor, bending, radii, neutral, load, base, measure, limits_, tolerance)
-
-
-def batch_first(value: Tensor) -> Array:
-    """(B, ...) from (..., B), in a row."""
-    return np.ascontiguousarray(as_array(value.movedim(-1, 0)))
-
-
-def batch_last(value: Any) -> Tensor:
-    """(..., B) from (B, ...)."""
-    return torch.from_numpy(value).movedim(0, -1)
+    return Arms(
+        np.array(kind), table, factor, bending, *(np.array(as_array(part).T, order="C") for part in flat), tolerance
+    )

@@ -16,6 +16,7 @@ _ASIDE, _LARGEST, _DONE = _boundary.ASIDE, _boundary.LARGEST, _boundary.DONE
 @jit
 def find_boundary(
     arms: Arms,
+    rows: Array,
     measure: Array,
     direction: Array,
     steps: int,
@@ -31,7 +32,7 @@ def find_boundary(
     """Newton's method on the saddle, of some of B points: see `_boundary._advance`.
 
     Args:
-        arms: B of them.
+        arms: of `rows` (B,).
         measure, direction: (B, 2, N), (B, M) as of `_boundary.find_boundary`.
         steps: looks at most.
         first_row, last_row: which, without the last.
@@ -45,16 +46,17 @@ def find_boundary(
     slope_x, slope_s, by_way = np.empty(3), np.empty(3), np.empty((2, nodes))
     along_x, along_s = np.empty((2, nodes)), np.empty((2, nodes))
     for at in range(first_row, last_row):
-        lines, way, aside = measure[at], direction[at], _ASIDE / arms.measure[at, 1]
+        row = rows[at]
+        lines, way, aside = measure[at], direction[at], _ASIDE / arms.measure[row, 1]
         for j in range(3):
             z[j], place[j], share[j] = unknowns[at], places[at], shares[at]
         sizes[at], beside = math.inf, False
         for _ in range(steps):
             for j in range(2, -1, -1):  # the first at last: what follows is of it
                 for m in range(size):
-                    acting[m] = place[j, m] * arms.limits[at, m]
-                look(arms, at, z[j], acting, share[j], True, march)
-                solve(arms, at, z[j], acting, share[j], BY_LOAD, True, False, 0.0, 0.0, march)
+                    acting[m] = place[j, m] * arms.limits[row, m]
+                look(arms, row, z[j], acting, share[j], True, march)
+                solve(arms, row, z[j], acting, share[j], BY_LOAD, True, False, 0.0, 0.0, march)
                 gain, fall, miss = 0.0, 0.0, 0.0
                 for c in range(2):
                     for i in range(nodes):
@@ -87,7 +89,11 @@ def find_boundary(
                     along_x[c, i] = by_way[c, i] * x0
                     along_s[c, i] = march.change[2, c, i] + by_way[c, i] * s0
                     base = z[0, c, i] + along_x[c, i] * move_x + along_s[c, i] * move_s
-                    z[0, c, i], z[1, c, i], z[2, c, i] = base, base + along_x[c, i] * aside, base + along_s[c, i] * _ASIDE
+                    z[0, c, i], z[1, c, i], z[2, c, i] = (
+                        base,
+                        base + along_x[c, i] * aside,
+                        base + along_s[c, i] * _ASIDE,
+                    )
                     for m in range(size):
                         shifts[at, m, c, i] = march.change[3 + m, c, i]
             for m in range(size):

@@ -22,6 +22,7 @@ _LARGEST, _CONTRACTION = _tracing.LARGEST_MOVE, _tracing.CONTRACTION
 def descend(
     arms: Arms,
     goal: Goal,
+    rows: Array,
     wall: Array,
     walled: bool,
     gain: float,
@@ -37,7 +38,7 @@ def descend(
     """Follow the cost down, of some of B searches.
 
     Args:
-        arms, goal: B of them.
+        arms, goal: of `rows` (B,).
         wall: (B, M) normals, along which the pressures are held, if walled.
         gain, looks: as of `_descent.descend`.
         settled: Newton's step at which a descent may end.
@@ -54,6 +55,7 @@ def descend(
     trial_place, trial, acting, step = np.empty(size), np.empty((2, nodes)), np.empty(size), np.empty(size)
     dz, dturn = np.empty((2, nodes)), np.empty(nodes)
     for at in range(first_row, last_row):
+        row = rows[at]
         place, z = places[at], unknowns[at]
         trial_place[:], trial[:] = place, z
         normal[:], gradient[:], motion[:], turned[:] = 0.0, 0.0, 0.0, 0.0
@@ -61,18 +63,20 @@ def descend(
         turn, stalled, first, over = 0, 0, 0.0, False
         for _ in range(looks):
             for m in range(size):
-                acting[m] = trial_place[m] * arms.limits[at, m]
-            look(arms, at, trial, acting, 1.0, True, march)
-            _, new_sign = solve(arms, at, trial, acting, 1.0, NONE, True, True, 0.0, 0.0, march)
+                acting[m] = trial_place[m] * arms.limits[row, m]
+            look(arms, row, trial, acting, 1.0, True, march)
+            _, new_sign = solve(arms, row, trial, acting, 1.0, NONE, True, True, 0.0, 0.0, march)
             newton = march.change[1]
-            length = moves(arms, at, newton, march.turned[1])
+            length = moves(arms, row, newton, march.turned[1])
             near = length <= _NEAR
             if turn == 0:
                 first = length
-            on = not near and (turn != 1 or length < _CONTRACTION * first) and length < _LARGEST and turn < _NEWTON_STEPS
+            on = (
+                not near and (turn != 1 or length < _CONTRACTION * first) and length < _LARGEST and turn < _NEWTON_STEPS
+            )
             better, sound, cost, quality = False, False, math.nan, 0.0
             if near and (new_sign == sign or sign == 0):
-                model(goal, at, march, 2, columns, products)
+                model(goal, row, march, 2, columns, products)
                 cost, check = products[0, 0], 0.0
                 for m in range(size):
                     check += products[0, 1 + m]
@@ -133,7 +137,7 @@ def descend(
                     dz[1, i] += motion[m, 1, i] * step[m]
                     dturn[i] += turned[m, i] * step[m]
             # Too far along the tangent to come back from: shorter
-            short = min(0.7 * _LARGEST / max(moves(arms, at, dz, dturn), 1e-12), 1.0)
+            short = min(0.7 * _LARGEST / max(moves(arms, row, dz, dturn), 1e-12), 1.0)
             promise = -promised * short
             done = (promise <= gain * best + _FLOOR and unsettled <= settled) or stalled >= 5
             if not math.isfinite(best) or damping >= _NARROWEST or done:

@@ -2,8 +2,6 @@
 
 import math
 
-import numpy as np
-
 from torcharm._arrays import Array
 from torcharm._compiled import inlined, jit
 from torcharm.kernels.arms import Arms
@@ -13,7 +11,7 @@ from torcharm.kernels.march import NONE, March, imbalance, look, moves, new_marc
 @jit
 def settle(
     arms: Arms,
-    pressure: Array,
+    rows: Array,
     damping: float,
     steps: int,
     first_row: int,
@@ -24,8 +22,7 @@ def settle(
     """Follow some of B arms to rest.
 
     Args:
-        arms: B of them.
-        pressure: (B, M).
+        arms: of `rows` (B,), at the limits of pressure.
         damping, steps: as of `_continuation.settle`.
         first_row, last_row: which, without the last.
         unknowns: (B, 2, N) where they are let go, and takes where they end.
@@ -34,11 +31,12 @@ def settle(
     nodes = unknowns.shape[2]
     march = new_march(arms, nodes)
     for at in range(first_row, last_row):
+        row = rows[at]
         z, amount, last = unknowns[at], 2.5 * damping, math.inf
         arrived[at] = False
         for _ in range(steps):
-            force, moment = look(arms, at, z, pressure[at], 1.0, False, march)
-            miss = imbalance(arms, at, force, moment)
+            force, moment = look(arms, row, z, arms.limits[row], 1.0, False, march)
+            miss = imbalance(arms, row, force, moment)
             if miss <= arms.tolerance:
                 arrived[at] = True
                 break
@@ -46,9 +44,9 @@ def settle(
                 break
             # A step that led uphill was too long; those that lead down become Newton's
             amount = min(max(amount * 4 if miss > 1.5 * last else amount * 0.4, 1e-12), 1e6)
-            length, curvature = _mobility(arms, at, march)
-            solve(arms, at, z, pressure[at], 1.0, NONE, False, False, amount * length, amount * curvature, march)
-            size = moves(arms, at, march.change[1], march.turned[1])
+            length, curvature = _mobility(arms, row, march)
+            solve(arms, row, z, arms.limits[row], 1.0, NONE, False, False, amount * length, amount * curvature, march)
+            size = moves(arms, row, march.change[1], march.turned[1])
             if not math.isfinite(size):
                 break
             short = min(0.5 / max(size, 1e-12), 1.0)

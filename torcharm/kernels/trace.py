@@ -22,7 +22,8 @@ _CONTRACTION, _CORRECTIONS = _tracing.CONTRACTION, _tracing.CORRECTIONS
 @jit
 def trace(
     arms: Arms,
-    pressure: Array,
+    rows: Array,
+    places: Array,
     loading: bool,
     start: Array,
     first_step: float,
@@ -36,8 +37,8 @@ def trace(
     """Follow the equilibria of s = 0 to s = 1, as far as they go, of some of B arms.
 
     Args:
-        arms: B of them.
-        pressure: (B, M).
+        arms: of `rows` (B,).
+        places: (B, M) pressures at s = 1, as shares of their limits.
         loading: whether the load grows, or the pressure.
         start: (B, 2, N).
         first_step, looks, least_share: as of `_tracing.trace`.
@@ -45,26 +46,29 @@ def trace(
         out: (3, B, 2, N) takes where the paths ended, their quickest points, and the rates there.
         shares: (2, B) takes the shares of both.
     """
-    nodes, actuators = start.shape[2], pressure.shape[1]
+    nodes, actuators = start.shape[2], places.shape[1]
     ease = 1.0 if loading else _UNLOADED
     march = new_march(arms, nodes)
     base, tangent, bend = np.empty((2, nodes)), np.empty((2, nodes)), np.empty((2, nodes))
     trial, quick, rush = np.empty((2, nodes)), np.empty((2, nodes)), np.empty((2, nodes))
-    acting = np.empty(actuators)
+    full, acting = np.empty(actuators), np.empty(actuators)
     for at in range(first_row, last_row):
+        row = rows[at]
+        for m in range(actuators):
+            full[m] = places[at, m] * arms.limits[row, m]
         base[:], quick[:], trial[:] = start[at], start[at], start[at]
         tangent[:], bend[:], rush[:] = 0.0, 0.0, 0.0
         share, step, speed, sign, aim, turn = 0.0, first_step, 0.0, 0.0, 0.0, 0
         first = ratio = moved = haste = when = 0.0
         for _ in range(looks):
             for m in range(actuators):
-                acting[m] = pressure[at, m] if loading else pressure[at, m] * aim
-            force, moment = look(arms, at, trial, acting, aim if loading else 0.0, not loading, march)
+                acting[m] = full[m] if loading else full[m] * aim
+            force, moment = look(arms, row, trial, acting, aim if loading else 0.0, not loading, march)
             _, new_sign = solve(
                 arms,
-                at,
+                row,
                 trial,
-                pressure[at],
+                full,
                 aim if loading else 0.0,
                 BY_LOAD if loading else BY_FILLING,
                 False,
@@ -74,12 +78,12 @@ def trace(
                 march,
             )
             newton, new_tangent = march.change[1], march.change[2]
-            size, new_speed = moves(arms, at, newton, march.turned[1]), moves(arms, at, new_tangent, march.turned[2])
+            size, new_speed = moves(arms, row, newton, march.turned[1]), moves(arms, row, new_tangent, march.turned[2])
             if turn == 0:
                 first = size
             elif turn == 1:
                 ratio = size / max(first, 1e-300)
-            there = imbalance(arms, at, force, moment) <= arms.tolerance if aim >= 1 else size <= ease * _SMALL
+            there = imbalance(arms, row, force, moment) <= arms.tolerance if aim >= 1 else size <= ease * _SMALL
             if not there:
                 moved += size
             trusted = ratio < _CONTRACTION or moved < ease * _SMALL
