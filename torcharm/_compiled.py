@@ -20,9 +20,7 @@ def check_compiled(compiled: bool) -> None:
     """
     check_flag("compiled", compiled)
     if compiled and find_spec("numba") is None:
-        raise ValueError(
-            "compiled: must be False without numba, and it is not installed (torcharm[compiled] brings it)"
-        )
+        raise ValueError("compiled: must be False without numba, which torcharm[compiled] brings, got True")
 
 
 def jit(function: F) -> F:
@@ -36,13 +34,17 @@ def inlined(function: F) -> F:
 
 
 def _compiled(function: F, *, inlined: bool) -> F:
-    from numba import config, njit
+    import numba
+
+    config: Any = numba.config
 
     # numba takes code from disk unless the function's own file has changed; that of what it calls may have
     chosen = config.CACHE_DIR
     try:
         config.CACHE_DIR = str(Path(chosen or Path(__file__).parent / "__pycache__") / f"torcharm-{_version()}")
-        return njit(cache=True, nogil=True, error_model="numpy", forceinline=inlined)(function)
+        options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "forceinline": inlined}
+        compiled: F = numba.njit(**options)(function)
+        return compiled
     finally:
         config.CACHE_DIR = chosen
 

@@ -61,6 +61,5 @@ def arms_of(arms: mechanics.Arms, scale: tuple[Tensor, Tensor, Tensor], limits: 
     factors = [float(model.bending_stiffness) for model in arms.models]  # type: ignore[arg-type]
     bending = np.array(factors) / reference_pressures(arms.models)
     flat = (arms.radii[:, 0], arms.length[:, 0], arms.tip_load, arms.base_pose, torch.stack(scale), limits)
-    return Arms(
-        np.array(kind), table, factor, bending, *(np.array(as_array(part).T, order="C") for part in flat), tolerance
-    )
+    radii, neutral, load, base, measure, most = (np.array(as_array(part).T, order="C") for part in flat)
+    return Arms(np.array(kind), table, factor, bending, radii, neutral, load, base, measure, most, tolerance)

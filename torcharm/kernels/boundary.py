@@ -89,11 +89,8 @@ def find_boundary(
                     along_x[c, i] = by_way[c, i] * x0
                     along_s[c, i] = march.change[2, c, i] + by_way[c, i] * s0
                     base = z[0, c, i] + along_x[c, i] * move_x + along_s[c, i] * move_s
-                    z[0, c, i], z[1, c, i], z[2, c, i] = (
-                        base,
-                        base + along_x[c, i] * aside,
-                        base + along_s[c, i] * _ASIDE,
-                    )
+                    z[0, c, i], z[1, c, i] = base, base + along_x[c, i] * aside
+                    z[2, c, i] = base + along_s[c, i] * _ASIDE
                     for m in range(size):
                         shifts[at, m, c, i] = march.change[3 + m, c, i]
             for m in range(size):

@@ -71,9 +71,8 @@ def descend(
             near = length <= _NEAR
             if turn == 0:
                 first = length
-            on = (
-                not near and (turn != 1 or length < _CONTRACTION * first) and length < _LARGEST and turn < _NEWTON_STEPS
-            )
+            on = not near and (turn != 1 or length < _CONTRACTION * first)
+            on = on and length < _LARGEST and turn < _NEWTON_STEPS
             better, sound, cost, quality = False, False, math.nan, 0.0
             if near and (new_sign == sign or sign == 0):
                 model(goal, row, march, 2, columns, products)

@@ -26,6 +26,8 @@ LEAST = 16
 PARTS = 4
 """Of a batch for each thread: elements take unlike times."""
 
+NO_GOAL = Goal(np.empty((0, 3, 0)), np.empty((3, 0)), False)
+
 
 @dataclass(frozen=True)
 class Fleet:
@@ -33,19 +35,19 @@ class Fleet:
 
     Attributes:
         arms: T of them.
-        goal: of the searches; there is none where only equilibria are wanted.
+        goal: of the searches; empty where only equilibria are wanted.
         rows: (B,) which of these.
     """
 
     arms: Arms
-    goal: Goal | None
+    goal: Goal
     rows: Array
 
     @staticmethod
     def of(arms: mechanics.Arms, scale: tuple[Tensor, Tensor, Tensor], limits: Tensor, tolerance: float) -> "Fleet":
         """Arms of kinds that are known, with limits (M, T)."""
         every = np.arange(limits.shape[-1])
-        return Fleet(arms_of(arms, scale, limits, tolerance), None, every)
+        return Fleet(arms_of(arms, scale, limits, tolerance), NO_GOAL, every)
 
     def aiming(self, target: Tensor, weight: Tensor, turned: bool) -> "Fleet":
         """The same, for searches: see `Goal` of `_descent`."""
@@ -80,31 +82,13 @@ class Fleet:
         self, wall: Tensor | None, place: Tensor, unknowns: Tensor, gain: float, settled: float, looks: int
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """The fields of `Descended`."""
-        walls, places, z, (count,) = (
-            _batch_first(place if wall is None else wall),
-            _own(place),
-            _own(unknowns),
-            self.rows.shape,
-        )
+        count, places, z = len(self.rows), _own(place), _own(unknowns)
+        walls, walled = _batch_first(place if wall is None else wall), wall is not None
         cost, ended = np.empty(count), np.empty(count, dtype=bool)
+        out = places, z, cost, ended
 
         def work(first: int, last: int) -> None:
-            descend(
-                self.arms,
-                self.goal,
-                self.rows,
-                walls,
-                wall is not None,
-                gain,
-                settled,
-                looks,
-                first,
-                last,
-                places,
-                z,
-                cost,
-                ended,
-            )
+            descend(self.arms, self.goal, self.rows, walls, walled, gain, settled, looks, first, last, *out)
 
         _spread(count, work)
         return _batch_last(places), _batch_last(z), torch.from_numpy(cost), torch.from_numpy(ended)

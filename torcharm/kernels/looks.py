@@ -21,7 +21,7 @@ def costs(arms: Arms, goal: Goal, rows: Array, unknowns: Array, out: Array) -> N
 
 @jit
 def models(arms: Arms, goal: Goal, rows: Array, shapes: Array, places: Array, unknowns: Array, out: Array) -> None:
-    """`CᵀC` (1 + M, 1 + M, B) of `_descent.Goal.model` at B places (B, M), of arms `rows` and the shapes `shapes` (B,)."""
+    """`CᵀC` (1 + M, 1 + M, B) of `_descent.Goal.model` at places (B, M), of arms `rows` and shapes (B,)."""
     size, nodes = places.shape[1], unknowns.shape[2]
     march = new_march(arms, nodes)
     columns, products, acting = np.empty((1 + size, 3, nodes)), np.empty((1 + size, 1 + size)), np.empty(size)
@@ -37,7 +37,7 @@ def models(arms: Arms, goal: Goal, rows: Array, shapes: Array, places: Array, un
 
 @jit
 def gains(arms: Arms, rows: Array, measure: Array, places: Array, unknowns: Array, shares: Array, out: Array) -> None:
-    """(B, M) changes by the places (B, M) of what is measured, (B, 2, N), under shares of the load (B,), of arms `rows`."""
+    """(B, M) changes by the places (B, M) of what is measured, (B, 2, N), under shares (B,) of the load."""
     size, nodes = places.shape[1], unknowns.shape[2]
     march, acting = new_march(arms, nodes), np.empty(size)
     for at in range(places.shape[0]):

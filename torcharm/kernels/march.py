@@ -225,12 +225,8 @@ def solve(
         state[0, k, 0] = state[0, k, 1] = 0.0
     for i in range(nodes):
         # The section by itself
-        a11, a12, a21, a22 = (
-            stiffness[i, 0] - drag_length,
-            stiffness[i, 1],
-            stiffness[i, 2],
-            stiffness[i, 3] - drag_curvature,
-        )
+        a11, a12 = stiffness[i, 0] - drag_length, stiffness[i, 1]
+        a21, a22 = stiffness[i, 2], stiffness[i, 3] - drag_curvature
         determinant = a11 * a22 - a12 * a21
         if determinant < 0:
             flips += 1
@@ -259,9 +255,8 @@ def solve(
         bow_length, bow_curvature = i11 * across, i21 * across  # -δz by δθ
         lift_length = rod[i, 6] * force_y - rod[i, 7] * force_x  # δw by δz
         lift_curvature = rod[i, 8] * force_y - rod[i, 9] * force_x
-        falling = -(
-            rod[i, 4] * force_x + rod[i, 5] * force_y + lift_length * bow_length + lift_curvature * bow_curvature
-        )
+        falling = rod[i, 4] * force_x + rod[i, 5] * force_y
+        falling = -(falling + lift_length * bow_length + lift_curvature * bow_curvature)
         stay, rise = 1.0 - step * bow_curvature, 1.0 + lift_length * i12 + lift_curvature * i22
         for k in range(sides):
             turn, raised = state[i, k, 0], state[i, k, 1]
@@ -302,11 +297,8 @@ def moves(arms: Arms, at: int, change: Array, turned: Array) -> float:
     """The size of a change of z (2, N) that turns headings (N,): see `Scale.moves`."""
     stretch, bend, heading, check = 0.0, 0.0, 0.0, 0.0
     for i in range(change.shape[1]):
-        stretch, bend, heading = (
-            max(stretch, abs(change[0, i])),
-            max(bend, abs(change[1, i])),
-            max(heading, abs(turned[i])),
-        )
+        stretch, bend = max(stretch, abs(change[0, i])), max(bend, abs(change[1, i]))
+        heading = max(heading, abs(turned[i]))
         check += abs(change[0, i]) + abs(change[1, i]) + abs(turned[i])
     if math.isnan(check):
         return math.nan

@@ -100,10 +100,8 @@ def trace(
                         bend[c, i] = (new_tangent[c, i] - tangent[c, i]) * half if curved else 0.0
                         tangent[c, i] = new_tangent[c, i]
                 speed, sign = new_speed, new_sign
-                if started:
-                    step = taken * min(max((ease * _AIMED / max(first, 1e-12)) ** (1 / 3), 0.3), 4.0)
-                else:
-                    step = taken
+                stretch = min(max((ease * _AIMED / max(first, 1e-12)) ** (1 / 3), 0.3), 4.0)
+                step = taken * stretch if started else taken
                 if speed > haste:
                     quick[:], rush[:] = base, tangent
                     haste, when = speed, share
