@@ -7,7 +7,7 @@ import torcharm as ta
 from torcharm._boundary import find_boundary
 from torcharm._branch_search import _distinct
 from torcharm._continuation import resting
-from torcharm._descent import Goal, Searches
+from torcharm._descent import Goal, Searches, Setting
 from torcharm._reaching import Block, lowest
 from torcharm._rounds import _inner, _measure, _normal
 from torcharm.search import checked_outer, flat_problem, outer_poses
@@ -22,7 +22,8 @@ def block_of(arm, task):
     problem, _ = flat_problem(outer, None)
     weight = outer.twists.new_ones(outer.nodes + 1, 3)
     goal = Goal.of(outer_poses(outer), weight)
-    own = Searches(problem.arms, problem.scale, problem.arm.max_pressure.mT.contiguous(), goal, problem.tolerance)
+    setting = Setting(problem.arms, problem.scale, problem.arm.max_pressure.mT.contiguous(), goal)
+    own = Searches.of(setting, problem.tolerance)
     return problem, Block(own, resting(problem).unknowns.movedim(0, -1).contiguous(), outer.nodes)
 
 

@@ -37,7 +37,7 @@ def box_step(normal: Tensor, gradient: Tensor, place: Tensor, damping: Tensor) -
         answer = torch.where(held, step, _solve(matrix, gradient, step, held, size))
         step = torch.minimum(torch.maximum(answer, low), high)
         leaves = step != answer
-        if not torch.compiler.is_compiling() and not bool(leaves.any()):
+        if not bool(leaves.any()):
             break
         held = held | leaves
     slope = gradient + (matrix * step).sum(1)

@@ -133,6 +133,13 @@ class Problem:
         return start
 
 
+def can_compile(problem: Problem) -> bool:
+    """Whether the kernels know its arms."""
+    from torcharm.kernels.arms import known
+
+    return known(problem.arm.actuators, problem.pressure, problem.shear_stiffness)
+
+
 class Settled(NamedTuple):
     """Where the arms came to rest: (B, C, N), and whether they did (B,)."""
 

@@ -4,7 +4,7 @@ The balance `a_i + q_i = 0` at every node, solved for the twists: see `mechanics
 `_continuation` for the method.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import torch
@@ -13,7 +13,8 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from torcharm import mechanics, rod
-from torcharm._continuation import LOOKS, SETTLING_STEPS, Problem, loaded, settle, unloaded
+from torcharm._compiled import check_compiled
+from torcharm._continuation import LOOKS, SETTLING_STEPS, Problem, can_compile, loaded, settle, unloaded
 from torcharm._inputs import (
     TensorLike,
     as_floating,
@@ -85,6 +86,7 @@ def solve_equilibrium(
     tolerance: float | None = None,
     raise_on_failure: bool = False,
     chunk_size: int | None = None,
+    compiled: bool = False,
 ) -> Equilibrium:
     """The arm's equilibrium at each pressure under each tip load.
 
@@ -110,6 +112,7 @@ def solve_equilibrium(
         tolerance: of the residual; None takes 1e-10 in float64, 1e-4 in float32.
         raise_on_failure: makes it an error if any element does not converge.
         chunk_size: elements worked on at once; None chooses. Bounds memory.
+        compiled: whether the work is done by machine code, as of `search_pressure`.
 
     Raises:
         ValueError: an argument is none of those allowed, or shapes do not fit.
@@ -123,6 +126,7 @@ def solve_equilibrium(
     shear_stiffness = check_above_zero("shear_stiffness", shear_stiffness)
     tolerance = check_above_zero("tolerance", tolerance)
     check_flag("raise_on_failure", raise_on_failure)
+    check_compiled(compiled)
     if start is not None:
         check_tensor("start", start, nodes, 3)
         check_finite("start", start)
@@ -137,7 +141,7 @@ def solve_equilibrium(
 
     designs = arm._map(flat)
     inputs = (flat(pressure), flat(load), flat(base), None if start is None else flat(start, 2))
-    found = _in_blocks(designs, *inputs, nodes, shear_stiffness, tolerance, chunk_size)
+    found = _in_blocks(designs, *inputs, nodes, shear_stiffness, tolerance, chunk_size, compiled)
     result = Equilibrium(*(value.reshape((*batch, *value.shape[1:])) for value in found))
     failed = count - int(result.converged.sum())
     if raise_on_failure and failed:
@@ -172,6 +176,7 @@ def _in_blocks(
     shear_stiffness: float | None,
     tolerance: float | None,
     chunk_size: int | None,
+    compiled: bool,
 ) -> list[Tensor]:
     components = 2 if shear_stiffness is None else 3
     chunk = default_chunk(nodes, components) if chunk_size is None else check_count("chunk_size", chunk_size, 1)
@@ -188,6 +193,7 @@ def _in_blocks(
             shear_stiffness,
             tolerance,
         )
+        problem = replace(problem, compiled=compiled and can_compile(problem))
         blocks.append(
             _solve_block(problem, nodes, None if start is None else start[here].detach(), recompute=count > chunk)
         )
@@ -248,13 +254,12 @@ def solved(
 
 def detached(problem: Problem) -> Problem:
     """The problem without its graph."""
-    return Problem.of(
-        problem.arm._map(torch.Tensor.detach),
-        problem.pressure.detach(),
-        problem.tip_load.detach(),
-        problem.base_pose.detach(),
-        problem.shear_stiffness,
-        problem.tolerance,
+    return replace(
+        problem,
+        arm=problem.arm._map(torch.Tensor.detach),
+        pressure=problem.pressure.detach(),
+        tip_load=problem.tip_load.detach(),
+        base_pose=problem.base_pose.detach(),
     )
 
 

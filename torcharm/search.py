@@ -10,7 +10,7 @@ from torch import Tensor
 from torcharm import mechanics, rod
 from torcharm._branch_search import search_block
 from torcharm._compiled import check_compiled
-from torcharm._continuation import Problem
+from torcharm._continuation import Problem, can_compile
 from torcharm._descent import Goal
 from torcharm._inputs import check_above_zero, check_choice, check_count, check_flag
 from torcharm._outer import OuterProduct, check_arm_and_task, outer_product
@@ -111,14 +111,15 @@ def search_pressure(
         progress: whether to show a bar; None shows one for "scipy", on a terminal.
         raise_on_failure: makes it an error if any search does not converge.
         chunk_size: searches worked on at once (batched); None chooses. Bounds memory.
-        compiled: whether steps run as code compiled by `torch.compile` (batched, on the CPU): the same answers in half
-            the time or less. It needs a C++ compiler, and two to four minutes at the first search of a process for each
-            kind of arm (its models, M and N); some ten seconds where PyTorch finds the code on disk, from processes
-            before. For many searches, as in a design loop.
+        compiled: whether the work is done by machine code (batched): the same answers, some ten times as fast, in as
+            many threads as PyTorch takes. It needs numba (`torcharm[compiled]`), and half a minute to two at the very
+            first search; later ones, of other processes, too, find the code on disk. For arms of `Bellows`,
+            `PolynomialActuator` and `McKibben` with constant bending stiffness that do not shear, in double precision
+            on the CPU; others are searched as without it.
 
     Raises:
-        ValueError: an argument is none of those allowed, arm and task differ in dtype or device, or there is nothing
-            to compile with.
+        ValueError: an argument is none of those allowed, arm and task differ in dtype or device, or numba is needed and
+            not installed.
         NotConvergedError: see `raise_on_failure`.
     """
     check_choice("method", method, METHODS)
@@ -146,7 +147,7 @@ def search_pressure(
         chunk = max(1, default_chunk(outer.nodes, problem.components) // (CHUNK_SHARE * count))
         chunk = chunk if chunk_size is None else chunk_size
         index = torch.arange(total, device=weight.device).split(chunk)
-        problem = replace(problem, compiled=compiled and _known(problem))
+        problem = replace(problem, compiled=compiled and can_compile(problem))
         with torch.no_grad():
             parts = [_block(problem[at], goal[at], shape[at], count, hops, seed) for at in index if total]
         found = tuple(torch.cat(column) for column in zip(*parts, strict=True))
@@ -205,12 +206,6 @@ def flat_problem(outer: OuterProduct, shear_stiffness: float | None) -> tuple[Pr
     tolerance = TOLERANCES.get(base.dtype, 1e-2)
     problem = Problem.of(arm, arm.max_pressure, spread(outer.tip_load, 1, 2), base, shear_stiffness, tolerance)
     return problem, mechanics.to_unknowns(spread(outer.twists, 1), shear=shear_stiffness is not None)
-
-
-def _known(problem: Problem) -> bool:
-    from torcharm.kernels.arms import known
-
-    return known(problem.arm.actuators, problem.pressure, problem.shear_stiffness)
 
 
 def _block(problem: Problem, goal: Goal, shape: Tensor, starts: int, hops: int, seed: int) -> tuple[Tensor, ...]:

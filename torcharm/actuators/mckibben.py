@@ -128,7 +128,7 @@ class McKibben:
         force, slope = torch.where(idle, compression, force), torch.where(idle, at_rest, slope)
         rate = rate.masked_fill_(idle, 0.0)
         collapsed = (strain < _STRAIN_LIM) & ~pulling
-        if torch.compiler.is_compiling() or bool(collapsed.any()):
+        if bool(collapsed.any()):
             collapsing = select(
                 strain >= _STRAIN_CRIT, strain.new_tensor(_RISE_RATE), strain.new_tensor(_COLLAPSE_RATE)
             )
@@ -139,7 +139,7 @@ class McKibben:
             slope = torch.where(collapsed, at_rest + 2 * collapse * rise, slope)
             rate = torch.where(collapsed, steep * (rise > 0), rate)
         extended = strain >= 0
-        if torch.compiler.is_compiling() or bool(extended.any()):
+        if bool(extended.any()):
             x = strain.clamp(min=0)
             slack = _B2 * x + _SLACK
             gain, exponent = _B1 * slack.square(), _B3 * x
