@@ -73,6 +73,7 @@ def _search(problem: Problem, goal: Goal, nodes: int, places: Tensor, method: st
             nodes,
             base_pose=problem.base_pose,
             shear_stiffness=problem.shear_stiffness,
+            compiled=problem.compiled,
         )
         reached = mechanics.to_unknowns(true.twists, shear=problem.components == 3).movedim(0, -1)
         confirmed = torch.where(true.converged, goal.cost(reached, problem.base_pose.mT), float("inf"))

@@ -111,8 +111,8 @@ def search_pressure(
         progress: whether to show a bar; None shows one for "scipy", on a terminal.
         raise_on_failure: makes it an error if any search does not converge.
         chunk_size: searches worked on at once (batched); None chooses. Bounds memory.
-        compiled: whether the work is done by machine code (batched): the same answers, some ten times as fast, in as
-            many threads as PyTorch takes. It needs numba (`torcharm[compiled]`), and half a minute to two at the very
+        compiled: whether the work is done by machine code: the same answers, some ten times as fast, in as many threads
+            as PyTorch takes. It needs numba (`torcharm[compiled]`), and half a minute to two at the very
             first search; later ones, of other processes, too, find the code on disk. For arms of `Bellows`,
             `PolynomialActuator` and `McKibben` with constant bending stiffness that do not shear, in double precision
             on the CPU; others are searched as without it.
@@ -139,6 +139,7 @@ def search_pressure(
     target = outer_poses(outer)
     goal = Goal.of(target, weight)
     total = len(problem.pressure)
+    problem = replace(problem, compiled=compiled and can_compile(problem))
     if method == "scipy":
         from torcharm._search_scipy import search_one_by_one
 
@@ -147,7 +148,6 @@ def search_pressure(
         chunk = max(1, default_chunk(outer.nodes, problem.components) // (CHUNK_SHARE * count))
         chunk = chunk if chunk_size is None else chunk_size
         index = torch.arange(total, device=weight.device).split(chunk)
-        problem = replace(problem, compiled=compiled and can_compile(problem))
         with torch.no_grad():
             parts = [_block(problem[at], goal[at], shape[at], count, hops, seed) for at in index if total]
         found = tuple(torch.cat(column) for column in zip(*parts, strict=True))

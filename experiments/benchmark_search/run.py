@@ -8,6 +8,7 @@ import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
@@ -32,6 +33,14 @@ SHAPE = ta.affine_curvature(-3.0, 3.0, length=0.5, nodes=10)
 STARTS, ROUNDS, FEWER_ROUNDS = 8, 5, 2
 """The defaults of the search, and rounds of a faster one."""
 PLANS = ((1, 0), (STARTS, FEWER_ROUNDS), (STARTS, ROUNDS))
+PLANS_OF_SCIPY = (
+    ("L-BFGS-B", 1, 100, False),
+    ("SLSQP", 1, 100, False),
+    ("SLSQP", STARTS, 20, False),
+    ("L-BFGS-B", 1, 20, True),
+    ("SLSQP", 1, 20, True),
+)
+"""Methods, starts, tasks, and whether each equilibrium is found by machine code."""
 HARD = ((50.0, 0.0, 0.0, 0.0), (1.0, 1.0, 1.0, 1.0), (1.3, 2.65, 1.59, 4.59), (20.0, 50.0, 10.0, 5.0), (0.0,) * 4)
 
 
@@ -44,7 +53,7 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     with tempfile.TemporaryDirectory() as fresh:
-        os.environ["TORCHINDUCTOR_CACHE_DIR"] = fresh  # nothing is compiled before
+        os.environ["NUMBA_CACHE_DIR"] = fresh  # nothing is compiled before
         measure(options)
 
 
@@ -154,21 +163,21 @@ def against_scipy(
 def speed(quick: bool, _: figures.Pictures) -> Iterator[Row]:
     """Equilibria a second by batch, random pressures and published loads; scipy in the same run."""
     part = f"speed: N = 10, random pressures, loads of the validation, {torch.get_num_threads()} thread(s)"
-    best = 0.0
     for name, arm in ARMS.items():
         for batch in (1, 10, 100) if quick else (1, 10, 100, 1000, 5000):
             generator = torch.Generator().manual_seed(0)
             pressure = torch.rand(batch, 4, generator=generator, dtype=torch.float64) * arm.max_pressure
             loads = ta.sample_loads(batch)
-            times = []
-            for _repeat in range(1 if quick else 5):
-                begun = time.perf_counter()
-                found = ta.solve_equilibrium(arm, pressure, loads)
-                times.append(time.perf_counter() - begun)
-            rate = batch / float(np.median(times))
-            best = max(best, rate)
-            yield Row(part, f"{name}, batch {batch:,}", "equilibria", rate, "1/s")
-            yield Row(part, f"{name}, batch {batch:,}", "converged", 100 * float(found.converged.double().mean()), "%")
+            for compiled in (False,) if quick else (False, True):
+                times = []
+                for _repeat in range(1 if quick else 5 + compiled):
+                    begun = time.perf_counter()
+                    found = ta.solve_equilibrium(arm, pressure, loads, compiled=compiled)
+                    times.append(time.perf_counter() - begun)
+                rate = batch / float(np.median(times[compiled:]))  # the first may compile
+                case = f"{name}, batch {batch:,}{', compiled' if compiled else ''}"
+                yield Row(part, case, "equilibria", rate, "1/s")
+                yield Row(part, case, "converged", 100 * float(found.converged.double().mean()), "%")
         other, solved, begun = OTHERS[name], 0, time.perf_counter()
         tries = 2 if quick else 20
         for k in range(tries):
@@ -230,7 +239,7 @@ def searches(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
     """The validation's 200 searches against the scipy baseline on some of them."""
     part = "search: validation shape (-3, 3), M0 = 2, ω = linspace(0, 1, N)"
     count = 3 if quick else 100
-    plans = (("SLSQP", 1, 1),) if quick else (("L-BFGS-B", 1, 100), ("SLSQP", 1, 100), ("SLSQP", STARTS, 20))
+    plans = (("SLSQP", 1, 1, False),) if quick else PLANS_OF_SCIPY
     methods = ("SLSQP",) if quick else ("SLSQP", "L-BFGS-B", "Nelder-Mead", "trust-constr")
     few = 1 if quick else 2
     spent_of: dict[tuple[str, int], Any] = {}
@@ -243,6 +252,8 @@ def searches(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
             same, each["compiled"] = timed_search(arm, task, True, 5)
             largest = float((same.cost - found.cost).abs().max())
             yield Row(part, f"{name}, compiled", "largest difference of a cost", largest, "m²")
+            with threads(2):
+                _, each["compiled, 2 threads"] = timed_search(arm, task, True, 5)
             fewer = f"compiled, {FEWER_ROUNDS} rounds"
             less, each[fewer] = timed_search(arm, task, True, 5, rounds=FEWER_ROUNDS)
             answers[fewer] = less.cost
@@ -261,13 +272,14 @@ def searches(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
             case = f"{name}, scipy {method}, {few} tasks"
             yield Row(part, case, "time a search", (time.perf_counter() - begun) / few, "s")
             yield Row(part, case, "mean excess cost over batched", float((tried.cost - found.cost[:few]).mean()), "m²")
-        for method, multi, some in plans:
+        for method, multi, some, fast in plans:
             sub = ta.Task(SHAPE, task.tip_load[:some])
             begun = time.perf_counter()
-            theirs = ta.search_pressure(arm, sub, "scipy", scipy_method=method, starts=multi)
+            theirs = ta.search_pressure(arm, sub, "scipy", scipy_method=method, starts=multi, compiled=fast)
             spent = (time.perf_counter() - begun) / some
-            case = f"{name}, scipy {method}, {multi} start(s), {some} tasks"
-            if method == "SLSQP":
+            forward = " on compiled equilibria" if fast else ""
+            case = f"{name}, scipy {method}{forward}, {multi} start(s), {some} tasks"
+            if method == "SLSQP" and not fast:
                 excess = float(np.median(theirs.cost - found.cost[:some]))
                 pictures.scipy[name].append((spent, excess, str(multi)))
             yield Row(part, case, "time a search", spent, "s")
@@ -282,11 +294,22 @@ def searches(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
                     worse = f"{case}, load {index + 1}, scipy found better"
                     yield Row(part, worse, f"cost, {how}", float(ours[index]), "m²")
                     yield Row(part, worse, "cost, scipy", float(theirs.cost[index]), "m²")
-            spent_of.setdefault((method, multi), np.zeros(1 + len(each)))[:] += spent, *each.values()
-    for (method, multi), (slow, *fast) in spent_of.items():
-        for how, own in zip(each, fast, strict=True):
+            spent_of.setdefault((method + forward, multi), np.zeros(1 + len(each)))[:] += spent, *each.values()
+    for (method, multi), (slow, *quicker) in spent_of.items():
+        for how, own in zip(each, quicker, strict=True):
             case = f"both arms, scipy {method}, {multi} start(s)"
             yield Row(part, case, f"time over {how}", slow / own, "times")
+
+
+@contextmanager
+def threads(count: int) -> Iterator[None]:
+    """So many threads for a while."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def compile_for(arm: ta.ArmDesign) -> float:
