@@ -8,6 +8,7 @@ from torcharm import _boundary
 from torcharm._arrays import Array
 from torcharm._compiled import jit
 from torcharm.kernels.arms import Arms
+from torcharm.kernels.copies import put, put_all
 from torcharm.kernels.march import BY_LOAD, look, new_march, solve
 
 _ASIDE, _LARGEST, _DONE = _boundary.ASIDE, _boundary.LARGEST, _boundary.DONE
@@ -49,7 +50,9 @@ def find_boundary(
         row = rows[at]
         lines, way, aside = measure[at], direction[at], _ASIDE / arms.measure[row, 1]
         for j in range(3):
-            z[j], place[j], share[j] = unknowns[at], places[at], shares[at]
+            put_all(z[j], unknowns[at])
+            put(place[j], places[at])
+            share[j] = shares[at]
         sizes[at], beside = math.inf, False
         for _ in range(steps):
             for j in range(2, -1, -1):  # the first at last: what follows is of it
@@ -107,4 +110,6 @@ def find_boundary(
                 if not length > _DONE:
                     break
             beside = True
-        unknowns[at], places[at], shares[at] = z[0], place[0], share[0]
+        put_all(unknowns[at], z[0])
+        put(places[at], place[0])
+        shares[at] = share[0]

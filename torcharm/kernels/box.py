@@ -25,7 +25,8 @@ def box_step(normal: Array, gradient: Array, place: Array, damping: float, step:
         leaves = False
         for i in range(count):  # the minimum over the variables that are free
             if held[i]:
-                reduced[i, :] = 0.0
+                for j in range(count):
+                    reduced[i, j] = 0.0
                 reduced[i, i], reduced[i, count] = 1.0, step[i]
                 continue
             right = -gradient[i]

@@ -9,6 +9,7 @@ from torcharm._arrays import Array
 from torcharm._compiled import jit
 from torcharm.kernels.arms import Arms
 from torcharm.kernels.box import box_step
+from torcharm.kernels.copies import put, put_all
 from torcharm.kernels.goal import Goal, model
 from torcharm.kernels.march import NONE, look, moves, new_march, solve
 
@@ -57,7 +58,8 @@ def descend(
     for at in range(first_row, last_row):
         row = rows[at]
         place, z = places[at], unknowns[at]
-        trial_place[:], trial[:] = place, z
+        put(trial_place, place)
+        put_all(trial, z)
         normal[:], gradient[:], motion[:], turned[:] = 0.0, 0.0, 0.0, 0.0
         best, unsettled, sign, damping, promise = math.inf, 0.0, 0.0, _START_DAMPING, 0.0
         turn, stalled, first, over = 0, 0, 0.0, False
@@ -88,15 +90,16 @@ def descend(
                     damping /= 10
                 if quality < 0.25 and promise > 0:
                     damping *= 3
-                place[:] = trial_place
+                put(place, trial_place)
                 for c in range(2):
                     for i in range(nodes):
                         z[c, i] = trial[c, i] + newton[c, i]
                 best, unsettled, sign = cost, length, new_sign
                 for m in range(size):
                     gradient[m] = products[0, 1 + m]
-                    normal[m, :] = products[1 + m, 1:]
-                    motion[m], turned[m] = march.change[2 + m], march.turned[2 + m]
+                    put(normal[m], products[1 + m, 1:])
+                    put_all(motion[m], march.change[2 + m])
+                    put(turned[m], march.turned[2 + m])
                 stalled = stalled + 1 if drop < gain * cost else 0
             elif not on:
                 damping = max(damping, 1e-6) * (5.0 if sound else 10.0)
@@ -111,7 +114,8 @@ def descend(
             turn = 0
             if not better and unsettled > settled and math.isfinite(best):
                 # A cost that was corrected too much is in the way: look at the best point once more
-                trial_place[:], trial[:] = place, z
+                put(trial_place, place)
+                put_all(trial, z)
                 best, unsettled, promise = math.inf, 0.0, 0.0
                 continue
             stiff = 0.0

@@ -121,10 +121,10 @@ class Fleet:
         """As of `Searches.model`."""
         size, count = place.shape
         shapes = np.arange(count) if rows is None else as_array(rows)
-        out = np.empty((1 + size, 1 + size, count))
+        out = np.empty((count, 1 + size, 1 + size))
         z = _batch_first(unknowns)
         one.models(self.arms, self.goal, self.rows[shapes], shapes, _batch_first(place), z, out)
-        products = torch.from_numpy(out)
+        products = _batch_last(out)
         return products[0, 0], products[0, 1:], products[1:, 1:]
 
     def gains(self, place: Tensor, unknowns: Tensor, share: Tensor, measure: Tensor) -> Tensor:

@@ -5,6 +5,7 @@ import numpy as np
 from torcharm._arrays import Array
 from torcharm._compiled import jit
 from torcharm.kernels.arms import Arms
+from torcharm.kernels.copies import put_all
 from torcharm.kernels.goal import Goal, cost_of, model
 from torcharm.kernels.march import BY_FILLING, NONE, follow_rod, look, moves, new_march, solve
 
@@ -21,7 +22,7 @@ def costs(arms: Arms, goal: Goal, rows: Array, unknowns: Array, out: Array) -> N
 
 @jit
 def models(arms: Arms, goal: Goal, rows: Array, shapes: Array, places: Array, unknowns: Array, out: Array) -> None:
-    """`CᵀC` (1 + M, 1 + M, B) of `_descent.Goal.model` at places (B, M), of arms `rows` and shapes (B,)."""
+    """`CᵀC` (B, 1 + M, 1 + M) of `_descent.Goal.model` at places (B, M), of arms `rows` and shapes (B,)."""
     size, nodes = places.shape[1], unknowns.shape[2]
     march = new_march(arms, nodes)
     columns, products, acting = np.empty((1 + size, 3, nodes)), np.empty((1 + size, 1 + size)), np.empty(size)
@@ -32,7 +33,7 @@ def models(arms: Arms, goal: Goal, rows: Array, shapes: Array, places: Array, un
         look(arms, row, z, acting, 1.0, True, march)
         solve(arms, row, z, acting, 1.0, NONE, True, True, 0.0, 0.0, march)
         model(goal, row, march, 2, columns, products)
-        out[:, :, at] = products
+        put_all(out[at], products)
 
 
 @jit

@@ -8,6 +8,7 @@ from torcharm import _tracing
 from torcharm._arrays import Array
 from torcharm._compiled import jit
 from torcharm.kernels.arms import Arms
+from torcharm.kernels.copies import put_all
 from torcharm.kernels.march import BY_FILLING, BY_LOAD, imbalance, look, moves, new_march, solve
 
 _LARGEST, _SMALL, _AIMED, _UNLOADED = (
@@ -56,7 +57,9 @@ def trace(
         row = rows[at]
         for m in range(actuators):
             full[m] = places[at, m] * arms.limits[row, m]
-        base[:], quick[:], trial[:] = start[at], start[at], start[at]
+        put_all(base, start[at])
+        put_all(quick, start[at])
+        put_all(trial, start[at])
         tangent[:], bend[:], rush[:] = 0.0, 0.0, 0.0
         share, step, speed, sign, aim, turn = 0.0, first_step, 0.0, 0.0, 0.0, 0
         first = ratio = moved = haste = when = 0.0
@@ -103,7 +106,8 @@ def trace(
                 stretch = min(max((ease * _AIMED / max(first, 1e-12)) ** (1 / 3), 0.3), 4.0)
                 step = taken * stretch if started else taken
                 if speed > haste:
-                    quick[:], rush[:] = base, tangent
+                    put_all(quick, base)
+                    put_all(rush, tangent)
                     haste, when = speed, share
             elif not there and trusted and moved < _LARGEST and turn < _CORRECTIONS:
                 for c in range(2):
@@ -123,5 +127,7 @@ def trace(
                 for i in range(nodes):
                     trial[c, i] = base[c, i] + ahead * (tangent[c, i] + bend[c, i] * ahead)
             turn, first, ratio, moved = 0, 0.0, 0.0, 0.0
-        out[0, at], out[1, at], out[2, at] = base, quick, rush
+        put_all(out[0, at], base)
+        put_all(out[1, at], quick)
+        put_all(out[2, at], rush)
         shares[0, at], shares[1, at] = share, when
