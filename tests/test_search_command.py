@@ -50,6 +50,23 @@ def test_search_writes_the_pressures_that_reach_the_costs_it_names(study_file, t
         assert float(line.split()[1]) == pytest.approx(costs[1], rel=1e-3)
 
 
+def test_search_by_machine_code_writes_the_same(study_file, tmp_path):
+    plain, compiled = tmp_path / "plain.csv", tmp_path / "compiled.csv"
+    invoke("search", study_file, "--out", plain, "--starts", 2)
+    invoke("search", study_file, "--out", compiled, "--starts", 2, "--compiled")
+    rows, others = (list(csv.DictReader(path.open(encoding="utf-8"))) for path in (plain, compiled))
+    assert len(rows) == len(others) == 6
+    for row, other in zip(rows, others, strict=True):
+        assert float(other["cost_m2"]) == pytest.approx(float(row["cost_m2"]), rel=1e-7, abs=1e-12)
+        assert other["converged"] == row["converged"]
+
+
+def test_search_by_machine_code_needs_numba(study_file, monkeypatch, capsys):
+    monkeypatch.setattr("torcharm._compiled.find_spec", lambda name: None)
+    said = mistake(monkeypatch, capsys, "search", study_file, "--compiled")
+    assert said.startswith("--compiled: must be False without numba, which torcharm[compiled] brings")
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -13,15 +13,15 @@ from torcharm._inputs import check_flag
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def check_compiled(compiled: bool) -> None:
+def check_compiled(name: str, compiled: bool) -> None:
     """Check the flag, and that there is something to compile with.
 
     Raises:
         ValueError: it is no flag, or numba is not installed.
     """
-    check_flag("compiled", compiled)
+    check_flag(name, compiled)
     if compiled and find_spec("numba") is None:
-        raise ValueError("compiled: must be False without numba, which torcharm[compiled] brings, got True")
+        raise ValueError(f"{name}: must be False without numba, which torcharm[compiled] brings, got True")
 
 
 def jit(function: F) -> F:

@@ -126,7 +126,7 @@ def solve_equilibrium(
     shear_stiffness = check_above_zero("shear_stiffness", shear_stiffness)
     tolerance = check_above_zero("tolerance", tolerance)
     check_flag("raise_on_failure", raise_on_failure)
-    check_compiled(compiled)
+    check_compiled("compiled", compiled)
     if start is not None:
         check_tensor("start", start, nodes, 3)
         check_finite("start", start)

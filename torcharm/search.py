@@ -130,7 +130,7 @@ def search_pressure(
     weight = PoseCost(node_weights, error_weights).weights(outer.nodes, outer.twists).sqrt()
     shear_stiffness = check_above_zero("shear_stiffness", shear_stiffness)
     check_flag("raise_on_failure", raise_on_failure)
-    check_compiled(compiled)
+    check_compiled("compiled", compiled)
     if progress is not None:
         check_flag("progress", progress)
     if chunk_size is not None:

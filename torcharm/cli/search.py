@@ -33,10 +33,14 @@ def search(
         int | None, typer.Option(help="Places to start from, for each load.", show_default="8, scipy 1")
     ] = None,
     weights: Annotated[str, typer.Option(help="Of the nodes: ramp, uniform, tip.")] = "ramp",
+    compiled: Annotated[
+        bool, typer.Option("--compiled", help="Run machine code, by numba: ten times as fast, after a first minute.")
+    ] = False,
 ) -> None:
     """Search the pressure that brings every arm closest to every task, through its forward mechanics."""
     with mistakes():
         check_outputs(study, out, None)
+        from torcharm._compiled import check_compiled
         from torcharm._inputs import check_choice
         from torcharm.pose_cost import NODE_WEIGHTS
         from torcharm.search import METHODS
@@ -46,6 +50,7 @@ def search(
         check_choice("--weights", weights, NODE_WEIGHTS)
         if starts is not None and starts < 1:
             raise ValueError(f"--starts: must be at least 1, got {starts}")
+        check_compiled("--compiled", compiled)
         plan = paper_study() if study is None else load_study(study)
         console = open_console()
         total = 0
@@ -59,7 +64,7 @@ def search(
                 rows = []
                 for arm in plan.arms:
                     found = []
-                    for first, block in _blocks(arm, task, method, starts, weights):
+                    for first, block in _blocks(arm, task, method, starts, weights, compiled):
                         found.append(block)
                         if writer is not None:
                             lines = list(_rows(arm, task, first, block))
@@ -93,7 +98,7 @@ LEGEND = (
 
 
 def _blocks(
-    arm: "NamedArm", task: "NamedTask", method: str, starts: int | None, weights: str
+    arm: "NamedArm", task: "NamedTask", method: str, starts: int | None, weights: str, compiled: bool
 ) -> "Iterator[tuple[int, PressureSearch]]":
     """The searches of one arm on one task, some loads at a time, with the number of the first load."""
     from rich.console import Console
@@ -111,7 +116,8 @@ def _blocks(
     for first in track(places, f"{arm.name}, {task.name}", console=errors, transient=True, disable=not _seen()):
         here = slice(first, first + size)
         part = Task(shapes[here], loads[here], whole.base_pose)
-        yield first + 1, search_pressure(arm.design, part, method, starts=starts, node_weights=weights, progress=False)
+        options = {"starts": starts, "node_weights": weights, "compiled": compiled}
+        yield first + 1, search_pressure(arm.design, part, method, progress=False, **options)  # type: ignore[arg-type]
 
 
 def _seen() -> bool:
