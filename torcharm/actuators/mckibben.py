@@ -12,6 +12,8 @@ from torcharm.actuators.protocol import PressureLaw, check_numbers
 
 _A1, _A2 = 1.038555666, 0.511454549
 _B1, _B2, _B3 = 1.963398204, -3.169979385, 4.231857967
+_E1, _E2, _E3 = 62.59606786, 836.5810641, 89998.04265
+_S1, _S2 = 0.637225654, 0.453137516
 _SLACK = (_A1 * _A2**2 / _B1) ** 0.5
 _STRAIN_LIM, _STRAIN_CRIT = -0.274484489, -0.303225592
 _COLLAPSE_RATE = -3.695687763
@@ -21,7 +23,7 @@ _TRACE = 1e-30  # a pressure [kPa] as good as none
 
 def _extension(x: Tensor) -> Tensor:
     """E(ε): passive force in extension [N]."""
-    return ((89998.04265 * x + 836.5810641) * x + 62.59606786) * x
+    return ((_E3 * x + _E2) * x + _E1) * x
 
 
 def _compression(x: Tensor) -> Tensor:
@@ -36,7 +38,7 @@ def _threshold(x: Tensor) -> Tensor:
 
 def _recovery(x: Tensor) -> Tensor:
     """S(ε): rise of force with pressure on the way from compression to pull [N/kPa]."""
-    return 0.637225654 * (0.453137516 + x).square()
+    return _S1 * (_S2 + x).square()
 
 
 _CONTRACTION = (
@@ -119,8 +121,8 @@ class McKibben:
         pulling = beyond >= 0
         # a rate times what the pressure is beyond Z, both in pull and on the way there
         pulls = pulling.to(strain.dtype)
-        shift = torch.add(strain, pulls, alpha=_A2 - 0.453137516).add_(0.453137516)
-        growth = pulls.mul_(_A1 - 0.637225654).add_(0.637225654).mul_(shift)
+        shift = torch.add(strain, pulls, alpha=_A2 - _S2).add_(_S2)
+        growth = pulls.mul_(_A1 - _S1).add_(_S1).mul_(shift)
         rate = growth * shift
         force = rate * beyond
         slope = torch.addcmul(2 * growth * beyond, rate, threshold_slope, value=-1)
@@ -146,7 +148,7 @@ class McKibben:
             log = pressure.clamp(min=_TRACE).log()
             power = (exponent * log).exp_()  # p^x / p
             pull = gain * power * pressure
-            stretch = (3 * 89998.04265 * x + 2 * 836.5810641) * x + 62.59606786
+            stretch = (3 * _E3 * x + 2 * _E2) * x + _E1
             stretch = stretch + power * pressure * (2 * _B1 * _B2 * slack) + pull * (_B3 * log)
             force = torch.where(extended, _extension(x) + pull, force)
             slope = torch.where(extended, stretch, slope)
