@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from torcharm._compiled import check_compiled
 from torcharm._inputs import check_choice, check_count, check_flag, shown
 from torcharm._node_distances import Check, Residuals, node_distances
 from torcharm._outer import OuterProduct, check_arm_and_task, map_blocks, outer_product
@@ -84,6 +85,7 @@ def evaluate(
     power: int = 1,
     signed: bool = False,
     polish: bool = False,
+    compiled: bool = False,
     residuals: bool = False,
     pose_cost: PoseCost | None = None,
     steps: int | None = None,
@@ -142,11 +144,12 @@ def evaluate(
         raise ValueError(
             f"polish: must be True or False, and True needs hull='exact' and the closed form, got {polish}"
         )
+    check_compiled(compiled)
     asked = _metrics(metrics)
     auditor = (solver or find_solver("closed_form")) if residuals else None
     samples = sample_count(arm, hull, POLISHED_SAMPLES if polish and samples is None else samples)
     hulls = tuple(name for name in asked if name in METRICS)
-    check = Check(hulls, hull, samples, scale_of(weights), signed, polish, solver, auditor)
+    check = Check(hulls, hull, samples, scale_of(weights), signed, polish, compiled, solver, auditor)
     outer = outer_product(arm, task)
     prediction = _predict(outer, pose_cost, steps, chunk_size) if PREDICTED in asked else None
     excess, per_node, solved, *audit = _per_node(outer, check, chunk_size)
@@ -227,7 +230,7 @@ def _per_node(outer: OuterProduct, check: Check, chunk_size: int | None) -> tupl
         blocks: tuple[Tensor, ...] = (real.new_zeros(outer.sizes), real, ~flag, *audit)
     else:
         recompute = prod(outer.sizes) > chunk_size
-        sampled = check.solver is None and not check.polish
+        sampled = check.solver is None and (check.compiled or not check.polish)
         required = required_by_metric(outer, check.metrics, check.scale) if sampled else {}
         blocks = map_blocks(outer, chunk_size, lambda block: node_distances(block, required, check, recompute))
     return tuple(outer.unflatten(block) for block in blocks)
