@@ -1,6 +1,7 @@
 """Loops as machine code: numba, where it is installed."""
 
 from collections.abc import Callable
+from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, TypeVar
 
@@ -21,15 +22,12 @@ def check_compiled(compiled: bool) -> bool:
     return compiled
 
 
-def jit(function: F) -> F:
+def jit(function: F, **options: bool) -> F:
     """Compiled at the first call, and kept on disk; a division by zero is no error, as in NumPy."""
-    from numba import njit
-
-    return njit(cache=True, nogil=True, error_model="numpy")(function)
+    numba: Any = import_module("numba")  # loads when it is first asked for
+    return numba.njit(**{"cache": True, "nogil": True, "error_model": "numpy"} | options)(function)
 
 
 def jit_part(function: F) -> F:
-    """The same of what compiled functions of one file call: kept with them, and called from nowhere else."""
-    from numba import njit
-
-    return njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
+    """The same of what a file's compiled functions call: kept with these, and not to be called from Python."""
+    return jit(function, cache=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)

@@ -49,7 +49,7 @@ class _Slopes:
         force: [N]; relative: differences from node 1's.
         by_strain: by the section's own strains, and relative by node 1's, which count negative.
         by_pressure: [N/kPa].
-        kink: of pressures that follow a kink, the kink's derivative in those strains [kPa], else 0; None: there is none.
+        kink: of pressures that follow a kink, its derivatives in those strains [kPa], else 0; None: there is none.
     """
 
     force: Tensor
@@ -87,31 +87,24 @@ def _slopes(sections: Sections, faces: Faces) -> _Slopes:
     strains = [strain]
     if faces.relative:
         strains.append(sections.at_first_node(sections.strain).unsqueeze(-1))
-    pressures = [pressure]
-    if faces.kinked is not None:
-        off = ASIDE * pressure * faces.kinked
-        pressures = [pressure - off, pressure + off]
+    off = 0.0 if faces.kinked is None else ASIDE * pressure * faces.kinked
+    pressures = [pressure] if faces.kinked is None else [pressure - off, pressure + off]
     sides, count = len(pressures), len(strains)
     # All that differs goes along the second dimension: one call for each kind of force.
     at = torch.stack(pressures).unsqueeze(1).expand(sides, count, *pressure.shape)
     of = torch.stack(strains).unsqueeze(1).expand(at.shape)
-    force, by_strain, by_pressure = (
-        value for value in actuator_slopes(sections.actuators, of.contiguous(), at, True, dim=-3)
-    )
+    force, by_strain, by_pressure = actuator_slopes(sections.actuators, of.contiguous(), at, True, dim=-3)
     assert by_pressure is not None
-    kink = None
+    left, pull, kink = force[0], by_pressure[0], None
     if faces.kinked is not None:
-        jump = by_pressure[1] - by_pressure[0]
+        # On either side the force is the same function's all along the kink: so its two derivatives there agree.
+        jump = by_pressure[1] - pull
         sharp = faces.kinked & (jump.abs() > OWN * jump.abs().amax(0)) & (jump != 0)
-        kink = (by_strain[0] - by_strain[1]) / torch.where(sharp, jump, 1.0) * sharp
-        force = force[0] + by_pressure[0] * off
-        kink = kink.unbind(0)
-    else:
-        force = force[0]
-    by_strain, by_pressure = by_strain[0], by_pressure[0]
-    if count == 2:
-        return _Slopes(force[0] - force[1], by_strain.unbind(0), by_pressure[0] - by_pressure[1], kink)
-    return _Slopes(force[0], (by_strain[0],), by_pressure[0], kink)
+        kink = ((by_strain[0] - by_strain[1]) / torch.where(sharp, jump, 1.0) * sharp).unbind(0)
+        left = left + pull * off
+    if count == 1:
+        return _Slopes(left[0], by_strain[0].unbind(0), pull[0], kink)
+    return _Slopes(left[0] - left[1], by_strain[0].unbind(0), pull[0] - pull[1], kink)
 
 
 class _FaceSquares(torch.autograd.Function):

@@ -168,9 +168,9 @@ def _by_closed_form(block: Block, check: Check, recompute: bool) -> tuple[list[C
 def _by_machine_code(
     block: Block, required: Required, check: Check, recompute: bool
 ) -> tuple[list[Columns], Tensor, tuple[int, int, int]] | None:
-    """As `_by_closed_form`, of the sets themselves; None where machine code does not know them, or does not converge."""
+    """As `_by_closed_form`, of the sets themselves; None where machine code does not know them or did not converge."""
     from torcharm._face_squares import Faces, face_squares  # load when they are first asked for
-    from torcharm.distance.compiled import compiled_faces, law_table
+    from torcharm.distance.compiled import CompiledFaces, compiled_faces, law_table
 
     if check.auditor is not None:
         return None
@@ -179,7 +179,7 @@ def _by_machine_code(
     points = [points_of(block, required[metric]) for metric in check.metrics]
     with torch.set_grad_enabled(followed and not again):
         sections = cross_sections(block.arm, block.twists)
-    found = []
+    found: list[CompiledFaces] = []
     with torch.no_grad():
         laws = law_table(sections)
         if laws is None:
@@ -199,21 +199,20 @@ def _by_machine_code(
             found.append(one)
 
     def replay(sections: Sections) -> Columns:
-        squares = [
-            face_squares(sections, point, Faces(one.fraction, one.kinked, check.scale, metric == "relative"))
-            for metric, point, one in zip(check.metrics, points, found, strict=True)
-        ]
+        squares: list[Tensor] = []
+        for metric, point, one in zip(check.metrics, points, found, strict=True):
+            assert one.fraction is not None
+            faces = Faces(one.fraction, one.kinked, check.scale, metric == "relative")
+            squares.append(face_squares(sections, point, faces))
         return *squares, strain_excess(sections)
 
     if again:
-        *squares, excess = checkpoint(
-            lambda: replay(cross_sections(block.arm, block.twists)), use_reentrant=False
-        )
+        *squares, excess = checkpoint(lambda: replay(cross_sections(block.arm, block.twists)), use_reentrant=False)
     elif followed:
         *squares, excess = replay(sections)
     else:
         squares, excess = [one.faces.square for one in found], strain_excess(sections)
-    answers = []
+    answers: list[Columns] = []
     for square, one in zip(squares, found, strict=True):
         agrees = one.converged
         if followed:

@@ -111,7 +111,9 @@ def compiled_faces(
     nearest(
         laws.rows,
         laws.kinks,
-        *(_packed(value) for value in (sections.limit, sections.bending, sections.radii)),
+        _packed(sections.limit),
+        _packed(sections.bending),
+        _packed(sections.radii),
         np.array(scale),
         _first_sections(sections.shape) if relative else np.empty(0, np.int64),
         _packed(x),

@@ -1,14 +1,14 @@
 """Nearest points of sums of curves that are written out, one problem at a time: machine code.
 
-With the support function h of a convex set, `p(n) = n·w - h(n)` over unit vectors n is, where it is above 0, a concave
-function of the normal's angle, whose maximum is the distance of w. Its derivative is `t·(w - y)`, t to the left of n and
-y the point that a line with normal n touches. If w is outside and n less than a right angle from the normal sought, the
-sign of that says on which side of n to look; a vector from any point of the set to w is such an n. So normals
-are bracketed, and Newton's steps close in: by the radii of curvature, and over faces by the chords of what moves. If w
-lies behind the chord of what two normals around the sought one touch, it is inside.
+With the support function h of a convex set, `p(n) = n·w - h(n)` over unit vectors n is, where it is above 0, a
+concave function of the normal's angle, and its maximum the distance of w. Its derivative is `t·(w - y)`, with t to
+the left of n and y the point that a line with normal n touches. If w is outside, and n less than a right angle from
+the normal sought, the sign of that says on which side of n to look; the vector from any point of the set to w is such
+an n. So normals are bracketed, and Newton's steps close in: by the radii of curvature, and over faces by the chords of
+what moves. If w lies behind the chord of what two normals around the sought one touch, it is inside.
 
-From inside, minus the distance is the least `h(n) - n·w`, which may have many minima. Between two normals it is at
-least as far to the set's boundary as to the chord between the points that are touched: normals are added where chords are nearest,
+From inside, minus the distance is the least `h(n) - n·w`, which may have many minima. From one normal to another
+the boundary is no nearer than the chord between the points that they touch: normals are added where chords are nearest,
 until none is nearer than what was found.
 
 All in one file, because numba keeps machine code by the file of what was called.
@@ -30,7 +30,7 @@ FLAT_SLOPE = FLAT * EPS
 LINE, CUBIC, POWER, TWINS = 0, 1, 2, 3
 """Kinds of curves: lines between kinks, beside these a cubic, a power, or two."""
 PORTALS, ROUNDS, NEWTONS = 60, 60, 40
-"""So many normals at most to tell whether a point is inside, to find its nearest one, and to find a maximum of two powers."""
+"""So many normals at most tell whether a point is inside, and find its nearest one; so many steps a maximum."""
 NEAR = 1e-8
 """A step of such a logarithm after which the next would be none."""
 FINE = 1e-10
@@ -162,7 +162,7 @@ def _describe(table, kinks, limit, row, section, first, data, work):  # type: ig
 
 @jit_part
 def _twin_peak(own, piece, along, slope):  # type: ignore[no-untyped-def]
-    """The fraction of the local maximum of two powers and a slope within a piece, and minus the second derivative; or 0.
+    """The fraction of the local maximum of two powers and a slope in a piece, and minus the second derivative; or 0.
 
     Newton's method on the logarithm of the fraction, in the power that keeps it on one side, between bounds.
     """
@@ -182,6 +182,8 @@ def _twin_peak(own, piece, along, slope):  # type: ignore[no-untyped-def]
         return 0.0, 0.0
     elif turn > low:
         low, at_low = turn, slope + along * own[PAIR, AT_TURN]
+    elif begin == 0.0:  # powers that hardly bend are not small there
+        at_low = slope + a * math.exp(p * low) + b * math.exp(q * low)
     if not (low < high and at_low > 0.0 and at_high < 0.0):
         return 0.0, 0.0
     t = own[HEAD, LATEST]
@@ -268,7 +270,7 @@ def _highest(own, along, per):  # type: ignore[no-untyped-def]
 
 @jit_part
 def _touch(nx, ny, scale, data, held):  # type: ignore[no-untyped-def]
-    """Note, as NOW, where a line with a unit normal touches the sum; the boundary's radius of curvature there (0 at corners)."""
+    """Note, as NOW, where a line with a unit normal touches; the boundary's radius there, 0 at corners."""
     x = y = radius = 0.0
     actuators = len(data)
     for row in range(actuators):
@@ -288,7 +290,7 @@ def _touch(nx, ny, scale, data, held):  # type: ignore[no-untyped-def]
 
 @jit_part
 def _ties(scale, data, held, chosen, to, slack):  # type: ignore[no-untyped-def]
-    """Note, of what was touched before (chosen), that which is as far along the normal as what is touched now; else this."""
+    """Note, of what was touched before (chosen), that which is as far along the normal as what is now; else this."""
     x = y = 0.0
     actuators = len(data)
     nx, ny = held[NOW, actuators + NORMAL, 0], held[NOW, actuators + NORMAL, 1]
@@ -353,7 +355,7 @@ def _halfway(held, begin, end):  # type: ignore[no-untyped-def]
 
 @jit_part
 def _approach(x, y, nx, ny, tolerance, scale, data, held):  # type: ignore[no-untyped-def]
-    """The nearest face, from a normal on, between those of LO and HI, if any: found or not; how far outside the point is.
+    """The nearest face, from a normal on, between LO's and HI's if any: found or not; how far outside the point is.
 
     Args:
         x, y: the point.
@@ -413,7 +415,7 @@ def _approach(x, y, nx, ny, tolerance, scale, data, held):  # type: ignore[no-un
 
 @jit_part
 def _chord(x, y, outside, tried, scale, data, held):  # type: ignore[no-untyped-def]
-    """A normal between LO and HI: that of the chord of the curve that moves most, or of the points' chord, or halfway."""
+    """A normal between LO and HI: that of the chord of the curve that moves most, of the points' chord, or halfway."""
     if tried % 3 == 0:
         most = to_x = to_y = 0.0
         for row in range(len(data)):
@@ -499,52 +501,59 @@ def _margin(x, y, held, place):  # type: ignore[no-untyped-def]
 
 
 @jit_part
+def _nearest_chord(tolerance, held, best, count):  # type: ignore[no-untyped-def]
+    """The normal behind which a chord is nearer than the best of normals is to its line; -1 if there is none."""
+    at = held.shape[1] - MORE
+    while True:
+        place = ROWS
+        for other in range(ROWS + 1, count):
+            if held[other, at + MARGIN, 1] < held[place, at + MARGIN, 1]:
+                place = other
+        if not held[place, at + MARGIN, 1] < held[best, at + MARGIN, 0] - tolerance:
+            return -1
+        after = int(held[place, at + LINK, 0])
+        edge_x, edge_y, _ = _edge(held, place, after)
+        if _between(edge_y, -edge_x, held, place, after):
+            return place
+        held[place, at + MARGIN, 1] = math.inf  # too short a chord to say more than its ends do
+
+
+@jit_part
 def _inside(x, y, tolerance, scale, data, held):  # type: ignore[no-untyped-def]
     """The nearest face from inside: whether it was found, and minus the margin; its ends are BEGIN and END."""
-    at, best, count = len(data), ROWS, ROWS
-    nx, ny, place = 1.0, 0.0, -1
-    while True:
-        # The normal, and where it goes: first all round, then behind that after which the boundary may be nearest.
-        _touch(nx, ny, scale, data, held)
-        _copy(held, NOW, count)
-        held[count, at + MARGIN, 0] = -_seen(x, y, held, count)[0]
-        if not held[count, at + MARGIN, 0] < math.inf:
-            return False, 0.0
-        if held[count, at + MARGIN, 0] < held[best, at + MARGIN, 0]:
-            best = count
-        if place < 0:
-            seed = count - ROWS
-            held[count, at + LINK, 0] = ROWS + (seed + 1) % SEEDS
-            held[count, at + LINK, 1] = ROWS + (seed - 1) % SEEDS
-        else:
-            after = int(held[place, at + LINK, 0])
-            held[count, at + LINK, 0], held[count, at + LINK, 1] = after, place
-            held[place, at + LINK, 0] = held[after, at + LINK, 1] = count
-            _margin(x, y, held, place)
-            _margin(x, y, held, count)
-        count += 1
+    at, best, count, place = len(data), ROWS, ROWS, -1
+    while count < len(held):
+        # Normals all round at first, then those of the nearest chords.
         if count < ROWS + SEEDS:
             angle = 2.0 * math.pi * (count - ROWS) / SEEDS
             nx, ny = math.cos(angle), math.sin(angle)
-            continue
-        if place < 0:
-            for seed in range(SEEDS):
-                _margin(x, y, held, ROWS + seed)
-        while True:
-            place = ROWS
-            for other in range(ROWS + 1, count):
-                if held[other, at + MARGIN, 1] < held[place, at + MARGIN, 1]:
-                    place = other
-            edge_x, edge_y, length = _edge(held, place, int(held[place, at + LINK, 0]))
-            nx, ny = edge_y / length, -edge_x / length
-            near = held[place, at + MARGIN, 1] < held[best, at + MARGIN, 0] - tolerance
-            if not near or _between(nx, ny, held, place, int(held[place, at + LINK, 0])):
+            before, after = ROWS + (count - ROWS - 1) % SEEDS, ROWS + (count - ROWS + 1) % SEEDS
+        else:
+            place = _nearest_chord(tolerance, held, best, count)
+            if place < 0:
                 break
-            held[place, at + MARGIN, 1] = math.inf  # too short an edge to say more than its ends do
-        if not near:
-            break
-        if count == len(held):
+            before, after = place, int(held[place, at + LINK, 0])
+            edge_x, edge_y, length = _edge(held, before, after)
+            nx, ny = edge_y / length, -edge_x / length
+        _touch(nx, ny, scale, data, held)
+        _copy(held, NOW, count)
+        margin = -_seen(x, y, held, count)[0]
+        if not margin < math.inf:
             return False, 0.0
+        held[count, at + MARGIN, 0] = margin
+        if margin < held[best, at + MARGIN, 0]:
+            best = count
+        held[count, at + LINK, 0], held[count, at + LINK, 1] = after, before
+        count += 1
+        if place >= 0:
+            held[before, at + LINK, 0] = held[after, at + LINK, 1] = count - 1
+            _margin(x, y, held, before)
+            _margin(x, y, held, count - 1)
+        elif count == ROWS + SEEDS:
+            for seed in range(ROWS, count):
+                _margin(x, y, held, seed)
+    if count == len(held):
+        return False, 0.0
     _copy(held, int(held[best, at + LINK, 1]), LO)
     _copy(held, int(held[best, at + LINK, 0]), HI)
     nx, ny = held[best, at + NORMAL, 0], held[best, at + NORMAL, 1]
