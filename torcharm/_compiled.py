@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
+from inspect import unwrap
 from typing import Any, TypeVar
 
 from torcharm._inputs import check_flag
@@ -25,7 +26,8 @@ def check_compiled(compiled: bool) -> bool:
 def jit(function: F, **options: bool) -> F:
     """Compiled at the first call, and kept on disk; a division by zero is no error, as in NumPy."""
     numba: Any = import_module("numba")  # loads when it is first asked for
-    return numba.njit(**{"cache": True, "nogil": True, "error_model": "numpy"} | options)(function)
+    own = unwrap(function)  # signatures that are checked at run time are wrapped
+    return numba.njit(**{"cache": True, "nogil": True, "error_model": "numpy"} | options)(own)
 
 
 def jit_part(function: F) -> F:

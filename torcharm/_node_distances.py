@@ -180,10 +180,10 @@ def _by_machine_code(
     with torch.set_grad_enabled(followed and not again):
         sections = cross_sections(block.arm, block.twists)
     found: list[CompiledFaces] = []
+    laws = law_table(sections)
+    if laws is None:
+        return None
     with torch.no_grad():
-        laws = law_table(sections)
-        if laws is None:
-            return None
         for metric, point in zip(check.metrics, points, strict=True):
             one = compiled_faces(
                 sections,

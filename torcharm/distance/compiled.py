@@ -143,4 +143,4 @@ def _first_sections(shape: Sequence[int]) -> Array:
     """For each of P·N·D sections that of its arm's node 1."""
     shapes, nodes, designs = shape
     first = np.arange(shapes)[:, None, None] * (nodes * designs) + np.arange(designs)
-    return np.broadcast_to(first, (shapes, nodes, designs)).reshape(-1)
+    return np.broadcast_to(first, (shapes, nodes, designs)).flatten()  # of one layout: machine code is for that
