@@ -438,15 +438,15 @@ def _chord(x, y, outside, tried, scale, data, held):  # type: ignore[no-untyped-
 
 
 @jit_part
-def _side(x, y, middle_x, middle_y, blur, tolerance, scale, data, held):  # type: ignore[no-untyped-def]
+def _side(x, y, middle_x, middle_y, blur, scale, data, held):  # type: ignore[no-untyped-def]
     """Whether a point is inside (-1), on the boundary to within rounding (0), outside (1), or that is not known (2).
 
-    Outside, also the distance; its face's ends are BEGIN and END.
+    Also a normal to search on from, outside, between LO's and HI's if these are known.
     """
     from_x, from_y = x - middle_x, y - middle_y
     size = math.sqrt(from_x * from_x + from_y * from_y)
     if size <= blur:
-        return -1, 0.0
+        return -1, 1.0, 0.0
     start_x, start_y = from_x / size, from_y / size
     nx, ny, turns = start_x, start_y, 0
     at = len(data) + POINT
@@ -457,36 +457,35 @@ def _side(x, y, middle_x, middle_y, blur, tolerance, scale, data, held):  # type
         over, aside = _seen(x, y, held, NOW)
         if over > 0.0:
             if math.sqrt(over * over + aside * aside) <= blur:
-                return 0, 0.0
-            done, distance = _approach(x, y, nx, ny, tolerance, scale, data, held)
-            return (1 if done and distance > 0.0 else 2), distance
+                return 0, nx, ny
+            return 1, nx, ny
         if over <= 0.0 and aside == 0.0:
-            return -1, 0.0
+            return -1, nx, ny
         if not abs(aside) > 0.0:  # not a number
-            return 2, 0.0
+            return 2, nx, ny
         _copy(held, NOW, LO if aside > 0.0 else HI)
         if _known(held, LO) and _known(held, HI):
             edge_x, edge_y, length = _edge(held, LO, HI)
             nx, ny = edge_y / length, -edge_x / length
             beyond = nx * (x - held[LO, at, 0]) + ny * (y - held[LO, at, 1])
             if length == 0.0 or beyond <= 0.0:
-                return -1, 0.0
+                return -1, nx, ny
             if not _between(nx, ny, held, LO, HI):
                 if beyond <= blur:
-                    return 0, 0.0
+                    return 0, nx, ny
                 nx, ny = _halfway(held, LO, HI)
         else:
             # One side only: square to what leads to the touched point, then as far as the normal sought may be.
             left = 1.0 if aside > 0.0 else -1.0
             if turns == 2:
-                return -1, 0.0
+                return -1, nx, ny
             turns += 1
             nx, ny = left * (middle_y - held[NOW, at, 1]), left * (held[NOW, at, 0] - middle_x)
             if turns == 2 or not start_x * nx + start_y * ny > 0.0:
                 nx, ny, turns = -left * start_y, left * start_x, 2
         length = math.sqrt(nx * nx + ny * ny)
         nx, ny = nx / length, ny / length
-    return 2, 0.0
+    return 2, nx, ny
 
 
 @jit_part
@@ -520,7 +519,7 @@ def _nearest_chord(tolerance, held, best, count):  # type: ignore[no-untyped-def
 
 @jit_part
 def _inside(x, y, tolerance, scale, data, held):  # type: ignore[no-untyped-def]
-    """The nearest face from inside: whether it was found, and minus the margin; its ends are BEGIN and END."""
+    """The normal of the nearest face from inside, and how near that is: infinity, if it was not found."""
     at, best, count, place = len(data), ROWS, ROWS, -1
     while count < len(held):
         # Normals all round at first, then those of the nearest chords.
@@ -539,7 +538,7 @@ def _inside(x, y, tolerance, scale, data, held):  # type: ignore[no-untyped-def]
         _copy(held, NOW, count)
         margin = -_seen(x, y, held, count)[0]
         if not margin < math.inf:
-            return False, 0.0
+            return math.inf, nx, ny
         held[count, at + MARGIN, 0] = margin
         if margin < held[best, at + MARGIN, 0]:
             best = count
@@ -552,13 +551,10 @@ def _inside(x, y, tolerance, scale, data, held):  # type: ignore[no-untyped-def]
         elif count == ROWS + SEEDS:
             for seed in range(ROWS, count):
                 _margin(x, y, held, seed)
-    if count == len(held):
-        return False, 0.0
     _copy(held, int(held[best, at + LINK, 1]), LO)
     _copy(held, int(held[best, at + LINK, 0]), HI)
-    nx, ny = held[best, at + NORMAL, 0], held[best, at + NORMAL, 1]
-    done, over = _approach(x, y, nx, ny, tolerance, scale, data, held)
-    return done and abs(over + held[best, at + MARGIN, 0]) <= 2.0 * tolerance, over
+    margin = held[best, at + MARGIN, 0] if count < len(held) else math.inf
+    return margin, held[best, at + NORMAL, 0], held[best, at + NORMAL, 1]
 
 
 @jit
@@ -602,12 +598,17 @@ def nearest(  # type: ignore[no-untyped-def]
             px, py = x[section, load], y[section, load]
             size = width + abs(middle_x) + abs(middle_y) + abs(px) + abs(py)
             rounding, tolerance = BLUR * size, GAP * size
-            side, distance = 2, math.nan
+            side, nx, ny, margin, distance = 2, 1.0, 0.0, 0.0, 0.0
             if size < math.inf:
-                side, distance = _side(px, py, middle_x, middle_y, rounding, tolerance, factor, data, held)
+                side, nx, ny = _side(px, py, middle_x, middle_y, rounding, factor, data, held)
             if signed and side == -1:
-                done, distance = _inside(px, py, tolerance, factor, data, held)
-                side = -1 if done else 2
+                margin, nx, ny = _inside(px, py, tolerance, factor, data, held)
+            if side == 1 or (signed and side == -1):
+                done, distance = _approach(px, py, nx, ny, tolerance, factor, data, held)
+                if not (done and (distance > 0.0 if side == 1 else abs(distance + margin) <= 2.0 * tolerance)):
+                    side, distance = 2, math.nan
+            elif side == 2:
+                distance = math.nan
             blur[section, load] = rounding
             square[section, load] = distance * distance
             inside[section, load], converged[section, load] = side == -1, side != 2
