@@ -40,6 +40,7 @@ CASES = {
     "ta.evaluate(arm, task, metrics=())": ("metrics", "()"),
     "ta.evaluate(arm, task, power=torch.tensor([1, 2]))": ("power", "tensor([1, 2])"),
     "ta.evaluate(arm, task, signed='yes')": ("signed", "'yes'"),
+    "ta.evaluate(arm, task, polish=True, compiled='yes')": ("compiled", "'yes'"),
     "ta.evaluate(arm, task, weights=torch.ones(2, 2))": ("weights", "tensor([[1., 1.]"),
     # hulls and distances
     "ta.wrench_hulls(arm, [[0.5, 0.0, 1.0]])": ("twists", "[[0.5, 0.0, 1.0]]"),

@@ -24,53 +24,58 @@ def affine(start, end, nodes=10):
     return ta.affine_curvature(start, end, length=0.5, nodes=nodes)
 
 
-def polished(arm, twists, loads, *, relative, signed=False):
+def polished(arm, twists, loads, *, relative, signed=False, compiled=False):
     metric = "relative" if relative else "absolute"
-    found = ta.evaluate(arm, ta.Task(twists, loads), (metric,), samples=3, polish=True, signed=signed)
+    task = ta.Task(twists, loads)
+    found = ta.evaluate(arm, task, (metric,), samples=3, polish=True, compiled=compiled, signed=signed)
     return getattr(found, f"{metric}_per_node"), found.converged
 
 
+@pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("name", ARMS)
 @pytest.mark.parametrize("relative", [False, True])
 @pytest.mark.parametrize("signed", [False, True])
-def test_paper_scenes_are_exact(name, shape, relative, signed):
+def test_paper_scenes_are_exact(name, shape, relative, signed, compiled):
     arm, twists, load = ARMS[name](), affine(*shape), ta.sample_loads(4)[3]
-    value, converged = polished(arm, twists, load, relative=relative, signed=signed)
+    value, converged = polished(arm, twists, load, relative=relative, signed=signed, compiled=compiled)
     wanted = converged_distance(arm, twists, load, relative=relative, signed=signed)
     assert converged.all()
     np.testing.assert_allclose(value.numpy(), wanted, rtol=0, atol=1e-8)
 
 
+@pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("relative", [False, True])
-def test_random_designs_within_the_characterised_range_are_exact_or_flagged(seed, relative):
+def test_random_designs_within_the_characterised_range_are_exact_or_flagged(seed, relative, compiled):
     rng = np.random.default_rng(seed)
     count = int(rng.integers(1, 7))
     models = tuple(ta.Bellows() if rng.random() < 0.5 else ta.McKibben() for _ in range(count))
     arm = ta.ArmDesign(torch.tensor(rng.uniform(-0.03, 0.03, count)), 0.5, models)
     twists = affine(*rng.uniform(-1.2, 1.2, 2), nodes=5)
     load = torch.tensor(rng.normal(0, (5, 5, 0.5)))
-    value, converged = polished(arm, twists, load, relative=relative)
+    value, converged = polished(arm, twists, load, relative=relative, compiled=compiled)
     wanted = converged_distance(arm, twists, load, relative=relative)
     assert converged.all()
     np.testing.assert_allclose(value.numpy(), wanted, rtol=0, atol=1e-8)
 
 
+@pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("signed", [False, True])
-def test_a_muscle_of_its_neutral_length_pulls_in_a_straight_line(signed):
+def test_a_muscle_of_its_neutral_length_pulls_in_a_straight_line(signed, compiled):
     # Unstrained, a muscle's power of pressure is a line; node 1's, extended, is not, and the difference bends by it.
     arm = ta.ArmDesign([0.0, 0.05], 0.5, [ta.McKibben()] * 2)
     twists, load = affine(3.0, -3.0), ta.sample_loads(4)[3]
     twists[:, 0] = torch.tensor([0.53, 0.5, 0.51, 0.5, 0.5, 0.49, 0.5, 0.52, 0.5, 0.5])
-    value, converged = polished(arm, twists, load, relative=True, signed=signed)
+    value, converged = polished(arm, twists, load, relative=True, signed=signed, compiled=compiled)
     assert converged.all()
     wanted = converged_distance(arm, twists, load, relative=True, signed=signed)
     np.testing.assert_allclose(value.numpy(), wanted, rtol=0, atol=1e-8)
 
 
+@pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("metric", ["absolute", "relative"])
-def test_what_is_not_a_number_does_not_converge(metric):
+def test_what_is_not_a_number_does_not_converge(metric, compiled):
     @dataclass(frozen=True)
     class Broken(ta.PolynomialActuator):
         """Without a force where it is squeezed."""
@@ -83,7 +88,7 @@ def test_what_is_not_a_number_does_not_converge(metric):
     arm = ta.ArmDesign([-0.05, 0.05], 0.5, [model] * 2)
     loads, straight = ta.sample_loads(3), affine(0.0, 0.0, nodes=3)
     for twists, right in ((straight, True), (affine(0.0, 8.0, nodes=3), False)):
-        found = ta.evaluate(arm, ta.Task(twists, loads), (metric,), samples=3, polish=True)
+        found = ta.evaluate(arm, ta.Task(twists, loads), (metric,), samples=3, polish=True, compiled=compiled)
         assert (found.converged == right).all()
         assert getattr(found, metric).isfinite().all() == right
     x = np.array([[np.nan]])
@@ -124,11 +129,12 @@ def test_no_search_leaves_a_trace_in_the_curves():
         assert (kept == 1).all()
 
 
+@pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("relative", [False, True])
-def test_polishing_never_lengthens_a_distance_and_is_near_it(relative):
+def test_polishing_never_lengthens_a_distance_and_is_near_it(relative, compiled):
     arm = ta.antagonistic_arm(torch.linspace(0.04, 0.09, 20, dtype=torch.float64), 0.015, 0.5)
     loads = ta.sample_loads(10)
-    value, _ = polished(arm, affine(-3.0, 3.0), loads, relative=relative)
+    value, _ = polished(arm, affine(-3.0, 3.0), loads, relative=relative, compiled=compiled)
     metric = "relative" if relative else "absolute"
     task = ta.Task(affine(-3.0, 3.0), loads)
     sampled = getattr(ta.evaluate(arm, task, (metric,), samples=33), f"{metric}_per_node")
@@ -136,15 +142,17 @@ def test_polishing_never_lengthens_a_distance_and_is_near_it(relative):
     assert (sampled - value).max() < 0.02
 
 
+@pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("name", ARMS)
 @pytest.mark.parametrize("metric", ["absolute", "relative"])
-def test_gradients_are_those_of_the_exact_sets(name, metric):
+def test_gradients_are_those_of_the_exact_sets(name, metric, compiled):
     twists, loads = affine(-3.0, 3.0), ta.sample_loads(3)
 
     def total(scale):
         arm = ARMS[name]()
         arm = ta.ArmDesign(arm.radii * scale[0], arm.length * scale[1], arm.actuators)
-        return getattr(ta.evaluate(arm, ta.Task(twists, loads), (metric,), samples=3, polish=True), metric).sum()
+        found = ta.evaluate(arm, ta.Task(twists, loads), (metric,), samples=3, polish=True, compiled=compiled)
+        return getattr(found, metric).sum()
 
     at = torch.tensor([1.01, 1.002], dtype=torch.float64, requires_grad=True)
     (found,) = torch.autograd.grad(total(at), at)
@@ -177,7 +185,8 @@ def test_pieces_of_cubic_forces_are_the_forces():
     torch.testing.assert_close(((c3 * fraction + c2) * fraction + c1) * fraction + c0, wanted, rtol=0, atol=1e-11)
 
 
-def test_a_model_that_says_nothing_of_itself_is_polished_too():
+@pytest.mark.parametrize("compiled", [False, True])
+def test_a_model_that_says_nothing_of_itself_is_polished_too(compiled):
     class Saturating:
         max_pressure, bending_stiffness = 50.0, -0.28
         strain_range, pressure_range = (-1.0, 1.0), (0.0, 50.0)
@@ -188,7 +197,7 @@ def test_a_model_that_says_nothing_of_itself_is_polished_too():
     arm = ta.ArmDesign(torch.tensor([0.06, -0.05, 0.02], dtype=torch.float64), 0.5, (Saturating(),) * 3)
     twists, load = affine(-2.0, 2.5), torch.tensor([4.0, -6.0, 0.4], dtype=torch.float64)
     for relative in (False, True):
-        value, converged = polished(arm, twists, load, relative=relative)
+        value, converged = polished(arm, twists, load, relative=relative, compiled=compiled)
         assert converged.all()
         np.testing.assert_allclose(
             value.numpy(), converged_distance(arm, twists, load, relative=relative), rtol=0, atol=1e-8
@@ -273,7 +282,8 @@ def longest_face(force):
     return hull[longest], hull[longest + 1]
 
 
-def test_straight_faces_between_two_moving_maxima_of_one_curve():
+@pytest.mark.parametrize("compiled", [False, True])
+def test_straight_faces_between_two_moving_maxima_of_one_curve(compiled):
     """A contracted muscle against one in extension: between arcs, on either side of a kink, the hull is straight."""
     arm, twists = ta.ArmDesign([-0.04, 0.03], 0.5, [ta.McKibben(), ta.McKibben()]), affine(6.0, -1.0, nodes=8)
     sections = hulls.cross_sections(arm.flatten(), twists[None])
@@ -287,7 +297,7 @@ def test_straight_faces_between_two_moving_maxima_of_one_curve():
     assert sum(0 < first < last - 100 and last < 1000 for first, last in ends) >= 3
     for seed in range(30):
         load = torch.tensor(np.random.default_rng(seed).normal(0, (6, 6, 0.3)))
-        value, converged = polished(arm, twists, load, relative=True)
+        value, converged = polished(arm, twists, load, relative=True, compiled=compiled)
         assert converged.all()
         wanted = converged_distance(arm, twists, load, relative=True)
         np.testing.assert_allclose(value.numpy(), wanted, rtol=0, atol=1e-8)
@@ -334,16 +344,17 @@ def test_a_model_without_a_law_agrees_with_one_that_has_it():
         torch.testing.assert_close(*(getattr(one, metric)[both] for one in values), rtol=0, atol=1e-8)
 
 
+@pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("signed", [False, True])
 @pytest.mark.parametrize("relative", [False, True])
-def test_beyond_the_characterised_range_answers_are_right_or_flagged(relative, signed):
+def test_beyond_the_characterised_range_answers_are_right_or_flagged(relative, signed, compiled):
     """Differences of two powers of pressure have maxima that samples do not show; forces are thousands of newtons."""
     right = 0
     for seed in range(8):
         rng = np.random.default_rng(100 + seed)
         arm = ta.antagonistic_arm(*rng.uniform((0.04, 0.01, 0.45), (0.09, 0.03, 0.55)))
         twists, load = affine(*rng.uniform(-6, 6, 2), nodes=5), ta.sample_loads(4)[3]
-        value, converged = polished(arm, twists, load, relative=relative, signed=signed)
+        value, converged = polished(arm, twists, load, relative=relative, signed=signed, compiled=compiled)
         if converged:
             wanted = converged_distance(arm, twists, load, relative=relative, signed=signed)
             np.testing.assert_allclose(value.numpy(), wanted, rtol=1e-9, atol=1e-8)

@@ -26,25 +26,29 @@ def check_compiled(name: str, compiled: bool) -> None:
 
 def jit(function: F) -> F:
     """Compiled at the first call, and kept on disk; a division by zero is no error, as in NumPy."""
-    return _compiled(function, inlined=False)
+    return _compiled(function, cache=True)
+
+
+def jit_part(function: F) -> F:
+    """The same of what compiled functions call: kept with these, and not to be called from Python."""
+    return _compiled(function, cache=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
 def inlined(function: F) -> F:
-    """The same, as a part of compiled functions: a call takes as long as a small loop."""
-    return _compiled(function, inlined=True)
+    """The same, as a part of compiled functions: where a call takes as long as what it does."""
+    return _compiled(function, cache=True, forceinline=True)
 
 
-def _compiled(function: F, *, inlined: bool) -> F:
+def _compiled(function: F, **options: bool) -> F:
     import numba
 
     config: Any = numba.config
-
     # numba takes code from disk unless the function's own file has changed; that of what it calls may have
     chosen = config.CACHE_DIR
     try:
         config.CACHE_DIR = str(Path(chosen or Path(__file__).parent / "__pycache__") / f"torcharm-{_version()}")
-        options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "forceinline": inlined}
-        compiled: F = numba.njit(**options)(unwrap(function))  # what checks signatures in tests cannot be compiled
+        every: dict[str, Any] = {"nogil": True, "error_model": "numpy", **options}
+        compiled: F = numba.njit(**every)(unwrap(function))  # what checks signatures in tests cannot be compiled
         return compiled
     finally:
         config.CACHE_DIR = chosen

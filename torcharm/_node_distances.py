@@ -13,6 +13,7 @@ from torcharm._sampled_distances import (
     Sampling,
     hulls_of,
     inputs_want_gradient,
+    points_of,
     required_by_metric,
     sampled_distances,
     strain_excess,
@@ -44,11 +45,13 @@ class Check(Sampling):
 
     Attributes:
         polish: whether to go on from the sampled sets to the sets themselves.
+        compiled: whether machine code may do so.
         solver: what answers distances to sets of vertices; None for the closed form.
         auditor: what answers for the residuals; None if they are not asked for.
     """
 
     polish: bool
+    compiled: bool
     solver: DistanceFunction | None
     auditor: DistanceFunction | None
 
@@ -95,7 +98,8 @@ def node_distances(block: Block, required: Required, check: Check, recompute: bo
     if check.solver is None and not check.polish and not _replay_is_cheaper(block, check):
         answers, excess, shape = _of_polygons(block, required, check, recompute)
     elif check.solver is None:
-        answers, excess, shape = _by_closed_form(block, check, recompute)
+        found = _by_machine_code(block, required, check, recompute) if check.polish and check.compiled else None
+        answers, excess, shape = _by_closed_form(block, check, recompute) if found is None else found
     else:
         answers, excess, shape = _by_solver(block, check, check.solver, recompute)
     by_column = [torch.stack(column).unflatten(1, shape) for column in zip(*answers, strict=True)]  # (K, p, N, d, l)
@@ -158,6 +162,62 @@ def _by_closed_form(block: Block, check: Check, recompute: bool) -> tuple[list[C
         )
         for (square, agrees), one in zip(replays, found, strict=True)
     ]
+    return answers, excess, sections.shape
+
+
+def _by_machine_code(
+    block: Block, required: Required, check: Check, recompute: bool
+) -> tuple[list[Columns], Tensor, tuple[int, int, int]] | None:
+    """As `_by_closed_form`, of the sets themselves; None where machine code does not know them or did not converge."""
+    from torcharm._face_squares import Faces, face_squares  # load when they are first asked for
+    from torcharm.distance.compiled import CompiledFaces, compiled_faces, law_table
+
+    if check.auditor is not None:
+        return None
+    followed = torch.is_grad_enabled() and inputs_want_gradient(block)
+    again = followed and recompute
+    points = [points_of(block, required[metric]) for metric in check.metrics]
+    with torch.set_grad_enabled(followed and not again):
+        sections = cross_sections(block.arm, block.twists)
+    found: list[CompiledFaces] = []
+    laws = law_table(sections)
+    if laws is None:
+        return None
+    with torch.no_grad():
+        for metric, point in zip(check.metrics, points, strict=True):
+            one = compiled_faces(
+                sections,
+                laws,
+                point,
+                check.scale,
+                relative=metric == "relative",
+                signed=check.signed,
+                fractions=followed,
+            )
+            if not bool(one.converged.all()):
+                return None
+            found.append(one)
+
+    def replay(sections: Sections) -> Columns:
+        squares: list[Tensor] = []
+        for metric, point, one in zip(check.metrics, points, found, strict=True):
+            assert one.fraction is not None
+            faces = Faces(one.fraction, one.kinked, check.scale, metric == "relative")
+            squares.append(face_squares(sections, point, faces))
+        return *squares, strain_excess(sections)
+
+    if again:
+        *squares, excess = checkpoint(lambda: replay(cross_sections(block.arm, block.twists)), use_reentrant=False)
+    elif followed:
+        *squares, excess = replay(sections)
+    else:
+        squares, excess = [one.faces.square for one in found], strain_excess(sections)
+    answers: list[Columns] = []
+    for square, one in zip(squares, found, strict=True):
+        agrees = one.converged
+        if followed:
+            square, agrees = _agreeing(square, one.faces, check.signed)
+        answers.append((signed_length(square, one.faces.inside, one.faces.blur, signed=check.signed), agrees))
     return answers, excess, sections.shape
 
 

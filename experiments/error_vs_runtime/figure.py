@@ -14,6 +14,7 @@ STYLES = {
     "edges": ("#D55E00", "o"),
     "exact, sampled": ("#0072B2", "s"),
     "exact, polished": ("#009E73", "*"),
+    "exact, polished, compiled": ("#CC79A7", "*"),
     "closed form": ("#009E73", "*"),
     "closed form, with weights": ("#56B4E9", "P"),
     "qpth vertices, alone": ("#D55E00", "v"),

@@ -32,6 +32,11 @@ def timed(work: Callable[[int], object], budget: float, most: int = 31) -> Timin
         start = time.perf_counter()
         work(len(spent))
         spent.append(time.perf_counter() - start)
+    return timing(spent)
+
+
+def timing(spent: list[float]) -> Timing:
+    """Of the times [s] of calls."""
     low, middle, high = np.quantile(spent, (0.25, 0.5, 0.75))
     return Timing(float(low), float(middle), float(high), len(spent))
 

@@ -36,6 +36,7 @@ def tables(rows: Sequence[Row]) -> str:
             large = [row for row in alike if row.batch > 100]
             small = [row for row in alike if row.batch <= 100]
             parts.append(_line([method, setting, dtype, *_numbers(large, small)]))
+    parts += ["", *_turns([row for row in rows if row.family == "in turn"])]
     for case in dict.fromkeys(row.case for row in rows if row.family == "solvers"):
         own = [row for row in rows if row.family == "solvers" and row.case == case]
         parts += [
@@ -56,6 +57,29 @@ def tables(rows: Sequence[Row]) -> str:
             cells = [*same, str(row.batch), *_numbers([row], single), *residuals, _share([row.resolved]), *slopes]
             parts.append(_line(cells))
     return "\n".join(parts)
+
+
+def _turns(rows: Sequence[Row]) -> list[str]:
+    """Times of polishing over those of samples, forward and with gradients."""
+    polished = [method for method in dict.fromkeys(row.method for row in rows) if "polished" in method]
+    batches = list(dict.fromkeys(row.batch for row in rows))
+    parts = [
+        "Time over that of 9 points a curve, forward / with gradient, measured in turn:",
+        "",
+        *_head("case", *(f"{method}, {batch:,}" for method in polished for batch in batches)),
+    ]
+    for case in dict.fromkeys(row.case for row in rows):
+        cells = []
+        for method in polished:
+            for batch in batches:
+                alike = [row for row in rows if (row.case, row.batch) == (case, batch)]
+                (own,) = [row for row in alike if row.method == method]
+                (other,) = [row for row in alike if row.method not in polished]
+                forward = own.forward_median_s / other.forward_median_s
+                gradient = own.gradient_median_s / other.gradient_median_s
+                cells.append(f"{forward:.2f} / {gradient:.2f}")
+        parts.append(_line([case, *cells]))
+    return parts
 
 
 def _numbers(large: Sequence[Row], small: Sequence[Row]) -> list[str]:

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from experiments.error_vs_runtime import figure, report, rows, sets, solvers
+from experiments.error_vs_runtime import figure, report, rows, sets, solvers, turns
 
 
 def main() -> None:
@@ -26,7 +26,7 @@ def main() -> None:
         figure.draw(stored_rows)
         report.update(stored_rows)
         return
-    plan = dict(quick_plan() if options.quick else [*sets.jobs(), *solvers.jobs()])
+    plan = dict(quick_plan() if options.quick else [*sets.jobs(), *turns.jobs(), *solvers.jobs()])
     stored = {} if options.fresh or options.quick else rows.read()
     found = {key: row for key, row in stored.items() if key in plan}
     todo = [key for key in plan if key not in found or found[key].commit != rows.commit()]

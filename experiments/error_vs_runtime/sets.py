@@ -43,6 +43,7 @@ class Method:
     hull: str
     samples: int
     polish: bool = False
+    compiled: bool = False
 
     @property
     def setting(self) -> str:
@@ -53,6 +54,7 @@ METHODS = (
     *(Method("edges", "edges", samples) for samples in SAMPLES),
     *(Method("exact, sampled", "exact", samples) for samples in SAMPLES),
     Method("exact, polished", "exact", 3, polish=True),
+    Method("exact, polished, compiled", "exact", 3, polish=True, compiled=True),
 )
 
 
@@ -125,43 +127,69 @@ def jobs() -> Jobs:
                 for dtype, batch in (("float64", BATCH), ("float32", BATCH), ("float64", NODES)):
                     if dtype == "float32" and method.name == "edges" and method.samples not in (2, 3, 5):
                         continue  # dear, and no better than in float64
+                    if dtype == "float32" and method.compiled:
+                        continue  # polished without machine code
                     key = ("sets", f"{arm}, {metric}", method.name, method.setting, dtype, str(batch))
                     yield key, partial(row, arm, metric, method, dtype, batch)
 
 
-def row(arm: str, metric: str, method: Method, dtype: str, batch: int) -> Row:
-    """Measure: in a call of one design and task (a batch of N nodes), or of all."""
-    kind = getattr(torch, dtype)
-    single = batch == NODES
-    columns = parameters(arm)[:, :1] if single else parameters(arm)
-    shapes, loads = twists().to(kind), ta.sample_loads(TASKS).to(kind)
-    chosen = slice(0, 1) if single else slice(None)
-    task = ta.Task(shapes[chosen], loads[chosen])
+@dataclass(frozen=True)
+class Calls:
+    """What is timed: a call of one design and task (a batch of N nodes), or of all.
 
-    def call(values: Tensor, what: ta.Task, **more: Any) -> ta.Attainability:
+    Attributes:
+        kind: of the numbers.
+        values: outer and inner radii and lengths (3, designs).
+        task: theirs.
+    """
+
+    arm: str
+    metric: str
+    method: Method
+    kind: torch.dtype
+    values: Tensor
+    task: ta.Task
+
+    @classmethod
+    def of(cls, arm: str, metric: str, method: Method, dtype: str, batch: int) -> "Calls":
+        kind, single = getattr(torch, dtype), batch == NODES
+        columns = parameters(arm)[:, :1] if single else parameters(arm)
+        chosen = slice(0, 1) if single else slice(None)
+        shapes, loads = twists().to(kind), ta.sample_loads(TASKS).to(kind)
+        return cls(arm, metric, method, kind, columns, ta.Task(shapes[chosen], loads[chosen]))
+
+    def evaluate(self, values: Tensor, task: ta.Task, **more: Any) -> ta.Attainability:
+        """Designs on a task."""
         return ta.evaluate(
-            ARMS[arm](*values.to(kind)),
-            what,
-            (metric,),
-            hull=method.hull,
-            samples=method.samples,
-            polish=method.polish,
+            ARMS[self.arm](*values.to(self.kind)),
+            task,
+            (self.metric,),
+            hull=self.method.hull,
+            samples=self.method.samples,
+            polish=self.method.polish,
+            compiled=self.method.compiled,
             **more,
         )
 
-    def forward(_: int) -> None:
+    def forward(self, _: int) -> None:
         with torch.no_grad():
-            call(columns, task)
+            self.evaluate(self.values, self.task)
 
-    def gradient(_: int) -> None:
-        leaf = columns.clone().requires_grad_()
-        torch.autograd.grad(getattr(call(leaf, task), metric).sum(), leaf)
+    def gradient(self, _: int) -> None:
+        leaf = self.values.clone().requires_grad_()
+        torch.autograd.grad(getattr(self.evaluate(leaf, self.task), self.metric).sum(), leaf)
 
-    spent, memory = measure.timed_with_memory(forward, BUDGET)
+
+def row(arm: str, metric: str, method: Method, dtype: str, batch: int) -> Row:
+    """Measure: in a call of one design and task (a batch of N nodes), or of all."""
+    calls = Calls.of(arm, metric, method, dtype, batch)
+    if method.compiled:
+        calls.forward(0)  # compiles, or loads what was
+    spent, memory = measure.timed_with_memory(calls.forward, BUDGET)
     with torch.no_grad():
-        checked = ta.Task(shapes[:CHECKED], loads[:CHECKED])
-        found = call(parameters(arm), checked)
-        audited = call(parameters(arm)[:, :1], checked, residuals=True)
+        checked = ta.Task(twists().to(calls.kind)[:CHECKED], ta.sample_loads(TASKS).to(calls.kind)[:CHECKED])
+        found = calls.evaluate(parameters(arm), checked)
+        audited = calls.evaluate(parameters(arm)[:, :1], checked, residuals=True)
     own = slice(1, None) if metric == "relative" else slice(None)  # node 1 differs from itself by nothing
     distance, scale = (value[..., own] for value in reference(arm, metric))
     value = getattr(found, f"{metric}_per_node").double().numpy()[..., own]
@@ -185,5 +213,5 @@ def row(arm: str, metric: str, method: Method, dtype: str, batch: int) -> Row:
         in_range=float(found.in_range.double().mean()),
         **measure.error_columns(error),
         **measure.slope_columns(np.empty(0)),
-        **measure.time_columns(spent, measure.timed(gradient, BUDGET), batch),
+        **measure.time_columns(spent, measure.timed(calls.gradient, BUDGET), batch),
     )
