@@ -20,7 +20,7 @@ def loaded():
     return set(run("import sys, torcharm; print(*sys.modules)"))
 
 
-@pytest.mark.parametrize("package", ["scipy", "matplotlib", "pydantic", "typer", "rich", "qpth"])
+@pytest.mark.parametrize("package", ["scipy", "matplotlib", "pydantic", "typer", "rich", "qpth", "numba"])
 def test_import_does_not_load(loaded, package):
     assert "torcharm" in loaded
     assert package not in loaded
