@@ -208,13 +208,14 @@ def test_slopes_in_closed_form_are_autograds(name, relative):
 
 def test_blocks_are_the_whole_and_replays_are_graphs():
     arm = ta.antagonistic_arm(torch.linspace(0.05, 0.09, 5, dtype=torch.float64))
-    task = ta.Task(torch.stack([affine(*shape) for shape in SHAPES]), ta.sample_loads(3))
     found = []
     for size in (None, 2):
-        radii = arm.radii.clone().requires_grad_()
+        radii, loads = arm.radii.clone().requires_grad_(), ta.sample_loads(3).requires_grad_()
         design = ta.ArmDesign(radii, 0.5, arm.actuators)
+        task = ta.Task(torch.stack([affine(*shape) for shape in SHAPES]), loads)
         value = ta.evaluate(design, task, polish=True, compiled=True, chunk_size=size)
-        found.append((value.absolute, value.relative, *torch.autograd.grad(value.absolute.sum(), radii)))
+        slopes = torch.autograd.grad((value.absolute + 0.5 * value.relative).sum(), (radii, loads))
+        found.append((value.absolute, value.relative, *slopes))
     for one, other in zip(*found, strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=1e-9)
 
