@@ -65,7 +65,7 @@ class Pictures:
             spent = 1e3 * points[0][0]
             axes.axvline(spent, color=COLOURS[name], linestyle="--", label=f"time of scipy SLSQP, 1 start, {name}")
         axes.set_xscale("log")
-        axes.set_xticks(ticks := [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000], [f"{tick:g}" for tick in ticks])
+        axes.set_xticks(ticks := [0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000], [f"{tick:g}" for tick in ticks])
         axes.minorticks_off()
         axes.set_xlabel("time a search [ms]")
         axes.set_ylabel("tasks more than 1 % above the best known cost [%]")

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -152,13 +151,9 @@ def _spread(count: int, work: Callable[[int, int], None]) -> None:
         work(0, count)
         return
     edges = [count * part // (PARTS * threads) for part in range(PARTS * threads + 1)]
-    for done in [_pool(threads).submit(work, *edge) for edge in pairwise(edges)]:
-        done.result()
-
-
-@cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads)
+    with ThreadPoolExecutor(threads) as pool:  # none that a fork would inherit without its threads
+        for done in [pool.submit(work, *edge) for edge in pairwise(edges)]:
+            done.result()
 
 
 def _batch_first(value: Tensor) -> Array:
