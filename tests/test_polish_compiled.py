@@ -328,3 +328,24 @@ def test_without_numba_there_is_no_machine_code(monkeypatch):
     with pytest.raises(ValueError, match=r"^compiled: must be False without numba, which torcharm\[compiled\] brings"):
         ta.evaluate(ta.bellows_arm(), task, polish=True, compiled=True)
     assert math.isfinite(ta.evaluate(ta.bellows_arm(), task, polish=True).absolute.item())
+
+
+class Both(ta.Bellows):
+    """A bellows of one's own, whose slopes are not written out anew."""
+
+    def force(self, strain, pressure):
+        return 1.3 * super().force(strain, pressure)
+
+    def pressure_law(self, strain):
+        return PressureLaw(tuple(1.3 * part for part in super().pressure_law(strain).coefficients))
+
+
+def test_slopes_that_are_not_those_of_the_law_are_not_taken():
+    radii = torch.tensor([-0.05, 0.05], dtype=torch.float64, requires_grad=True)
+    task = ta.Task(ta.affine_curvature(1.0, 1.5, length=0.5, nodes=5), ta.sample_loads(2))
+    slopes = []
+    for compiled in (False, True):
+        found = ta.evaluate(ta.ArmDesign(radii, 0.5, [Both()] * 2), task, polish=True, compiled=compiled)
+        assert found.converged.all()
+        slopes.append(torch.autograd.grad(found.absolute.sum() + found.relative.sum(), radii)[0])
+    torch.testing.assert_close(slopes[1], slopes[0], rtol=1e-5, atol=1e-5)

@@ -1,11 +1,13 @@
 """Loops as machine code: numba, where it is installed."""
 
+import os
 from collections.abc import Callable
 from functools import cache
 from hashlib import sha256
 from importlib.util import find_spec
 from inspect import unwrap
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any, TypeVar
 
 from torcharm._inputs import check_flag
@@ -44,14 +46,32 @@ def _compiled(function: F, **options: bool) -> F:
 
     config: Any = numba.config
     # numba takes code from disk unless the function's own file has changed; that of what it calls may have
-    chosen = config.CACHE_DIR
+    chosen, folder = config.CACHE_DIR, _folder()
+    every: dict[str, Any] = {"nogil": True, "error_model": "numpy", **options}
+    every["cache"] = every["cache"] and folder is not None
     try:
-        config.CACHE_DIR = str(Path(chosen or Path(__file__).parent / "__pycache__") / f"torcharm-{_version()}")
-        every: dict[str, Any] = {"nogil": True, "error_model": "numpy", **options}
+        config.CACHE_DIR = folder or chosen
         compiled: F = numba.njit(**every)(unwrap(function))  # what checks signatures in tests cannot be compiled
         return compiled
     finally:
         config.CACHE_DIR = chosen
+
+
+@cache
+def _folder() -> str | None:
+    """Where code of these sources is kept: where numba is told to, beside them, or with the user's; None: nowhere."""
+    told = os.environ.get("NUMBA_CACHE_DIR")
+    for place in (told, Path(__file__).parent / "__pycache__", Path("~/.cache/torcharm").expanduser()):
+        if not place:
+            continue
+        folder = Path(place) / f"torcharm-{_version()}"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with TemporaryFile(dir=folder):
+                return str(folder)
+        except OSError:
+            continue
+    return None
 
 
 @cache

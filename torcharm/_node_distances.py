@@ -217,6 +217,8 @@ def _by_machine_code(
         agrees = one.converged
         if followed:
             square, agrees = _agreeing(square, one.faces, check.signed)
+            if not bool(agrees.all()):  # a model's slopes are not those of its law
+                return None
         answers.append((signed_length(square, one.faces.inside, one.faces.blur, signed=check.signed), agrees))
     return answers, excess, sections.shape
 

@@ -44,10 +44,17 @@ class Arms(NamedTuple):
 
 
 def known(models: tuple[Actuator, ...], like: Tensor, shear_stiffness: float | None) -> bool:
-    """Whether the kernels know such arms."""
-    alike = all(type(model).force in (McKibben.force, PolynomialActuator.force) for model in models)
+    """Whether the kernels know such arms: of this package's force models, or classes with their forces."""
+    alike = all(any(_is_of(model, kind) for kind in (McKibben, PolynomialActuator)) for model in models)
     simple = alike and all(bending_model(model.bending_stiffness) is None for model in models)
     return simple and shear_stiffness is None and like.dtype == torch.float64 and like.device.type == "cpu"
+
+
+def _is_of(model: Actuator, kind: type) -> bool:
+    names = ("force", "force_slopes") + (("_rows",) if kind is PolynomialActuator else ())
+    return isinstance(model, kind) and all(
+        getattr(type(model), name) is getattr(kind, name) and name not in vars(model) for name in names
+    )
 
 
 def arms_of(arms: mechanics.Arms, scale: tuple[Tensor, Tensor, Tensor], limits: Tensor, tolerance: float) -> Arms:

@@ -14,6 +14,9 @@ NONE, BY_LOAD, BY_FILLING = 0, 1, 2
 """The tangent that is wanted: none, by the share of the load, or by that of all pressures."""
 
 
+_ROUNDING = 2.0**-53
+
+
 class March(NamedTuple):
     """Scratch, and what `look` and `solve` find for K right sides: that of u, R, the tangent's if wanted, and M by
     pressure if wanted.
@@ -246,7 +249,10 @@ def solve(
         # The section by itself
         a11, a12 = stiffness[i, 0] - drag_length, stiffness[i, 1]
         a21, a22 = stiffness[i, 2], stiffness[i, 3] - drag_curvature
-        determinant = a11 * a22 - a12 * a21
+        product, other = a11 * a22, a12 * a21
+        determinant = product - other
+        if determinant == 0:  # as rounding would have it: actuators at one offset, say, resist no bending at rest
+            determinant = _ROUNDING * (abs(product) + abs(other))
         if determinant < 0:
             flips += 1
         inverse = 1.0 / determinant
