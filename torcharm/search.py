@@ -111,9 +111,9 @@ def search_pressure(
         progress: whether to show a bar; None shows one for "scipy", on a terminal.
         raise_on_failure: makes it an error if any search does not converge.
         chunk_size: searches worked on at once (batched); None chooses. Bounds memory.
-        compiled: whether the work is done by machine code: the same answers, six to twelve times as fast, in as many threads
-            as PyTorch takes. It needs numba (`torcharm[compiled]`), and half a minute to two at the very
-            first search; later ones, of other processes, too, find the code on disk. For arms of `Bellows`,
+        compiled: whether the work is done by machine code: the same answers, six to twelve times as fast, in as many
+            threads as PyTorch takes. It needs numba (`torcharm[compiled]`), and half a minute to two at the very first
+            search; later ones, of other processes, too, find the code on disk. For arms of `Bellows`,
             `PolynomialActuator` and `McKibben` with constant bending stiffness that do not shear, in double precision
             on the CPU; others are searched as without it.
 
