@@ -114,7 +114,7 @@ def search_pressure(
         compiled: whether the work is done by machine code: the same answers, six to twelve times as fast, in as many
             threads as PyTorch takes. It needs numba (`torcharm[compiled]`), and half a minute to two at the very first
             search; later ones, of other processes, too, find the code on disk. For arms of `Bellows`,
-            `PolynomialActuator` and `McKibben` with constant bending stiffness that do not shear, in double precision
+            `PolynomialActuator` and `McKibben` whose bending stiffness is a number, without shear, in double precision
             on the CPU; others are searched as without it.
 
     Raises:
