@@ -4,6 +4,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
 import torch
 from jaxtyping import config
 
@@ -145,3 +146,13 @@ def random_scene(name, *, designs, tasks, nodes, seed=0, grad=False):
     }
     members = tuple(range(count))
     return Scene(arm.actuators, members, {key: leaf.requires_grad_(grad) for key, leaf in leaves.items()})
+
+
+def assert_slopes(total, at):
+    """The gradient of a total at numbers (K,) that want one, against differences of fourth order."""
+    (found,) = torch.autograd.grad(total(at), at)
+    for index, step in enumerate(1e-5 * torch.eye(len(at), dtype=at.dtype)):
+        with torch.no_grad():
+            far = (total(at + 2 * step) - total(at - 2 * step)) / 4e-5
+            near = (total(at + step) - total(at - step)) / 2e-5
+        assert found[index].item() == pytest.approx(((4 * near - far) / 3).item(), rel=1e-6, abs=1e-5)

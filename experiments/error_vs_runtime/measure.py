@@ -108,3 +108,9 @@ def time_columns(forward: Timing, gradient: Timing, batch: int) -> dict[str, Any
         "gradient_q75_s": gradient.q75,
         "gradient_us_a_problem": gradient.median / batch * 1e6,
     }
+
+
+def not_measured() -> dict[str, Any]:
+    """The columns of a row that is of times or bounds alone."""
+    names = ("memory_mib", "primal_max", "dual_max", "gap_max", "resolved", "in_range")
+    return dict.fromkeys(names, NAN)
