@@ -15,7 +15,7 @@ from torcharm._continuation import Problem, can_compile, loaded, settle, unloade
 from torcharm.equilibrium import solved
 from torcharm.kernels.arms import arms_of
 from torcharm.kernels.box import box_step
-from torcharm.kernels.forces import muscle
+from torcharm.engine.forces import muscle
 from torcharm.kernels.march import BY_LOAD, NONE, imbalance, look, moves, new_march, solve
 
 ODD = ta.PolynomialActuator(((0, 1, 2.0), (1, 0, -30.0), (2, 4, 1e-6)), (-0.5, 1.0), (0.0, 40.0), 40.0, 0.0, 1.5)
@@ -298,7 +298,7 @@ def refuse(*_, **__):
 
 
 def test_without_numba_it_says_so(monkeypatch):
-    monkeypatch.setattr("torcharm._compiled.find_spec", lambda name: None)
+    monkeypatch.setattr("torcharm.engine.compilation.find_spec", lambda name: None)
     for ask in (
         lambda: ta.search_pressure(ARMS["bellows"], ta.Task(SHAPE, [0.0] * 3), compiled=True),
         lambda: ta.solve_equilibrium(ARMS["bellows"], [0.0] * 4, [0.0] * 3, compiled=True),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from torcharm._compiled import check_compiled
+from torcharm.engine.compilation import check_compiled
 from torcharm._inputs import check_choice, check_count, check_flag, shown
 from torcharm._node_distances import Check, Residuals, node_distances
 from torcharm._outer import OuterProduct, check_arm_and_task, map_blocks, outer_product

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from torcharm import mechanics, rod
-from torcharm._compiled import check_compiled
+from torcharm.engine.compilation import check_compiled
 from torcharm._continuation import LOOKS, SETTLING_STEPS, Problem, can_compile, loaded, settle, unloaded
 from torcharm._inputs import (
     TensorLike,

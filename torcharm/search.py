@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torcharm import mechanics, rod
 from torcharm._branch_search import search_block
-from torcharm._compiled import check_compiled
+from torcharm.engine.compilation import check_compiled
 from torcharm._continuation import Problem, can_compile
 from torcharm._descent import Goal
 from torcharm._inputs import check_above_zero, check_choice, check_count, check_flag

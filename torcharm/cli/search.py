@@ -40,7 +40,7 @@ def search(
     """Search the pressure that brings every arm closest to every task, through its forward mechanics."""
     with mistakes():
         check_outputs(study, out, None)
-        from torcharm._compiled import check_compiled
+        from torcharm.engine.compilation import check_compiled
         from torcharm._inputs import check_choice
         from torcharm.pose_cost import NODE_WEIGHTS
         from torcharm.search import METHODS

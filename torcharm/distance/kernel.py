@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from torcharm._compiled import jit, jit_part
+from torcharm.engine.compilation import jit, jit_part
 from torcharm.distance.closed_form import BOUNDARY_ULPS
 from torcharm.distance.problems import GAP
 from torcharm.distance.shapes import FLAT, FLOOR

@@ -1,0 +1,216 @@
+"""How deep a wrench lies inside an attainable set, `min_{|n|=1} h(n) - n·w`, by expanding a polytope within the set.
+
+Of a polytope of the set's points that holds w, the face nearest to w bounds the depth from below, and the set's support
+along that face's normal bounds it from above. The point that attains the support becomes a corner, until the bounds
+meet (van den Bergen 2001). Unlike the distance from outside this is no convex problem: all faces must be kept.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from torcharm.engine.compilation import part
+
+Array = np.ndarray[Any, Any]
+
+DEPTH_GAP = 1e-10
+"""The gap, as a part of the problem's size, at which the depth is known."""
+CORNERS = {2: 80, 3: 300}
+"""Corners of the polytope at most; smooth sets in space take the most, and are then known to 1e-6 or so, and flagged."""
+BEYOND = 1e-14
+"""By this part of the problem's size a point must lie beyond a face to be a new corner: less is rounding."""
+NEVER = 1e300
+"""The distance that is given to faces without area, which no depth is measured to."""
+
+
+class Polytope(NamedTuple):
+    """A polytope with V corners and F faces, and room to work in.
+
+    Attributes:
+        corner: (V, D) the corners, seen from w.
+        pressure: (V, M) their pressures.
+        face: (F, D) each face's corners.
+        normal, offset: (F, D), (F,) outward unit normals, and distances from w.
+        seen: (F,) whether a face is to be removed.
+        count: (2,) corners and faces in use.
+        system: (D, D) room.
+    """
+
+    corner: Array
+    pressure: Array
+    face: Array
+    normal: Array
+    offset: Array
+    seen: Array
+    count: Array
+    system: Array
+
+
+def make_polytope(actuators: int, dimension: int) -> Polytope:
+    """Room for one problem."""
+    corners, D = CORNERS[dimension], dimension
+    faces = 2 * corners + 8
+    return Polytope(
+        np.zeros((corners, D)),
+        np.zeros((corners, actuators)),
+        np.zeros((faces, D), np.int64),
+        np.zeros((faces, D)),
+        np.zeros(faces),
+        np.zeros(faces, np.bool_),
+        np.zeros(2, np.int64),
+        np.zeros((D, D)),
+    )
+
+
+def depth_part(D: int, ask: Any) -> Any:
+    """`depth` for wrenches of D components; `ask` as of `distance.distance_parts`."""
+
+    @part
+    def add_corner(polytope, point, pressure):  # type: ignore[no-untyped-def]
+        at = polytope.count[0]
+        for c in range(D):
+            polytope.corner[at, c] = point[c]
+        for a in range(len(pressure)):
+            polytope.pressure[at, a] = pressure[a]
+        polytope.count[0] = at + 1
+
+    @part
+    def orient(polytope, f):  # type: ignore[no-untyped-def]
+        """Write a face's outward normal and its distance from w, which is inside."""
+        corner, face, n = polytope.corner, polytope.face, polytope.normal
+        i, j = face[f, 0], face[f, 1]
+        if D == 2:
+            n[f, 0], n[f, 1] = corner[j, 1] - corner[i, 1], corner[i, 0] - corner[j, 0]
+        else:
+            k = face[f, 2]
+            ax, ay, az = corner[j, 0] - corner[i, 0], corner[j, 1] - corner[i, 1], corner[j, 2] - corner[i, 2]
+            bx, by, bz = corner[k, 0] - corner[i, 0], corner[k, 1] - corner[i, 1], corner[k, 2] - corner[i, 2]
+            n[f, 0], n[f, 1], n[f, 2] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        length, offset = 0.0, 0.0
+        for c in range(D):
+            length += n[f, c] * n[f, c]
+            offset += n[f, c] * corner[i, c]
+        length = math.sqrt(length)
+        if not length > 0.0:
+            polytope.offset[f] = NEVER
+            return
+        sign = -1.0 / length if offset < 0.0 else 1.0 / length
+        for c in range(D):
+            n[f, c] *= sign
+        polytope.offset[f] = offset * sign
+
+    @part
+    def shared(polytope, f, skip):  # type: ignore[no-untyped-def]
+        """Whether the ridge of a removed face, all its corners but one, belongs to another removed face."""
+        for g in range(polytope.count[1]):
+            if g != f and polytope.seen[g]:
+                common = 0
+                for i in range(D):
+                    if i != skip:
+                        for j in range(D):
+                            common += polytope.face[g, j] == polytope.face[f, i]
+                if common == D - 1:
+                    return True
+        return False
+
+    @part
+    def expand(polytope, new):  # type: ignore[no-untyped-def]
+        """Replace the faces marked as seen by faces from their rim to the new corner; whether there was room."""
+        count = polytope.count[1]
+        last = count
+        for f in range(count):
+            if polytope.seen[f]:
+                for skip in range(D):
+                    if not shared(polytope, f, skip):
+                        if last >= len(polytope.offset):
+                            return False
+                        for i in range(D):
+                            polytope.face[last, i] = new if i == skip else polytope.face[f, i]
+                        polytope.seen[last] = False
+                        orient(polytope, last)
+                        last += 1
+        kept = 0
+        for f in range(last):
+            if not polytope.seen[f]:
+                for i in range(D):
+                    polytope.face[kept, i] = polytope.face[f, i]
+                    polytope.normal[kept, i] = polytope.normal[f, i]
+                polytope.offset[kept] = polytope.offset[f]
+                polytope.seen[kept] = False
+                kept += 1
+        polytope.count[1] = kept
+        return True
+
+    @part
+    def weigh(polytope, f, simplex):  # type: ignore[no-untyped-def]
+        """Make the face the simplex: its normal, and its corners with the weights that mix to its point nearest to w."""
+        corner, face, n = polytope.corner, polytope.face, polytope.normal
+        if D == 2:
+            i, j = face[f, 0], face[f, 1]
+            along, square = 0.0, 0.0
+            for c in range(D):
+                e = corner[j, c] - corner[i, c]
+                along -= corner[i, c] * e
+                square += e * e
+            simplex.weight[1] = min(max(along / square, 0.0), 1.0)
+            simplex.weight[0] = 1.0 - simplex.weight[1]
+        else:
+            total = 0.0
+            for s in range(3):
+                i, j = face[f, (s + 1) % 3], face[f, (s + 2) % 3]
+                x = corner[i, 1] * corner[j, 2] - corner[i, 2] * corner[j, 1]
+                y = corner[i, 2] * corner[j, 0] - corner[i, 0] * corner[j, 2]
+                z = corner[i, 0] * corner[j, 1] - corner[i, 1] * corner[j, 0]
+                simplex.weight[s] = max(abs(x * n[f, 0] + y * n[f, 1] + z * n[f, 2]), 0.0)
+                total += simplex.weight[s]
+            for s in range(3):
+                simplex.weight[s] /= total
+        for s in range(D):
+            simplex.normal[s] = n[f, s]
+            for a in range(polytope.pressure.shape[1]):
+                simplex.pressure[s, a] = polytope.pressure[face[f, s], a]
+
+    @part
+    def depth(curves, simplex, polytope, size):  # type: ignore[no-untyped-def]
+        """The depth of the simplex's target, known to be strictly inside, and the gap that is left."""
+        polytope.count[0] = polytope.count[1] = 0
+        for i in range(D):
+            add_corner(polytope, simplex.corner[i], simplex.pressure[i])
+        add_corner(polytope, simplex.point, simplex.fresh)
+        for f in range(D + 1):
+            for i in range(D):
+                polytope.face[f, i] = i if i < f else i + 1
+            polytope.seen[f] = False
+            orient(polytope, f)
+        polytope.count[1] = D + 1
+        best, low = NEVER, 0.0
+        while True:
+            nearest = 0
+            for f in range(polytope.count[1]):
+                if polytope.offset[f] < polytope.offset[nearest]:
+                    nearest = f
+            low = polytope.offset[nearest]
+            if best - low <= DEPTH_GAP * size or polytope.count[0] == len(polytope.corner):
+                break
+            for c in range(D):
+                simplex.normal[c] = polytope.normal[nearest, c]
+            ask(curves, simplex)
+            reach = 0.0
+            for c in range(D):
+                reach += simplex.normal[c] * simplex.point[c]
+            best = min(best, reach)
+            if reach - low <= BEYOND * size:
+                break
+            for f in range(polytope.count[1]):
+                beyond = -polytope.offset[f]
+                for c in range(D):
+                    beyond += polytope.normal[f, c] * simplex.point[c]
+                polytope.seen[f] = f == nearest or beyond > BEYOND * size
+            add_corner(polytope, simplex.point, simplex.fresh)
+            if not expand(polytope, polytope.count[0] - 1):
+                break
+        weigh(polytope, nearest, simplex)
+        return low, max(best - low, 0.0)
+
+    return depth

@@ -1,0 +1,256 @@
+"""Distances of required wrenches from attainable sets, for batches of designs, shapes, nodes and loads."""
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from torcharm.engine.compilation import kernel, part
+from torcharm.engine.curves import Curves, copy_curve, make_curves, most_pieces, sides, write_curve, write_difference
+from torcharm.engine.depth import Polytope, depth_part, make_polytope
+from torcharm.engine.distance import Simplex, distance_parts, make_simplex
+from torcharm.engine.forces import POLYNOMIAL, SAMPLED, STRETCHED_FROM, Models, force
+
+Array = np.ndarray[Any, Any]
+
+
+class Sections(NamedTuple):
+    """The actuators at the cross-sections of B designs on P shapes of N nodes.
+
+    Attributes:
+        limit: (B, M) pressure limits [kPa].
+        strain: (B, P, N, M).
+        lever: (B, M, D) the wrench of a force of 1 N.
+        bending: (B, P, N, M, D - 1) the moments of a pressure of 1 kPa.
+        constant: (B, P, N, D - 1) the moments at no pressure.
+        sampled: (B, P, N, S, K, 6) pieces of the models that the engine does not know, as of `write_curve`.
+        sample: (M,) which of the S each actuator is.
+    """
+
+    limit: Array
+    strain: Array
+    lever: Array
+    bending: Array
+    constant: Array
+    sampled: Array
+    sample: Array
+
+
+class Room(NamedTuple):
+    """Room to work in, for one thread.
+
+    Attributes:
+        own, first, change: curves of a node, of the first node, and their difference.
+        simplex, polytope: of one problem.
+        middle: (D,) the set's middle.
+        row: room for a polynomial.
+        start: (L, D) the last node's normals, to begin the next node's with.
+    """
+
+    own: Curves
+    first: Curves
+    change: Curves
+    simplex: Simplex
+    polytope: Polytope
+    middle: Array
+    row: Array
+    start: Array
+
+
+class Answers(NamedTuple):
+    """What is found, for B designs, P shapes, L loads and N nodes.
+
+    Attributes:
+        distance: (B, P, L, N), negative inside if that was asked for.
+        gap: (B, P, L, N) by how much of the problem's size it may be too long.
+        normal: (B, P, L, N, D) unit normals; empty if not asked for, like what follows.
+        weight: (B, P, L, N, D) of the points whose mix is nearest.
+        pressure: (B, P, L, N, D, M) of these points [kPa].
+    """
+
+    distance: Array
+    gap: Array
+    normal: Array
+    weight: Array
+    pressure: Array
+
+
+def make_room(models: Models, dimension: int, loads: int, sampled: int) -> Room:
+    """Room for sets of wrenches of so many components."""
+    actuators, pieces = len(models.kind), most_pieces(models, sampled)
+    curves = [make_curves(actuators, dimension, count) for count in (pieces, pieces, 2 * pieces)]
+    row = np.zeros(max(4, models.table.shape[1]))
+    problem = make_simplex(actuators, dimension), make_polytope(actuators, dimension)
+    return Room(*curves, *problem, np.zeros(dimension), row, np.zeros((loads, dimension)))
+
+
+@part
+def write_node(models, sections, room, b, h, i, relative):  # type: ignore[no-untyped-def]
+    """Write the curves of node i of shape h of design b, less those of the first node if `relative`."""
+    for a in range(len(models.kind)):
+        own = room.own
+        for c in range(sections.bending.shape[4]):
+            own.bending[a, c] = sections.bending[b, h, i, a, c]
+            own.lever[a, c] = sections.lever[b, a, c]
+        own.lever[a, sections.bending.shape[4]] = sections.lever[b, a, sections.bending.shape[4]]
+        pieces = sections.sampled[b, h, i, sections.sample[a]]
+        write_curve(own, a, models, sections.strain[b, h, i, a], sections.limit[b, a], pieces, room.row)
+        if relative:
+            if i == 0:
+                copy_curve(room.first, a, own)
+            write_difference(room.change, a, own, room.first)
+            room.change.side[a] = sides(room.change, a)
+        else:
+            own.side[a] = sides(own, a)
+
+
+@part
+def measure(curves, middle):  # type: ignore[no-untyped-def]
+    """Write the middle of the sum of the curves' ends; returns the most that their numbers can add up to."""
+    extent = 0.0
+    for c in range(len(middle)):
+        middle[c] = 0.0
+    for a in range(len(curves.count)):
+        last, most = curves.count[a], 0.0
+        for k in range(last):
+            for j in range(4):
+                most = max(most, abs(curves.control[a, k, j]))
+        centre, p = 0.5 * (curves.control[a, 0, 0] + curves.control[a, last - 1, 3]), curves.edge[a, last]
+        for c in range(len(middle)):
+            middle[c] += centre * curves.lever[a, c]
+            extent += most * abs(curves.lever[a, c])
+            if c > 0:
+                middle[c] += 0.5 * p * curves.bending[a, c - 1]
+                extent += p * abs(curves.bending[a, c - 1])
+    return extent
+
+
+@part
+def aim(sections, required, room, b, h, l, i, relative):  # type: ignore[no-untyped-def]
+    """Write the wrench asked of a node, less what no pressure changes; returns the sum of its components' sizes."""
+    target, size = room.simplex.target, 0.0
+    for c in range(len(target)):
+        target[c] = required[h, l, i, c]
+        if relative:
+            target[c] -= required[h, l, 0, c]
+        if c > 0:
+            target[c] -= sections.constant[b, h, i, c - 1]
+            if relative:
+                target[c] += sections.constant[b, h, 0, c - 1]
+        size += abs(target[c])
+    return size
+
+
+@part
+def exact_distance(models, sections, room, curves, b, h, i, relative):  # type: ignore[no-untyped-def]
+    """The distance beyond the plane with the simplex's normal through its points, by the models' own forces.
+
+    Pieces stand for forces to 1e-7; at the pressures found, where the reach is largest, an error of theirs in pressure
+    counts by its square.
+    """
+    simplex, distance = room.simplex, 0.0
+    for c in range(len(simplex.target)):
+        distance += simplex.normal[c] * simplex.target[c]
+    for a in range(len(models.kind)):
+        by_force, by_pressure = 0.0, 0.0
+        for c in range(len(simplex.target)):
+            by_force += simplex.normal[c] * curves.lever[a, c]
+            if c > 0:
+                by_pressure += simplex.normal[c] * curves.bending[a, c - 1]
+        for k in range(len(simplex.weight)):
+            if simplex.weight[k] > 0.0:
+                p = simplex.pressure[k, a]
+                f = force(models, a, sections.strain[b, h, i, a], p, room.row)
+                if relative:
+                    f -= force(models, a, sections.strain[b, h, 0, a], p, room.row)
+                distance -= simplex.weight[k] * (by_force * f + by_pressure * p)
+    return distance
+
+
+@part
+def approximated(models, sections, b, h, i, relative):  # type: ignore[no-untyped-def]
+    """Whether pieces only come near one of the forces, and all forces are known here."""
+    near = False
+    for a in range(len(models.kind)):
+        if models.kind[a] == SAMPLED:
+            return False
+        if models.kind[a] == POLYNOMIAL:
+            near = near or models.table.shape[1] > 4
+        else:
+            near = near or sections.strain[b, h, i, a] >= STRETCHED_FROM
+            near = near or (relative and sections.strain[b, h, 0, a] >= STRETCHED_FROM)
+    return near
+
+
+@part
+def keep_answer(answers, simplex, at):  # type: ignore[no-untyped-def]
+    """Write the normal, the weights and the pressures of an answer, if they are asked for."""
+    b, h, l, i = at
+    if len(answers.normal) > 0:
+        for c in range(len(simplex.normal)):
+            answers.normal[b, h, l, i, c] = simplex.normal[c]
+            answers.weight[b, h, l, i, c] = simplex.weight[c]
+            for a in range(len(simplex.fresh)):
+                answers.pressure[b, h, l, i, c, a] = simplex.pressure[c, a]
+
+
+@cache
+def distance_kernel(dimension: int, signed: bool = False) -> Any:
+    """The kernel for wrenches of so many components, which measures from the outside or, signed, from both sides."""
+    ask, nearest = distance_parts(dimension)
+    depth = depth_part(dimension, ask)
+
+    @kernel
+    def distances(models, sections, required, relative, begin, end, room, answers):  # type: ignore[no-untyped-def]
+        """Of designs from `begin` to `end`; required wrenches (P, L, N, D)."""
+        curves = room.change if relative else room.own
+        simplex = room.simplex
+        for b in range(begin, end):
+            for h in range(required.shape[0]):
+                for l in range(required.shape[1]):
+                    forget(room.start, l)
+                for i in range(required.shape[2]):
+                    write_node(models, sections, room, b, h, i, relative)
+                    extent = measure(curves, room.middle)
+                    inexact = approximated(models, sections, b, h, i, relative)
+                    for l in range(required.shape[1]):
+                        size = extent + aim(sections, required, room, b, h, l, i, relative)
+                        begin_with(room, l)
+                        distance, gap, inside = nearest(curves, simplex, size)
+                        if signed and inside:
+                            distance, gap = depth(curves, simplex, room.polytope, size)
+                            distance = -distance
+                        if distance != 0.0:
+                            if inexact:
+                                exact = exact_distance(models, sections, room, curves, b, h, i, relative)
+                                distance = max(exact, 0.0) if distance > 0.0 else min(exact, 0.0)
+                            remember(room.start, l, simplex.normal)
+                        answers.distance[b, h, l, i] = distance
+                        answers.gap[b, h, l, i] = gap / size if size > 0.0 else gap
+                        keep_answer(answers, simplex, (b, h, l, i))
+
+    return distances
+
+
+@part
+def forget(start, l):  # type: ignore[no-untyped-def]
+    """No normal is known to begin with."""
+    for c in range(start.shape[1]):
+        start[l, c] = 0.0
+
+
+@part
+def remember(start, l, normal):  # type: ignore[no-untyped-def]
+    """The next node's normal is likely to be like this one's."""
+    for c in range(start.shape[1]):
+        start[l, c] = normal[c]
+
+
+@part
+def begin_with(room, l):  # type: ignore[no-untyped-def]
+    """Write a direction to begin with: the last node's normal, or else that from the set's middle."""
+    known, simplex = False, room.simplex
+    for c in range(len(simplex.normal)):
+        known = known or room.start[l, c] != 0.0
+    for c in range(len(simplex.normal)):
+        simplex.normal[c] = room.start[l, c] if known else simplex.target[c] - room.middle[c]
