@@ -17,8 +17,8 @@ from torcharm.actuators import (
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
 from torcharm.attainability import Attainability, evaluate
 from torcharm.distance.closed_form import distance_to_hull
+from torcharm.geometry.rod import poses
 from torcharm.hulls import WrenchHulls, wrench_hulls
-from torcharm.rod import poses
 from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
 from torcharm.wrenches import reaction_wrench, required_wrench
 

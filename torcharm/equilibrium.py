@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from torcharm import mechanics, rod
+from torcharm import mechanics
 from torcharm._compiled import check_compiled
 from torcharm._continuation import LOOKS, SETTLING_STEPS, Problem, can_compile, loaded, settle, unloaded
 from torcharm._inputs import (
@@ -28,7 +28,8 @@ from torcharm._inputs import (
     shown,
 )
 from torcharm.arm import ArmDesign
-from torcharm.rod import BASE_POSE
+from torcharm.geometry import rod
+from torcharm.geometry.rod import BASE_POSE
 from torcharm.wrenches import along
 
 BLOCK_ELEMENTS = 2_000_000

@@ -13,12 +13,12 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torcharm import rod
 from torcharm._inputs import TensorLike, as_floating, check_count, check_finite, shown
 from torcharm.arm import ArmDesign
 from torcharm.attainability import Attainability, evaluate
+from torcharm.geometry import rod
+from torcharm.geometry.rod import BASE_POSE
 from torcharm.optimise.objective import Objective
-from torcharm.rod import BASE_POSE
 from torcharm.task import Task
 
 TIP_TOLERANCE = 1e-8

@@ -15,7 +15,7 @@ from torcharm._inputs import (
     check_count,
     check_finite,
 )
-from torcharm.rod import BASE_POSE
+from torcharm.geometry.rod import BASE_POSE
 
 
 @dataclass(frozen=True, eq=False, init=False)

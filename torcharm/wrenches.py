@@ -10,7 +10,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torcharm import rod, se2
 from torcharm._inputs import as_floating, broadcast_shapes, check_at_least, check_finite, check_tensor
 from torcharm.actuators import Actuator, force_slopes
 from torcharm.actuators.bending import (
@@ -21,6 +20,7 @@ from torcharm.actuators.bending import (
     reference_pressure,
 )
 from torcharm.arm import ArmDesign
+from torcharm.geometry import rod, se2
 
 PLANAR = (0, 2)
 """Components of a wrench `(f_x, f_y, m)` that a planar hull holds."""
@@ -49,7 +49,7 @@ def required_wrench(
     broadcast_shapes(twists=pose.shape[:-2], tip_load=tip_load.shape[:-1])
     node, tip = pose[..., :-1, :], pose[..., -1:, :]
     force = tip_load[..., None, :2]
-    local = se2.rotate(-node[..., 2], force.expand(*_joint(node, force), 2))
+    local = se2.turned(-node[..., 2], force.expand(*_joint(node, force), 2))
     arm = (tip - node)[..., :2]
     moment = tip_load[..., None, 2] + arm[..., 0] * force[..., 1] - arm[..., 1] * force[..., 0]
     return -torch.cat((local, moment.unsqueeze(-1)), -1)

@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm import rod
 from torcharm.arm import ArmDesign
+from torcharm.geometry import rod
 from torcharm.task import Task
 
 Array = NDArray[np.float64]
