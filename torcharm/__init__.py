@@ -14,11 +14,13 @@ from torcharm.actuators import (
     PolynomialActuator,
     monotonicity,
 )
-from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
+from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm, ring
+from torcharm.arm_series import ArmSeries, RigidLink, series
 from torcharm.attainability import Attainability, evaluate
 from torcharm.distance.closed_form import distance_to_hull
 from torcharm.geometry.rod import poses
 from torcharm.hulls import WrenchHulls, wrench_hulls
+from torcharm.load import ExternalLoad, PointLoad
 from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
 from torcharm.wrenches import reaction_wrench, required_wrench
 
@@ -57,12 +59,14 @@ __all__ = [
     "Actuator",
     "Architectures",
     "ArmDesign",
+    "ArmSeries",
     "Attainability",
     "Bellows",
     "BendingFunction",
     "ConstantBending",
     "DesignSpace",
     "Equilibrium",
+    "ExternalLoad",
     "FitQuality",
     "FittedActuator",
     "GriddedActuator",
@@ -75,6 +79,7 @@ __all__ = [
     "Objective",
     "OptimisedDesign",
     "PlannedShape",
+    "PointLoad",
     "PolynomialActuator",
     "PoseCost",
     "PredictedError",
@@ -82,6 +87,7 @@ __all__ = [
     "PressureSearch",
     "Recording",
     "Residuals",
+    "RigidLink",
     "Smoothness",
     "Task",
     "TensorPolynomial",
@@ -118,9 +124,11 @@ __all__ = [
     "read_pressure",
     "read_tester",
     "required_wrench",
+    "ring",
     "sample_loads",
     "save_actuator",
     "search_pressure",
+    "series",
     "slsqp_distance",
     "solve_equilibrium",
     "standard_deviation",

@@ -25,9 +25,8 @@ from torcharm._inputs import (
     check_finite,
     check_flag,
     check_tensor,
-    shown,
 )
-from torcharm.arm import ArmDesign
+from torcharm.arm import ArmDesign, check_planar
 from torcharm.geometry import rod
 from torcharm.geometry.rod import BASE_POSE
 from torcharm.wrenches import along
@@ -119,8 +118,7 @@ def solve_equilibrium(
         ValueError: an argument is none of those allowed, or shapes do not fit.
         NotConvergedError: see `raise_on_failure`.
     """
-    if not isinstance(arm, ArmDesign):
-        raise ValueError(f"arm: must be of type ArmDesign, got {shown(arm)}")
+    check_planar(arm)
     check_count("nodes", nodes, 1)
     pressure, load, base, _ = as_floating(pressure=pressure, tip_load=tip_load, base_pose=base_pose, radii=arm.radii)
     _check_inputs(arm, pressure, load, base)

@@ -19,7 +19,7 @@ from torcharm.actuators.bending import (
     passive_moment,
     reference_pressure,
 )
-from torcharm.arm import ArmDesign
+from torcharm.arm import ArmDesign, check_planar
 from torcharm.geometry import rod, se2
 
 PLANAR = (0, 2)
@@ -186,6 +186,7 @@ def reaction_wrench(
     Raises:
         ValueError: a pressure is negative or not finite, or shapes do not fit.
     """
+    check_planar(arm)
     check_tensor("twists", twists, "N", 3)
     pressure, _ = as_floating(pressure=pressure, radii=arm.radii)
     check_tensor("pressure", pressure, arm.actuator_count)
