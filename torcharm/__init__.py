@@ -21,8 +21,9 @@ from torcharm.distance.closed_form import distance_to_hull
 from torcharm.geometry.rod import poses
 from torcharm.hulls import WrenchHulls, wrench_hulls
 from torcharm.load import ExternalLoad, PointLoad
+from torcharm.statics.external_load import required_wrench
 from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
-from torcharm.wrenches import reaction_wrench, required_wrench
+from torcharm.wrenches import reaction_wrench
 
 if TYPE_CHECKING:
     from torcharm.actuators.alignment import Recording, align, estimate_offset, pool

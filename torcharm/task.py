@@ -102,7 +102,7 @@ class Task:
         whole = whole.with_tip(tip)
         broadcast_shapes(twists=twists_.shape[:-2], load=whole.batch_shape)
         counts = None if segment_nodes is None else check_segment_nodes(segment_nodes, twists_.shape[-2])
-        _check_segments(whole, 1 if counts is None else len(counts))
+        check_segments(whole, 1 if counts is None else len(counts))
         object.__setattr__(self, "twists", twists_)
         object.__setattr__(self, "base_pose", base)
         object.__setattr__(self, "load", whole)
@@ -153,7 +153,7 @@ class Task:
         return task
 
 
-def _check_segments(load: ExternalLoad, count: int) -> None:
+def check_segments(load: ExternalLoad, count: int) -> None:
     """Raise unless every point load sits on a segment that is there."""
     for index, point in enumerate(load.points):
         if point.segment >= count:

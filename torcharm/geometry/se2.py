@@ -158,6 +158,18 @@ def rotate_back(pose: Float[Tensor, "... 3"], vector: Float[Tensor, "... 2"]) ->
     return turned(-pose[..., 2], vector)
 
 
+def turn_wrench(pose: Float[Tensor, "... 3"], wrench: Float[Tensor, "... 3"]) -> Float[Tensor, "... 3"]:
+    """The components of a wrench at the frame's origin, given in the frame at `pose`, along the outer axes."""
+    force = rotate(pose, wrench[..., :2])
+    return torch.cat((force, wrench[..., 2:].expand(*force.shape[:-1], 1)), -1)
+
+
+def turn_wrench_back(pose: Float[Tensor, "... 3"], wrench: Float[Tensor, "... 3"]) -> Float[Tensor, "... 3"]:
+    """The components of a wrench at the frame's origin, given along the outer axes, in the frame at `pose`."""
+    force = rotate_back(pose, wrench[..., :2])
+    return torch.cat((force, wrench[..., 2:].expand(*force.shape[:-1], 1)), -1)
+
+
 def position(pose: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 2"]:
     """Where the frame's origin lies [m]."""
     return pose[..., :2]

@@ -139,6 +139,16 @@ def rotate_back(pose: Float[Tensor, "... 4 4"], vector: Float[Tensor, "... 3"]) 
     return (pose[..., :3, :3].mT @ vector.unsqueeze(-1)).squeeze(-1)
 
 
+def turn_wrench(pose: Float[Tensor, "... 4 4"], wrench: Float[Tensor, "... 6"]) -> Float[Tensor, "... 6"]:
+    """The components of a wrench at the frame's origin, given in the frame at `pose`, along the outer axes."""
+    return torch.cat((rotate(pose, wrench[..., :3]), rotate(pose, wrench[..., 3:])), -1)
+
+
+def turn_wrench_back(pose: Float[Tensor, "... 4 4"], wrench: Float[Tensor, "... 6"]) -> Float[Tensor, "... 6"]:
+    """The components of a wrench at the frame's origin, given along the outer axes, in the frame at `pose`."""
+    return torch.cat((rotate_back(pose, wrench[..., :3]), rotate_back(pose, wrench[..., 3:])), -1)
+
+
 def position(pose: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 3"]:
     """Where the frame's origin lies [m]."""
     return pose[..., :3, 3]
