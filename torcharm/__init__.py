@@ -14,13 +14,16 @@ from torcharm.actuators import (
     PolynomialActuator,
     monotonicity,
 )
-from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
+from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm, ring
+from torcharm.arm_series import ArmSeries, RigidLink, series
 from torcharm.attainability import Attainability, evaluate
 from torcharm.distance.closed_form import distance_to_hull
+from torcharm.geometry.rod import poses
 from torcharm.hulls import WrenchHulls, wrench_hulls
-from torcharm.rod import poses
+from torcharm.load import ExternalLoad, PointLoad
+from torcharm.statics.external_load import required_wrench
 from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
-from torcharm.wrenches import reaction_wrench, required_wrench
+from torcharm.wrenches import reaction_wrench
 
 if TYPE_CHECKING:
     from torcharm.actuators.alignment import Recording, align, estimate_offset, pool
@@ -57,12 +60,14 @@ __all__ = [
     "Actuator",
     "Architectures",
     "ArmDesign",
+    "ArmSeries",
     "Attainability",
     "Bellows",
     "BendingFunction",
     "ConstantBending",
     "DesignSpace",
     "Equilibrium",
+    "ExternalLoad",
     "FitQuality",
     "FittedActuator",
     "GriddedActuator",
@@ -75,6 +80,7 @@ __all__ = [
     "Objective",
     "OptimisedDesign",
     "PlannedShape",
+    "PointLoad",
     "PolynomialActuator",
     "PoseCost",
     "PredictedError",
@@ -82,6 +88,7 @@ __all__ = [
     "PressureSearch",
     "Recording",
     "Residuals",
+    "RigidLink",
     "Smoothness",
     "Task",
     "TensorPolynomial",
@@ -118,9 +125,11 @@ __all__ = [
     "read_pressure",
     "read_tester",
     "required_wrench",
+    "ring",
     "sample_loads",
     "save_actuator",
     "search_pressure",
+    "series",
     "slsqp_distance",
     "solve_equilibrium",
     "standard_deviation",

@@ -13,7 +13,8 @@ from torch.utils.checkpoint import checkpoint
 from torcharm._outer import Block, OuterProduct
 from torcharm.distance.closed_form import NearestFaces, face_distance, nearest_faces, signed_length
 from torcharm.hulls import Curves, Hulls, Sections, build_hulls, cross_sections, relative_curves, sample_curves
-from torcharm.wrenches import PLANAR, along, required_wrench
+from torcharm.statics.external_load import required_wrench
+from torcharm.wrenches import PLANAR, along
 
 Pair = tuple[Tensor, Tensor]
 Required = dict[str, Pair]

@@ -12,8 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from torcharm import mechanics, rod
-from torcharm.engine.compilation import check_compiled
+from torcharm import mechanics
 from torcharm._continuation import LOOKS, SETTLING_STEPS, Problem, can_compile, loaded, settle, unloaded
 from torcharm._inputs import (
     TensorLike,
@@ -25,10 +24,11 @@ from torcharm._inputs import (
     check_finite,
     check_flag,
     check_tensor,
-    shown,
 )
-from torcharm.arm import ArmDesign
-from torcharm.rod import BASE_POSE
+from torcharm.arm import ArmDesign, check_planar
+from torcharm.engine.compilation import check_compiled
+from torcharm.geometry import rod
+from torcharm.geometry.rod import BASE_POSE
 from torcharm.wrenches import along
 
 BLOCK_ELEMENTS = 2_000_000
@@ -118,8 +118,7 @@ def solve_equilibrium(
         ValueError: an argument is none of those allowed, or shapes do not fit.
         NotConvergedError: see `raise_on_failure`.
     """
-    if not isinstance(arm, ArmDesign):
-        raise ValueError(f"arm: must be of type ArmDesign, got {shown(arm)}")
+    check_planar(arm)
     check_count("nodes", nodes, 1)
     pressure, load, base, _ = as_floating(pressure=pressure, tip_load=tip_load, base_pose=base_pose, radii=arm.radii)
     _check_inputs(arm, pressure, load, base)

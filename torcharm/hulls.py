@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torcharm._inputs import check_choice, check_count, check_tensor
 from torcharm.actuators import Actuator, is_linear_in_pressure
-from torcharm.arm import ArmDesign
+from torcharm.arm import ArmDesign, check_planar
 from torcharm.envelope import convex_curves
 from torcharm.polygon import Polygons, all_faces, convex_hull, face_square, minkowski_sum
 from torcharm.wrenches import actuator_force, actuator_state, along, reference_pressures, resting_moment
@@ -364,6 +364,7 @@ def wrench_hulls(
     Raises:
         ValueError: unknown hull, fewer than 2 samples, too many actuators for edges, or no twists.
     """
+    check_planar(arm)
     check_tensor("twists", twists, "N", 3)
     count = sample_count(arm, hull, samples)
     sections = cross_sections(arm.flatten(), twists.reshape(-1, *twists.shape[-2:]))

@@ -14,11 +14,12 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from torcharm import mechanics, rod
+from torcharm import mechanics
 from torcharm._inputs import check_count, shown
 from torcharm._outer import Block, OuterProduct, check_arm_and_task, map_blocks, outer_product
 from torcharm._predicted_minimum import FLOORS, SCREENED, Found, Tasks, minimum_over_pressures
 from torcharm.arm import ArmDesign
+from torcharm.geometry import rod
 from torcharm.pose_cost import PoseCost
 from torcharm.task import Task
 from torcharm.wrenches import actuator_force, along

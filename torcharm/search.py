@@ -7,7 +7,7 @@ from math import prod
 import torch
 from torch import Tensor
 
-from torcharm import mechanics, rod
+from torcharm import mechanics
 from torcharm._branch_search import search_block
 from torcharm.engine.compilation import check_compiled
 from torcharm._continuation import Problem, can_compile
@@ -16,6 +16,7 @@ from torcharm._inputs import check_above_zero, check_choice, check_count, check_
 from torcharm._outer import OuterProduct, check_arm_and_task, outer_product
 from torcharm.arm import ArmDesign
 from torcharm.equilibrium import TOLERANCES, NotConvergedError, default_chunk, strain_excess
+from torcharm.geometry import rod
 from torcharm.pose_cost import PoseCost
 from torcharm.task import Task
 

@@ -10,7 +10,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torcharm import rod, se2
 from torcharm._inputs import as_floating, broadcast_shapes, check_at_least, check_finite, check_tensor
 from torcharm.actuators import Actuator, force_slopes
 from torcharm.actuators.bending import (
@@ -20,43 +19,12 @@ from torcharm.actuators.bending import (
     passive_moment,
     reference_pressure,
 )
-from torcharm.arm import ArmDesign
+from torcharm.arm import ArmDesign, check_planar
+from torcharm.geometry import rod
+from torcharm.statics.external_load import HULL
 
-PLANAR = (0, 2)
+PLANAR = HULL[3]
 """Components of a wrench `(f_x, f_y, m)` that a planar hull holds."""
-
-
-def required_wrench(
-    twists: Float[Tensor, "*#batch N 3"],
-    tip_load: Float[Tensor, "*#batch 3"],
-    base_pose: Float[Tensor, "*#batch 3"] | None = None,
-) -> Float[Tensor, "... N 3"]:
-    """The reaction `w_i = -q_i` that the task asks of each node, `(f_x, f_y, m)` in its frame.
-
-    Plain statics: the force F is `R_iᵀ F` in node i's frame, the moment about node i is
-    `m_tip + (p_tip - p_i) × F`. The same as carrying the load by `Ad^{-T}_{g_i⁻¹ g_tip}`.
-
-    Args:
-        twists: the task's shape [m, m, rad].
-        tip_load: `(f_x, f_y, m)` at the tip in the world frame [N, N, N·m].
-        base_pose: pose of node 1; None hangs the arm.
-
-    Raises:
-        ValueError: shapes do not fit.
-    """
-    pose = rod.poses(twists, base_pose)
-    check_tensor("tip_load", tip_load, 3)
-    broadcast_shapes(twists=pose.shape[:-2], tip_load=tip_load.shape[:-1])
-    node, tip = pose[..., :-1, :], pose[..., -1:, :]
-    force = tip_load[..., None, :2]
-    local = se2.rotate(-node[..., 2], force.expand(*_joint(node, force), 2))
-    arm = (tip - node)[..., :2]
-    moment = tip_load[..., None, 2] + arm[..., 0] * force[..., 1] - arm[..., 1] * force[..., 0]
-    return -torch.cat((local, moment.unsqueeze(-1)), -1)
-
-
-def _joint(node: Tensor, force: Tensor) -> torch.Size:
-    return torch.broadcast_shapes(node.shape[:-1], force.shape[:-1])
 
 
 def along(values: Sequence[float], like: Tensor, dim: int) -> Tensor:
@@ -186,6 +154,7 @@ def reaction_wrench(
     Raises:
         ValueError: a pressure is negative or not finite, or shapes do not fit.
     """
+    check_planar(arm)
     check_tensor("twists", twists, "N", 3)
     pressure, _ = as_floating(pressure=pressure, radii=arm.radii)
     check_tensor("pressure", pressure, arm.actuator_count)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torcharm._inputs import check_choice, check_count, check_number, shown
-from torcharm.arm import ArmDesign
+from torcharm.arm import ArmDesign, check_planar
 from torcharm.attainability import evaluate
 from torcharm.optimise.archive import fingerprint
 from torcharm.optimise.baselines import SCIPY_METHODS, run_scipy
@@ -20,7 +20,7 @@ from torcharm.optimise.result import History, OptimisedDesign
 from torcharm.optimise.running import Callback, Log, descend
 from torcharm.optimise.space import DesignSpace, given_values
 from torcharm.optimise.stationarity import stationarity
-from torcharm.task import Task
+from torcharm.task import Task, check_plain
 
 BATCHED_METHODS = ("bfgs", "adam")
 SCHEME = 2
@@ -133,6 +133,9 @@ def check_tasks(
             raise ValueError(f"{name}: must be of type {kind.__name__}, got {shown(value)}")
     if not tasks or any(0 in one.batch_shape for one in tasks):
         raise ValueError("task: must hold at least one task, got none")
+    check_planar(arm)
+    for one in tasks:
+        check_plain(one)
     return tasks
 
 

@@ -26,8 +26,9 @@ from torcharm.plot._common import (
     one_design,
     one_shape,
 )
+from torcharm.statics.external_load import required_wrench
 from torcharm.task import Task
-from torcharm.wrenches import PLANAR, required_wrench
+from torcharm.wrenches import PLANAR
 
 
 def hulls_along_arm(

@@ -13,8 +13,8 @@ from torch import Tensor
 from torcharm._inputs import TensorLike, as_floating, check_count
 from torcharm.arm import ArmDesign
 from torcharm.attainability import evaluate
+from torcharm.geometry.rod import BASE_POSE
 from torcharm.plot._common import Array, array, axes_or_new, one_design
-from torcharm.rod import BASE_POSE
 from torcharm.task import Task
 
 BANDS = 24

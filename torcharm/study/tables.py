@@ -7,12 +7,12 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag
 
 from torcharm.attainability import CHOICES, METRICS
 from torcharm.distance import DISTANCES
+from torcharm.geometry.rod import BASE_POSE
 from torcharm.hulls import KINDS
 from torcharm.optimise import METHODS, Objective
 from torcharm.optimise.objective import AGGREGATES
 from torcharm.optimise.objective import METRICS as OBJECTIVES
 from torcharm.optimise.space import FIELDS, TIES
-from torcharm.rod import BASE_POSE
 from torcharm.study.data import Settings
 from torcharm.study.fields import (
     Lengths,

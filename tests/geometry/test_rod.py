@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from torcharm import rod, se2
+from torcharm.geometry import rod, se2, se3
 
 
 def random_twists(*shape, seed=0):
@@ -184,3 +184,111 @@ def test_material_curvature_has_the_quotients_gradient_outside_the_guard(length)
     found = rod.material_curvature(curvature, own, torch.tensor(0.5, dtype=torch.float64))
     gradients = [gradient.item() for gradient in torch.autograd.grad(found, (curvature, own))]
     assert gradients == pytest.approx([1 / length, -2.0 / length**2], rel=1e-14)
+
+
+def spatial_twists(*shape, seed=0):
+    """Shapes of about half a metre with shear, turning up to a few radians about every axis."""
+    generator = np.random.default_rng(seed)
+    scale = np.array([0.4, 0.2, 0.2, 6.0, 8.0, 12.0])
+    return torch.from_numpy(scale * (generator.random((*shape, 6)) - 0.5) + np.array([0.5, 0, 0, 0, 0, 0]))
+
+
+def skewed(twist):
+    x, y, z = twist[3:]
+    rows = [[0, -z, y, twist[0]], [z, 0, -x, twist[1]], [-y, x, 0, twist[2]], [0, 0, 0, 0]]
+    return np.array(rows, dtype=float)
+
+
+HANGING = np.array([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+
+
+@pytest.mark.parametrize("nodes", [1, 2, 3, 7, 8, 9, 30])
+def test_spatial_poses_are_the_product_of_exponentials(nodes):
+    twists, pose, found = spatial_twists(nodes, seed=nodes), HANGING, [HANGING]
+    for twist in twists.numpy() / nodes:
+        pose = pose @ expm(skewed(twist))
+        found.append(pose)
+    np.testing.assert_allclose(rod.poses(twists).numpy(), np.array(found), rtol=0, atol=1e-14)
+
+
+def test_spatial_poses_of_a_long_chain_stay_rigid():
+    pose = rod.poses(spatial_twists(2000))
+    rotation = pose[:, :3, :3]
+    unit = torch.eye(3, dtype=torch.float64).expand_as(rotation)
+    torch.testing.assert_close(rotation @ rotation.mT, unit, rtol=0, atol=1e-13)
+
+
+def test_a_spatial_arm_hangs_as_the_planar_arm_does():
+    straight = torch.tensor([0.4, 0, 0, 0, 0, 0], dtype=torch.float64).expand(5, 6)
+    pose = rod.poses(straight)
+    torch.testing.assert_close(pose[0], torch.from_numpy(HANGING), rtol=0, atol=0)
+    torch.testing.assert_close(pose[-1, :3, 3], torch.tensor([0, -0.4, 0], dtype=torch.float64), rtol=0, atol=1e-16)
+
+
+@pytest.mark.parametrize("linked", [False, True])
+def test_the_plane_is_the_plane_z_0_of_space(linked):
+    twists, base = random_twists(4, 7), random_twists(4, seed=1)
+    link = random_twists(seed=2)
+    counts = (3, 4) if linked else None
+    planar = rod.poses(twists, base, segment_nodes=counts, links=(link, None) if linked else None)
+    links = (se3.from_plane(link), None) if linked else None
+    wide = rod.poses(se3.vector_from_plane(twists), se3.from_plane(base), segment_nodes=counts, links=links)
+    torch.testing.assert_close(wide, se3.from_plane(planar), rtol=0, atol=1e-13)
+    hanging = rod.poses(se3.vector_from_plane(twists))
+    torch.testing.assert_close(hanging, se3.from_plane(rod.poses(twists)), rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("group", [se2, se3], ids=["plane", "space"])
+def test_segments_in_series_go_by_their_own_arc(group):
+    """Two segments joined by a link: the second one's base is the first one's tip, carried through the link."""
+    make = random_twists if group is se2 else spatial_twists
+    lower, upper = make(2, 3), make(2, 5, seed=1)
+    link, end = group.exp(make(2, seed=2)), group.exp(make(seed=3))
+    first = rod.poses(lower)
+    axis = 1
+    start = group.compose(first.select(axis, 3), link)
+    second = rod.poses(upper, start)
+    tip = group.compose(second.select(axis, 5), end)
+    whole = rod.poses(torch.cat((lower, upper), -2), segment_nodes=(3, 5), links=(link, end))
+    expected = torch.cat((first.narrow(axis, 0, 3), second.narrow(axis, 0, 5), tip.unsqueeze(axis)), axis)
+    torch.testing.assert_close(whole, expected, rtol=0, atol=1e-14)
+    plain = rod.poses(torch.cat((lower, upper), -2), segment_nodes=(3, 5))
+    joined = rod.poses(upper, first.select(axis, 3))
+    torch.testing.assert_close(plain.narrow(axis, 3, 6), joined, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"segment_nodes": (2, 2)}, "segment_nodes: must sum to the 5 rows"),
+        ({"segment_nodes": (5, 0)}, "segment_nodes: must be an integer of at least 1"),
+        ({"links": (None, torch.eye(4))}, "links: must be one for each of the 1 segments, got 2"),
+        ({"links": (torch.zeros(3),)}, r"links\[0\]: must have shape"),
+        ({"base_pose": torch.zeros(3)}, r"base_pose: must have shape \(..., 4, 4\)"),
+        ({"base_pose": torch.zeros(2, 3, 4, 4)}, "twists, base_pose"),
+    ],
+)
+def test_what_does_not_fit_is_named(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        rod.poses(spatial_twists(4, 5), **arguments)
+
+
+def test_spatial_poses_are_differentiable_to_second_order_through_a_straight_arm():
+    twists = torch.tensor([0.4, 0, 0, 0, 0, 0], dtype=torch.float64).repeat(3, 1).requires_grad_()
+    assert torch.autograd.gradcheck(rod.poses, (twists,))
+    assert torch.autograd.gradgradcheck(rod.poses, (twists,))
+
+
+def test_spatial_actuator_twists_are_the_inverse_adjoint_of_the_centrelines():
+    twists = spatial_twists(5)
+    offsets = torch.tensor([[0.05, 0.0], [-0.02, 0.03], [0.0, -0.04]], dtype=torch.float64)
+    found = rod.actuator_twists(twists, offsets)
+    for index, (y, z) in enumerate(offsets):
+        beside = se3.from_parts(torch.eye(3, dtype=torch.float64), torch.stack((y * 0, y, z)))
+        expected = twists @ se3.adjoint(se3.inverse(beside)).mT
+        torch.testing.assert_close(found[:, index], expected, rtol=0, atol=1e-15)
+    centre = rod.poses(twists)
+    own = rod.actuator_twists(twists, offsets)[:, 1]
+    beside = se3.from_parts(torch.eye(3, dtype=torch.float64), torch.tensor([0, -0.02, 0.03], dtype=torch.float64))
+    lies = se3.compose(centre, beside)
+    torch.testing.assert_close(rod.poses(own, lies[0]), lies, rtol=0, atol=1e-14)
