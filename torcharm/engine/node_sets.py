@@ -25,6 +25,8 @@ class Sections(NamedTuple):
         constant: (B, P, N, D - 1) the moments at no pressure.
         sampled: (B, P, N, S, K, 6) pieces of the models that the engine does not know, as of `write_curve`.
         sample: (M,) which of the S each actuator is.
+        unit_weight: (G, P, N, D) the wrench that 1 kg of each of G parts asks of a node.
+        mass: (B, G) of the parts [kg].
     """
 
     limit: Array
@@ -34,6 +36,8 @@ class Sections(NamedTuple):
     constant: Array
     sampled: Array
     sample: Array
+    unit_weight: Array
+    mass: Array
 
 
 class Room(NamedTuple):
@@ -133,6 +137,10 @@ def aim(sections, required, room, b, h, l, i, relative):  # type: ignore[no-unty
         target[c] = required[h, l, i, c]
         if relative:
             target[c] -= required[h, l, 0, c]
+        for g in range(sections.mass.shape[1]):
+            target[c] += sections.mass[b, g] * sections.unit_weight[g, h, i, c]
+            if relative:
+                target[c] -= sections.mass[b, g] * sections.unit_weight[g, h, 0, c]
         if c > 0:
             target[c] -= sections.constant[b, h, i, c - 1]
             if relative:

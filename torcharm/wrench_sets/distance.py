@@ -1,0 +1,232 @@
+"""Distances of required wrenches from attainable sets: found by the engine, evaluated once more by torch for gradients.
+
+At the nearest point the distance is `n·w - Σ_k λ_k Σ_α (n·u_α) f_α(ε_α, p_kα) + (n·t_α) p_kα`. By the envelope theorem
+its gradient by everything, parameters of force models too, is that of this expression with the normal n, the weights λ
+and the pressures p held (those at a limit or at a model's kink move with it).
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torcharm.actuators import pressure_knots
+from torcharm.engine.forces import SAMPLED, models_of
+from torcharm.engine.node_sets import Answers, Sections, distance_kernel, make_room
+from torcharm.statics.cross_section import CrossSections, actuator_force, group_alike
+from torcharm.wrench_sets.curves import sample_pieces
+
+CERTIFIED = 1e-8
+"""The gap, as a part of a problem's size, up to which a distance counts as known: what rounding leaves in bad cases."""
+WORTH_A_THREAD = 64
+"""Designs below which a thread takes longer to start than to work."""
+KINK = 1e-6
+"""How near to a kink, as a part of the limit, a pressure counts as held by it."""
+
+
+@dataclass(frozen=True, eq=False)
+class RequiredWrench:
+    """What loads ask of the nodes: `external + Σ_s mass_s unit_weight_s`, as D designs may weigh differently.
+
+    Attributes:
+        external: (P, L, N, C) hull wrenches of L loads on P shapes, in the nodes' frames [N, N·m].
+        unit_weight: (S, P, N, C) the same of 1 kg of each of the S segments.
+        mass: (B, S) of the B designs' segments [kg].
+    """
+
+    external: Tensor
+    unit_weight: Tensor
+    mass: Tensor
+
+    def along(self, normal: Tensor) -> Tensor:
+        """The wrenches' components (B, P, L, N) along normals (B, P, L, N, C)."""
+        found = (normal * self.external).sum(-1)
+        for s in range(len(self.unit_weight)):
+            own = (normal * self.unit_weight[s].unsqueeze(-3)).sum(-1)
+            found = found + self.mass[:, s].view(-1, 1, 1, 1) * own
+        return found
+
+    def minus_first(self) -> "RequiredWrench":
+        """The differences from the first node."""
+        external, weight = self.external, self.unit_weight
+        return RequiredWrench(external - external[..., :1, :], weight - weight[..., :1, :], self.mass)
+
+
+@dataclass(frozen=True, eq=False)
+class NearestPoints:
+    """Where required wrenches stand to the sets of B designs, P shapes, L loads and N nodes; without a graph.
+
+    Attributes:
+        distance: (B, P, L, N), 0 inside or, signed, negative.
+        certified: (B, P, L, N) whether the distance is known to rounding.
+        normal: (B, P, L, N, C) unit normals of the weighted components; None if not asked for, like what follows.
+        weight: (B, P, L, N, C) of the points whose mix is nearest.
+        pressure: (B, P, L, N, C, M) of these points [kPa].
+    """
+
+    distance: Tensor
+    certified: Tensor
+    normal: Tensor | None
+    weight: Tensor | None
+    pressure: Tensor | None
+
+
+@torch.no_grad()
+def find_nearest(
+    sections: CrossSections,
+    required: RequiredWrench,
+    scale: tuple[float, float],
+    *,
+    relative: bool,
+    signed: bool,
+    points: bool,
+) -> NearestPoints:
+    """Ask the engine for distances, in float64 on the CPU.
+
+    Args:
+        sections: of B designs on P shapes, (B, P) in all.
+        required: what is asked of them.
+        scale: factors on force and moment.
+        relative: whether of differences from the first node.
+        signed: whether inside counts as negative.
+        points: whether to tell normals, weights and pressures.
+    """
+    designs, shapes, nodes, actuators = sections.strain.shape
+    loads, components = required.external.shape[1], required.external.shape[-1]
+    factors = np.array([scale[0]] + [scale[1]] * (components - 1))
+    models = models_of(sections.actuators)
+    constant = sections.constant
+    constant = sections.strain.new_zeros(designs, shapes, nodes, components - 1) if constant is None else constant
+    pieces, which = _sampled(sections, models.kind)
+    data = Sections(
+        _array(sections.limit.expand(designs, 1, 1, actuators).reshape(designs, actuators)),
+        _array(sections.strain),
+        _array(sections.lever.expand(designs, 1, 1, actuators, components).reshape(designs, actuators, -1)) * factors,
+        _array(sections.bending.expand(designs, shapes, nodes, actuators, components - 1)) * scale[1],
+        _array(constant.expand(designs, shapes, nodes, components - 1)) * scale[1],
+        pieces,
+        which,
+        _array(required.unit_weight) * factors,
+        _array(required.mass),
+    )
+    wanted = _array(required.external) * factors
+    shape = (designs, shapes, loads, nodes)
+    more = [np.empty((*shape, components)), np.empty((*shape, components)), np.empty((*shape, components, actuators))]
+    more = more if points else [np.empty((0,) * part.ndim) for part in more]
+    answers = Answers(np.empty(shape), np.empty(shape), *more)
+    kernel = distance_kernel(components, signed)
+
+    def work(first: int, last: int) -> None:
+        room = make_room(models, components, loads, pieces.shape[-2])
+        kernel(models, data, wanted, relative, first, last, room, answers)
+
+    _spread(designs, work)
+    found = [torch.from_numpy(part).to(sections.strain) for part in answers]
+    certified = (found[1] <= CERTIFIED) & found[0].isfinite()
+    return NearestPoints(found[0], certified, *(found[2:] if points else (None, None, None)))
+
+
+def _array(value: Tensor) -> np.ndarray:  # type: ignore[type-arg]
+    return np.ascontiguousarray(value.detach().cpu().double().numpy())
+
+
+def _spread(count: int, work: object) -> None:
+    """Work on parts of a batch in as many threads as torch takes."""
+    assert callable(work)
+    threads = min(torch.get_num_threads(), max(1, count // WORTH_A_THREAD))
+    if threads == 1:
+        work(0, count)
+        return
+    bounds = np.linspace(0, count, threads + 1).astype(int).tolist()
+    with ThreadPoolExecutor(threads) as pool:
+        for done in [pool.submit(work, *pair) for pair in zip(bounds[:-1], bounds[1:], strict=True)]:
+            done.result()
+
+
+def _sampled(sections: CrossSections, kind: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]
+    """Pieces (B, P, N, S, K, 6) of the S actuators that the engine does not know; and (M,) which of them each is."""
+    strain, which = sections.strain, np.zeros(len(kind), np.int64)
+    unknown = [a for a in range(len(kind)) if kind[a] == SAMPLED]
+    if not unknown:
+        return np.zeros((*strain.shape[:3], 1, 0, 6)), which
+    limit = sections.limit.expand_as(strain)
+    parts: dict[int, Tensor] = {}
+    for model, members in group_alike(sections.actuators):
+        own = list(range(len(kind)))[members] if isinstance(members, slice) else members
+        if kind[own[0]] == SAMPLED:
+            found = sample_pieces(model, strain[..., own].contiguous(), limit[..., own].contiguous())
+            parts.update({a: found[..., j, :, :] for j, a in enumerate(own)})
+    most = max(part.shape[-2] for part in parts.values())
+    which[unknown] = np.arange(len(unknown))
+    return _array(torch.stack([_padded(parts[a], most) for a in unknown], -3)), which
+
+
+def _padded(pieces: Tensor, count: int) -> Tensor:
+    """As many pieces as asked for; those added have no length, at the end of the last."""
+    missing = count - pieces.shape[-2]
+    if not missing:
+        return pieces
+    last = pieces[..., -1:, :]
+    end, force, slope = last[..., 1], last[..., 4], last[..., 5]
+    return torch.cat((pieces, torch.stack((end, end, force, slope, force, slope), -1).expand(*last.shape[:-2], missing, 6)), -2)
+
+
+def evaluate_distance(
+    sections: CrossSections,
+    required: RequiredWrench,
+    scale: tuple[float, float],
+    nearest: NearestPoints,
+    *,
+    relative: bool,
+) -> Tensor:
+    """The distances (B, P, L, N) as functions of what sections and requirements depend on; 0 where they are 0."""
+    assert nearest.normal is not None
+    assert nearest.weight is not None
+    assert nearest.pressure is not None
+    factors = nearest.normal.new_tensor([scale[0]] + [scale[1]] * (nearest.normal.shape[-1] - 1))
+    normal = nearest.normal * factors
+    strain, bending = sections.strain, sections.bending
+    if relative:
+        required, bending = required.minus_first(), bending - bending[..., :1, :, :]
+    # (B, P, L, N, M) components of levers and of moments a kPa along the normals
+    by_force = (normal.unsqueeze(-2) * sections.lever.unsqueeze(-4)).sum(-1)
+    by_pressure = (normal[..., 1:].unsqueeze(-2) * bending.unsqueeze(-4)).sum(-1)
+    pressure = _held(sections, nearest.pressure, relative=relative)
+    own = strain.unsqueeze(-3).unsqueeze(-2)  # (B, P, 1, N, 1, M)
+    force = actuator_force(sections.actuators, own.expand_as(pressure), pressure)
+    if relative:
+        force = force - actuator_force(sections.actuators, own[..., :1, :, :].expand_as(pressure), pressure)
+    reach = by_force.unsqueeze(-2) * force + by_pressure.unsqueeze(-2) * pressure
+    distance = required.along(normal) - (nearest.weight * reach.sum(-1)).sum(-1)
+    if sections.constant is not None:
+        constant = sections.constant
+        constant = constant - constant[..., :1, :] if relative else constant
+        distance = distance - (normal[..., 1:] * constant.unsqueeze(-3)).sum(-1)
+    return torch.where(nearest.distance == 0, torch.zeros_like(distance), distance)
+
+
+def _held(sections: CrossSections, pressure: Tensor, *, relative: bool) -> Tensor:
+    """The pressures (B, P, L, N, C, M): those of limits that want a gradient move with them, those of kinks with these."""
+    limit, strain = sections.limit, sections.strain
+    if limit.requires_grad:
+        bound = limit.unsqueeze(-3).unsqueeze(-2)
+        share = pressure / torch.where(bound > 0, bound, 1.0).detach()
+        pressure = share * bound
+    if not strain.requires_grad:
+        return pressure
+    for model, members in group_alike(sections.actuators):
+        places = (strain[..., members], strain[..., :1, members]) if relative else (strain[..., members],)
+        for place in places:
+            knots = pressure_knots(model, place)
+            if not knots.requires_grad:
+                continue
+            near = KINK * sections.limit[..., members].detach().unsqueeze(-3).unsqueeze(-2)
+            for knot in knots:
+                at = knot.unsqueeze(-3).unsqueeze(-2)
+                own = pressure[..., members]
+                moved = torch.where((own.detach() - at.detach()).abs() <= near, at - at.detach(), 0.0)
+                pressure = pressure.clone()
+                pressure[..., members] = own + moved
+    return pressure
