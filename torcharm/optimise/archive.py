@@ -1,8 +1,9 @@
 """Results and checkpoints as files: a JSON header and arrays in one .npz, written at once or not at all. No pickle."""
 
-import hashlib
 import json
 import os
+import secrets
+import shutil
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass
@@ -24,14 +25,50 @@ FORMAT = 1
 Arrays = dict[str, npt.NDArray[Any]]
 
 
-def write_archive(path: str | PathLike[str], header: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
-    """Write a header and arrays; the file appears whole, replacing what was there."""
+def check_target(name: str, path: str | PathLike[str]) -> None:
+    """Raise a ValueError, before any work is done, about a file that could not be written when it is done."""
     target = Path(path)
-    partial = target.with_name(target.name + ".partial")
+    if target.exists() and not target.is_file():
+        raise ValueError(f"{name}: {path}: must be a file, is {'a folder' if target.is_dir() else 'no regular file'}")
+    if not target.parent.is_dir():
+        raise ValueError(f"{name}: {path}: the folder {target.parent} does not exist")
+    if target.exists() and not os.access(target, os.W_OK):
+        raise ValueError(f"{name}: {path}: cannot be written, it is read-only")
+    try:
+        partial = _partial(target)
+        partial.open("xb").close()
+        partial.unlink()
+    except OSError as error:
+        raise ValueError(f"{name}: {path}: cannot be written, {error.strerror or error}") from None
+
+
+def write_archive(path: str | PathLike[str], header: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
+    """Write a header and arrays; the file appears whole, replacing what was there, or what was there stays.
+
+    Raises:
+        ValueError: there can be no such file.
+        OSError: writing failed.
+    """
+    check_target("path", path)
+    target = Path(path).resolve()
+    partial = _partial(target)
     text = json.dumps({"format": FORMAT, **header})
-    with partial.open("wb") as file:
-        np.savez(file, header=np.array(text), **{name: _as_array(value) for name, value in arrays.items()})
-    os.replace(partial, target)
+    try:
+        with partial.open("xb") as file:
+            np.savez(file, header=np.array(text), **{name: _as_array(value) for name, value in arrays.items()})
+            file.flush()
+            os.fsync(file.fileno())
+        if target.exists():
+            shutil.copymode(target, partial)
+        os.replace(partial, target)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
+
+
+def _partial(target: Path) -> Path:
+    """Where a file is written until it is whole: a name that no other process, or thread, takes."""
+    return target.with_name(f".{target.name}.{os.getpid()}-{secrets.token_hex(4)}.partial")
 
 
 def read_archive(path: str | PathLike[str]) -> tuple[dict[str, Any], Arrays]:
@@ -40,6 +77,8 @@ def read_archive(path: str | PathLike[str]) -> tuple[dict[str, Any], Arrays]:
     Raises:
         ValueError: the file cannot be read, or is none that `write_archive` wrote.
     """
+    if Path(path).exists() and not Path(path).is_file():
+        raise ValueError(f"{path}: cannot be read: is no regular file")
     try:
         with np.load(Path(path), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
@@ -114,15 +153,3 @@ def design_from(name: str, arrays: Arrays, models: Sequence[Actuator]) -> ArmDes
         torch.from_numpy(arrays[f"{name}.{field}"]) for field in ("radii", "length", "max_pressure")
     )
     return ArmDesign(radii, length, models, limit)
-
-
-def fingerprint(*parts: Any) -> str:
-    """A name for a problem: equal for equal settings and tensors."""
-    digest = hashlib.sha256()
-    for part in parts:
-        if isinstance(part, Tensor):
-            array = part.detach().cpu().contiguous().numpy()
-            digest.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
-        else:
-            digest.update(json.dumps(plain(part), sort_keys=True).encode())
-    return digest.hexdigest()

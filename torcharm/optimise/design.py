@@ -11,20 +11,18 @@ from torch import Tensor
 from torcharm._inputs import check_choice, check_count, check_number, shown
 from torcharm.arm import ArmDesign
 from torcharm.attainability import evaluate
-from torcharm.optimise.archive import fingerprint
 from torcharm.optimise.baselines import SCIPY_METHODS, run_scipy
+from torcharm.optimise.checkpoint import Checkpoint, Identity
 from torcharm.optimise.descent import REASONS, projected_gradient
 from torcharm.optimise.feasible import Polytope, feasible_designs
 from torcharm.optimise.objective import Objective, Problem
 from torcharm.optimise.result import History, OptimisedDesign
 from torcharm.optimise.running import Callback, Log, descend
-from torcharm.optimise.space import DesignSpace, given_values
+from torcharm.optimise.space import DesignSpace
 from torcharm.optimise.stationarity import stationarity
 from torcharm.task import Task
 
 BATCHED_METHODS = ("bfgs", "adam")
-SCHEME = 2
-"""Of descent: checkpoints of another one are not gone on from."""
 METHODS = (*BATCHED_METHODS, *SCIPY_METHODS)
 ITERATIONS = {
     "bfgs": 200,
@@ -72,17 +70,29 @@ def optimise_design(
         tolerance: relative gain not worth another step.
         seconds: after which to stop, counted from the call; None sets no limit.
         checkpoint: a file from which to go on, if it is there, and in which to keep what has been done; of batched
-            methods. An interrupted search that goes on ends where it would have ended.
+            methods. An interrupted search that goes on ends where it would have ended. The file must be of this very
+            problem: arm, tasks, space, objective, options and force models, of which class, parameters, fields,
+            attributes and what functions close over are compared, and forces and moments on a grid. It appears whole
+            or not at all; that it cannot be written is found before the work or, if it fails later, told by one
+            warning while the result is returned.
         callback: is told about each iteration; returning True stops the search.
         progress: whether to show a bar, on the standard error.
 
     Raises:
-        ValueError: an argument is none of those allowed, or no design satisfies the constraints.
+        ValueError: an argument is none of those allowed, no design satisfies the constraints, or the checkpoint is of
+            another problem (the message says what differs), cannot be written, or could not be told from another's,
+            as where a force model holds an open file or a generator.
     """
     begun = time.perf_counter()
     space, objective = space or DesignSpace(), objective or Objective()
     tasks = check_tasks(arm, task, space, objective)
     iterations = _checked(method, starts, seed, iterations, tolerance, seconds, checkpoint)
+    keeper = None
+    if checkpoint is not None:
+        options = {"search": "one arm", "method": method, "starts": starts, "seed": seed, "iterations": iterations}
+        keeper = Checkpoint(
+            checkpoint, Identity.of(arm, arm.actuators, tasks, space, objective, options | {"tolerance": tolerance})
+        )
     polytope = feasible_designs(space, arm, tasks)
     problem = Problem((polytope,), tasks, objective)
     points = starting_points(polytope, arm, starts, seed)
@@ -108,10 +118,7 @@ def optimise_design(
             method=method,
             iterations=iterations,
             tolerance=tolerance,
-            checkpoint=checkpoint,
-            name=""
-            if checkpoint is None
-            else problem_name(arm, tasks, space, objective, method, len(points), seed, iterations, tolerance),
+            checkpoint=keeper,
             callback=callback,
             progress=progress,
             begun=begun,
@@ -161,13 +168,6 @@ def starting_points(polytope: Polytope, arm: ArmDesign, starts: int, seed: int) 
     """Feasible points (S, F): those nearest to the given designs, then random ones."""
     nearest = polytope.nearest(arm)
     return torch.cat((nearest, polytope.sample(max(0, starts - len(nearest)), seed)))
-
-
-def problem_name(arm: ArmDesign, tasks: Sequence[Task], *settings: Any) -> str:
-    """What tells this problem from others, for checkpoints."""
-    tensors = [tensor for task in tasks for tensor in (task.twists, task.tip_load, task.base_pose)]
-    models = [repr(model) for model in arm.actuators]
-    return fingerprint(torch.from_numpy(given_values(arm)), *tensors, models, *settings, SCHEME)
 
 
 def end_reasons(reason: Tensor) -> list[str]:
