@@ -15,6 +15,7 @@ from torcharm.optimise.checkpoint import Checkpoint, Identity
 from torcharm.optimise.design import (
     BATCHED_METHODS,
     ITERATIONS,
+    candidate_starts,
     check_tasks,
     end_reasons,
     outcome,
@@ -114,6 +115,7 @@ def optimise_architectures(
     )
     each = len(points) // len(polytopes)
     owner = torch.arange(len(polytopes)).repeat_interleave(each)
+    points = candidate_starts(problem, points, owner, seed)
     state, log, stopped = descend(
         problem,
         points,
