@@ -58,9 +58,10 @@ class Attainability:
         in_range: whether every strain, and every pressure limit, lies in the characterised range.
         impossible: whether the shape leaves an actuator no length, or less, at some node: a strain of -1 or below, as
             of curvatures in degrees or lengths in millimetres. All metrics are infinite there.
-        converged: whether every distance is finite and, where residuals were asked for or a
-            solver was, each node's answer passed its check; and whether the prediction, if it was
-            asked for, converged to a stable shape. Only what converged may be called attainable.
+        distances_converged: whether every distance is finite and, where residuals were asked for or a
+            solver was, each node's answer passed its check.
+        converged: the same, and whether the prediction, if it was asked for, converged to a stable shape. Only what
+            converged may be called attainable.
         residuals: for each metric of wrenches, those of every node's distance, if they were asked for.
     """
 
@@ -75,6 +76,7 @@ class Attainability:
     strain_excess: Tensor
     in_range: Tensor
     impossible: Tensor
+    distances_converged: Tensor
     converged: Tensor
     residuals: dict[str, Residuals] | None
 
@@ -178,7 +180,7 @@ def evaluate(
     }
     converged = (per_node.isfinite() & solved).flatten(-2).all(-1)
     impossible = _impossible(outer)
-    converged = converged & ~impossible
+    converged = distances_converged = converged & ~impossible
     if prediction is not None:
         converged = converged & prediction.converged & prediction.stable
     return Attainability(
@@ -193,6 +195,7 @@ def evaluate(
         strain_excess=excess,
         in_range=(excess <= 16 * torch.finfo(excess.dtype).eps) & limits_in_range(outer) & ~impossible,
         impossible=impossible,
+        distances_converged=distances_converged,
         converged=converged,
         residuals=audits if residuals else None,
     )
