@@ -11,9 +11,12 @@ from torcharm._outer import Block
 from torcharm._sampled_distances import (
     Required,
     Sampling,
+    decided,
     hulls_of,
+    impossible_nodes,
     inputs_want_gradient,
     points_of,
+    possible_sections,
     required_by_metric,
     sampled_distances,
     strain_excess,
@@ -95,13 +98,19 @@ def node_distances(block: Block, required: Required, check: Check, recompute: bo
         required: by all tasks, of which the block's are taken.
         recompute: whether to rebuild graphs when they are needed instead of keeping them.
     """
-    if check.solver is None and not check.polish and not _replay_is_cheaper(block, check):
+    sampled = check.solver is None and not check.polish and not _replay_is_cheaper(block, check)
+    if sampled:
         answers, excess, shape = _of_polygons(block, required, check, recompute)
     elif check.solver is None:
         found = _by_machine_code(block, required, check, recompute) if check.polish and check.compiled else None
         answers, excess, shape = _by_closed_form(block, check, recompute) if found is None else found
     else:
         answers, excess, shape = _by_solver(block, check, check.solver, recompute)
+    if not sampled:
+        lengths = decided(block, check, [answer[0] for answer in answers])
+        answers = [(length, *answer[1:]) for length, answer in zip(lengths, answers, strict=True)]
+    if bool(impossible_nodes(block.arm.radii, block.twists).any()):
+        excess = strain_excess(cross_sections(block.arm, block.twists))
     by_column = [torch.stack(column).unflatten(1, shape) for column in zip(*answers, strict=True)]  # (K, p, N, d, l)
     columns = [column.permute(3, 1, 4, 0, 2) for column in by_column]
     return excess.T.unsqueeze(-1).expand(columns[0].shape[:3]), *columns
@@ -142,7 +151,7 @@ def _by_closed_form(block: Block, check: Check, recompute: bool) -> tuple[list[C
     recording = torch.is_grad_enabled()
     followed = recording and inputs_want_gradient(block)
     with torch.no_grad():
-        sections = cross_sections(block.arm, block.twists)
+        sections = possible_sections(block)
         with torch.set_grad_enabled(recording and not followed):
             curves = _Sampled.of(sections, check)
         replayed = followed or curves.requires_grad  # a force model may hold what is asked about
@@ -178,7 +187,7 @@ def _by_machine_code(
     again = followed and recompute
     points = [points_of(block, required[metric]) for metric in check.metrics]
     with torch.set_grad_enabled(followed and not again):
-        sections = cross_sections(block.arm, block.twists)
+        sections = possible_sections(block)
     found: list[CompiledFaces] = []
     laws = law_table(sections)
     if laws is None:
@@ -207,7 +216,7 @@ def _by_machine_code(
         return *squares, strain_excess(sections)
 
     if again:
-        *squares, excess = checkpoint(lambda: replay(cross_sections(block.arm, block.twists)), use_reentrant=False)
+        *squares, excess = checkpoint(lambda: replay(possible_sections(block)), use_reentrant=False)
     elif followed:
         *squares, excess = replay(sections)
     else:
@@ -364,7 +373,7 @@ class _Replay:
     fractions: list[Tensor | None]
 
     def __call__(self) -> Columns:
-        sections = cross_sections(self.block.arm, self.block.twists)
+        sections = possible_sections(self.block)
         squares = []
         for metric, fraction in zip(self.check.metrics, self.fractions, strict=True):
             assert fraction is not None
@@ -387,7 +396,7 @@ def _by_solver(
     each = 2 if check.auditor is None else 2 + len(COLUMNS)
 
     def work() -> Columns:
-        sections = cross_sections(block.arm, block.twists)
+        sections = possible_sections(block)
         columns: list[Tensor] = []
         with torch.no_grad():
             curves = sample_curves(sections, check.samples)
