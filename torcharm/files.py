@@ -108,9 +108,10 @@ def read_file(path: StrPath) -> bytes:
     except (OSError, ValueError) as error:  # the latter of names that hold a NUL
         raise ValueError(f"{path}: cannot be read: {_reason(error)}") from None
     if not stat.S_ISREG(mode):
-        raise ValueError(f"{path}: is {_KINDS.get(stat.S_IFMT(mode), 'a device')}, must be a regular file")
+        kind = _KINDS.get(stat.S_IFMT(mode), "a device")
+        raise ValueError(f"{path}: cannot be read: is {kind}, must be a regular file")
     if len(found) > MOST_BYTES:
-        raise ValueError(f"{path}: must hold at most {MOST_BYTES // 1_000_000} MB, holds more")
+        raise ValueError(f"{path}: cannot be read: must hold at most {MOST_BYTES / 1e6:g} MB, holds more")
     return found
 
 

@@ -4,13 +4,13 @@ import csv
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from os import PathLike
-from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from torcharm.attainability import METRICS, PREDICTED, Attainability, evaluate
+from torcharm.files import atomic_write, plain_cell
 from torcharm.study.data import NamedArm, NamedTask, Settings, Study
 
 TOLERABLE = 1e-3
@@ -116,6 +116,9 @@ def summarise(result: StudyResult) -> Summary:
 def write_results(path: str | PathLike[str], results: Sequence[StudyResult]) -> int:
     """Write a CSV file with a row for every arm, task and load; returns the number of rows.
 
+    The file appears whole, and what was there stays if it cannot be written. Names that a spreadsheet would take for
+    formulas, with =, +, - or @ first, get an apostrophe before them.
+
     Columns: arm; task; load, counted from 1; force_x_N, force_y_N and moment_Nm at the tip; each
     metric that was asked for (predicted_error in metres); worst_node, counted from 1, with the largest
     distance by the first of the metrics of wrenches (empty if no node misses); attainable, as of
@@ -132,7 +135,7 @@ def write_results(path: str | PathLike[str], results: Sequence[StudyResult]) -> 
     asked = next(iter(metrics), METRICS)
     header = ["arm", "task", "load", "force_x_N", "force_y_N", "moment_Nm", *asked]
     rows = [row for result in results for row in _rows(result)]
-    with Path(path).open("w", encoding="utf-8", newline="") as file:
+    with atomic_write(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow([*header, "worst_node", "attainable", "in_range", "strain_excess"])
         writer.writerows(rows)
@@ -153,7 +156,8 @@ def _rows(result: StudyResult) -> Iterator[list[object]]:
         zip(loads, worst, values, strict=True), start=1
     ):
         truths = (str(attainable).lower(), str(in_range).lower())
-        yield [result.arm.name, result.task.name, index, *load, *metrics, node or "", *truths, excess]
+        names = plain_cell(result.arm.name), plain_cell(result.task.name)
+        yield [*names, index, *load, *metrics, node or "", *truths, excess]
 
 
 def _mean_over_loads(distance: Tensor) -> Tensor:
