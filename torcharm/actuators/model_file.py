@@ -24,7 +24,8 @@ from torcharm.files import atomic_write, read_file
 
 StrPath = str | PathLike[str]
 
-_OPEN_END = re.compile(r"^[^#]*=\s*[^#\"'\]}]*[\d.]$")
+_HEAD, _END = "# A torcharm force model. Its last line is: # end", "# end"
+_OPEN_END = re.compile(r"=\s*[\w.+-]*\d$")
 """A last line that ends within what may be a longer number."""
 
 KINDS: dict[str, type[Any]] = {
@@ -72,8 +73,9 @@ def actuator_text(model: Actuator) -> str:
         tables["provenance"] = dict(provenance)
         if quality is not None:
             tables["quality"] = _plain(quality)
-    head = ["# A torcharm force model.", f"kind = {_toml(kind)}", *_entries(values)]
-    return "\n".join([*head, *(line for name, table in tables.items() for line in _section(name, table))]) + "\n"
+    head = [_HEAD, f"kind = {_toml(kind)}", *_entries(values)]
+    rest = [line for name, table in tables.items() for line in _section(name, table)]
+    return "\n".join([*head, *rest, "", _END]) + "\n"
 
 
 def load_actuator(path: StrPath) -> Actuator:
@@ -92,16 +94,21 @@ def load_actuator(path: StrPath) -> Actuator:
         raw = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
         raise ValueError(f"{source}: is not valid TOML: {' '.join(str(error).split())}") from None
-    last = text.rpartition("\n")[2]
-    if _OPEN_END.search(last):
+    lines = text.splitlines()
+    if lines and lines[0] == _HEAD and _END not in lines:
         raise ValueError(
-            f"{source}: line {text.count(chr(10)) + 1}: must end with an end of line, got {shown(last)}, whose number may "
-            "be incomplete: the file is cut short"
+            f"{source}: line {len(lines)}: must be followed by '{_END}', is the last line: it is cut short"
         )
     try:
-        return _model(raw)
+        model = _model(raw)
     except ValueError as error:
         raise ValueError(f"{source}: {' '.join(str(error).split())}") from None
+    if lines and not text.endswith("\n") and "#" not in lines[-1] and _OPEN_END.search(lines[-1]):
+        raise ValueError(
+            f"{source}: line {len(lines)}: must end with an end of line, got {shown(lines[-1])}, whose number may be "
+            "incomplete: it is cut short"
+        )
+    return model
 
 
 def _model(raw: dict[str, Any]) -> Actuator:

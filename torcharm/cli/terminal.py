@@ -59,12 +59,12 @@ def check_outputs(study: Path | None, out: Path | None, figure: Path | None) -> 
         raise ValueError(f"--figure: {figure}: is the file of --out, must be another")
 
 
-def save_all(console: "Console", outputs: Iterable[tuple[Path, Callable[[Path], object], Callable[[], str]]]) -> None:
+def save_all(console: "Console", outputs: Iterable[tuple[Path, Callable[[Path], object], str]]) -> None:
     """Write each output whole and say so; a failure costs no other output, and is an error at the end.
 
     Args:
         console: to say it.
-        outputs: where to, what writes the file whose name it is given, and what to say then.
+        outputs: where to, what writes the file whose name it is given, and what to say after `Wrote ...` then.
     """
     failed = []
     for path, write, words in outputs:
@@ -76,7 +76,7 @@ def save_all(console: "Console", outputs: Iterable[tuple[Path, Callable[[Path], 
         except (OSError, ValueError, MemoryError) as error:
             failed.append(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error or 'no memory'}")
         else:
-            say(console, words())
+            say(console, f"Wrote {path}{words}")
     if failed:
         raise ValueError("; ".join(failed))
 
