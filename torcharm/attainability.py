@@ -105,6 +105,9 @@ def evaluate(
     changes, and their parallel faces part, one between the two; where a force model has a kink, that of the
     side on which the model puts the point. At a corner of the hull there is no kink outside.
 
+    A process forked after a large call hangs at its own, as PyTorch's threads are not forked: start processes by
+    "spawn" or "forkserver", or call `torch.set_num_threads(1)` before forking or first in each forked process.
+
     Args:
         arm: designs, of any batch shape.
         task: tasks, of any batch shape. Loads that share a shape share its hulls.

@@ -24,7 +24,7 @@ KILOPASCALS_NAMED = {
 }
 """The same of pressure, in kPa."""
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_GLUED = re.compile(rf'^(?P<head>.*?[^\d.+-])(?P<row>"?{_NUMBER}"?\s*,\s*"?{_NUMBER}"?\s*)$')
+_GLUED = re.compile(rf'^(?P<head>.*?[^\d.+-])(?P<row>"{_NUMBER}"\s*,\s*"{_NUMBER}"|{_NUMBER}\s*,\s*{_NUMBER})\s*$')
 _BRACKETS = re.compile(r"\(([^()]*)\)|\[([^\[\]]*)\]")
 _QUANTITY = re.compile(r"(?:timestamp|time|pressure)(?:s(?![a-z]))?")
 _SPELT = ("min", "h")
