@@ -25,9 +25,9 @@ def write_log(path, header, *, factor=1 / PSI, clock=1.0, end="\n", closing="Log
 
 
 def write_run(folder):
-    """A tester's file of f = -60 ε + 0.9 p + 40 ε² - 0.55 ε p + 0.002 p², pulled."""
-    time = np.arange(0, 40_000, 100.0)
-    strain, p = 0.3 * (1 - np.cos(time / 5_000)), pressure_at(time)
+    """A tester's file of f = -60 ε + 0.9 p + 40 ε² - 0.55 ε p + 0.002 p², pulled, at five held strains."""
+    time = np.arange(0, 40_000, 40.0)
+    strain, p = np.repeat(np.linspace(0, 0.6, 5), 200), pressure_at(time)
     force = -60 * strain + 0.9 * p + 40 * strain**2 - 0.55 * strain * p + 0.002 * p**2
     rows = [f"{t},{100 * e:.8f},{-f:.8f}" for t, e, f in zip(time, strain, force, strict=True)]
     path = folder / "run.csv"

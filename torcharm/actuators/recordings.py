@@ -39,7 +39,7 @@ TESTER_UNITS = {
     "strain": {"%": 0.01, "mm/mm": 1.0, "1": 1.0},
     "force": {"N": 1.0, "kN": 1000.0, "lbf": 4.4482216152605},
 }
-_SHORT = 60
+_SHORT, _LONGEST_HEADER = 60, 1000
 _DAMAGED = re.compile(r'\s*"?[+-]?\.?\d[\d.]*"?\s*,')
 _BEGUN = re.compile(r'"?[+-]?\.?')
 
@@ -183,6 +183,10 @@ def _header(source: str, lines: list[str], unit: str | None) -> tuple[int, float
     if _is_numbers(lines[0]):
         unit = unit or "psi"
         return 0, 1.0, unit, KILOPASCALS[unit]
+    if len(lines[0]) > _LONGEST_HEADER:
+        raise ValueError(
+            f"{source}: line 1: must be a header of at most {_LONGEST_HEADER} characters, got {_short(lines[0])}"
+        )
     header, sample = split_header(lines[0])
     if _DAMAGED.match(header):
         raise ValueError(f"{source}: line 1: must be a header or 2 finite numbers, got {_short(lines[0])}")
