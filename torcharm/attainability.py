@@ -116,6 +116,9 @@ def evaluate(
     side on which the model puts the point. At a corner of the hull there is no kink outside. The gradient of a
     predicted error that is not converged and stable is NaN, unless nothing depends on it: see `predict_error`.
 
+    A process forked after a large call hangs at its own, as PyTorch's threads are not forked: start processes by
+    "spawn" or "forkserver", or call `torch.set_num_threads(1)` before forking or first in each forked process.
+
     Args:
         arm: designs, of any batch shape.
         task: tasks, of any batch shape. Loads that share a shape share its hulls.

@@ -198,8 +198,8 @@ def test_an_unwritable_checkpoint_is_found_before_the_work(tmp_path: Path, monke
     os.mkfifo(tmp_path / "pipe")
     for path, words in (
         (tmp_path / "none" / "run.npz", "does not exist"),
-        (tmp_path, "is a folder"),
-        (tmp_path / "pipe", "no regular file"),
+        (tmp_path, "is a directory"),
+        (tmp_path / "pipe", "a regular file"),
         (tmp_path / "file" / "run.npz", "does not exist"),
     ):
         with pytest.raises(ValueError, match=f"checkpoint: .*{words}"):

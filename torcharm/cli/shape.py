@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from torcharm.cli.terminal import FIGURE_FORMATS, check_outputs, mistakes, open_console, say
+from torcharm.cli.terminal import FIGURE_FORMATS, check_outputs, mistakes, open_console, save_all, say
 
 if TYPE_CHECKING:
     from torcharm.study import NamedArm
@@ -58,8 +58,7 @@ def shape(
             excess = float(found.strain_excess)
             what = f"Strains are up to {excess:.2g} out of range" if excess > 1e-9 else "Pressures are out of range"
             say(console, f"{what}: there the force models are extrapolated.")
-        _draw(figure, chosen, found.twists, wrench)
-        say(console, f"Wrote {figure}.")
+        save_all(console, [(figure, lambda path: _draw(path, chosen, found.twists, wrench), ".")])
 
 
 def _arm(arms: "tuple[NamedArm, ...]", name: str | None) -> "NamedArm":

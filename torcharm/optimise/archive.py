@@ -1,14 +1,10 @@
 """Results and checkpoints as files: a JSON header and arrays in one .npz, written at once or not at all. No pickle."""
 
+import io
 import json
-import os
-import secrets
-import shutil
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass
-from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,73 +15,38 @@ from torch import Tensor
 from torcharm._inputs import shown
 from torcharm.actuators import Actuator, Bellows, McKibben, PolynomialActuator
 from torcharm.arm import ArmDesign
+from torcharm.files import StrPath, atomic_write, check_writable, read_file
 
 KINDS = {model.__name__: model for model in (Bellows, McKibben, PolynomialActuator)}
 FORMAT = 1
 Arrays = dict[str, npt.NDArray[Any]]
 
 
-def check_target(name: str, path: str | PathLike[str]) -> None:
-    """Raise a ValueError, before any work is done, about a file that could not be written when it is done."""
-    target = Path(path)
-    if target.exists() and not target.is_file():
-        raise ValueError(f"{name}: {path}: must be a file, is {'a folder' if target.is_dir() else 'no regular file'}")
-    if not target.parent.is_dir():
-        raise ValueError(f"{name}: {path}: the folder {target.parent} does not exist")
-    if target.exists() and not os.access(target, os.W_OK):
-        raise ValueError(f"{name}: {path}: cannot be written, it is read-only")
-    try:
-        partial = _partial(target)
-        partial.open("xb").close()
-        partial.unlink()
-    except OSError as error:
-        raise ValueError(f"{name}: {path}: cannot be written, {error.strerror or error}") from None
-
-
-def write_archive(path: str | PathLike[str], header: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
+def write_archive(path: StrPath, header: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
     """Write a header and arrays; the file appears whole, replacing what was there, or what was there stays.
 
     Raises:
         ValueError: there can be no such file.
         OSError: writing failed.
     """
-    check_target("path", path)
-    target = Path(path).resolve()
-    partial = _partial(target)
+    check_writable(path)
     text = json.dumps({"format": FORMAT, **header})
-    try:
-        with partial.open("xb") as file:
-            np.savez(file, header=np.array(text), **{name: _as_array(value) for name, value in arrays.items()})
-            file.flush()
-            os.fsync(file.fileno())
-        if target.exists():
-            shutil.copymode(target, partial)
-        os.replace(partial, target)
-    except BaseException:
-        partial.unlink(missing_ok=True)
-        raise
+    with atomic_write(path) as partial, partial.open("wb") as file:
+        np.savez(file, header=np.array(text), **{name: _as_array(value) for name, value in arrays.items()})
 
 
-def _partial(target: Path) -> Path:
-    """Where a file is written until it is whole: a name that no other process, or thread, takes."""
-    return target.with_name(f".{target.name}.{os.getpid()}-{secrets.token_hex(4)}.partial")
-
-
-def read_archive(path: str | PathLike[str]) -> tuple[dict[str, Any], Arrays]:
+def read_archive(path: StrPath) -> tuple[dict[str, Any], Arrays]:
     """The header and arrays of a file.
 
     Raises:
         ValueError: the file cannot be read, or is none that `write_archive` wrote.
     """
-    if Path(path).exists() and not Path(path).is_file():
-        raise ValueError(f"{path}: cannot be read: is no regular file")
+    whole = read_file(path)
     try:
-        with np.load(Path(path), allow_pickle=False) as file:
+        with np.load(io.BytesIO(whole), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         header = json.loads(str(arrays.pop("header")))
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         raise ValueError(f"{path}: is no optimisation that torcharm saved") from None
     if header.get("format") != FORMAT:
         raise ValueError(f"{path}: is of format {header.get('format')}, this torcharm reads {FORMAT}")

@@ -20,7 +20,8 @@ import torch
 from torcharm._inputs import shown
 from torcharm.actuators import Actuator
 from torcharm.arm import ArmDesign
-from torcharm.optimise.archive import check_target, read_archive, write_archive
+from torcharm.files import check_writable
+from torcharm.optimise.archive import read_archive, write_archive
 from torcharm.optimise.descent import State
 from torcharm.optimise.fingerprint import behaves_alike, behaviour, digest, model_digest
 from torcharm.optimise.objective import Objective
@@ -112,7 +113,9 @@ class Checkpoint:
         Raises:
             ValueError: it cannot.
         """
-        check_target("checkpoint", path)
+        check_writable(path, "checkpoint")
+        if Path(path).exists() and not Path(path).is_file():
+            raise ValueError(f"checkpoint: {path}: must be a regular file")
         self.path, self.identity = path, identity
         self._warned = False
 
@@ -139,7 +142,10 @@ class Checkpoint:
         """
         if not Path(self.path).exists():
             return None, Log()
-        header, arrays = read_archive(self.path)
+        try:
+            header, arrays = read_archive(self.path)
+        except ValueError as error:
+            raise ValueError(f"checkpoint: {error}") from None
         if header.get("kind") != "checkpoint":
             raise ValueError(f"checkpoint: {self.path}: is no checkpoint but a {header.get('kind')}")
         if "parts" not in header:

@@ -37,7 +37,7 @@ class Searched:
     """What a pressure search reached with D designs on T tasks.
 
     Attributes:
-        error: (D, T) [m]; infinite where the search came to no equilibrium.
+        error: (D, T) [m]; infinite where the search came to no stable equilibrium.
         converged: (D, T) of the search.
     """
 
@@ -56,9 +56,13 @@ def search_designs(designs: ArmDesign, tasks: Sequence[Task]) -> Searched:
 
     with torch.no_grad():
         found = [search_pressure(designs, task) for task in tasks]
-    error = torch.cat([one.cost.clamp(min=0).sqrt().reshape(len(designs.radii), -1) for one in found], -1)
-    converged = torch.cat([one.converged.reshape(len(designs.radii), -1) for one in found], -1)
-    return Searched(torch.where(error.isfinite(), error, torch.inf), converged)
+    rows = len(designs.radii)
+    error, converged, stable = (
+        torch.cat([getattr(one, name).reshape(rows, -1) for one in found], -1)
+        for name in ("cost", "converged", "stable")
+    )
+    error = error.clamp(min=0).sqrt()
+    return Searched(torch.where(stable & error.isfinite(), error, torch.inf), converged)
 
 
 def prediction_status(results: Sequence[Attainability], searched: Searched, index: int) -> str:

@@ -4,13 +4,13 @@ import csv
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from os import PathLike
-from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from torcharm.attainability import METRICS, PREDICTED, Attainability, evaluate
+from torcharm.files import atomic_write, plain_cell
 from torcharm.study.data import NamedArm, NamedTask, Settings, Study
 
 TOLERABLE = 1e-3
@@ -133,6 +133,9 @@ def summarise(result: StudyResult) -> Summary:
 def write_results(path: str | PathLike[str], results: Sequence[StudyResult]) -> int:
     """Write a CSV file with a row for every arm, task and load; returns the number of rows.
 
+    The file appears whole, and what was there stays if it cannot be written. Names that a spreadsheet would take for
+    formulas, with =, +, - or @ first, get an apostrophe before them.
+
     Columns: arm; task; load, counted from 1; force_x_N, force_y_N and moment_Nm at the tip; each
     metric that was asked for (predicted_error in metres); worst_node, counted from 1, with the largest
     distance by the first of the metrics of wrenches (empty if no node misses); attainable, as of
@@ -155,7 +158,7 @@ def write_results(path: str | PathLike[str], results: Sequence[StudyResult]) -> 
         most = max((result.arm.design.actuator_count for result in results), default=0)
         header += ["stable", *(f"pressure_{index}_kPa" for index in range(1, most + 1))]
     rows = [[*row, *[""] * (len(header) - len(row))] for result in results for row in _rows(result)]
-    with Path(path).open("w", encoding="utf-8", newline="") as file:
+    with atomic_write(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
         writer.writerows(rows)
@@ -176,9 +179,10 @@ def _rows(result: StudyResult) -> Iterator[list[object]]:
         stable = found.prediction.stable.flatten().tolist()
         pressures = found.prediction.pressure.flatten(0, -2).tolist()
         extra = [[str(stays).lower(), *(row if stays else [])] for stays, row in zip(stable, pressures, strict=True)]
+    names = plain_cell(result.arm.name), plain_cell(result.task.name)
     for index, load in enumerate(loads):
         yield [
-            *(result.arm.name, result.task.name, index + 1, *load, *(column[index] for column in metrics)),
+            *(*names, index + 1, *load, *(column[index] for column in metrics)),
             *(worst[index] or "", attainable[index], within[index], excess[index], impossible[index]),
             *(converged[index], *extra[index]),
         ]
