@@ -115,7 +115,7 @@ def optimise_architectures(
     )
     each = len(points) // len(polytopes)
     owner = torch.arange(len(polytopes)).repeat_interleave(each)
-    points = candidate_starts(problem, points, owner, seed)
+    points = candidate_starts(problem, points, owner, space, seed)
     state, log, stopped = descend(
         problem,
         points,

@@ -100,8 +100,10 @@ def prediction_status(results: Sequence[Attainability], searched: Searched, inde
     return "confirmed by a pressure search"
 
 
-def distance_status(converged: Tensor) -> str:
-    """The same of distances, whose convergence (T,) is all there is to it."""
+def distance_status(converged: Tensor, impossible: Tensor) -> str:
+    """The same of distances, by whether they converged (T,) and whether an actuator has no length (T,)."""
+    if bool(impossible.any()):
+        return f"no candidate: an actuator has no length {_on(impossible, len(impossible))}"
     if bool(converged.all()):
         return "converged"
     return f"not converged: distances {_on(~converged, len(converged))}"

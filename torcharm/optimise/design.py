@@ -59,10 +59,10 @@ def optimise_design(
     designs. The very first descends by itself, so that an answer comes soon; the others then descend in one batch.
     Ctrl-C ends the search and returns what was found until then.
 
-    By predicted errors, designs whose predictions are not converged and stable are no candidates; a start that is none
-    gives way to one nearby. What is chosen is compared with a pressure search: the result's `status` says whether it
-    confirms the value, and the given design is kept where it satisfies the constraints and the search does better with
-    it.
+    Designs on which a task is impossible, or whose predicted errors are not converged and stable, are no candidates; a
+    start that is none gives way to one nearby. What is chosen by predicted errors is compared with a pressure search:
+    the result's `status` says whether it confirms the value, and the given design is kept where it satisfies the
+    constraints and the search does better with it.
 
     Args:
         arm: a design, or a batch of designs to start from.
@@ -105,7 +105,7 @@ def optimise_design(
     problem = Problem((polytope,), tasks, objective)
     points = starting_points(polytope, arm, starts, seed)
     owner = torch.zeros(len(points), dtype=torch.long)
-    points = candidate_starts(problem, points, owner, seed)
+    points = candidate_starts(problem, points, owner, space, seed)
     if method in SCIPY_METHODS:
         ends, values, reasons, log, stopped = run_scipy(
             problem,
@@ -179,13 +179,13 @@ def starting_points(polytope: Polytope, arm: ArmDesign, starts: int, seed: int) 
     return torch.cat((nearest, polytope.sample(max(0, starts - len(nearest)), seed)))
 
 
-def candidate_starts(problem: Problem, points: Tensor, owner: Tensor, seed: int) -> Tensor:
+def candidate_starts(problem: Problem, points: Tensor, owner: Tensor, space: DesignSpace, seed: int) -> Tensor:
     """Starts (S, F) that have a value, where there are any nearby.
 
-    A descent cannot leave a design whose prediction is not converged and stable. Such a start gives way to the best of
-    `TRIALS` designs between it and random feasible ones.
+    A descent cannot leave a design whose prediction is not converged and stable, or on which a task is impossible. Such
+    a start gives way to the best of `TRIALS` designs between it and random feasible ones.
     """
-    if problem.objective.metric != "predicted_error":
+    if problem.objective.metric != "predicted_error" and space.in_range:
         return points
     warm = torch.full((len(points),), 1e-6, dtype=torch.float64)
     lost = ~problem.judge(points, owner, warm, gradient=True).smooth.isfinite()
@@ -242,7 +242,7 @@ def outcome(
         checked = [evaluate(chosen, task, "absolute") for task in problem.tasks]
     after = metric_values(chosen, problem)
     if objective.metric != "predicted_error":
-        status = distance_status(after["converged"])
+        status = distance_status(after["converged"], torch.cat([result.impossible.reshape(-1) for result in checked]))
     mine = owner[: len(ends)]
     judged = problem.judge(ends, mine, warm[: len(ends)], gradient=True)
     assert judged.gradient is not None

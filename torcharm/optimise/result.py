@@ -55,7 +55,8 @@ class OptimisedDesign:
         given: the design to improve on (of a batch, the one of the best value).
         best: the best design found, feasible.
         value, given_value: the objective of the two. The given design need not be feasible.
-        status: how far `value` can be trusted, in words. Of distances "converged", or on how many tasks they did not.
+        status: how far `value` can be trusted, in words. Of distances "converged", or on how many tasks they did not,
+            or an actuator has no length.
             Of predicted errors, which are compared with a `search_pressure` of the given and the best design:
             "confirmed by a pressure search" (within 20 % + 1 cm on every task), the same "that did not converge ...",
             "not confirmed: ..." with both errors, or "no candidate: ..." where the prediction itself is not converged
