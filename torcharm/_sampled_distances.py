@@ -162,27 +162,26 @@ def impossible_nodes(radii: Tensor, twists: Tensor) -> Tensor:
 
 
 def possible_sections(block: Block) -> Sections:
-    """The sections of a block. Actuators without a length are taken as unstrained, for which every force model has
-    a number and a slope: what is found there is replaced by `decided`."""
+    """The sections of a block. Shapes that leave an actuator no length are taken as unstrained, for which every force
+    model has a number and a slope: what is found there is replaced by `decided`."""
     sections = cross_sections(block.arm, block.twists)
-    none = sections.strain <= -1
-    return replace(sections, strain=torch.where(none, 0.0, sections.strain)) if bool(none.any()) else sections
+    lost = impossible_nodes(block.arm.radii, block.twists)
+    if not bool(lost.any()):
+        return sections
+    lost = lost.any(1, keepdim=True).expand_as(lost).flatten()
+    return replace(sections, strain=torch.where(lost, 0.0, sections.strain))
 
 
 def decided(block: Block, sampling: Sampling, lengths: Sequence[Tensor]) -> list[Tensor]:
-    """The distances (B, l) of each metric; infinite where an actuator has no length, with a gradient of zero: there
-    it stays so; and 0 where they are rounding, of wrenches as large as those that the load requires and that the
-    actuators provide."""
+    """The distances (B, l) of each metric; infinite on shapes that leave an actuator no length, with a gradient of
+    zero, as they stay so; and 0 where they are no more than rounding of the wrenches that are required and provided."""
     lost = impossible_nodes(block.arm.radii, block.twists)
     anywhere = bool(lost.any())
+    lost = lost.any(1, keepdim=True).expand_as(lost).flatten().unsqueeze(-1)
     answers = []
     for metric, length in zip(sampling.metrics, lengths, strict=True):
-        relative = metric == "relative"
-        answer = _without_rounding(block, sampling.scale, length, relative=relative)
-        if anywhere:
-            own = lost | lost[:, :1] if relative else lost
-            answer = torch.where(own.flatten().unsqueeze(-1), float("inf"), answer)
-        answers.append(answer)
+        answer = _without_rounding(block, sampling.scale, length, relative=metric == "relative")
+        answers.append(torch.where(lost, float("inf"), answer) if anywhere else answer)
     return answers
 
 

@@ -106,7 +106,7 @@ def evaluate(
     pressures can provide, summed over the nodes; *relative* unattainability is the same for
     differences from node 1. Both zero: as far as hulls can tell, the arm can hold the shape. Distances
     within 16 roundings of the node's largest wrench, required or provided, are zero. A shape that leaves an
-    actuator no length is impossible: its distances are infinite at such nodes, with a gradient of zero.
+    actuator no length is impossible: all of its distances are infinite, with a gradient of zero.
 
     Differentiable with respect to radii, lengths, pressure limits, twists and loads: twice with
     the closed form, once through solvers. Where the distance has a kink, the gradient is one of its

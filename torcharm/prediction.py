@@ -16,17 +16,22 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from torcharm import mechanics, rod
+from torcharm._continuation import Problem
 from torcharm._inputs import check_count, shown
 from torcharm._outer import Block, OuterProduct, check_arm_and_task, map_blocks, outer_product
 from torcharm._predicted_minimum import FLOORS, SCREENED, Found, Tasks, minimum_over_pressures
-from torcharm._response import has_lengths
+from torcharm._response import has_lengths, size
 from torcharm.arm import ArmDesign
+from torcharm.equilibrium import TOLERANCES, solved
 from torcharm.pose_cost import PoseCost
 from torcharm.task import Task
 from torcharm.wrenches import actuator_force, along
 
 BLOCK_ELEMENTS = 4_000_000
 """Entries of the stiffness matrices of one block (32 MB)."""
+
+SAME, NEARLY = 1e-2, 0.1
+"""Differences of shapes, as of `size`, that count as none; and where loads are carried to first order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +55,9 @@ class PredictedError:
             such lengths, and -J, of `J = ∂R/∂z`, is positive definite
             there, by more than rounding. Only such balances are believed: false means that none was found. An arm that
             resists nothing has none, nor has one whose force is not a number.
+        reached: whether it is stable, and `solve_equilibrium` leads there: the pressure raised first, then the load.
+            False where the arm comes to rest elsewhere, as under compression, where there are several equilibria, or
+            snaps on the way: then a search that follows the arm as it is loaded need not find what is predicted.
         small: whether the arm moves little (by a radian, or a third of its length) from where the load was last made
             linear: the task's shape, unless there are several steps.
         strain_excess: largest strain beyond its actuator's characterised range at the shape predicted, 0 if none is.
@@ -64,6 +72,7 @@ class PredictedError:
     optimality: Tensor
     converged: Tensor
     stable: Tensor
+    reached: Tensor
     small: Tensor
     strain_excess: Tensor
     in_range: Tensor
@@ -126,7 +135,7 @@ def _nothing(outer: OuterProduct) -> PredictedError:
     poses = real.new_zeros(*outer.sizes, outer.nodes + 1, 3)
     flag = torch.ones(outer.sizes, dtype=torch.bool, device=real.device)
     pressure = real.new_zeros(*outer.sizes, outer.arm.actuator_count)
-    columns = (real, poses[..., 0], poses, pressure, poses[..., 1:, :], real, flag, flag, flag, real, flag)
+    columns = (real, poses[..., 0], poses, pressure, poses[..., 1:, :], real, flag, flag, flag, flag, real, flag)
     return PredictedError(*(outer.unflatten(column) for column in columns))
 
 
@@ -149,7 +158,8 @@ def _predict_block(
     inside = excess <= 16 * torch.finfo(excess.dtype).eps
     highest = along([model.pressure_range[1] for model in tasks.arm.actuators], excess, -1)
     in_range = inside & (pressure <= highest).all(-1)
-    columns = (*reached, found.optimality, converged, stable, found.small, excess, in_range)
+    arrived = _is_reached(tasks.detached(), *(column.detach() for column in reached[-2:]), stable, exact=exact)
+    columns = (*reached, found.optimality, converged, stable, arrived, found.small, excess, in_range)
     shape = (len(block.arm.radii), *block.tip_load.shape[:2])
     return tuple(column.unflatten(0, shape) for column in columns)
 
@@ -160,6 +170,21 @@ def _without_answer(reached: tuple[Tensor, ...], lost: Tensor) -> tuple[Tensor, 
     error = error.masked_fill(lost, float("inf"))
     per_node = per_node.masked_fill(lost[:, None], float("inf"))
     return error, per_node, pose_errors.masked_fill(lost[:, None, None], float("nan")), *rest
+
+
+def _is_reached(tasks: Tasks, pressure: Tensor, twists: Tensor, stable: Tensor, *, exact: bool) -> Tensor:
+    """(T,) whether arms that are stable (T,) at twists come there when they are loaded."""
+    some = stable.nonzero().squeeze(-1)
+    reached = torch.zeros_like(stable)
+    if len(some):
+        own, base = tasks.chosen(some), tasks.base_pose.expand(len(some), 3)
+        tolerance = TOLERANCES.get(pressure.dtype, 1e-2)
+        problem = Problem.of(own.arm, pressure[some], own.tip_load, base, None, tolerance)
+        with torch.no_grad():
+            found = solved(problem, twists.shape[-2])
+        move = size(found.unknowns - mechanics.to_unknowns(twists[some]), problem.length)
+        reached[some] = found.continued & found.stable & (move <= (SAME if exact else NEARLY))
+    return reached
 
 
 def _strain_excess(tasks: Tasks, twists: Tensor) -> Tensor:

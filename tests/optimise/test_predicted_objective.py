@@ -12,7 +12,7 @@ from torcharm.optimise import DesignSpace, Objective, OptimisedDesign, load_opti
 
 PREDICTED = Objective(metric="predicted_error")
 CONFIRMED = "confirmed by a pressure search"
-SEEDS = (1, 4, 6, 10, 20)
+SEEDS = (1, 6, 10)
 """Of problems that take little time; 6 has no candidate nearby."""
 
 
@@ -38,7 +38,7 @@ def is_candidate(arm: ta.ArmDesign, task: ta.Task) -> bool:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_value_is_what_the_search_finds_or_the_result_says_why_not(seed: int) -> None:
     arm, task = drawn(seed)
-    found = optimise_design(arm, task, objective=PREDICTED, starts=1, iterations=3)
+    found = optimise_design(arm, task, objective=PREDICTED, starts=1, iterations=2)
     error = searched(found.best, task)
     agrees = abs(found.value - error) <= 0.2 * error + 0.01
     assert agrees or not found.status.startswith(CONFIRMED)
@@ -56,12 +56,12 @@ def test_no_design_without_an_equilibrium_is_best() -> None:
     """Where no equilibrium is found a prediction is near 0 of itself, and a descent is drawn to it."""
     arm = ta.ArmDesign([0.034, 0.057, 0.066], 0.5, [ta.Bellows(), ta.Bellows(), ta.McKibben()])
     task = ta.Task(ta.affine_curvature(0.601, -0.437, 0.543, 6), (-3.45, 5.75, 0.58))
-    found = optimise_design(arm, task, objective=PREDICTED, starts=1, iterations=4)
+    found = optimise_design(arm, task, objective=PREDICTED, starts=1, iterations=2)
     assert found.value == math.inf or is_candidate(found.best, task)
     error = searched(found.best, task)
     assert abs(found.value - error) <= 0.2 * error + 0.01 or not found.status.startswith(CONFIRMED)
     given = DesignSpace(in_range=False)
-    kept = optimise_design(arm, task, given, PREDICTED, starts=1, iterations=4)
+    kept = optimise_design(arm, task, given, PREDICTED, starts=1, iterations=2)
     assert searched(kept.best, task) <= searched(arm, task) * 1.001, kept.status
 
 

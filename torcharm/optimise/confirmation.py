@@ -75,9 +75,9 @@ def prediction_status(results: Sequence[Attainability], searched: Searched, inde
     """
     predictions = [result.prediction for result in results]
     assert all(prediction is not None for prediction in predictions)
-    stable, converged, predicted = (
+    stable, converged, predicted, reached = (
         torch.cat([getattr(prediction, name).detach().reshape(-1) for prediction in predictions])
-        for name in ("stable", "converged", "error")
+        for name in ("stable", "converged", "error", "reached")
     )
     error, sure = searched.error[index], searched.converged[index]
     count = len(predicted)
@@ -91,9 +91,10 @@ def prediction_status(results: Sequence[Attainability], searched: Searched, inde
     if bool(apart.any()):
         worst = int((predicted - error).abs().argmax())
         unsure = "" if bool(sure[apart].all()) else ", which did not converge everywhere"
+        elsewhere = "" if bool(reached[worst]) else ", to which loading does not lead"
         return (
             f"not confirmed: the pressure search{unsure}, reaches {float(error[worst]):.3g} m where "
-            f"{float(predicted[worst]):.3g} m is predicted; they are apart {_on(apart, count)}"
+            f"{float(predicted[worst]):.3g} m is predicted{elsewhere}; they are apart {_on(apart, count)}"
         )
     if not bool(sure.all()):
         return f"confirmed by a pressure search that did not converge {_on(~sure, count)}"

@@ -41,8 +41,8 @@ class StudyResult:
     def attainable(self) -> Tensor:
         """Whether no metric of wrenches that was asked for is above 0, (*task batch); a NaN is not attainable.
 
-        Where only the predicted error was asked for: whether it is at most `TOLERABLE`. What did not converge, or only
-        to a shape that is not stable, is not attainable.
+        Where only the predicted error was asked for: whether it is at most `TOLERABLE`, converged, stable and reached
+        by loading. What did not converge is not attainable.
         """
         names = [name for name in self.settings.metrics if name in METRICS] or [PREDICTED]
         return torch.stack([self.within(name) for name in names]).all(0)
@@ -54,7 +54,7 @@ class StudyResult:
         if name == PREDICTED:
             prediction = found.prediction
             assert prediction is not None
-            return (self.metric(name) <= TOLERABLE) & prediction.converged & prediction.stable
+            return (self.metric(name) <= TOLERABLE) & prediction.converged & prediction.stable & prediction.reached
         return (self.metric(name) <= 0) & found.distances_converged
 
     @property
@@ -79,8 +79,8 @@ class Summary:
     Attributes:
         loads: how many.
         median: of each metric.
-        attainable: how many loads have each metric at 0 (signed: or below); the predicted error at `TOLERABLE`; and
-            converged, to a shape that is stable.
+        attainable: how many loads have each metric at 0 (signed: or below) and converged; the predicted error at
+            `TOLERABLE`, converged, stable and reached by loading.
         all_attainable: how many loads are attainable, as of `StudyResult`.
         worst_node: from 1, the node with the largest mean distance by the node metric; None if none misses.
         strain_excess: largest strain beyond its actuator's characterised range, 0 if none is.
@@ -140,9 +140,9 @@ def write_results(path: str | PathLike[str], results: Sequence[StudyResult]) -> 
     metric that was asked for (predicted_error in metres); worst_node, counted from 1, with the largest
     distance by the first of the metrics of wrenches (empty if no node misses); attainable, as of
     `StudyResult`; in_range, strain_excess, impossible and converged as in `Attainability`; and where the predicted
-    error was asked for: stable, as in `PredictedError`, and the pressure that reaches it, pressure_1_kPa and so on,
-    one for each actuator, left empty where the arm has fewer than others or no stable equilibrium was found. Numbers
-    are written in full, truths as true and false.
+    error was asked for: stable and reached, as in `PredictedError`, and the pressure that reaches it, pressure_1_kPa
+    and so on, one for each actuator, left empty where the arm has fewer than others or no stable equilibrium was found.
+    Numbers are written in full, truths as true and false.
 
     Raises:
         ValueError: the results were not evaluated with the same metrics.
@@ -156,7 +156,7 @@ def write_results(path: str | PathLike[str], results: Sequence[StudyResult]) -> 
     header += ["worst_node", "attainable", "in_range", "strain_excess", "impossible", "converged"]
     if PREDICTED in asked:
         most = max((result.arm.design.actuator_count for result in results), default=0)
-        header += ["stable", *(f"pressure_{index}_kPa" for index in range(1, most + 1))]
+        header += ["stable", "reached", *(f"pressure_{index}_kPa" for index in range(1, most + 1))]
     rows = [[*row, *[""] * (len(header) - len(row))] for result in results for row in _rows(result)]
     with atomic_write(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -176,9 +176,13 @@ def _rows(result: StudyResult) -> Iterator[list[object]]:
     excess = found.strain_excess.flatten().tolist()
     extra: list[list[object]] = [[] for _ in loads]
     if found.prediction is not None:
-        stable = found.prediction.stable.flatten().tolist()
-        pressures = found.prediction.pressure.flatten(0, -2).tolist()
-        extra = [[str(stays).lower(), *(row if stays else [])] for stays, row in zip(stable, pressures, strict=True)]
+        prediction = found.prediction
+        stable, reached = _truths(prediction.stable), _truths(prediction.reached)
+        pressures = prediction.pressure.flatten(0, -2).tolist()
+        extra = [
+            [stays, arrived, *(row if stays == "true" else [])]
+            for stays, arrived, row in zip(stable, reached, pressures, strict=True)
+        ]
     names = plain_cell(result.arm.name), plain_cell(result.task.name)
     for index, load in enumerate(loads):
         yield [
@@ -198,6 +202,6 @@ def _mean_over_loads(distance: Tensor) -> Tensor:
 
 
 def _worst_node(distance: Tensor) -> Tensor:
-    """(...) From 1, the node with the largest of the distances (..., N) or the first NaN; 0 if all are 0."""
+    """(...) From 1, the node with the largest of the distances (..., N) or the first NaN; 0 if all are 0 or inf."""
     largest, index = distance.max(-1)
-    return torch.where(largest == 0, 0, index + 1)
+    return torch.where((largest == 0) | largest.isinf(), 0, index + 1)
