@@ -25,8 +25,10 @@ from torcharm._inputs import (
     check_finite,
     check_flag,
     check_tensor,
+    refuse_transforms,
     shown,
 )
+from torcharm.actuators import want_gradients
 from torcharm.arm import ArmDesign
 from torcharm.rod import BASE_POSE
 from torcharm.wrenches import along
@@ -120,6 +122,7 @@ def solve_equilibrium(
     """
     if not isinstance(arm, ArmDesign):
         raise ValueError(f"arm: must be of type ArmDesign, got {shown(arm)}")
+    refuse_transforms("pressure, tip_load")
     check_count("nodes", nodes, 1)
     pressure, load, base, _ = as_floating(pressure=pressure, tip_load=tip_load, base_pose=base_pose, radii=arm.radii)
     _check_inputs(arm, pressure, load, base)
@@ -289,7 +292,8 @@ def with_gradients(problem: Problem, unknowns: Tensor, converged: Tensor, *, rec
         recompute: works the residual out again for the backward pass, and keeps no graph until then.
     """
     inputs = (problem.arm.radii, problem.arm.length, problem.pressure, problem.tip_load, problem.base_pose)
-    if not (torch.is_grad_enabled() and any(value.requires_grad for value in inputs)):
+    followed = torch.is_grad_enabled() and any(value.requires_grad for value in inputs)
+    if not (followed or want_gradients(problem.arm.actuators, problem.arm.radii)):
         return unknowns
 
     def residual(*_: Tensor) -> Tensor:

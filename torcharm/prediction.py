@@ -18,10 +18,11 @@ from torcharm import mechanics, rod
 from torcharm._inputs import check_count, shown
 from torcharm._outer import Block, OuterProduct, check_arm_and_task, map_blocks, outer_product
 from torcharm._predicted_minimum import FLOORS, SCREENED, Found, Tasks, minimum_over_pressures
+from torcharm.actuators import want_gradients
 from torcharm.arm import ArmDesign
 from torcharm.pose_cost import PoseCost
 from torcharm.task import Task
-from torcharm.wrenches import actuator_force, along
+from torcharm.wrenches import along
 
 BLOCK_ELEMENTS = 4_000_000
 """Entries of the stiffness matrices of one block (32 MB)."""
@@ -127,7 +128,8 @@ def _predict_block(
 ) -> tuple[Tensor, ...]:
     """The fields of `PredictedError` for a block, each (d, p, l, ...)."""
     tasks = Tasks.of(block)
-    found = minimum_over_pressures(tasks.detached(), weights, steps)
+    with torch.no_grad():
+        found = minimum_over_pressures(tasks.detached(), weights, steps)
     again = _Replay(tasks, weights, diagonal, found, steps is None)
     if _wants_gradient(tasks):
         reached = checkpoint(again, use_reentrant=False) if recompute else again()
@@ -162,10 +164,7 @@ def _wants_gradient(tasks: Tasks) -> bool:
         return False
     arm = tasks.arm
     inputs = (arm.radii, arm.length, arm.max_pressure, tasks.twists, tasks.tip_load, tasks.base_pose)
-    if any(value.requires_grad for value in inputs):
-        return True
-    probe = arm.radii[:1].detach()  # a force model may hold what is asked about
-    return actuator_force(arm.actuators, torch.zeros_like(probe), torch.zeros_like(probe), -1).requires_grad
+    return any(value.requires_grad for value in inputs) or want_gradients(arm.actuators, arm.radii)
 
 
 @dataclass(frozen=True)
