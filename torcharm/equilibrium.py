@@ -97,8 +97,9 @@ def solve_equilibrium(
     pressure rises first, then the load, in proportion. Where that branch ends (an arm about to snap), the arm is let
     go, and comes to rest on another: `continued` is then false.
 
-    Differentiable once, with respect to pressures, loads, base poses, radii and lengths, by the implicit function
-    theorem: one linear solve, whatever the number of iterations. Gradients of elements that did not converge are
+    Differentiable once, with respect to pressures, loads, base poses, radii, lengths and whatever force models hold, by
+    the implicit function theorem: one linear solve, whatever the number of iterations. (Plain autograd does it;
+    transforms of torch.func are refused, with a RuntimeError.) Gradients of elements that did not converge are
     NaN, unless nothing depends on them.
 
     Args:

@@ -73,9 +73,10 @@ def predict_error(
 ) -> PredictedError:
     """The least pose error that each design can be expected to reach on each task, without a forward solve.
 
-    Errors, per-node errors and pose errors are differentiable once in radii, lengths, limits, twists, loads and the
-    base pose: by the envelope theorem the pressures found are held, but for those at a limit, which move with it, and
-    the shape follows its balance. With several steps the shape from which the last one carries the load is held too.
+    Errors, per-node errors and pose errors are differentiable once in radii, lengths, limits, twists, loads, the base
+    pose and whatever force models hold: by the envelope theorem the pressures found are held, but for those at a limit,
+    which move with it, and the shape follows its balance. With several steps the shape from which the last one carries
+    the load is held too.
     At a kink of a force model they are those of one side.
 
     Args:

@@ -21,6 +21,15 @@ def written_out(model: object, name: str, of: str = "force") -> bool:
     """
     own = getattr(model, "__dict__", {})
     classes = type(model).__mro__
+    if name not in own and of not in own:  # as of most models: one class holds both, or none holds the member
+        for kind in classes:
+            held = kind.__dict__
+            if name in held or of in held:
+                if name in held and of in held and "_is_protocol" not in held:
+                    return held[name] is not None and not getattr(held[of], "__isabstractmethod__", False)
+                break
+        else:
+            return False
     defining = [place for place, _ in _definitions(classes, of)]
     declaring = [place for place, _ in _definitions(classes, name)]
     if of in own and not any(field for _, field in _definitions(classes, of)):
@@ -72,6 +81,18 @@ def same_model(one: object, other: object) -> bool:
     if isinstance(one, dict) and isinstance(other, dict):
         return one.keys() == other.keys() and all(same_model(value, other[key]) for key, value in one.items())
     return is_dataclass(kind) and same_model(_data(one), _data(other))
+
+
+def holds_numbers_only(value: object) -> bool:
+    """Whether a model is one of this package's, of plain data throughout: then nothing in it asks for a gradient."""
+    kind = type(value)
+    if kind in PLAIN:
+        return True
+    if kind is tuple:
+        return all(map(holds_numbers_only, value))  # type: ignore[call-overload]
+    if not (kind.__module__.startswith("torcharm.") and is_dataclass(kind)):
+        return False
+    return all(map(holds_numbers_only, _data(value).values()))
 
 
 def _data(model: Any) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torcharm._inputs import plain_number, shown
 from torcharm.actuators.bending import Bending, Number, active_moment, bending_model, passive_moment
-from torcharm.actuators.inspection import written_out
+from torcharm.actuators.inspection import holds_numbers_only, written_out
 
 PROBED = (-0.4, -0.1, 0.0, 0.1, 0.4)
 """Strains, beside the ends of its range, at which a model is asked whether its force wants gradients."""
@@ -190,6 +190,8 @@ def want_gradients(actuators: tuple[Actuator, ...], like: Tensor) -> bool:
 
 
 def _wants_gradient(model: Actuator, like: Tensor) -> bool:
+    if holds_numbers_only(model):
+        return False
     stiffness, most = model.bending_stiffness, plain_number(model.max_pressure)
     bending = bending_model(stiffness)
     held = (model.max_pressure, stiffness if bending is None else bending.reference_pressure)
