@@ -157,11 +157,11 @@ def _predict_block(
     reached = _without_answer(reached, ~stable)
     if _wants_gradient(tasks):
         reached = _with_gradient(tasks, weights, diagonal, found, exact, reached, converged & stable, recompute)
-    *_, pressure, _ = reached
+    *_, pressure, twists = reached
     inside = excess <= 16 * torch.finfo(excess.dtype).eps
     highest = along([model.pressure_range[1] for model in tasks.arm.actuators], excess, -1)
     in_range = inside & (pressure <= highest).all(-1)
-    arrived = _is_reached(tasks.detached(), *(column.detach() for column in reached[-2:]), stable, exact=exact)
+    arrived = _is_reached(tasks.detached(), pressure.detach(), twists.detach(), stable, exact=exact)
     columns = (*reached, found.optimality, converged, stable, arrived, found.small, excess, in_range)
     shape = (len(block.arm.radii), *block.tip_load.shape[:2])
     return tuple(column.unflatten(0, shape) for column in columns)
