@@ -95,7 +95,7 @@ def _report(console: "Console", plan: "Study", results: Sequence["StudyResult"],
     console.print()
     console.print(_legend(plan.settings, results[0].node_metric))
     console.print()
-    for note in _notes(summaries):
+    for note in _notes(results, summaries):
         console.print(note)
     arms, tasks = count(len(plan.arms), "arm"), count(len(plan.tasks), "task")
     evaluations = count(sum(summary.loads for summary in summaries), "evaluation")
@@ -169,7 +169,20 @@ def _unit(settings: "Settings") -> str:
     return f"that of {square if squared else f'sqrt({square})'}, with f in N and m in N·m"
 
 
-def _notes(summaries: Sequence["Summary"]) -> Iterator[str]:
+def _notes(results: Sequence["StudyResult"], summaries: Sequence["Summary"]) -> Iterator[str]:
+    where = dict.fromkeys(
+        f"{result.arm.name} on {result.task.name}"
+        for result, summary in zip(results, summaries, strict=True)
+        if summary.impossible
+    )
+    if where:
+        yield (
+            f"Impossible: an actuator of {', '.join(where)} would have no length. "
+            "Are curvatures in radians (not degrees), and lengths and radii in metres (not millimetres)?"
+        )
+    unpredicted = sum(summary.unpredicted for summary in summaries)
+    if unpredicted:
+        yield f"No stable equilibrium was found for {count(unpredicted, 'load')}: their predicted error is infinite."
     if any(_strained(summary) for summary in summaries):
         excess = max(summary.strain_excess for summary in summaries)
         yield f"Strains are up to {excess:.2g} out of range: there the force models are extrapolated."
