@@ -150,7 +150,7 @@ def _predict_block(
     found = minimum_over_pressures(tasks.detached(), weights, steps)
     exact = steps is None
     with torch.no_grad():
-        reached = _Replay(tasks, weights, diagonal, found, exact)()
+        reached: tuple[Tensor, ...] = _Replay(tasks, weights, diagonal, found, exact)()
         known = reached[0].isfinite() & has_lengths(tasks.arm, mechanics.to_unknowns(tasks.twists))
     stable, converged = found.stable & known, found.converged & known
     excess = _strain_excess(tasks, reached[-1])
@@ -204,7 +204,7 @@ def _strain_excess(tasks: Tasks, twists: Tensor) -> Tensor:
 
 
 def _sources(tasks: Tasks) -> tuple[Tensor, ...]:
-    """All that a prediction may depend on: force models may hold what is asked about; their forces and moments show it."""
+    """All that a prediction may depend on: what force models hold shows in their forces and moments."""
     arm = tasks.arm
     probe = torch.zeros_like(arm.radii[:1].detach())
     force = actuator_force(arm.actuators, probe, probe, -1)
