@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 import torcharm as ta
 from torcharm import _box, mechanics
 from torcharm._continuation import Problem, can_compile, loaded, settle, unloaded
+from torcharm.engine.forces import muscle
 from torcharm.equilibrium import solved
 from torcharm.kernels.arms import arms_of
 from torcharm.kernels.box import box_step
-from torcharm.engine.forces import muscle
 from torcharm.kernels.march import BY_LOAD, NONE, imbalance, look, moves, new_march, solve
 
 ODD = ta.PolynomialActuator(((0, 1, 2.0), (1, 0, -30.0), (2, 4, 1e-6)), (-0.5, 1.0), (0.0, 40.0), 40.0, 0.0, 1.5)

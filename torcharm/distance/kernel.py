@@ -16,10 +16,10 @@ import math
 
 import numpy as np
 
-from torcharm.engine.compilation import jit, jit_part
 from torcharm.distance.closed_form import BOUNDARY_ULPS
 from torcharm.distance.problems import GAP
 from torcharm.distance.shapes import FLAT, FLOOR
+from torcharm.engine.compilation import jit, jit_part
 from torcharm.laws import LEAST, STRAIGHT
 
 EPS = float(np.finfo(np.float64).eps)

@@ -31,7 +31,7 @@ class Curves(NamedTuple):
     """The curves of M actuators at one node, of at most K pieces each.
 
     Attributes:
-        count: (M,) pieces of each.
+        pieces: (M,) how many each has.
         side: (M,) as of `sides`.
         edge: (M, K + 1) pressures at which pieces begin and end [kPa].
         control: (M, K, 4) Bézier coefficients of the forces [N].
@@ -39,7 +39,7 @@ class Curves(NamedTuple):
         bending: (M, D - 1) t, the moments of a pressure of 1 kPa.
     """
 
-    count: Array
+    pieces: Array
     side: Array
     edge: Array
     control: Array
@@ -66,7 +66,7 @@ def most_pieces(models: Models, sampled: int) -> int:
 
 @part
 def write_piece(curves, a, k, high, force_low, slope_low, force_high, slope_high):  # type: ignore[no-untyped-def]
-    """Write piece k, from where the last one ended to the pressure `high`, by forces [N] and slopes [N/kPa] at its ends."""
+    """Write piece k, from where the last one ended to `high` [kPa], by forces [N] and slopes [N/kPa] at its ends."""
     third = (high - curves.edge[a, k]) / 3.0
     curves.control[a, k, 0] = force_low
     curves.control[a, k, 1] = force_low + third * slope_low
@@ -90,7 +90,7 @@ def write_polynomial(curves, a, models, strain, limit, row):  # type: ignore[no-
             force_high = force_high * high + row[j]
         write_piece(curves, a, k, high, force_low, slope_low, force_high, slope_high)
         force_low, slope_low = force_high, slope_high
-    curves.count[a] = pieces
+    curves.pieces[a] = pieces
 
 
 @part
@@ -106,7 +106,7 @@ def write_muscle(curves, a, scale, strain, limit):  # type: ignore[no-untyped-de
             if k > 0:
                 write_piece(curves, a, k - 1, limit * GRADES[k], force_low, slope_low, force, slope)
             force_low, slope_low = force, slope
-        curves.count[a] = MUSCLE_PIECES
+        curves.pieces[a] = MUSCLE_PIECES
         return
     onset, pull = muscle_corners(strain)
     pieces, low = 0, 0.0
@@ -119,7 +119,7 @@ def write_muscle(curves, a, scale, strain, limit):  # type: ignore[no-untyped-de
             write_piece(curves, a, pieces, high, force - rise, slope, force + rise, slope)
             pieces += 1
             low = high
-    curves.count[a] = pieces
+    curves.pieces[a] = pieces
 
 
 @part
@@ -138,7 +138,7 @@ def write_curve(curves, a, models, strain, limit, sampled, row):  # type: ignore
         curves.edge[a, 0] = sampled[0, 0]
         for k in range(len(sampled)):
             write_piece(curves, a, k, sampled[k, 1], sampled[k, 2], sampled[k, 3], sampled[k, 4], sampled[k, 5])
-        curves.count[a] = len(sampled)
+        curves.pieces[a] = len(sampled)
 
 
 @part
@@ -167,10 +167,10 @@ def write_difference(out, a, own, first):  # type: ignore[no-untyped-def]
     i, j, pieces = 0, 0, 0
     low = own.edge[a, 0]
     out.edge[a, 0] = low
-    while i < own.count[a] and j < first.count[a]:
+    while i < own.pieces[a] and j < first.pieces[a]:
         own_end, first_end = own.edge[a, i + 1], first.edge[a, j + 1]
         high = min(own_end, first_end)
-        if high > low or (own.count[a] == 1 and first.count[a] == 1):
+        if high > low or (own.pieces[a] == 1 and first.pieces[a] == 1):
             c0, c1, c2, c3 = cut(own, a, i, low, high)
             f0, f1, f2, f3 = cut(first, a, j, low, high)
             out.control[a, pieces, 0], out.control[a, pieces, 1] = c0 - f0, c1 - f1
@@ -182,7 +182,7 @@ def write_difference(out, a, own, first):  # type: ignore[no-untyped-def]
             i += 1
         if first_end <= high:
             j += 1
-    out.count[a] = pieces
+    out.pieces[a] = pieces
     for c in range(out.bending.shape[1]):
         out.bending[a, c] = own.bending[a, c] - first.bending[a, c]
         out.lever[a, c] = own.lever[a, c]
@@ -192,8 +192,8 @@ def write_difference(out, a, own, first):  # type: ignore[no-untyped-def]
 @part
 def copy_curve(out, a, own):  # type: ignore[no-untyped-def]
     """Keep an actuator's curve."""
-    out.count[a], out.edge[a, 0] = own.count[a], own.edge[a, 0]
-    for k in range(own.count[a]):
+    out.pieces[a], out.edge[a, 0] = own.pieces[a], own.edge[a, 0]
+    for k in range(own.pieces[a]):
         out.edge[a, k + 1] = own.edge[a, k + 1]
         for j in range(4):
             out.control[a, k, j] = own.control[a, k, j]
@@ -207,7 +207,7 @@ def sides(curves, a):  # type: ignore[no-untyped-def]
 
     Where none is on the side that a direction points to, the curve reaches furthest at one of its ends.
     """
-    last = curves.count[a]
+    last = curves.pieces[a]
     start, first = curves.edge[a, 0], curves.control[a, 0, 0]
     span = curves.edge[a, last] - start
     slope = (curves.control[a, last - 1, 3] - first) / span if span > 0.0 else 0.0
@@ -229,7 +229,7 @@ def furthest(curves, a, by_force, by_pressure):  # type: ignore[no-untyped-def]
 
     At an end of a piece, where a small turn of the direction does not move the maximum, the last is 0.
     """
-    last = curves.count[a]
+    last = curves.pieces[a]
     if curves.side[a] & (1 if by_force > 0.0 else 2) == 0:
         start, end = curves.control[a, 0, 0], curves.control[a, last - 1, 3]
         if by_force * start + by_pressure * curves.edge[a, 0] >= by_force * end + by_pressure * curves.edge[a, last]:
@@ -241,7 +241,12 @@ def furthest(curves, a, by_force, by_pressure):  # type: ignore[no-untyped-def]
     for k in range(last):
         high = curves.edge[a, k + 1]
         third = (high - low) / 3.0
-        f0, f1, f2, f3 = curves.control[a, k, 0], curves.control[a, k, 1], curves.control[a, k, 2], curves.control[a, k, 3]
+        f0, f1, f2, f3 = (
+            curves.control[a, k, 0],
+            curves.control[a, k, 1],
+            curves.control[a, k, 2],
+            curves.control[a, k, 3],
+        )
         g0, g1 = by_force * f0 + by_pressure * low, by_force * f1 + by_pressure * (low + third)
         g2, g3 = by_force * f2 + by_pressure * (high - third), by_force * f3 + by_pressure * high
         if g0 > best:

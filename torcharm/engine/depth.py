@@ -17,7 +17,7 @@ Array = np.ndarray[Any, Any]
 DEPTH_GAP = 1e-10
 """The gap, as a part of the problem's size, at which the depth is known."""
 CORNERS = {2: 80, 3: 300}
-"""Corners of the polytope at most; smooth sets in space take the most, and are then known to 1e-6 or so, and flagged."""
+"""Corners of the polytope at most: of smooth sets in space the depth is then known to 1e-6 or so, and flagged."""
 BEYOND = 1e-14
 """By this part of the problem's size a point must lie beyond a face to be a new corner: less is rounding."""
 NEVER = 1e300
@@ -33,8 +33,7 @@ class Polytope(NamedTuple):
         face: (F, D) each face's corners.
         normal, offset: (F, D), (F,) outward unit normals, and distances from w.
         seen: (F,) whether a face is to be removed.
-        count: (2,) corners and faces in use.
-        system: (D, D) room.
+        used: (2,) corners and faces in use.
     """
 
     corner: Array
@@ -43,8 +42,7 @@ class Polytope(NamedTuple):
     normal: Array
     offset: Array
     seen: Array
-    count: Array
-    system: Array
+    used: Array
 
 
 def make_polytope(actuators: int, dimension: int) -> Polytope:
@@ -59,7 +57,6 @@ def make_polytope(actuators: int, dimension: int) -> Polytope:
         np.zeros(faces),
         np.zeros(faces, np.bool_),
         np.zeros(2, np.int64),
-        np.zeros((D, D)),
     )
 
 
@@ -68,12 +65,12 @@ def depth_part(D: int, ask: Any) -> Any:
 
     @part
     def add_corner(polytope, point, pressure):  # type: ignore[no-untyped-def]
-        at = polytope.count[0]
+        at = polytope.used[0]
         for c in range(D):
             polytope.corner[at, c] = point[c]
         for a in range(len(pressure)):
             polytope.pressure[at, a] = pressure[a]
-        polytope.count[0] = at + 1
+        polytope.used[0] = at + 1
 
     @part
     def orient(polytope, f):  # type: ignore[no-untyped-def]
@@ -103,7 +100,7 @@ def depth_part(D: int, ask: Any) -> Any:
     @part
     def shared(polytope, f, skip):  # type: ignore[no-untyped-def]
         """Whether the ridge of a removed face, all its corners but one, belongs to another removed face."""
-        for g in range(polytope.count[1]):
+        for g in range(polytope.used[1]):
             if g != f and polytope.seen[g]:
                 common = 0
                 for i in range(D):
@@ -117,9 +114,8 @@ def depth_part(D: int, ask: Any) -> Any:
     @part
     def expand(polytope, new):  # type: ignore[no-untyped-def]
         """Replace the faces marked as seen by faces from their rim to the new corner; whether there was room."""
-        count = polytope.count[1]
-        last = count
-        for f in range(count):
+        last = polytope.used[1]
+        for f in range(polytope.used[1]):
             if polytope.seen[f]:
                 for skip in range(D):
                     if not shared(polytope, f, skip):
@@ -139,12 +135,12 @@ def depth_part(D: int, ask: Any) -> Any:
                 polytope.offset[kept] = polytope.offset[f]
                 polytope.seen[kept] = False
                 kept += 1
-        polytope.count[1] = kept
+        polytope.used[1] = kept
         return True
 
     @part
     def weigh(polytope, f, simplex):  # type: ignore[no-untyped-def]
-        """Make the face the simplex: its normal, and its corners with the weights that mix to its point nearest to w."""
+        """Make the face the simplex: its normal, and its corners with weights that mix to its point nearest to w."""
         corner, face, n = polytope.corner, polytope.face, polytope.normal
         if D == 2:
             i, j = face[f, 0], face[f, 1]
@@ -174,7 +170,7 @@ def depth_part(D: int, ask: Any) -> Any:
     @part
     def depth(curves, simplex, polytope, size):  # type: ignore[no-untyped-def]
         """The depth of the simplex's target, known to be strictly inside, and the gap that is left."""
-        polytope.count[0] = polytope.count[1] = 0
+        polytope.used[0] = polytope.used[1] = 0
         for i in range(D):
             add_corner(polytope, simplex.corner[i], simplex.pressure[i])
         add_corner(polytope, simplex.point, simplex.fresh)
@@ -183,15 +179,15 @@ def depth_part(D: int, ask: Any) -> Any:
                 polytope.face[f, i] = i if i < f else i + 1
             polytope.seen[f] = False
             orient(polytope, f)
-        polytope.count[1] = D + 1
+        polytope.used[1] = D + 1
         best, low = NEVER, 0.0
         while True:
             nearest = 0
-            for f in range(polytope.count[1]):
+            for f in range(polytope.used[1]):
                 if polytope.offset[f] < polytope.offset[nearest]:
                     nearest = f
             low = polytope.offset[nearest]
-            if best - low <= DEPTH_GAP * size or polytope.count[0] == len(polytope.corner):
+            if best - low <= DEPTH_GAP * size or polytope.used[0] == len(polytope.corner):
                 break
             for c in range(D):
                 simplex.normal[c] = polytope.normal[nearest, c]
@@ -202,13 +198,13 @@ def depth_part(D: int, ask: Any) -> Any:
             best = min(best, reach)
             if reach - low <= BEYOND * size:
                 break
-            for f in range(polytope.count[1]):
+            for f in range(polytope.used[1]):
                 beyond = -polytope.offset[f]
                 for c in range(D):
                     beyond += polytope.normal[f, c] * simplex.point[c]
                 polytope.seen[f] = f == nearest or beyond > BEYOND * size
             add_corner(polytope, simplex.point, simplex.fresh)
-            if not expand(polytope, polytope.count[0] - 1):
+            if not expand(polytope, polytope.used[0] - 1):
                 break
         weigh(polytope, nearest, simplex)
         return low, max(best - low, 0.0)

@@ -2,11 +2,11 @@
 
 The set is the convex hull of a sum of pressure curves, `Conv Σ_α {f_α(p) u_α + p t_α}`. It is never built: only its
 support function is asked for, `h(n) = Σ_α max_p (n·u_α) f_α(p) + (n·t_α) p`, which needs two numbers a curve. The
-method is that of Gilbert, Johnson and Keerthi (1988), which is Frank-Wolfe's with all corrections (Montaut et al. 2022):
-of at most D points of the set keep the simplex nearest to w, ask for the point of the set that lies furthest towards w,
-and go on from the nearest of the simplex's faces that hold it. Where the boundary is smooth that bisects angles; so
-there normals come from Newton's method instead, as long as they raise the lower bound. Every normal n gives a lower
-bound n·w - h(n), the simplex an upper one: the answer comes with the gap between them.
+method is that of Gilbert, Johnson and Keerthi (1988), Frank-Wolfe's with all corrections (Montaut et al. 2022): of at
+most D points of the set keep the simplex nearest to w, ask for the point of the set that lies furthest towards w, and go
+on from the nearest of the simplex's faces that hold it. Where the boundary is smooth that bisects angles; so there
+normals come from Newton's method instead, as long as they raise the lower bound. Every normal n gives a lower bound
+n·w - h(n), the simplex an upper one: the answer comes with the gap between them.
 """
 
 import math
@@ -101,7 +101,9 @@ def distance_parts(D: int) -> Any:
                 for c in range(D):
                     v = slope * curves.lever[a, c] + (curves.bending[a, c - 1] if c > 0 else 0.0)
                     for e in range(D):
-                        turn[c, e] += v * (slope * curves.lever[a, e] + (curves.bending[a, e - 1] if e > 0 else 0.0)) / fall
+                        turn[c, e] += (
+                            v * (slope * curves.lever[a, e] + (curves.bending[a, e - 1] if e > 0 else 0.0)) / fall
+                        )
         return smooth
 
     @part

@@ -9,7 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from torcharm._inputs import plain_number
 from torcharm.actuators import Actuator, McKibben, PolynomialActuator, mckibben
+from torcharm.actuators.inspection import follows
 from torcharm.engine.compilation import part
 
 Array = np.ndarray[Any, Any]
@@ -44,27 +46,25 @@ class Models(NamedTuple):
 def models_of(actuators: Sequence[Actuator]) -> Models:
     """The models as numbers; what the engine cannot evaluate itself is SAMPLED."""
     kind = np.array([_kind(model) for model in actuators])
-    tables = [model._rows() if k == POLYNOMIAL else [[0.0]] for model, k in zip(actuators, kind, strict=True)]
+    tables = [_table(model) for model in actuators]
     table = np.zeros((len(kind), max(2, *map(len, tables)), max(len(rows[0]) for rows in tables)))
     for a, rows in enumerate(tables):
         table[a, : len(rows), : len(rows[0])] = rows
-    scale = [float(model.force_scale) if k == MUSCLE else 1.0 for model, k in zip(actuators, kind, strict=True)]  # type: ignore[attr-defined]
+    scale = [plain_number(model.force_scale) if isinstance(model, McKibben) else 1.0 for model in actuators]
     return Models(kind, table, np.array(scale))
 
 
-
 def _kind(model: Actuator) -> int:
-    if _has_force_of(model, McKibben):
+    if follows(model, McKibben, "force"):
         return MUSCLE
-    return POLYNOMIAL if _has_force_of(model, PolynomialActuator) else SAMPLED
+    return POLYNOMIAL if follows(model, PolynomialActuator, "force", "_rows") else SAMPLED
 
 
-def _has_force_of(model: Actuator, kind: type) -> bool:
-    """Whether the model's force is the one that the class writes down, whatever else it overrides."""
-    names = ("force", "_rows") if kind is PolynomialActuator else ("force",)
-    return isinstance(model, kind) and all(
-        getattr(type(model), name) is getattr(kind, name) and name not in vars(model) for name in names
-    )
+def _table(model: Actuator) -> list[list[float]]:
+    """`c[j][i]` of a polynomial; zeros for other models."""
+    if _kind(model) != POLYNOMIAL or not isinstance(model, PolynomialActuator):
+        return [[0.0]]
+    return model._rows(plain_number(model.force_scale))
 
 
 @part
@@ -122,7 +122,7 @@ def muscle_corners(x: float) -> tuple[float, float]:
 
 @part
 def polynomial_row(models, a, strain, row):  # type: ignore[no-untyped-def]
-    """The coefficients by powers of pressure, two at least, that actuator a's polynomial has at a strain; the degree."""
+    """Write the coefficients by powers of pressure, two at least, of actuator a at a strain; returns the degree."""
     degree = 0
     row[1] = 0.0
     for j in range(models.table.shape[1]):

@@ -82,10 +82,16 @@ class Answers(NamedTuple):
 def make_room(models: Models, dimension: int, loads: int, sampled: int) -> Room:
     """Room for sets of wrenches of so many components."""
     actuators, pieces = len(models.kind), most_pieces(models, sampled)
-    curves = [make_curves(actuators, dimension, count) for count in (pieces, pieces, 2 * pieces)]
-    row = np.zeros(max(4, models.table.shape[1]))
-    problem = make_simplex(actuators, dimension), make_polytope(actuators, dimension)
-    return Room(*curves, *problem, np.zeros(dimension), row, np.zeros((loads, dimension)))
+    return Room(
+        make_curves(actuators, dimension, pieces),
+        make_curves(actuators, dimension, pieces),
+        make_curves(actuators, dimension, 2 * pieces),
+        make_simplex(actuators, dimension),
+        make_polytope(actuators, dimension),
+        np.zeros(dimension),
+        np.zeros(max(4, models.table.shape[1])),
+        np.zeros((loads, dimension)),
+    )
 
 
 @part
@@ -114,8 +120,8 @@ def measure(curves, middle):  # type: ignore[no-untyped-def]
     extent = 0.0
     for c in range(len(middle)):
         middle[c] = 0.0
-    for a in range(len(curves.count)):
-        last, most = curves.count[a], 0.0
+    for a in range(len(curves.pieces)):
+        last, most = curves.pieces[a], 0.0
         for k in range(last):
             for j in range(4):
                 most = max(most, abs(curves.control[a, k, j]))

@@ -7,8 +7,8 @@ import numpy as np
 
 from torcharm._arrays import Array
 from torcharm.engine.compilation import inlined, jit
-from torcharm.kernels.arms import MUSCLE, Arms
 from torcharm.engine.forces import muscle
+from torcharm.kernels.arms import MUSCLE, Arms
 
 NONE, BY_LOAD, BY_FILLING = 0, 1, 2
 """The tangent that is wanted: none, by the share of the load, or by that of all pressures."""

@@ -1,4 +1,4 @@
-"""Cross-sections: from the backbone's strains to what every actuator does there. The only place that sums over actuators.
+"""Cross-sections: from the backbone's strains to what actuators do there. The only place that sums over actuators.
 
 At a node actuator α provides, at pressure p, the wrench `f_α(ε_α, p) u_α + p t_α` and a constant moment, in the
 components that pressures can change: `(f_x, m)` in the plane, `(f_x, m_y, m_z)` in space. Its lever is
@@ -6,8 +6,9 @@ components that pressures can change: `(f_x, m)` in the plane, `(f_x, m_y, m_z)`
 (`∂l_α/∂κ = -r_α`) asks for the minus.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from jaxtyping import Float
@@ -15,8 +16,13 @@ from torch import Tensor
 
 from torcharm._inputs import as_floating, broadcast_shapes, check_at_least, check_finite, check_tensor
 from torcharm.actuators import Actuator
-from torcharm.actuators.bending import active_moment, bending_model, linear_stiffness, passive_moment, reference_pressure
-from torcharm.actuators.protocol import same_model
+from torcharm.actuators.bending import (
+    active_moment,
+    linear_stiffness,
+    passive_moment,
+    reference_pressure,
+)
+from torcharm.actuators.inspection import same_model
 from torcharm.arm import ArmDesign
 from torcharm.geometry.rod import material_curvature, offset_length, strain
 
@@ -72,34 +78,34 @@ def cross_sections(arm: ArmDesign, twists: Tensor) -> CrossSections:
 
 
 def _bending(actuators: tuple[Actuator, ...], curvature: Tensor) -> tuple[Tensor, Tensor | None]:
-    """Moments a kPa (..., M, D-1), and those that no pressure changes (..., D-1), at curvatures (..., M, D-1) [rad/m]."""
+    """Moments a kPa (..., M, D-1), and those that no pressure changes (..., D-1), at material curvatures."""
     reference = [reference_pressure(model.bending_stiffness, model.max_pressure) for model in actuators]
     linear = [linear_stiffness(model.bending_stiffness) for model in actuators]
     if None not in linear:
         rate = _row([k / p for k, p in zip(linear, reference, strict=True) if k is not None], curvature)
         active = rate.unsqueeze(-1) * curvature
     else:
-        parts = [
-            _along(curvature[..., a, :], lambda k, model=model: active_moment(model.bending_stiffness, k)) / reference[a]
+        moments = [
+            _along(curvature[..., a, :], partial(active_moment, model.bending_stiffness))
             for a, model in enumerate(actuators)
         ]
-        active = torch.stack(parts, -2)
-    passive = [
-        _along(curvature[..., a, :], lambda k, model=model: passive_moment(model.bending_stiffness, k))
-        for a, model in enumerate(actuators)
-        if bending_model(model.bending_stiffness) is not None
-        and passive_moment(model.bending_stiffness, curvature.new_zeros(1)) is not None
-    ]
-    return active, torch.stack(passive).sum(0) if passive else None
+        active = torch.stack([m / p for m, p in zip(moments, reference, strict=True) if m is not None], -2)
+    constant = None
+    for a, model in enumerate(actuators):
+        moment = _along(curvature[..., a, :], partial(passive_moment, model.bending_stiffness))
+        if moment is not None:
+            constant = moment if constant is None else constant + moment
+    return active, constant
 
 
-def _along(curvature: Tensor, moment: object) -> Tensor:
+def _along(curvature: Tensor, law: Callable[[Tensor], Tensor | None]) -> Tensor | None:
     """The moments (..., D-1) of a law of one curvature. In space it is the same for all directions of bending."""
-    assert callable(moment)
-    if curvature.shape[-1] == 1:
-        return moment(curvature.squeeze(-1)).unsqueeze(-1)
-    size = (curvature.square().sum(-1) + STRAIGHT**2).sqrt()
-    return (moment(size) / size).unsqueeze(-1) * curvature
+    planar = curvature.shape[-1] == 1
+    size = curvature.squeeze(-1) if planar else (curvature.square().sum(-1) + STRAIGHT**2).sqrt()
+    moment = law(size)
+    if moment is None:
+        return None
+    return moment.unsqueeze(-1) if planar else (moment / size).unsqueeze(-1) * curvature
 
 
 def _row(values: Sequence[float | Tensor], like: Tensor) -> Tensor:
@@ -110,7 +116,7 @@ def _row(values: Sequence[float | Tensor], like: Tensor) -> Tensor:
 
 
 def actuator_force(actuators: tuple[Actuator, ...], own_strain: Tensor, pressure: Tensor) -> Tensor:
-    """Axial forces (..., M) [N]. Models that are the same are asked together, so the cost follows the number of kinds."""
+    """Axial forces (..., M) [N]. Models that are the same are asked together: the cost follows the number of kinds."""
     shape = torch.broadcast_shapes(own_strain.shape, pressure.shape)
     groups = group_alike(actuators)
     if len(groups) == 1:

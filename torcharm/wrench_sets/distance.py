@@ -7,6 +7,7 @@ and the pressures p held (those at a limit or at a model's kink move with it).
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -141,7 +142,7 @@ def _spread(count: int, work: object) -> None:
         return
     bounds = np.linspace(0, count, threads + 1).astype(int).tolist()
     with ThreadPoolExecutor(threads) as pool:
-        for done in [pool.submit(work, *pair) for pair in zip(bounds[:-1], bounds[1:], strict=True)]:
+        for done in [pool.submit(work, *pair) for pair in pairwise(bounds)]:
             done.result()
 
 
@@ -170,7 +171,9 @@ def _padded(pieces: Tensor, count: int) -> Tensor:
         return pieces
     last = pieces[..., -1:, :]
     end, force, slope = last[..., 1], last[..., 4], last[..., 5]
-    return torch.cat((pieces, torch.stack((end, end, force, slope, force, slope), -1).expand(*last.shape[:-2], missing, 6)), -2)
+    return torch.cat(
+        (pieces, torch.stack((end, end, force, slope, force, slope), -1).expand(*last.shape[:-2], missing, 6)), -2
+    )
 
 
 def evaluate_distance(
@@ -208,7 +211,7 @@ def evaluate_distance(
 
 
 def _held(sections: CrossSections, pressure: Tensor, *, relative: bool) -> Tensor:
-    """The pressures (B, P, L, N, C, M): those of limits that want a gradient move with them, those of kinks with these."""
+    """The pressures (B, P, L, N, C, M): those at a limit that wants a gradient move with it, as do those at kinks."""
     limit, strain = sections.limit, sections.strain
     if limit.requires_grad:
         bound = limit.unsqueeze(-3).unsqueeze(-2)
