@@ -2,7 +2,6 @@
 
 from typing import TYPE_CHECKING, Any
 
-from torcharm._node_distances import Residuals
 from torcharm.actuators import (
     Actuator,
     Bellows,
@@ -21,9 +20,9 @@ from torcharm.distance.closed_form import distance_to_hull
 from torcharm.geometry.rod import poses
 from torcharm.hulls import WrenchHulls, wrench_hulls
 from torcharm.load import ExternalLoad, PointLoad
+from torcharm.statics.cross_section import reaction_wrench
 from torcharm.statics.external_load import required_wrench
 from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
-from torcharm.wrenches import reaction_wrench
 
 if TYPE_CHECKING:
     from torcharm.actuators.alignment import Recording, align, estimate_offset, pool
@@ -87,7 +86,6 @@ __all__ = [
     "PressureFit",
     "PressureSearch",
     "Recording",
-    "Residuals",
     "RigidLink",
     "Smoothness",
     "Task",

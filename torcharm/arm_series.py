@@ -79,6 +79,10 @@ class RigidLink:
         place = torch.stack((self.length, zero, zero), -1)
         return se3.from_parts(torch.eye(3).to(place).expand(*place.shape, 3), place)
 
+    def without_mass(self) -> "RigidLink":
+        """The same link, weighing nothing."""
+        return RigidLink(self.length, self.pose)
+
     def to(self, *args: Any, **kwargs: Any) -> "RigidLink":
         """The link in another dtype or on another device, as `Tensor.to`."""
         link = object.__new__(type(self))

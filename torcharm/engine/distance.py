@@ -3,8 +3,8 @@
 The set is the convex hull of a sum of pressure curves, `Conv Σ_α {f_α(p) u_α + p t_α}`. It is never built: only its
 support function is asked for, `h(n) = Σ_α max_p (n·u_α) f_α(p) + (n·t_α) p`, which needs two numbers a curve. The
 method is that of Gilbert, Johnson and Keerthi (1988), Frank-Wolfe's with all corrections (Montaut et al. 2022): of at
-most D points of the set keep the simplex nearest to w, ask for the point of the set that lies furthest towards w, and go
-on from the nearest of the simplex's faces that hold it. Where the boundary is smooth that bisects angles; so there
+most D points of the set keep the simplex nearest to w, ask for the point of the set that lies furthest towards w, and
+go on from the nearest of the simplex's faces that hold it. Where the boundary is smooth that bisects angles; so there
 normals come from Newton's method instead, as long as they raise the lower bound. Every normal n gives a lower bound
 n·w - h(n), the simplex an upper one: the answer comes with the gap between them.
 """
@@ -69,8 +69,8 @@ def determinant(a, b, c):  # type: ignore[no-untyped-def]
     return a[0] * x + a[1] * y + a[2] * z
 
 
-def distance_parts(D: int) -> Any:
-    """`ask` and `nearest` for wrenches of D components, 2 (plane) or 3 (space): loops of known length are unrolled."""
+def curve_support(D: int) -> Any:
+    """`ask` for sums of curves in D components, 2 (plane) or 3 (space): loops of known length are unrolled."""
 
     @part
     def ask(curves, simplex):  # type: ignore[no-untyped-def]
@@ -105,6 +105,33 @@ def distance_parts(D: int) -> Any:
                             v * (slope * curves.lever[a, e] + (curves.bending[a, e - 1] if e > 0 else 0.0)) / fall
                         )
         return smooth
+
+    return ask
+
+
+def vertex_support(D: int) -> Any:
+    """`ask` for hulls of vertices in D components."""
+
+    @part
+    def ask(vertices, simplex):  # type: ignore[no-untyped-def]
+        """Find the vertex of (V, D) furthest along the normal, seen from the target; its number is its pressure."""
+        best, at = -np.inf, 0
+        for v in range(len(vertices)):
+            reach = 0.0
+            for c in range(D):
+                reach += simplex.normal[c] * vertices[v, c]
+            if reach > best:
+                best, at = reach, v
+        simplex.fresh[0] = at
+        for c in range(D):
+            simplex.point[c] = vertices[at, c] - simplex.target[c]
+        return 0
+
+    return ask
+
+
+def nearest_part(D: int, ask: Any) -> Any:
+    """`nearest` for sets in D components whose support is asked for by `ask`."""
 
     @part
     def ahead_of(simplex):  # type: ignore[no-untyped-def]
@@ -257,15 +284,16 @@ def distance_parts(D: int) -> Any:
         return square
 
     @part
-    def nearest(curves, simplex, size):  # type: ignore[no-untyped-def]
+    def nearest(support, simplex, size):  # type: ignore[no-untyped-def]
         """The distance of the simplex's target from the set, the gap that is left, and whether it is strictly inside.
 
         Args:
+            support: the curves or vertices that make the set.
             size: of the problem, the most that the numbers in it can add up to.
         """
         low, length, square, newton = 0.0, 0.0, 0.0, False
         for iteration in range(ITERATIONS):
-            smooth = ask(curves, simplex)
+            smooth = ask(support, simplex)
             ahead, better = 0.0, False
             if iteration == 0:
                 square = begin(simplex)
@@ -303,4 +331,4 @@ def distance_parts(D: int) -> Any:
                     simplex.normal[c] = simplex.back[c]
         return length, max(length - low, 0.0), False
 
-    return ask, nearest
+    return nearest

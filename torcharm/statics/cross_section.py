@@ -82,7 +82,7 @@ def _bending(actuators: tuple[Actuator, ...], curvature: Tensor) -> tuple[Tensor
     reference = [reference_pressure(model.bending_stiffness, model.max_pressure) for model in actuators]
     linear = [linear_stiffness(model.bending_stiffness) for model in actuators]
     if None not in linear:
-        rate = _row([k / p for k, p in zip(linear, reference, strict=True) if k is not None], curvature)
+        rate = per_actuator([k / p for k, p in zip(linear, reference, strict=True) if k is not None], curvature)
         active = rate.unsqueeze(-1) * curvature
     else:
         moments = [
@@ -108,7 +108,7 @@ def _along(curvature: Tensor, law: Callable[[Tensor], Tensor | None]) -> Tensor 
     return moment.unsqueeze(-1) if planar else (moment / size).unsqueeze(-1) * curvature
 
 
-def _row(values: Sequence[float | Tensor], like: Tensor) -> Tensor:
+def per_actuator(values: Sequence[float | Tensor], like: Tensor) -> Tensor:
     """Numbers, some of which may be tensors with graphs, as one row."""
     if any(isinstance(value, Tensor) for value in values):
         return torch.stack([torch.as_tensor(value, dtype=like.dtype, device=like.device).squeeze() for value in values])

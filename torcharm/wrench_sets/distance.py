@@ -18,6 +18,7 @@ from torcharm.engine.forces import SAMPLED, models_of
 from torcharm.engine.node_sets import Answers, Sections, distance_kernel, make_room
 from torcharm.statics.cross_section import CrossSections, actuator_force, group_alike
 from torcharm.wrench_sets.curves import sample_pieces
+from torcharm.wrench_sets.design_task_grid import RequiredWrench
 
 CERTIFIED = 1e-8
 """The gap, as a part of a problem's size, up to which a distance counts as known: what rounding leaves in bad cases."""
@@ -25,34 +26,6 @@ WORTH_A_THREAD = 64
 """Designs below which a thread takes longer to start than to work."""
 KINK = 1e-6
 """How near to a kink, as a part of the limit, a pressure counts as held by it."""
-
-
-@dataclass(frozen=True, eq=False)
-class RequiredWrench:
-    """What loads ask of the nodes: `external + Σ_s mass_s unit_weight_s`, as D designs may weigh differently.
-
-    Attributes:
-        external: (P, L, N, C) hull wrenches of L loads on P shapes, in the nodes' frames [N, N·m].
-        unit_weight: (S, P, N, C) the same of 1 kg of each of the S segments.
-        mass: (B, S) of the B designs' segments [kg].
-    """
-
-    external: Tensor
-    unit_weight: Tensor
-    mass: Tensor
-
-    def along(self, normal: Tensor) -> Tensor:
-        """The wrenches' components (B, P, L, N) along normals (B, P, L, N, C)."""
-        found = (normal * self.external).sum(-1)
-        for s in range(len(self.unit_weight)):
-            own = (normal * self.unit_weight[s].unsqueeze(-3)).sum(-1)
-            found = found + self.mass[:, s].view(-1, 1, 1, 1) * own
-        return found
-
-    def minus_first(self) -> "RequiredWrench":
-        """The differences from the first node."""
-        external, weight = self.external, self.unit_weight
-        return RequiredWrench(external - external[..., :1, :], weight - weight[..., :1, :], self.mass)
 
 
 @dataclass(frozen=True, eq=False)
