@@ -182,7 +182,7 @@ CASES = {
     "ta.fit_force_model([1.0], [1.0], [1.0], degree='three')": ("degree", "'three'"),
     "ta.fit_force_model([1.0], [1.0], [1.0], loss=None)": ("loss", "None"),
     "ta.fit_force_model([1.0], [1.0], [1.0], max_pressure='high')": ("max_pressure", "'high'"),
-    "ta.read_pressure('no/such/file.txt', unit=None)": ("unit", "None"),
+    "ta.read_pressure('no/such/file.txt', unit=3)": ("unit", "3"),
     "ta.save_actuator('x.toml', 3)": ("model", "3"),
     "ta.pool([])": ("recordings", "none"),
     "ta.monotonicity(Bellows(), strain_range=(1.0, nan))": ("strain_range", "nan"),

@@ -155,15 +155,16 @@ def test_out_writes_a_row_for_every_load(tmp_path, study_file):
 
 
 def test_figure_draws_each_task(monkeypatch, tmp_path, study_file):
-    drawn, saved = [], []
+    drawn = []
 
     def study_figure(*args):
         drawn.append(args)
-        return types.SimpleNamespace(savefig=saved.append)
+        return types.SimpleNamespace(savefig=lambda path: path.write_text(f"{path.suffix} of {args[1]}"))
 
     monkeypatch.setitem(sys.modules, "torcharm.plot", types.SimpleNamespace(study_figure=study_figure))
     output = invoke("evaluate", study_file, "--figure", tmp_path / "figure.PNG")
-    assert saved == [tmp_path / "figure-1.PNG", tmp_path / "figure-2.PNG"]
+    assert (tmp_path / "figure-1.PNG").read_text() == ".PNG of straight"
+    assert (tmp_path / "figure-2.PNG").read_text() == ".PNG of bent"
     assert f"Wrote {tmp_path / 'figure-2.PNG'} (bent)." in output
     plan = study.load_study(study_file)
     for (arms, name, task, evaluated), expected in zip(drawn, plan.tasks, strict=True):
@@ -176,7 +177,8 @@ def test_figure_draws_each_task(monkeypatch, tmp_path, study_file):
     assert f"Wrote {tmp_path / 'figure.png'} (shape (-3, 3))." in invoke(
         "evaluate", "--figure", tmp_path / "figure.png"
     )
-    assert saved[-1] == tmp_path / "figure.png"
+    assert sorted(path.name for path in tmp_path.glob("*fig*")) == ["figure-1.PNG", "figure-2.PNG", "figure.png"]
+    assert not list(tmp_path.glob(".torcharm*"))
 
 
 def test_figure_is_a_picture(tmp_path):

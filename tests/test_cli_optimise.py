@@ -107,3 +107,51 @@ def test_results_go_to_npz_files(tmp_path: Path) -> None:
     answer = _run(tmp_path, "optimise", "study.toml", "--out", "best.csv")
     assert answer.returncode == 2
     assert "must end in .npz" in answer.stderr
+
+
+def test_outputs_that_cannot_be_written_are_found_before_the_work(tmp_path: Path) -> None:
+    two = STUDY.replace("[[task]]", '[[arm]]\nname = "other"\nkind = "bellows"\n\n[[task]]', 1)
+    (tmp_path / "best-2.npz").mkdir()
+    for arguments, words in (
+        (("--out", "none/best.npz"), "--out: none/best.npz: the directory none does not exist"),
+        (("--out", "best.npz"), "--out: best-2.npz: is a directory"),
+        (("--checkpoint", "none/run.npz"), "--checkpoint: none/run-1.npz: the directory none does not exist"),
+        (("--checkpoint", "study.toml"), "--checkpoint: study.toml: is the study itself"),
+        (("--out", "a.npz", "--checkpoint", "a.npz"), "--checkpoint: a.npz: is the file of --out"),
+    ):
+        answer = _run(tmp_path, "optimise", "study.toml", *arguments, text=two)
+        assert answer.returncode == 2
+        assert answer.stderr == f"torcharm: {words}{answer.stderr.partition(words)[2]}"
+        assert answer.stderr.count("\n") == 1
+        assert answer.stdout == ""
+
+
+FULL = """
+import sys
+import torcharm.files as files
+
+def full(path, flags):
+    raise OSError(28, "No space left on device")
+
+files._to_disk = full
+from torcharm.cli import main
+sys.argv = ["torcharm", *sys.argv[1:]]
+main()
+"""
+
+
+def test_a_failing_save_costs_no_result(tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
+    (tmp_path / "full.py").write_text(FULL, encoding="utf-8")
+    (tmp_path / "best.npz").write_text("old")
+    command = [sys.executable, "full.py", "optimise", "study.toml", "--out", "best.npz", "--checkpoint", "run.npz"]
+    answer = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert answer.returncode == 2
+    assert "antagonistic" in answer.stdout
+    assert "value" in answer.stdout
+    lines = [line for line in answer.stderr.splitlines() if line.startswith("torcharm:")]
+    assert len(lines) == 2, answer.stderr
+    assert "checkpoint: run.npz could not be written: No space left" in lines[0]
+    assert "best.npz: cannot be written: No space left" in lines[1]
+    assert (tmp_path / "best.npz").read_text() == "old"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["best.npz", "full.py", "study.toml"]

@@ -262,7 +262,7 @@ def test_csv_of_the_paper_study(paper_results, tmp_path):
     assert len(rows) == 200
     assert list(rows[0]) == [
         *("arm", "task", "load", "force_x_N", "force_y_N", "moment_Nm", "absolute", "relative"),
-        *("worst_node", "attainable", "in_range", "strain_excess"),
+        *("worst_node", "attainable", "in_range", "strain_excess", "impossible", "converged"),
     ]
     assert [row["arm"] for row in rows] == ["antagonistic"] * 100 + ["bellows-only"] * 100
     assert [int(row["load"]) for row in rows] == [*range(1, 101)] * 2
@@ -296,7 +296,7 @@ def test_attainable_loads_have_no_worst_node(tmp_path):
     assert summary.attainable == {"absolute": 1, "relative": 1}
     assert summary.all_attainable == 1
     write_results(tmp_path / "results.csv", [result])
-    assert (tmp_path / "results.csv").read_text().splitlines()[1].endswith(",0.0,0.0,,true,true,0.0")
+    assert (tmp_path / "results.csv").read_text().splitlines()[1].endswith(",0.0,0.0,,true,true,0.0,false,true")
 
 
 def test_signed_margins_count_as_attainable():
@@ -672,5 +672,5 @@ def test_a_study_of_predicted_errors(tmp_path):
 
     alone = parse_study(text.replace('"predicted_error", "absolute"', '"predicted_error"'))
     (only,) = evaluate_study(alone)
-    assert torch.equal(only.attainable, found.predicted_error <= 1e-3)
+    assert torch.equal(only.attainable, (found.predicted_error <= 1e-3) & found.converged)
     assert summarise(only).worst_node is None

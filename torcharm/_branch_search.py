@@ -155,8 +155,8 @@ def _distinct(columns: Tensor) -> Tensor:
 
 
 class _Solved(NamedTuple):
-    """What `solve_equilibrium` finds at places (M, B): costs (B,), infinite where it fails, unknowns (C, N, B), and
-    whether continuation led there (B,)."""
+    """What `solve_equilibrium` finds at places (M, B): costs (B,), infinite where it fails or the arm would not stay,
+    unknowns (C, N, B), and whether continuation led there (B,)."""
 
     place: Tensor
     cost: Tensor
@@ -169,4 +169,4 @@ def _solved(problem: Problem, block: Block, rows: Tensor, place: Tensor, settlin
     found = solved(replace(part, pressure=place.mT * part.arm.max_pressure), block.nodes, settling=settling)
     unknowns = found.unknowns.movedim(0, -1)
     cost = own[rows].cost(unknowns)
-    return _Solved(place, torch.where(found.converged, cost, float("inf")), unknowns, found.continued)
+    return _Solved(place, torch.where(found.stable, cost, float("inf")), unknowns, found.continued)

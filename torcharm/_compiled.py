@@ -27,7 +27,7 @@ def check_compiled(name: str, compiled: bool) -> None:
 
 
 def jit(function: F) -> F:
-    """Compiled at the first call, and kept on disk; a division by zero is no error, as in NumPy."""
+    """Compiled at the first call, and kept on disk, anew where that is damaged; dividing by zero is no error."""
     return _compiled(function, cache=True)
 
 
@@ -44,6 +44,8 @@ def inlined(function: F) -> F:
 def _compiled(function: F, **options: bool) -> F:
     import numba
 
+    from torcharm._code_cache import guard
+
     config: Any = numba.config
     # numba takes code from disk unless the function's own file has changed; that of what it calls may have
     chosen, folder = config.CACHE_DIR, _folder()
@@ -52,6 +54,8 @@ def _compiled(function: F, **options: bool) -> F:
     try:
         config.CACHE_DIR = folder or chosen
         compiled: F = numba.njit(**every)(unwrap(function))  # what checks signatures in tests cannot be compiled
+        if every["cache"]:
+            guard(compiled)
         return compiled
     finally:
         config.CACHE_DIR = chosen

@@ -11,13 +11,17 @@ from torcharm._outer import Block
 from torcharm._sampled_distances import (
     Required,
     Sampling,
+    decided,
     hulls_of,
+    impossible_nodes,
     inputs_want_gradient,
     points_of,
+    possible_sections,
     required_by_metric,
     sampled_distances,
     strain_excess,
 )
+from torcharm.actuators import want_gradients
 from torcharm.distance import DistanceFunction
 from torcharm.distance.closed_form import BOUNDARY_ULPS, NearestFaces, face_normals, nearest_faces, signed_length
 from torcharm.hulls import (
@@ -95,13 +99,19 @@ def node_distances(block: Block, required: Required, check: Check, recompute: bo
         required: by all tasks, of which the block's are taken.
         recompute: whether to rebuild graphs when they are needed instead of keeping them.
     """
-    if check.solver is None and not check.polish and not _replay_is_cheaper(block, check):
+    sampled = check.solver is None and not check.polish and not _replay_is_cheaper(block, check)
+    if sampled:
         answers, excess, shape = _of_polygons(block, required, check, recompute)
     elif check.solver is None:
         found = _by_machine_code(block, required, check, recompute) if check.polish and check.compiled else None
         answers, excess, shape = _by_closed_form(block, check, recompute) if found is None else found
     else:
         answers, excess, shape = _by_solver(block, check, check.solver, recompute)
+    if not sampled:
+        lengths = decided(block, check, [answer[0] for answer in answers])
+        answers = [(length, *answer[1:]) for length, answer in zip(lengths, answers, strict=True)]
+    if bool(impossible_nodes(block.arm.radii, block.twists).any()):
+        excess = strain_excess(cross_sections(block.arm, block.twists))
     by_column = [torch.stack(column).unflatten(1, shape) for column in zip(*answers, strict=True)]  # (K, p, N, d, l)
     columns = [column.permute(3, 1, 4, 0, 2) for column in by_column]
     return excess.T.unsqueeze(-1).expand(columns[0].shape[:3]), *columns
@@ -139,15 +149,12 @@ def _by_closed_form(block: Block, check: Check, recompute: bool) -> tuple[list[C
     ends of each nearest face are evaluated once more with them: a graph of two pressures a
     node, not of whole hulls.
     """
-    recording = torch.is_grad_enabled()
-    followed = recording and inputs_want_gradient(block)
+    followed = torch.is_grad_enabled() and inputs_want_gradient(block)
     with torch.no_grad():
-        sections = cross_sections(block.arm, block.twists)
-        with torch.set_grad_enabled(recording and not followed):
-            curves = _Sampled.of(sections, check)
-        replayed = followed or curves.requires_grad  # a force model may hold what is asked about
-        found = [_nearest_face(block, sections, curves, check, metric, slots=replayed) for metric in check.metrics]
-    if replayed:
+        sections = possible_sections(block)
+        curves = _Sampled.of(sections, check)
+        found = [_nearest_face(block, sections, curves, check, metric, slots=followed) for metric in check.metrics]
+    if followed:
         replay = _Replay(block, check, [one.fraction for one in found])
         *again, excess = checkpoint(replay, use_reentrant=False) if recompute else replay()
         replays = [_agreeing(square, one.faces, check.signed) for square, one in zip(again, found, strict=True)]
@@ -172,13 +179,13 @@ def _by_machine_code(
     from torcharm._face_squares import Faces, face_squares  # load when they are first asked for
     from torcharm.distance.compiled import CompiledFaces, compiled_faces, law_table
 
-    if check.auditor is not None:
+    if check.auditor is not None or want_gradients(block.arm.actuators, block.arm.radii):
         return None
     followed = torch.is_grad_enabled() and inputs_want_gradient(block)
     again = followed and recompute
     points = [points_of(block, required[metric]) for metric in check.metrics]
     with torch.set_grad_enabled(followed and not again):
-        sections = cross_sections(block.arm, block.twists)
+        sections = possible_sections(block)
     found: list[CompiledFaces] = []
     laws = law_table(sections)
     if laws is None:
@@ -207,7 +214,7 @@ def _by_machine_code(
         return *squares, strain_excess(sections)
 
     if again:
-        *squares, excess = checkpoint(lambda: replay(cross_sections(block.arm, block.twists)), use_reentrant=False)
+        *squares, excess = checkpoint(lambda: replay(possible_sections(block)), use_reentrant=False)
     elif followed:
         *squares, excess = replay(sections)
     else:
@@ -270,13 +277,6 @@ class _Sampled:
             if laws is not None:
                 return cls(None, laws)
         return cls(sample_curves(sections, check.samples), None)
-
-    @property
-    def requires_grad(self) -> bool:
-        """Whether the force models hold something that wants a gradient."""
-        if self.curves is not None:
-            return self.curves.force.requires_grad
-        return self.laws is not None and self.laws.requires_grad
 
     def metric(self, sections: Sections, relative: bool) -> "Laws | None":
         """The laws of absolute or relative reactions, if known."""
@@ -364,7 +364,7 @@ class _Replay:
     fractions: list[Tensor | None]
 
     def __call__(self) -> Columns:
-        sections = cross_sections(self.block.arm, self.block.twists)
+        sections = possible_sections(self.block)
         squares = []
         for metric, fraction in zip(self.check.metrics, self.fractions, strict=True):
             assert fraction is not None
@@ -387,7 +387,7 @@ def _by_solver(
     each = 2 if check.auditor is None else 2 + len(COLUMNS)
 
     def work() -> Columns:
-        sections = cross_sections(block.arm, block.twists)
+        sections = possible_sections(block)
         columns: list[Tensor] = []
         with torch.no_grad():
             curves = sample_curves(sections, check.samples)

@@ -96,6 +96,10 @@ class Tasks(NamedTuple):
         arm = block.arm._map(lambda value: spread(value, 0))
         return Tasks(arm, spread(block.twists, 1), spread(block.tip_load, 1, 2), block.base_pose)
 
+    def chosen(self, index: Tensor) -> "Tasks":
+        """Some of them."""
+        return Tasks(self.arm[index], self.twists[index], self.tip_load[index], self.base_pose)
+
     def detached(self) -> "Tasks":
         return Tasks(
             self.arm._map(Tensor.detach), self.twists.detach(), self.tip_load.detach(), self.base_pose.detach()

@@ -18,11 +18,15 @@ from torch import Tensor
 
 from torcharm import mechanics
 from torcharm.arm import ArmDesign
+from torcharm.geometry import rod
 
 LARGE_MOVE = 1.0
 """Longest Newton step, as of `size`, and the longest move through which a load is carried to first order."""
 SUFFICIENT = 1e-4
 """Share of the decrease of the imbalance that a step promises."""
+DEFINITE = 64
+"""Least eigenvalue of a stiffness that counts as positive definite, over the rounding of its entries: those on the
+diagonal are scaled to 1."""
 STRETCH = 3.0
 """Radians that a stretch by the whole length counts as."""
 
@@ -124,7 +128,7 @@ class Rest(NamedTuple):
     Attributes:
         unknowns: (B, 2, N).
         rate: (B, 2, N, M) by the pressures [1/kPa].
-        stable: (B,) whether the arms stay there.
+        stable: (B,) whether the arms stay there, with all lengths above 0.
         settled: (B,) whether the balance was found.
     """
 
@@ -159,7 +163,7 @@ def settle(points: Points, pressure: Tensor, guess: Tensor, looks: int, close: T
             left = element[there]
             end.unknowns[left] = (trial + seen.step)[there]
             end.rate[left], end.settled[left] = seen.rate[there], True
-            end.stable[left] = is_stable(seen.stiffness[there])
+            end.stable[left] = is_stable(seen.stiffness[there]) & has_lengths(own.arm[there], end.unknowns[left])
             if bool(there.all()):
                 return end
         short = (LARGE_MOVE / moved.clamp(min=1e-30)).clamp(max=1.0)
@@ -203,10 +207,22 @@ def is_stable(stiffness: Tensor) -> Tensor:
     """(...) whether the symmetric part of -J (..., 2N, 2N) is positive definite.
 
     Then every motion against friction, `D ż = R` with D positive definite, comes back. (J itself is not quite
-    symmetric: a balance at the start of each segment is not the derivative of an energy, nor is τ.)
+    symmetric: a balance at the start of each segment is not the derivative of an energy, nor is τ.) It is definite by
+    more than rounding: an arm that resists nothing, in one direction or in all, stays nowhere.
     """
-    _, info = torch.linalg.cholesky_ex(-0.5 * (stiffness + stiffness.mT))
+    matrix = -0.5 * (stiffness + stiffness.mT)
+    scale = matrix.diagonal(dim1=-2, dim2=-1).clamp(min=torch.finfo(matrix.dtype).tiny).rsqrt()
+    matrix = matrix * scale.unsqueeze(-1) * scale.unsqueeze(-2)
+    matrix.diagonal(dim1=-2, dim2=-1).sub_(DEFINITE * torch.finfo(matrix.dtype).eps)
+    _, info = torch.linalg.cholesky_ex(matrix)
     return info == 0
+
+
+def has_lengths(arm: ArmDesign, unknowns: Tensor) -> Tensor:
+    """(B,) whether all lengths at shapes (B, 2, N) of B designs are above 0, the centreline's and the actuators'."""
+    length, curvature = unknowns[:, 0], unknowns[:, -1]
+    own = rod.offset_length(length.unsqueeze(-2), curvature.unsqueeze(-2), arm.radii.unsqueeze(-1))
+    return (length > 0).all(-1) & (own > 0).flatten(1).all(-1)
 
 
 def size(move: Tensor, length: Tensor) -> Tensor:

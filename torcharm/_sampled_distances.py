@@ -3,7 +3,8 @@
 The graph holds each section's samples once, whatever the number of loads, and one face of each load.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import torch
@@ -11,11 +12,16 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from torcharm._outer import Block, OuterProduct
+from torcharm.actuators import want_gradients
 from torcharm.distance.closed_form import NearestFaces, face_distance, nearest_faces, signed_length
 from torcharm.hulls import Curves, Hulls, Sections, build_hulls, cross_sections, relative_curves, sample_curves
 from torcharm.statics.external_load import required_wrench
-from torcharm.wrenches import PLANAR, along
+from torcharm.wrenches import PLANAR, actuator_force, along
 
+ROUNDING_ULPS = 16
+"""Distances of so many roundings of the largest wrench of their node are 0."""
+SUSPECT_ULPS = 2**20
+"""Distances of so many roundings of the load, or of 1 N, are looked at: no hull is as large as would make others 0."""
 Pair = tuple[Tensor, Tensor]
 Required = dict[str, Pair]
 """For each metric the required forces and moments, (P, N, L) each, scaled."""
@@ -49,9 +55,9 @@ def required_by_metric(tasks: OuterProduct | Block, metrics: tuple[str, ...], sc
     return found
 
 
-def points_of(block: Block, required: Pair) -> Pair:
-    """Of required wrenches those of a block, as points (B, l) of its sections."""
-    _, shapes, loads = block.place
+def points_of(block: Block, required: Pair, *, whole: bool = True) -> Pair:
+    """Of required wrenches, of the whole or of the block, those of the block as points (B, l) of its sections."""
+    _, shapes, loads = block.place if whole else (slice(None),) * 3
     designs = len(block.arm.radii)
     x, y = (value[shapes, :, loads].unsqueeze(2).expand(-1, -1, designs, -1).flatten(0, 2) for value in required)
     return x, y
@@ -89,20 +95,20 @@ def sampled_distances(
     points = tuple(points_of(block, required[metric]) for metric in sampling.metrics)
     followed = recording and (inputs_want_gradient(block) or any(x.requires_grad for x, _ in points))
     with torch.set_grad_enabled(recording and not (recompute and followed)):
-        sections = cross_sections(block.arm, block.twists)
+        sections = possible_sections(block)
         curves = sample_curves(sections, sampling.samples)
-    wanted = followed or curves.force.requires_grad  # a force model may hold what is asked about
-    again = wanted and recompute
+    again = followed and recompute
     with torch.set_grad_enabled(recording and not again):
         hulls = _hulls(sections, curves, sampling)
     with torch.no_grad():
-        faces = [nearest_faces(own.polygons, *point, slots=wanted) for own, point in zip(hulls, points, strict=True)]
+        faces = [nearest_faces(own.polygons, *point, slots=followed) for own, point in zip(hulls, points, strict=True)]
     if again:
         replay = partial(_replayed, block, points, sampling, faces, excess)
         *lengths, beyond = checkpoint(replay, use_reentrant=False)
     else:
-        lengths = _lengths(hulls, points, sampling, faces, followed=wanted)
+        lengths = _lengths(hulls, points, sampling, faces, followed=followed)
         beyond = strain_excess(sections) if excess else None
+    lengths = decided(block, sampling, lengths)
     return Sampled(tuple(lengths), sections, hulls, points, beyond)
 
 
@@ -135,17 +141,70 @@ def _replayed(
     block: Block, points: tuple[Pair, ...], sampling: Sampling, faces: list[NearestFaces], excess: bool
 ) -> tuple[Tensor | None, ...]:
     """The distances to faces already found, and the strain excess, from the start."""
-    sections = cross_sections(block.arm, block.twists)
+    sections = possible_sections(block)
     hulls = _hulls(sections, sample_curves(sections, sampling.samples), sampling)
     lengths = _lengths(hulls, points, sampling, faces, followed=True)
     return *lengths, strain_excess(sections) if excess else None
 
 
 def inputs_want_gradient(block: Block) -> bool:
-    """Whether any tensor of the block does."""
+    """Whether any tensor of the block does, or what the force models hold."""
     arm = block.arm
     inputs = (arm.radii, arm.length, arm.max_pressure, block.twists, block.tip_load, block.base_pose)
-    return any(value.requires_grad for value in inputs)
+    return any(value.requires_grad for value in inputs) or want_gradients(arm.actuators, arm.radii)
+
+
+def impossible_nodes(radii: Tensor, twists: Tensor) -> Tensor:
+    """(p, N, d) whether an actuator of designs with radii (d, M) has no length, or less, on shapes (p, N, 3)."""
+    with torch.no_grad():
+        length, _, curvature = twists.unsqueeze(-2).unbind(-1)
+        highest, lowest = radii.amax(-1), radii.amin(-1)
+        return torch.minimum(length - highest * curvature, length - lowest * curvature) <= 0
+
+
+def possible_sections(block: Block) -> Sections:
+    """The sections of a block. Shapes that leave an actuator no length are taken as unstrained, for which every force
+    model has a number and a slope: what is found there is replaced by `decided`."""
+    sections = cross_sections(block.arm, block.twists)
+    lost = impossible_nodes(block.arm.radii, block.twists)
+    if not bool(lost.any()):
+        return sections
+    lost = lost.any(1, keepdim=True).expand_as(lost).flatten()
+    return replace(sections, strain=torch.where(lost, 0.0, sections.strain))
+
+
+def decided(block: Block, sampling: Sampling, lengths: Sequence[Tensor]) -> list[Tensor]:
+    """The distances (B, l) of each metric; infinite on shapes that leave an actuator no length, with a gradient of
+    zero, as they stay so; and 0 where they are no more than rounding of the wrenches that are required and provided."""
+    lost = impossible_nodes(block.arm.radii, block.twists)
+    anywhere = bool(lost.any())
+    lost = lost.any(1, keepdim=True).expand_as(lost).flatten().unsqueeze(-1)
+    answers = []
+    for metric, length in zip(sampling.metrics, lengths, strict=True):
+        answer = _without_rounding(block, sampling.scale, length, relative=metric == "relative")
+        answers.append(torch.where(lost, float("inf"), answer) if anywhere else answer)
+    return answers
+
+
+def _without_rounding(block: Block, scale: tuple[float, float], length: Tensor, *, relative: bool) -> Tensor:
+    with torch.no_grad():
+        eps = torch.finfo(length.dtype).eps
+        largest = block.tip_load.abs().amax() if block.tip_load.numel() else length.new_zeros(())
+        doubtful = (length > 0) & (length <= SUSPECT_ULPS * eps * max(scale) * (1 + largest))
+        if not bool(doubtful.any()):
+            return length
+        x, y = points_of(block, required_by_metric(block, ("absolute",), scale)["absolute"], whole=False)
+        sections = possible_sections(block)
+        ends = sections.limit.new_tensor([0.0, 1.0]).view(2, 1, 1) * sections.limit
+        force = actuator_force(sections.actuators, sections.strain, ends, dim=-2).abs().amax(0)
+        moment = (force * sections.radii.abs()).sum(0) + sections.bending.abs().sum(0)
+        provided = torch.hypot(scale[0] * force.sum(0), scale[1] * moment).unsqueeze(-1)
+        wrench = torch.maximum(torch.hypot(x, y), provided)
+        if relative:
+            nodes = wrench.view(*sections.shape, -1)
+            wrench = torch.maximum(nodes, nodes[:, :1]).flatten(0, 2)
+        nothing = doubtful & (length <= ROUNDING_ULPS * eps * wrench)
+    return torch.where(nothing, 0.0, length)
 
 
 def strain_excess(sections: Sections) -> Tensor:

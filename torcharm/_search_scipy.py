@@ -76,7 +76,7 @@ def _search(problem: Problem, goal: Goal, nodes: int, places: Tensor, method: st
             compiled=problem.compiled,
         )
         reached = mechanics.to_unknowns(true.twists, shear=problem.components == 3).movedim(0, -1)
-        confirmed = torch.where(true.converged, goal.cost(reached, problem.base_pose.mT), float("inf"))
+        confirmed = torch.where(true.stable, goal.cost(reached, problem.base_pose.mT), float("inf"))
         best = int(confirmed.argmin())
         slope = _slope(replace(problem, pressure=place[best, None] * limits), goal, true.twists[best, None])
         steepest = optimality(slope, place[best])

@@ -12,7 +12,7 @@ from torcharm._compiled import check_compiled
 from torcharm._inputs import check_choice, check_count, check_flag, shown
 from torcharm._node_distances import Check, Residuals, node_distances
 from torcharm._outer import OuterProduct, check_arm_and_task, map_blocks, outer_product
-from torcharm._sampled_distances import required_by_metric, strain_excess
+from torcharm._sampled_distances import impossible_nodes, required_by_metric, strain_excess
 from torcharm.arm import ArmDesign
 from torcharm.distance import DistanceFunction, find_solver
 from torcharm.hulls import cross_sections, sample_count, slot_count
@@ -30,6 +30,8 @@ CHOICES = (*METRICS, PREDICTED)
 """All metrics there are."""
 BLOCK_ELEMENTS = 300_000
 """Hull slots × points in one block: a tensor of them is 2.4 MB, small enough for the caches."""
+IMPOSSIBLE_ELEMENTS = 1_000_000
+"""Sections whose actuators' lengths are looked at at once (8 MB)."""
 POLISHED_SAMPLES, POLISHING_SAMPLES = 3, 3
 """Samples a curve to polish from; and as how many more polishing counts in sizing blocks."""
 SOLVER_ELEMENTS = 3_000_000
@@ -47,15 +49,19 @@ class Attainability:
     Attributes:
         absolute, relative: unattainability summed over the nodes, 0 if attainable.
         absolute_per_node, relative_per_node: each node's distance to its hull, not raised to a power.
-        predicted_error: the shape error to expect [m], square root of the weighted cost of the poses.
+        predicted_error: the shape error to expect [m], square root of the weighted cost of the poses; infinite where
+            no stable equilibrium was found.
         predicted_error_per_node: (..., N+1) each pose's own part of it, `sqrt(eᵀ K e)` [m]; the last is the tip's.
         predicted_pressure: (..., M) that reaches it [kPa].
         prediction: all that is known of the predicted error, with what it takes to trust it.
         strain_excess: largest strain beyond its actuator's characterised range, 0 if none is.
         in_range: whether every strain, and every pressure limit, lies in the characterised range.
-        converged: whether every distance is a number and, where residuals were asked for or a
-            solver was, each node's answer passed its check; and whether the prediction, if it was
-            asked for, converged to a stable shape.
+        impossible: whether the shape leaves an actuator no length, or less, at some node: a strain of -1 or below, as
+            of curvatures in degrees or lengths in millimetres. All metrics are infinite there.
+        distances_converged: whether every distance is finite and, where residuals were asked for or a
+            solver was, each node's answer passed its check.
+        converged: the same, and whether the prediction, if it was asked for, converged to a stable shape. Only what
+            converged may be called attainable.
         residuals: for each metric of wrenches, those of every node's distance, if they were asked for.
     """
 
@@ -69,6 +75,8 @@ class Attainability:
     prediction: "PredictedError | None"
     strain_excess: Tensor
     in_range: Tensor
+    impossible: Tensor
+    distances_converged: Tensor
     converged: Tensor
     residuals: dict[str, Residuals] | None
 
@@ -96,14 +104,22 @@ def evaluate(
     At each node the reaction must equal the wrench that the load requires. *Absolute*
     unattainability is the distance from the required wrench to the hull of the wrenches that
     pressures can provide, summed over the nodes; *relative* unattainability is the same for
-    differences from node 1. Both zero: as far as hulls can tell, the arm can hold the shape.
+    differences from node 1. Both zero: as far as hulls can tell, the arm can hold the shape. Distances
+    within 16 roundings of the node's largest wrench, required or provided, are zero. A shape that leaves an
+    actuator no length is impossible: all of its distances are infinite, with a gradient of zero.
 
-    Differentiable with respect to radii, lengths, pressure limits, twists and loads: twice with
-    the closed form, once through solvers. Where the distance has a kink, the gradient is one of its
+    Differentiable with respect to radii, lengths, pressure limits, twists, loads and whatever force models hold
+    (tensors in their fields, parameters of modules, what their functions captured): twice with
+    the closed form, once through solvers, by plain autograd; transforms of torch.func and forward mode are
+    refused, with a RuntimeError. Where the distance has a kink, the gradient is one of its
     one-sided derivatives: inside a hull and on its boundary that of the inside, 0 (signed: that of the
     nearest face); between two faces equally near, that of either; where one of two actuators that are alike
     changes, and their parallel faces part, one between the two; where a force model has a kink, that of the
-    side on which the model puts the point. At a corner of the hull there is no kink outside.
+    side on which the model puts the point. At a corner of the hull there is no kink outside. The gradient of a
+    predicted error that is not converged and stable is NaN, unless nothing depends on it: see `predict_error`.
+
+    A process forked after a large call hangs at its own, as PyTorch's threads are not forked: start processes by
+    "spawn" or "forkserver", or call `torch.set_num_threads(1)` before forking or first in each forked process.
 
     Args:
         arm: designs, of any batch shape.
@@ -168,6 +184,8 @@ def evaluate(
         for index, metric in enumerate(check.metrics if residuals else ())
     }
     converged = (per_node.isfinite() & solved).flatten(-2).all(-1)
+    impossible = _impossible(outer)
+    converged = distances_converged = converged & ~impossible
     if prediction is not None:
         converged = converged & prediction.converged & prediction.stable
     return Attainability(
@@ -180,7 +198,9 @@ def evaluate(
         predicted_pressure=None if prediction is None else prediction.pressure,
         prediction=prediction,
         strain_excess=excess,
-        in_range=(excess <= 16 * torch.finfo(excess.dtype).eps) & limits_in_range(outer),
+        in_range=(excess <= 16 * torch.finfo(excess.dtype).eps) & limits_in_range(outer) & ~impossible,
+        impossible=impossible,
+        distances_converged=distances_converged,
         converged=converged,
         residuals=audits if residuals else None,
     )
@@ -249,6 +269,13 @@ def block_size(outer: OuterProduct, hull: str, samples: int, *, through_solver: 
     slots = slot_count(outer.arm.actuator_count, hull, samples)
     elements = SOLVER_ELEMENTS // slots if through_solver else BLOCK_ELEMENTS
     return max(1, elements // (slots * outer.nodes))
+
+
+def _impossible(outer: OuterProduct) -> Tensor:
+    """(*design batch, *task batch) whether an actuator has no length somewhere."""
+    at_once = max(1, IMPOSSIBLE_ELEMENTS // max(1, outer.twists[..., 0].numel()))
+    lost = [impossible_nodes(radii, outer.twists).any(1) for radii in outer.arm.radii.split(at_once)]
+    return outer.unflatten(torch.cat(lost, -1).T.unsqueeze(-1).expand(outer.sizes))
 
 
 def _no_distances(outer: OuterProduct) -> tuple[Tensor, ...]:

@@ -25,7 +25,10 @@ from torcharm._inputs import (
     check_finite,
     check_flag,
     check_tensor,
+    refuse_transforms,
 )
+from torcharm._response import DEFINITE, has_lengths, is_stable
+from torcharm.actuators import want_gradients
 from torcharm.arm import ArmDesign, check_planar
 from torcharm.geometry import rod
 from torcharm.geometry.rod import BASE_POSE
@@ -53,7 +56,11 @@ class Equilibrium:
         residual: (*batch) largest imbalance of a node: force over the load scale, or moment over the load scale
             times the arm's mean length. The load scale is the larger of the force and the moment over
             that length, and at least 1 N.
-        converged: (*batch) whether the residual is within the tolerance.
+        converged: (*batch) whether the residual is within the tolerance, with every length above 0: the centreline's
+            and the actuators'. A folded arm is no equilibrium.
+        stable: (*batch) whether it converged and the arm stays there: whether all eigenvalues of `J = ∂R/∂z`, of the
+            balance R by lengths and curvatures, have a negative real part. After a snap the arm may be left at an
+            equilibrium that it would leave again.
         continued: (*batch) whether continuation from zero load reached it along one branch. False after a
             warm start, and where the branch ends before the full load and the arm snapped to another.
         strain_excess: (*batch) largest strain beyond its actuator's characterised range, 0 if none is.
@@ -64,6 +71,7 @@ class Equilibrium:
     base_pose: Tensor
     residual: Tensor
     converged: Tensor
+    stable: Tensor
     continued: Tensor
     strain_excess: Tensor
     in_range: Tensor
@@ -93,10 +101,11 @@ def solve_equilibrium(
     At every node the reaction balances the load: `Σ f_α + q_x = 0` and `Σ (-r_α f_α + τ_α) + q_m = 0`.
     Under compression several equilibria exist. **Returned is the branch that is continued from zero load**: the
     pressure rises first, then the load, in proportion. Where that branch ends (an arm about to snap), the arm is let
-    go, and comes to rest on another: `continued` is then false.
+    go, and comes to rest on another: `continued` is then false. Such an equilibrium need not be stable: `stable` says.
 
-    Differentiable once, with respect to pressures, loads, base poses, radii and lengths, by the implicit function
-    theorem: one linear solve, whatever the number of iterations. Gradients of elements that did not converge are
+    Differentiable once, with respect to pressures, loads, base poses, radii, lengths and whatever force models hold, by
+    the implicit function theorem: one linear solve, whatever the number of iterations. (Plain autograd does it;
+    transforms of torch.func are refused, with a RuntimeError.) Gradients of elements that did not converge are
     NaN, unless nothing depends on them.
 
     Args:
@@ -119,6 +128,7 @@ def solve_equilibrium(
         NotConvergedError: see `raise_on_failure`.
     """
     check_planar(arm)
+    refuse_transforms("pressure, tip_load")
     check_count("nodes", nodes, 1)
     pressure, load, base, _ = as_floating(pressure=pressure, tip_load=tip_load, base_pose=base_pose, radii=arm.radii)
     _check_inputs(arm, pressure, load, base)
@@ -212,6 +222,7 @@ class Solved(NamedTuple):
     unknowns: Tensor
     residual: Tensor
     converged: Tensor
+    stable: Tensor
     continued: Tensor
     strain_excess: Tensor
     in_range: Tensor
@@ -247,8 +258,22 @@ def solved(
         if len(snapped):
             unknowns[snapped] = settle(problem[snapped], unknowns[snapped], steps=settling).unknowns
     residual = problem.imbalance(problem.residual(unknowns))
-    converged = residual <= problem.tolerance  # false for a NaN
-    return Solved(unknowns, residual, converged, continued & converged, *strain_excess(problem, unknowns))
+    converged = (residual <= problem.tolerance) & has_lengths(problem.arm, unknowns)  # false for a NaN
+    stable = converged & stays(problem, unknowns)
+    return Solved(unknowns, residual, converged, stable, continued & converged, *strain_excess(problem, unknowns))
+
+
+def stays(problem: Problem, unknowns: Tensor) -> Tensor:
+    """(B,) whether arms at equilibria (B, C, N) stay there when they are disturbed: all eigenvalues of J have a real
+    part below 0, by more than rounding. Where its symmetric part is negative definite, they have."""
+    stiffness = problem.balance(unknowns).stiffness.flatten(3).flatten(1, 2)
+    stable = is_stable(stiffness)
+    rest = (~stable & stiffness.isfinite().flatten(1).all(-1)).nonzero().squeeze(-1)
+    if len(rest):
+        values = torch.linalg.eigvals(stiffness[rest])
+        rounding = DEFINITE * torch.finfo(stiffness.dtype).eps * values.abs().amax(-1)
+        stable[rest] = values.real.amax(-1) < -rounding
+    return stable
 
 
 def detached(problem: Problem) -> Problem:
@@ -288,7 +313,8 @@ def with_gradients(problem: Problem, unknowns: Tensor, converged: Tensor, *, rec
         recompute: works the residual out again for the backward pass, and keeps no graph until then.
     """
     inputs = (problem.arm.radii, problem.arm.length, problem.pressure, problem.tip_load, problem.base_pose)
-    if not (torch.is_grad_enabled() and any(value.requires_grad for value in inputs)):
+    followed = torch.is_grad_enabled() and any(value.requires_grad for value in inputs)
+    if not (followed or want_gradients(problem.arm.actuators, problem.arm.radii)):
         return unknowns
 
     def residual(*_: Tensor) -> Tensor:

@@ -9,16 +9,22 @@ predicted need not be the one that the arm reaches when it is loaded: under comp
 
 from dataclasses import dataclass
 from math import prod
+from typing import Any
 
 import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from torcharm import mechanics
+from torcharm._continuation import Problem
 from torcharm._inputs import check_count, shown
 from torcharm._outer import Block, OuterProduct, check_arm_and_task, map_blocks, outer_product
 from torcharm._predicted_minimum import FLOORS, SCREENED, Found, Tasks, minimum_over_pressures
+from torcharm._response import has_lengths, size
+from torcharm.actuators import want_gradients
+from torcharm.actuators.bending import active_moment, passive_moment
 from torcharm.arm import ArmDesign
+from torcharm.equilibrium import TOLERANCES, solved
 from torcharm.geometry import rod
 from torcharm.pose_cost import PoseCost
 from torcharm.task import Task
@@ -27,23 +33,34 @@ from torcharm.wrenches import actuator_force, along
 BLOCK_ELEMENTS = 4_000_000
 """Entries of the stiffness matrices of one block (32 MB)."""
 
+SAME, NEARLY = 1e-2, 0.1
+"""Differences of shapes, as of `size`, that count as none; and where loads are carried to first order."""
+
 
 @dataclass(frozen=True, eq=False)
 class PredictedError:
     """What `predict_error` found, of shape (*design batch, *task batch).
 
     Attributes:
-        error: square root of the cost `Σ_i ω_i e_iᵀ K e_i` [m].
-        per_node: (..., N+1) `sqrt(e_iᵀ K e_i)` of each pose [m].
-        pose_errors: (..., N+1, 3) `e_i = (x, y, θ)`, the target seen from the pose predicted [m, m, rad].
-        pressure: (..., M) that reaches it [kPa].
-        twists: (..., N, 3) of the shape predicted.
+        error: square root of the cost `Σ_i ω_i e_iᵀ K e_i` [m]; infinite where no stable balance was found. Where one
+            was found and the search over pressures did not converge, it is what that pressure reaches: others may do
+            better.
+        per_node: (..., N+1) `sqrt(e_iᵀ K e_i)` of each pose [m]; infinite as the error is.
+        pose_errors: (..., N+1, 3) `e_i = (x, y, θ)`, the target seen from the pose predicted [m, m, rad]; NaN where
+            no stable balance was found.
+        pressure: (..., M) that reaches it [kPa]; where nothing was found, the last that was tried.
+        twists: (..., N, 3) of the shape predicted; where nothing was found, no more than where Newton's method stopped.
         optimality: largest slope of the error by a pressure in shares of its limit [m], of those that
             the limits leave free.
         converged: whether the optimality is within tolerance and the balance was solved. A minimum at a kink of a
             force model, or where stability ends, does not count as converged.
-        stable: whether the balance was solved and -J, of `J = ∂R/∂z`, is positive definite there. Only such balances
-            are believed: false means that none was found, and that the error is no more than a hint.
+        stable: whether the task is possible (every actuator's length is above 0), and the balance was solved with
+            such lengths, and -J, of `J = ∂R/∂z`, is positive definite
+            there, by more than rounding. Only such balances are believed: false means that none was found. An arm that
+            resists nothing has none, nor has one whose force is not a number.
+        reached: whether it is stable, and `solve_equilibrium` leads there: the pressure raised first, then the load.
+            False where the arm comes to rest elsewhere, as under compression, where there are several equilibria, or
+            snaps on the way: then a search that follows the arm as it is loaded need not find what is predicted.
         small: whether the arm moves little (by a radian, or a third of its length) from where the load was last made
             linear: the task's shape, unless there are several steps.
         strain_excess: largest strain beyond its actuator's characterised range at the shape predicted, 0 if none is.
@@ -58,6 +75,7 @@ class PredictedError:
     optimality: Tensor
     converged: Tensor
     stable: Tensor
+    reached: Tensor
     small: Tensor
     strain_excess: Tensor
     in_range: Tensor
@@ -73,10 +91,12 @@ def predict_error(
 ) -> PredictedError:
     """The least pose error that each design can be expected to reach on each task, without a forward solve.
 
-    Errors, per-node errors and pose errors are differentiable once in radii, lengths, limits, twists, loads and the
-    base pose: by the envelope theorem the pressures found are held, but for those at a limit, which move with it, and
-    the shape follows its balance. With several steps the shape from which the last one carries the load is held too.
-    At a kink of a force model they are those of one side.
+    Errors, per-node errors and pose errors are differentiable once in radii, lengths, limits, twists, loads, the base
+    pose and whatever force models hold: by the envelope theorem the pressures found are held, but for those at a limit,
+    which move with it, and the shape follows its balance. With several steps the shape from which the last one carries
+    the load is held too. At a kink of a force model they are those of one side.
+    That holds at a minimum only: **gradients of predictions that are not converged and stable are NaN**, unless
+    nothing depends on them, as where `torch.where(found.converged & found.stable, found.error, 0.0)` leaves them out.
 
     Args:
         arm: designs, of any batch shape.
@@ -119,7 +139,7 @@ def _nothing(outer: OuterProduct) -> PredictedError:
     poses = real.new_zeros(*outer.sizes, outer.nodes + 1, 3)
     flag = torch.ones(outer.sizes, dtype=torch.bool, device=real.device)
     pressure = real.new_zeros(*outer.sizes, outer.arm.actuator_count)
-    columns = (real, poses[..., 0], poses, pressure, poses[..., 1:, :], real, flag, flag, flag, real, flag)
+    columns = (real, poses[..., 0], poses, pressure, poses[..., 1:, :], real, flag, flag, flag, flag, real, flag)
     return PredictedError(*(outer.unflatten(column) for column in columns))
 
 
@@ -129,20 +149,46 @@ def _predict_block(
     """The fields of `PredictedError` for a block, each (d, p, l, ...)."""
     tasks = Tasks.of(block)
     found = minimum_over_pressures(tasks.detached(), weights, steps)
-    again = _Replay(tasks, weights, diagonal, found, steps is None)
+    exact = steps is None
+    with torch.no_grad():
+        reached: tuple[Tensor, ...] = _Replay(tasks, weights, diagonal, found, exact)()
+        known = reached[0].isfinite() & has_lengths(tasks.arm, mechanics.to_unknowns(tasks.twists))
+    stable, converged = found.stable & known, found.converged & known
+    excess = _strain_excess(tasks, reached[-1])
+    reached = _without_answer(reached, ~stable)
     if _wants_gradient(tasks):
-        reached = checkpoint(again, use_reentrant=False) if recompute else again()
-    else:
-        with torch.no_grad():
-            reached = again()
+        reached = _with_gradient(tasks, weights, diagonal, found, exact, reached, converged & stable, recompute)
     *_, pressure, twists = reached
-    excess = _strain_excess(tasks, twists)
     inside = excess <= 16 * torch.finfo(excess.dtype).eps
     highest = along([model.pressure_range[1] for model in tasks.arm.actuators], excess, -1)
     in_range = inside & (pressure <= highest).all(-1)
-    columns = (*reached, found.optimality, found.converged, found.stable, found.small, excess, in_range)
+    arrived = _is_reached(tasks.detached(), pressure.detach(), twists.detach(), stable, exact=exact)
+    columns = (*reached, found.optimality, converged, stable, arrived, found.small, excess, in_range)
     shape = (len(block.arm.radii), *block.tip_load.shape[:2])
     return tuple(column.unflatten(0, shape) for column in columns)
+
+
+def _without_answer(reached: tuple[Tensor, ...], lost: Tensor) -> tuple[Tensor, ...]:
+    """Errors that are infinite, and pose errors that are no numbers, where there is no equilibrium (T,)."""
+    error, per_node, pose_errors, *rest = reached
+    error = error.masked_fill(lost, float("inf"))
+    per_node = per_node.masked_fill(lost[:, None], float("inf"))
+    return error, per_node, pose_errors.masked_fill(lost[:, None, None], float("nan")), *rest
+
+
+def _is_reached(tasks: Tasks, pressure: Tensor, twists: Tensor, stable: Tensor, *, exact: bool) -> Tensor:
+    """(T,) whether arms that are stable (T,) at twists come there when they are loaded."""
+    some = stable.nonzero().squeeze(-1)
+    reached = torch.zeros_like(stable)
+    if len(some):
+        own, base = tasks.chosen(some), tasks.base_pose.expand(len(some), 3)
+        tolerance = TOLERANCES.get(pressure.dtype, 1e-2)
+        problem = Problem.of(own.arm, pressure[some], own.tip_load, base, None, tolerance)
+        with torch.no_grad():
+            found = solved(problem, twists.shape[-2])
+        move = size(found.unknowns - mechanics.to_unknowns(twists[some]), problem.length)
+        reached[some] = found.continued & found.stable & (move <= (SAME if exact else NEARLY))
+    return reached
 
 
 def _strain_excess(tasks: Tasks, twists: Tensor) -> Tensor:
@@ -158,15 +204,67 @@ def _strain_excess(tasks: Tasks, twists: Tensor) -> Tensor:
 # The value at the minimum, with gradients
 
 
+def _sources(tasks: Tasks) -> tuple[Tensor, ...]:
+    """All that a prediction may depend on: what force models hold shows in their forces and moments."""
+    arm = tasks.arm
+    probe = torch.zeros_like(arm.radii[:1].detach())
+    force = actuator_force(arm.actuators, probe, probe, -1)
+    stiffness = [model.bending_stiffness for model in arm.actuators]
+    moments = [m for k in stiffness for m in (active_moment(k, probe), passive_moment(k, probe)) if m is not None]
+    held = (force, *moments, *(model.max_pressure for model in arm.actuators if isinstance(model.max_pressure, Tensor)))
+    return arm.radii, arm.length, arm.max_pressure, tasks.twists, tasks.tip_load, tasks.base_pose, *held
+
+
 def _wants_gradient(tasks: Tasks) -> bool:
-    if not torch.is_grad_enabled():
-        return False
     arm = tasks.arm
     inputs = (arm.radii, arm.length, arm.max_pressure, tasks.twists, tasks.tip_load, tasks.base_pose)
-    if any(value.requires_grad for value in inputs):
-        return True
-    probe = arm.radii[:1].detach()  # a force model may hold what is asked about
-    return actuator_force(arm.actuators, torch.zeros_like(probe), torch.zeros_like(probe), -1).requires_grad
+    wanted = torch.is_grad_enabled() and any(value.requires_grad for value in inputs)
+    return wanted or want_gradients(arm.actuators, arm.radii)
+
+
+def _with_gradient(
+    tasks: Tasks,
+    weights: Tensor,
+    diagonal: Tensor,
+    found: Found,
+    exact: bool,
+    reached: tuple[Tensor, ...],
+    known: Tensor,
+    recompute: bool,
+) -> tuple[Tensor, ...]:
+    """The same numbers, with the gradients of those that are known (T,), and NaN as that of the others."""
+    (yes,), (no,) = known.nonzero(as_tuple=True), (~known).nonzero(as_tuple=True)
+    again = _Replay(tasks.chosen(yes), weights, diagonal, Found(*(column[yes] for column in found)), exact)
+    new = checkpoint(again, use_reentrant=False) if recompute else again()
+    if not len(no):
+        return new
+    sources = _sources(tasks.chosen(no))
+    columns = []
+    for old, value in zip(reached, new, strict=True):
+        lost = _Unknown.apply(old[no], *sources)
+        columns.append(torch.zeros_like(old).index_copy(0, yes, value).index_copy(0, no, lost))
+    return tuple(columns)
+
+
+class _Unknown(torch.autograd.Function):
+    """Numbers (T, ...) whose gradient is not known: NaN for all that a number depends on, if it is asked about."""
+
+    @staticmethod
+    def forward(ctx: Any, value: Tensor, *sources: Tensor) -> Tensor:
+        ctx.sources = [(source.shape, source.dtype, source.device) for source in sources]
+        return value.clone()
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        asked = (gradient != 0).reshape(len(gradient), -1).any(-1)
+        lost: list[Tensor | None] = [None]
+        for needed, (shape, dtype, device) in zip(ctx.needs_input_grad[1:], ctx.sources, strict=True):
+            own = asked if shape[:1] == asked.shape and len(shape) > 1 else asked.any()
+            none = torch.zeros(shape, dtype=dtype, device=device)
+            own = own.view(-1, *[1] * (len(shape) - 1)) if own.ndim else own
+            lost.append(none.masked_fill(own, float("nan")) if needed else None)
+        return tuple(lost)
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,9 @@ from torcharm._continuation import Problem, can_compile
 from torcharm._descent import Goal
 from torcharm._inputs import check_above_zero, check_choice, check_count, check_flag
 from torcharm._outer import OuterProduct, check_arm_and_task, outer_product
+from torcharm._response import has_lengths
 from torcharm.arm import ArmDesign
-from torcharm.equilibrium import TOLERANCES, NotConvergedError, default_chunk, strain_excess
+from torcharm.equilibrium import TOLERANCES, NotConvergedError, default_chunk, stays, strain_excess
 from torcharm.geometry import rod
 from torcharm.pose_cost import PoseCost
 from torcharm.task import Task
@@ -36,13 +37,14 @@ class PressureSearch:
         twists: (*batch, N, 3) the equilibrium at this pressure [m, m, rad].
         residual: (*batch) its imbalance, as of `solve_equilibrium`.
         continued: (*batch) whether continuation from zero load reaches it.
-        converged: (*batch) whether it is an equilibrium, and the descent to it came to its end. False where the best
-            descent leads on to where continuation does not follow: the pressure then is next to a jump of the cost.
+        converged: (*batch) whether it is a stable equilibrium, and the descent to it came to its end. False where
+            the best descent leads on to where continuation does not follow: the pressure then is next to a jump.
         optimality: (*batch) first-order optimality [m²]: the largest entry of the projected gradient, by pressures as
             shares of their limits. At a kink of a force model it does not vanish.
         start_cost: (*batch, S) what each start came to by itself, without rounds; infinite where it failed.
         in_range: (*batch) as of `solve_equilibrium`.
         tip_error: (*batch) distance of the tip from the task's [m]; infinite where no equilibrium was found.
+        stable: (*batch) whether the arm stays there, as of `solve_equilibrium`.
     """
 
     pressure: Tensor
@@ -55,6 +57,7 @@ class PressureSearch:
     start_cost: Tensor
     in_range: Tensor
     tip_error: Tensor
+    stable: Tensor
 
     @property
     def spread(self) -> Tensor:
@@ -85,6 +88,8 @@ def search_pressure(
     Minimises `Σ_i ω_i e_iᵀ K e_i` over `p ∈ [0, p̄]`, with `e_i = (x, y, θ)` of `ĝ_i(p)⁻¹ g_i*` and ĝ(p) the
     equilibrium under the task's load. The cost is not convex: both methods find local minima, the best of several
     starts. The shape returned is the one that continuation from zero load reaches (see `solve_equilibrium`).
+
+    Results hold no graph: they are not differentiable; `predict_error` is.
 
     "batched" descends from all starts of all tasks at once, by projected Levenberg-Marquardt steps in pressures and
     shapes together. Of pressures that are promising to first order at the task shape, or spread over the box, the best
@@ -155,12 +160,26 @@ def search_pressure(
         found = found or empty_result(problem, outer.nodes, count)
     tip = rod.poses(found[2], problem.base_pose)[:, -1, :2]
     distance = (tip - goal.target[:2, -1].mT).norm(dim=-1)
-    found = (*found, torch.where(found[1].isfinite(), distance, float("inf")))
+    stable, possible = _stability(replace(problem, pressure=found[0]), found[2])
+    stable = stable & found[1].isfinite()
+    found = found[0], found[1].masked_fill(~possible, float("inf")), *found[2:5], found[5] & stable, *found[6:]
+    found = (*found, torch.where(found[1].isfinite(), distance, float("inf")), stable)
     result = PressureSearch(*(outer.unflatten(value.reshape(*outer.sizes, *value.shape[1:])) for value in found))
     failed = total - int(result.converged.sum())
     if raise_on_failure and failed:
         raise NotConvergedError(f"{failed} of {total} searches did not converge")
     return result
+
+
+def _stability(problem: Problem, twists: Tensor) -> tuple[Tensor, Tensor]:
+    """(B,) whether arms stay at equilibria, and whether all of their lengths are above 0."""
+    unknowns = mechanics.to_unknowns(twists, shear=problem.components == 3)
+    possible = has_lengths(problem.arm, unknowns)
+    every = torch.arange(len(unknowns), device=unknowns.device).split(
+        default_chunk(unknowns.shape[-1], unknowns.shape[1])
+    )
+    stable = [stays(problem[part], unknowns[part]) for part in every] if len(unknowns) else [possible]
+    return torch.cat(stable) & possible, possible
 
 
 def empty_result(problem: Problem, nodes: int, starts: int) -> tuple[Tensor, ...]:

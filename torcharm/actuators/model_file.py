@@ -5,11 +5,11 @@ quality and provenance. Floats are written so that they read back exactly: a rou
 """
 
 import json
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
 from os import PathLike
-from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
@@ -20,8 +20,13 @@ from torcharm.actuators.gridded import GriddedActuator
 from torcharm.actuators.mckibben import McKibben
 from torcharm.actuators.polynomial import Bellows, PolynomialActuator
 from torcharm.actuators.protocol import Actuator
+from torcharm.files import atomic_write, read_file
 
 StrPath = str | PathLike[str]
+
+_HEAD, _END = "# A torcharm force model. Its last line is: # end", "# end"
+_OPEN_END = re.compile(r"=\s*[\w.+-]*\d$")
+"""A last line that ends within what may be a longer number."""
 
 KINDS: dict[str, type[Any]] = {
     "polynomial": PolynomialActuator,
@@ -36,13 +41,15 @@ UNITS = {"strain": "1", "pressure": "kPa", "force": "N", "bending_stiffness": "N
 
 
 def save_actuator(path: StrPath, model: Actuator) -> None:
-    """Write a force model to a TOML file.
+    """Write a force model to a TOML file; it appears whole, and what was there stays if it cannot be written.
 
     Raises:
         ValueError: the model is of a kind that no file can hold: of one's own, or with a bending function.
         OSError: the file cannot be written.
     """
-    Path(path).write_text(actuator_text(model), encoding="utf-8", newline="\n")
+    text = actuator_text(model)
+    with atomic_write(path) as partial:
+        partial.write_text(text, encoding="utf-8", newline="\n")
 
 
 def actuator_text(model: Actuator) -> str:
@@ -66,29 +73,42 @@ def actuator_text(model: Actuator) -> str:
         tables["provenance"] = dict(provenance)
         if quality is not None:
             tables["quality"] = _plain(quality)
-    head = ["# A torcharm force model.", f"kind = {_toml(kind)}", *_entries(values)]
-    return "\n".join([*head, *(line for name, table in tables.items() for line in _section(name, table))]) + "\n"
+    head = [_HEAD, f"kind = {_toml(kind)}", *_entries(values)]
+    rest = [line for name, table in tables.items() for line in _section(name, table)]
+    return "\n".join([*head, *rest, "", _END]) + "\n"
 
 
 def load_actuator(path: StrPath) -> Actuator:
     """Read a force model from a TOML file.
 
     Raises:
-        ValueError: the file cannot be read, is no TOML or holds no force model: one line that names file and field.
+        ValueError: the file cannot be read, is no TOML, holds no force model, or ends with a number and no end of line,
+            as where it was cut short: one line that names file and field.
     """
     source = str(path)
     try:
-        raw = tomllib.loads(Path(path).read_bytes().decode("utf-8-sig"))
-    except OSError as error:
-        raise ValueError(f"{source}: cannot be read: {error.strerror or error}") from None
+        text = read_file(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(f"{source}: must be UTF-8 text, got byte {error.start + 1} that is not") from None
+    try:
+        raw = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
         raise ValueError(f"{source}: is not valid TOML: {' '.join(str(error).split())}") from None
+    lines = text.splitlines()
+    if lines and lines[0] == _HEAD and _END not in lines:
+        raise ValueError(
+            f"{source}: line {len(lines)}: must be followed by '{_END}', is the last line: it is cut short"
+        )
     try:
-        return _model(raw)
+        model = _model(raw)
     except ValueError as error:
         raise ValueError(f"{source}: {' '.join(str(error).split())}") from None
+    if lines and not text.endswith("\n") and "#" not in lines[-1] and _OPEN_END.search(lines[-1]):
+        raise ValueError(
+            f"{source}: line {len(lines)}: must end with an end of line, got {shown(lines[-1])}, whose number may be "
+            "incomplete: it is cut short"
+        )
+    return model
 
 
 def _model(raw: dict[str, Any]) -> Actuator:

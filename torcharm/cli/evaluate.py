@@ -1,13 +1,23 @@
 """`torcharm evaluate`: a study evaluated, as tables, a file and pictures."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from torcharm.cli.terminal import FIGURE_FORMATS, check_outputs, count, figure_paths, mistakes, open_console, say
+from torcharm.cli.terminal import (
+    FIGURE_FORMATS,
+    check_outputs,
+    count,
+    figure_paths,
+    mistakes,
+    open_console,
+    save_all,
+)
+from torcharm.files import check_writable
 
 _PREDICTED = "predicted_error"  # torcharm.attainability, which loads torch, must wait
 
@@ -33,22 +43,32 @@ def evaluate(
     """Evaluate every arm of a study on every task and show a table for each task."""
     with mistakes():
         check_outputs(study, out, figure)
-        from torcharm.study import evaluate_study, load_study, paper_study, write_results
+        from torcharm.study import evaluate_study, load_study, paper_study
 
         plan = paper_study() if study is None else load_study(study)
+        for path in [] if figure is None else figure_paths(figure, plan.tasks):
+            check_writable(path, "--figure")
         started = time.perf_counter()
         results = evaluate_study(plan)
         seconds = time.perf_counter() - started
 
         console = open_console()
         _report(console, plan, results, seconds)
-        if out is not None:
-            rows = write_results(out, results)
-            say(console, f"Wrote {out} ({count(rows, 'row')}).")
-        if figure is not None:
-            for path, task in zip(figure_paths(figure, plan.tasks), plan.tasks, strict=True):
-                _draw(path, task, [result for result in results if result.task is task])
-                say(console, f"Wrote {path} ({task.name}).")
+        save_all(console, _outputs(plan, results, out, figure))
+
+
+def _outputs(
+    plan: "Study", results: Sequence["StudyResult"], out: Path | None, figure: Path | None
+) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
+    from torcharm.study import write_results
+
+    if out is not None:
+        rows = sum(result.attainable.numel() for result in results)
+        yield out, lambda path: write_results(path, results), f" ({count(rows, 'row')})."
+    if figure is not None:
+        for place, task in zip(figure_paths(figure, plan.tasks), plan.tasks, strict=True):
+            shown = [result for result in results if result.task is task]
+            yield place, partial(_draw, task=task, results=shown), f" ({task.name})."
 
 
 def _draw(path: Path, task: "NamedTask", results: Sequence["StudyResult"]) -> None:
@@ -75,7 +95,7 @@ def _report(console: "Console", plan: "Study", results: Sequence["StudyResult"],
     console.print()
     console.print(_legend(plan.settings, results[0].node_metric))
     console.print()
-    for note in _notes(summaries):
+    for note in _notes(results, summaries):
         console.print(note)
     arms, tasks = count(len(plan.arms), "arm"), count(len(plan.tasks), "task")
     evaluations = count(sum(summary.loads for summary in summaries), "evaluation")
@@ -149,7 +169,20 @@ def _unit(settings: "Settings") -> str:
     return f"that of {square if squared else f'sqrt({square})'}, with f in N and m in N·m"
 
 
-def _notes(summaries: Sequence["Summary"]) -> Iterator[str]:
+def _notes(results: Sequence["StudyResult"], summaries: Sequence["Summary"]) -> Iterator[str]:
+    where = dict.fromkeys(
+        f"{result.arm.name} on {result.task.name}"
+        for result, summary in zip(results, summaries, strict=True)
+        if summary.impossible
+    )
+    if where:
+        yield (
+            f"Impossible: an actuator of {', '.join(where)} would have no length. "
+            "Are curvatures in radians (not degrees), and lengths and radii in metres (not millimetres)?"
+        )
+    unpredicted = sum(summary.unpredicted for summary in summaries)
+    if unpredicted:
+        yield f"No stable equilibrium was found for {count(unpredicted, 'load')}: their predicted error is infinite."
     if any(_strained(summary) for summary in summaries):
         excess = max(summary.strain_excess for summary in summaries)
         yield f"Strains are up to {excess:.2g} out of range: there the force models are extrapolated."

@@ -2,14 +2,14 @@
 
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torcharm.cli.terminal import FIGURE_FORMATS, check_outputs, count, mistakes, open_console, say
+from torcharm.cli.terminal import FIGURE_FORMATS, check_outputs, count, mistakes, open_console, save_all, say
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -24,7 +24,12 @@ def fit(
     pressure: Annotated[list[Path], typer.Option("--pressure", help="The pressure log of the same run; in order.")],
     out: Annotated[Path, typer.Option("--out", help="Write the force model, as TOML, for studies and ArmDesign.")],
     actuators: Annotated[int, typer.Option(help="How many actuators were pulled in parallel.")] = 1,
-    unit: Annotated[str, typer.Option(help="Of the log: psi, kPa, bar, MPa, Pa, mbar.")] = "psi",
+    unit: Annotated[
+        str | None,
+        typer.Option(
+            help="Of logs whose header names none: psi, kPa, bar, MPa, Pa, mbar.", show_default="the header's, or psi"
+        ),
+    ] = None,
     smoothing: Annotated[float, typer.Option(help="σ of the log's Gaussian smoothing, in samples; 0 for none.")] = 40.0,
     offset: Annotated[
         list[float] | None,
@@ -60,7 +65,6 @@ def fit(
         offsets = _check_runs(instron, pressure, out, offset, find_offset)
         from torcharm.actuators.alignment import align, estimate_offset, pool
         from torcharm.actuators.characterisation import fit_recording
-        from torcharm.actuators.model_file import save_actuator
         from torcharm.actuators.recordings import read_pressure, read_tester
 
         runs = []
@@ -76,15 +80,22 @@ def fit(
         if bending_stiffness is not None:
             options["bending_stiffness"] = bending_stiffness
         model = fit_recording(recording, degree, **options)
-        save_actuator(out, model)
         console = open_console()
         _report(console, model, recording)
-        say(console, f'Wrote {out}. In a study: actuators = [{{ kind = "file", path = "{out}" }}, ...]')
-        if figure is not None:
-            from torcharm.plot.characterisation import characterisation_figure
+        save_all(console, _outputs(model, recording, out, figure))
 
-            characterisation_figure(model, recording).savefig(figure)
-            say(console, f"Wrote {figure}.")
+
+def _outputs(
+    model: "FittedActuator", recording: "Recording", out: Path, figure: Path | None
+) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
+    from torcharm.actuators.model_file import save_actuator
+
+    study = f'. In a study: actuators = [{{ kind = "file", path = "{out}" }}, ...]'
+    yield out, lambda path: save_actuator(path, model), study
+    if figure is not None:
+        from torcharm.plot.characterisation import characterisation_figure
+
+        yield figure, lambda path: characterisation_figure(model, recording).savefig(path), "."
 
 
 def _check_runs(

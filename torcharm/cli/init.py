@@ -14,11 +14,11 @@ def init(
 ) -> None:
     """Write a commented study to start from."""
     with mistakes():
+        from torcharm.files import atomic_write
         from torcharm.study import example_text
 
-        try:
-            with path.open("w" if force else "x", encoding="utf-8", newline="\n") as file:
-                file.write(example_text())
-        except FileExistsError:
-            raise ValueError(f"{path}: is there already; --force overwrites it") from None
+        if path.exists() and not force:
+            raise ValueError(f"{path}: is there already; --force overwrites it")
+        with atomic_write(path) as partial:
+            partial.write_text(example_text(), encoding="utf-8", newline="\n")
         say(open_console(), f"Wrote {path}. Evaluate it with: torcharm evaluate {path}")

@@ -1,12 +1,29 @@
 """`torcharm optimise`: every arm of a study made better on all its tasks together."""
 
-from collections.abc import Sequence
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from torcharm.cli.terminal import FIGURE_FORMATS, INTERRUPTED, check_outputs, count, fail, mistakes, open_console, say
+from torcharm.cli.terminal import (
+    FIGURE_FORMATS,
+    INTERRUPTED,
+    check_outputs,
+    count,
+    fail,
+    mistakes,
+    open_console,
+    save_all,
+    say,
+)
+from torcharm.files import check_writable
+
+PLAIN = ("converged", "confirmed by a pressure search")
+"""States of a result that need no word."""
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -34,6 +51,7 @@ def optimise(
     """
     with mistakes():
         check_outputs(study, out, figure)
+        _check_checkpoint(study, out, figure, checkpoint)
         if out is not None and out.suffix != ".npz":
             raise ValueError(f"--out: {out}: must end in .npz")
         from torcharm.optimise import optimise_design
@@ -43,39 +61,74 @@ def optimise(
         how = plan.optimisation
         tasks = [named.task for named in plan.tasks]
         console = open_console()
-        results = []
+        total = len(plan.arms)
+        for option, path in (("--out", out), ("--figure", figure), ("--checkpoint", checkpoint)):
+            for index in range(total):
+                place = _numbered(path, index, total)
+                if place is not None:
+                    check_writable(place, option)
+        results: list[tuple[str, OptimisedDesign]] = []
+        failed = []
         for index, arm in enumerate(plan.arms):
-            result = optimise_design(
-                arm.design,
-                tasks,
-                how.space,
-                how.objective,
-                method=how.method,
-                starts=how.starts,
-                seed=how.seed,
-                iterations=how.iterations,
-                checkpoint=_numbered(checkpoint, index, len(plan.arms)),
-                progress=True,
-            )
+            with _warnings_in_a_line():
+                result = optimise_design(
+                    arm.design,
+                    tasks,
+                    how.space,
+                    how.objective,
+                    method=how.method,
+                    starts=how.starts,
+                    seed=how.seed,
+                    iterations=how.iterations,
+                    checkpoint=_numbered(checkpoint, index, total),
+                    progress=True,
+                )
             results.append((arm.name, result))
-            saved, drawn = (_numbered(path, index, len(plan.arms)) for path in (out, figure))
-            if saved is not None:
-                result.save(saved)
-            if drawn is not None:
-                from torcharm.optimise.figure import optimisation_figure
-
-                optimisation_figure(result, arm.name).savefig(drawn)
-            for path in (saved, drawn):
-                if path is not None:
-                    say(console, f"Wrote {path} ({arm.name}).")
+            try:
+                save_all(
+                    console, _outputs(arm.name, result, *(_numbered(path, index, total) for path in (out, figure)))
+                )
+            except ValueError as error:  # the results are shown all the same
+                failed.append(str(error))
             if result.stopped == "interrupted":
                 break
         console.print(_table(results))
         console.print()
         loads = count(len(results[0][1].after["absolute"]), "task")
         say(console, f"Value: {_value_words(results[0][1])}, of {loads}. Designs are in m and kPa.")
+        for name, result in results:
+            if result.status not in PLAIN:
+                say(console, f"{name}: {result.status}.")
+        if failed:
+            raise ValueError("; ".join(failed))
         if results[-1][1].stopped == "interrupted":
             fail("interrupted", INTERRUPTED)
+
+
+def _check_checkpoint(study: Path, out: Path | None, figure: Path | None, checkpoint: Path | None) -> None:
+    for what, other in (("the study itself", study), ("the file of --out", out), ("the file of --figure", figure)):
+        if checkpoint is not None and other is not None and checkpoint.resolve() == other.resolve():
+            raise ValueError(f"--checkpoint: {checkpoint}: is {what}, must be another file")
+
+
+def _outputs(
+    name: str, result: "OptimisedDesign", out: Path | None, figure: Path | None
+) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
+    if out is not None:
+        yield out, result.save, f" ({name})."
+    if figure is not None:
+        from torcharm.optimise.figure import optimisation_figure
+
+        yield figure, lambda path: optimisation_figure(result, name).savefig(path), f" ({name})."
+
+
+@contextmanager
+def _warnings_in_a_line() -> Iterator[None]:
+    """Warnings of a search as one line each on the standard error, as mistakes are told."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", RuntimeWarning)
+        warnings.showwarning = lambda message, *_, **__: print("torcharm:", message, file=sys.stderr)
+        yield
 
 
 def _numbered(path: Path | None, index: int, total: int) -> Path | None:

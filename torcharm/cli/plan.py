@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from torcharm.cli.terminal import check_outputs, count, mistakes, open_console, say
+from torcharm.cli.terminal import check_outputs, count, mistakes, open_console, save_all
+from torcharm.files import plain_cell
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -50,8 +51,8 @@ def plan(
                 found.append((wanted.name, arm.name, shape))
         console.print(_table(found))
         if out is not None:
-            rows = _write(out, found)
-            say(console, f"Wrote {out} ({count(rows, 'row')}).")
+            rows = sum(len(shape.twists) for *_, shape in found)
+            save_all(console, [(out, lambda path: _write(path, found), f" ({count(rows, 'row')}).")])
 
 
 def _table(found: Sequence[Found]) -> "Table":
@@ -76,13 +77,10 @@ def _table(found: Sequence[Found]) -> "Table":
     return table
 
 
-def _write(path: Path, found: Sequence[Found]) -> int:
-    rows = 0
+def _write(path: Path, found: Sequence[Found]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("plan", "arm", "node", "length_m", "shear_m", "curvature_rad"))
         for name, arm, shape in found:
             for node, twist in enumerate(shape.twists.tolist(), 1):
-                writer.writerow((name, arm, node, *twist))
-                rows += 1
-    return rows
+                writer.writerow((plain_cell(name), plain_cell(arm), node, *twist))

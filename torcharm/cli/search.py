@@ -1,15 +1,18 @@
 """`torcharm search`: for every arm and task of a study, the pressure that comes closest."""
 
 import csv
+import math
 import sys
+import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torcharm.cli.terminal import check_outputs, count, mistakes, open_console, say
+from torcharm.cli.terminal import check_outputs, count, mistakes, open_console, save_all, say
+from torcharm.files import atomic_write, is_stream, plain_cell
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -19,6 +22,8 @@ if TYPE_CHECKING:
 
 BLOCKS = {"batched": 100, "scipy": 1}
 """Loads searched at once: what an interruption may lose."""
+PAUSE = 2.0
+"""Seconds, at least, between two savings of what was found until then."""
 
 
 def search(
@@ -53,24 +58,15 @@ def search(
         check_compiled("--compiled", compiled)
         plan = paper_study() if study is None else load_study(study)
         console = open_console()
-        total = 0
-        with ExitStack() as open_files:
-            writer = None
-            if out is not None:
-                file = open_files.enter_context(out.open("w", encoding="utf-8", newline=""))
-                writer = csv.writer(file, lineterminator="\n")
-                writer.writerow(_header(max(arm.design.actuator_count for arm in plan.arms)))
+        kept = _Rows(out, _header(max(arm.design.actuator_count for arm in plan.arms)))
+        with kept:
             for task in plan.tasks:
                 rows = []
                 for arm in plan.arms:
                     found = []
                     for first, block in _blocks(arm, task, method, starts, weights, compiled):
                         found.append(block)
-                        if writer is not None:
-                            lines = list(_rows(arm, task, first, block))
-                            writer.writerows(lines)
-                            file.flush()
-                            total += len(lines)
+                        kept.add(_rows(arm, task, first, block))
                     rows.append((arm.name, found))
                 loads = count(sum(len(block.cost) for block in rows[0][1]), "load")
                 say(console, f"Task {task.name}, {count(task.task.nodes, 'node')}, {loads}")
@@ -87,7 +83,48 @@ def search(
         for line in LEGEND:
             say(console, line)
         if out is not None:
-            say(console, f"Wrote {out} ({count(total, 'row')}).")
+            save_all(console, [(out, kept.write, f" ({count(len(kept.rows), 'row')}).")])
+
+
+class _Rows:
+    """The rows of a CSV file, which is written whole again as they are found; an interruption leaves those found.
+
+    A failure to write on the way is passed over: the rows are kept, and written once more at the end.
+    """
+
+    def __init__(self, path: Path | None, header: list[str]) -> None:
+        self.path, self.header = path, header
+        self.rows: list[list[Any]] = []
+        self._grows = path is not None and not is_stream(path)  # a terminal gets all at the end
+        self._next = -math.inf
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if kind is not None and self.rows:
+            self._save()
+
+    def add(self, rows: Iterator[list[Any]]) -> None:
+        if self.path is not None:
+            self.rows += rows
+            started = time.monotonic()
+            if self._grows and started >= self._next:
+                self._save()
+                ended = time.monotonic()
+                # Writing all rows again and again must not take the time of the search.
+                self._next = ended + max(PAUSE, 20 * (ended - started))
+
+    def _save(self) -> None:
+        if self.path is not None and self._grows:
+            with suppress(OSError), atomic_write(self.path) as partial:
+                self.write(partial)
+
+    def write(self, path: Path) -> None:
+        with path.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(self.header)
+            writer.writerows(self.rows)
 
 
 LEGEND = (
@@ -140,8 +177,8 @@ def _rows(arm: "NamedArm", task: "NamedTask", first: int, found: "PressureSearch
     for index, (cost, tip, pressure, *flags, residual, optimality, spread) in enumerate(values, start=first):
         truths = [str(flag).lower() for flag in flags]
         yield [
-            arm.name,
-            task.name,
+            plain_cell(arm.name),
+            plain_cell(task.name),
             index,
             *loads[index - 1],
             cost,

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from torcharm.cli.terminal import FIGURE_FORMATS, check_outputs, mistakes, open_console, say
+from torcharm.cli.terminal import FIGURE_FORMATS, check_outputs, mistakes, open_console, save_all, say
 
 if TYPE_CHECKING:
     from torcharm.study import NamedArm
@@ -35,15 +35,18 @@ def shape(
         wrench = _numbers("--load", load, 3)
         found = solve_equilibrium(chosen.design, pressures, wrench, nodes)
         if not bool(found.converged):
+            left = float(found.residual)
+            why = f"the imbalance left is {left:.2g} of the load" if left > 1e-10 else "the only one found is folded"
             raise ValueError(
-                f"no equilibrium was found for {chosen.name} at --pressure {pressure} under --load {load}: "
-                f"the imbalance left is {float(found.residual):.2g} of the load"
+                f"no equilibrium was found for {chosen.name} at --pressure {pressure} under --load {load}: {why}"
             )
         x, y, angle = found.poses[-1].tolist()
         console = open_console()
         say(console, f"{chosen.name}: tip at x {x:.6g} m, y {y:.6g} m, heading {angle:.6g} rad")
         if not bool(found.continued):
             say(console, "The arm snapped on the way to the full load: other shapes are possible.")
+        if not bool(found.stable):
+            say(console, "The arm would not stay there: this equilibrium is not stable.")
         above = [
             f"{given:g} of {limit:g}"
             for given, limit in zip(pressures, chosen.design.max_pressure.tolist(), strict=True)
@@ -55,8 +58,7 @@ def shape(
             excess = float(found.strain_excess)
             what = f"Strains are up to {excess:.2g} out of range" if excess > 1e-9 else "Pressures are out of range"
             say(console, f"{what}: there the force models are extrapolated.")
-        _draw(figure, chosen, found.twists, wrench)
-        say(console, f"Wrote {figure}.")
+        save_all(console, [(figure, lambda path: _draw(path, chosen, found.twists, wrench), ".")])
 
 
 def _arm(arms: "tuple[NamedArm, ...]", name: str | None) -> "NamedArm":

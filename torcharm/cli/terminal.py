@@ -1,11 +1,12 @@
 """What every command shares: how mistakes are told, where outputs may go, what is printed."""
 
 import sys
-import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
+
+from torcharm.files import atomic_write, check_writable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -45,14 +46,7 @@ def check_outputs(study: Path | None, out: Path | None, figure: Path | None) -> 
     for option, path in (("--out", out), ("--figure", figure)):
         if path is None:
             continue
-        if path.is_dir():
-            raise ValueError(f"{option}: {path}: is a directory, must be a file")
-        if not path.parent.is_dir():
-            raise ValueError(f"{option}: {path}: the directory {path.parent} does not exist")
-        try:
-            _try_writing(path)
-        except OSError as error:
-            raise ValueError(f"{option}: {path}: cannot be written, {error.strerror}") from None
+        check_writable(path, option)
         if study is not None and path.resolve() == study.resolve():
             raise ValueError(f"{option}: {path}: is the study itself, must be another file")
     if figure is None:
@@ -65,12 +59,26 @@ def check_outputs(study: Path | None, out: Path | None, figure: Path | None) -> 
         raise ValueError(f"--figure: {figure}: is the file of --out, must be another")
 
 
-def _try_writing(path: Path) -> None:
-    """Open the file, or one beside it, as permissions alone do not tell; leaves no trace."""
-    if path.is_file():
-        path.open("ab").close()
-    elif not path.exists():
-        tempfile.TemporaryFile(dir=path.parent).close()
+def save_all(console: "Console", outputs: Iterable[tuple[Path, Callable[[Path], object], str]]) -> None:
+    """Write each output whole and say so; a failure costs no other output, and is an error at the end.
+
+    Args:
+        console: to say it.
+        outputs: where to, what writes the file whose name it is given, and what to say after `Wrote ...` then.
+    """
+    failed = []
+    for path, write, words in outputs:
+        try:
+            with atomic_write(path) as partial:
+                write(partial)
+        except BrokenPipeError:
+            raise
+        except (OSError, ValueError, MemoryError) as error:
+            failed.append(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error or 'no memory'}")
+        else:
+            say(console, f"Wrote {path}{words}")
+    if failed:
+        raise ValueError("; ".join(failed))
 
 
 def figure_paths(path: Path, tasks: Sequence["NamedTask"]) -> list[Path]:

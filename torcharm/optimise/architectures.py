@@ -1,6 +1,5 @@
 """Which architecture? Every choice of a force model for every position, each with its best design."""
 
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,21 +7,22 @@ from itertools import product
 from os import PathLike
 
 import torch
-from torch import Tensor
 
 from torcharm._inputs import check_choice, check_count, check_number
 from torcharm.actuators import Actuator, Bellows, McKibben
 from torcharm.arm import ArmDesign
+from torcharm.optimise.checkpoint import Checkpoint, Identity
 from torcharm.optimise.design import (
     BATCHED_METHODS,
     ITERATIONS,
+    candidate_starts,
     check_tasks,
     end_reasons,
     outcome,
-    problem_name,
     starting_points,
 )
 from torcharm.optimise.feasible import Polytope, feasible_designs
+from torcharm.optimise.mirror import is_mirror_symmetric
 from torcharm.optimise.objective import Objective, Problem
 from torcharm.optimise.result import OptimisedDesign
 from torcharm.optimise.running import Callback, Log, descend
@@ -41,7 +41,7 @@ class Architectures:
         designs: what was found for each.
         infeasible: why the others have no design that satisfies the constraints.
         mirrored: whether architectures that are each other's mirror image are listed once: they are equivalent
-            because the tasks are their own mirror image.
+            because the tasks, the arm given, bounds, ties and models are their own mirror image.
     """
 
     names: tuple[str, ...]
@@ -70,7 +70,8 @@ def optimise_architectures(
     """Optimise the radii, lengths and limits of every architecture, all in one batch.
 
     K models at M positions make K^M architectures. An architecture and its mirror image (the same arm mounted
-    the other way round) are equivalent if the tasks are their own mirror image, and then only one is tried.
+    the other way round) are equivalent if the tasks, the radii and lengths given, the bounds, the ties and each model's
+    bending moments are all their own mirror image, and only then one of the two is tried; else both are.
 
     Args:
         arm: gives the number of actuators, and radii and lengths to start from.
@@ -96,7 +97,16 @@ def optimise_architectures(
             f"models: {len(kinds)} at {count} positions make {len(kinds) ** count} architectures; "
             f"1 to {MOST_ARCHITECTURES} can be tried"
         )
-    mirrored = are_mirror_symmetric(tasks)
+    steps = ITERATIONS[method] if iterations is None else check_count("iterations", iterations, 1)
+    keeper = None
+    if checkpoint is not None:
+        # Of the arm only radii and lengths count.
+        own = ArmDesign(arm.radii, arm.length, [kinds[0]] * count)
+        options = {"search": "architectures", "method": method, "starts": starts, "seed": seed, "iterations": steps}
+        keeper = Checkpoint(
+            checkpoint, Identity.of(own, kinds, tasks, space, objective, options | {"tolerance": tolerance})
+        )
+    mirrored = is_mirror_symmetric(arm, kinds, tasks, space)
     choices = [choice for choice in product(range(len(kinds)), repeat=count) if not mirrored or choice <= choice[::-1]]
     arms, polytopes, names, infeasible = _feasible(arm, kinds, choices, space, tasks)
     problem = Problem(tuple(polytopes), tasks, objective)
@@ -105,7 +115,7 @@ def optimise_architectures(
     )
     each = len(points) // len(polytopes)
     owner = torch.arange(len(polytopes)).repeat_interleave(each)
-    steps = ITERATIONS[method] if iterations is None else check_count("iterations", iterations, 1)
+    points = candidate_starts(problem, points, owner, space, seed)
     state, log, stopped = descend(
         problem,
         points,
@@ -113,10 +123,7 @@ def optimise_architectures(
         method=method,
         iterations=steps,
         tolerance=tolerance,
-        checkpoint=checkpoint,
-        name=problem_name(
-            arm, tasks, space, objective, [repr(kind) for kind in kinds], method, starts, seed, steps, tolerance
-        ),
+        checkpoint=keeper,
         callback=callback,
         progress=progress,
         begun=begun,
@@ -163,31 +170,3 @@ def _feasible(
     if len({polytope.dimension for polytope in polytopes}) > 1:
         raise ValueError("bounds: leave some architectures fewer free values than others; give wider ones")
     return arms, polytopes, names, infeasible
-
-
-def are_mirror_symmetric(tasks: Sequence[Task]) -> bool:
-    """Whether tasks, reflected about the axis of the base, are the same tasks."""
-    rows, reflected = [], []
-    for task in tasks:
-        twists = task.twists.detach().double().cpu().expand(*task.batch_shape, task.nodes, 3)
-        load = task.tip_load.detach().double().cpu().expand(*task.batch_shape, 3)
-        rows.append(_rows(twists, load))
-        flip = torch.tensor((1.0, -1.0, -1.0), dtype=torch.float64)
-        heading = float(task.base_pose[2])
-        cos, sin = math.cos(2 * heading), math.sin(2 * heading)
-        x, y, moment = load.unbind(-1)
-        reflected.append(_rows(twists * flip, torch.stack((cos * x + sin * y, sin * x - cos * y, -moment), -1)))
-    if len({row.shape[1] for row in rows}) > 1:
-        return all(_same(a, b) for a, b in zip(rows, reflected, strict=True))
-    return _same(torch.cat(rows), torch.cat(reflected))
-
-
-def _rows(twists: Tensor, load: Tensor) -> Tensor:
-    return torch.cat((twists.flatten(-2), load), -1).reshape(-1, twists.shape[-2] * 3 + 3)
-
-
-def _same(rows: Tensor, others: Tensor) -> bool:
-    """Whether two sets of rows are equal, in any order, to 1e-9."""
-    ordered = [sorted(map(tuple, (value / 1e-9).round().tolist())) for value in (rows, others + 0.0)]
-    pairs = zip(ordered[0], ordered[1], strict=True)
-    return all(abs(a - b) <= 1 for one, other in pairs for a, b in zip(one, other, strict=True))

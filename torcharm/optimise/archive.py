@@ -1,13 +1,10 @@
 """Results and checkpoints as files: a JSON header and arrays in one .npz, written at once or not at all. No pickle."""
 
-import hashlib
+import io
 import json
-import os
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass
-from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,35 +15,38 @@ from torch import Tensor
 from torcharm._inputs import shown
 from torcharm.actuators import Actuator, Bellows, McKibben, PolynomialActuator
 from torcharm.arm import ArmDesign
+from torcharm.files import StrPath, atomic_write, check_writable, read_file
 
 KINDS = {model.__name__: model for model in (Bellows, McKibben, PolynomialActuator)}
 FORMAT = 1
 Arrays = dict[str, npt.NDArray[Any]]
 
 
-def write_archive(path: str | PathLike[str], header: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
-    """Write a header and arrays; the file appears whole, replacing what was there."""
-    target = Path(path)
-    partial = target.with_name(target.name + ".partial")
+def write_archive(path: StrPath, header: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
+    """Write a header and arrays; the file appears whole, replacing what was there, or what was there stays.
+
+    Raises:
+        ValueError: there can be no such file.
+        OSError: writing failed.
+    """
+    check_writable(path)
     text = json.dumps({"format": FORMAT, **header})
-    with partial.open("wb") as file:
+    with atomic_write(path) as partial, partial.open("wb") as file:
         np.savez(file, header=np.array(text), **{name: _as_array(value) for name, value in arrays.items()})
-    os.replace(partial, target)
 
 
-def read_archive(path: str | PathLike[str]) -> tuple[dict[str, Any], Arrays]:
+def read_archive(path: StrPath) -> tuple[dict[str, Any], Arrays]:
     """The header and arrays of a file.
 
     Raises:
         ValueError: the file cannot be read, or is none that `write_archive` wrote.
     """
+    whole = read_file(path)
     try:
-        with np.load(Path(path), allow_pickle=False) as file:
+        with np.load(io.BytesIO(whole), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         header = json.loads(str(arrays.pop("header")))
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         raise ValueError(f"{path}: is no optimisation that torcharm saved") from None
     if header.get("format") != FORMAT:
         raise ValueError(f"{path}: is of format {header.get('format')}, this torcharm reads {FORMAT}")
@@ -114,15 +114,3 @@ def design_from(name: str, arrays: Arrays, models: Sequence[Actuator]) -> ArmDes
         torch.from_numpy(arrays[f"{name}.{field}"]) for field in ("radii", "length", "max_pressure")
     )
     return ArmDesign(radii, length, models, limit)
-
-
-def fingerprint(*parts: Any) -> str:
-    """A name for a problem: equal for equal settings and tensors."""
-    digest = hashlib.sha256()
-    for part in parts:
-        if isinstance(part, Tensor):
-            array = part.detach().cpu().contiguous().numpy()
-            digest.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
-        else:
-            digest.update(json.dumps(plain(part), sort_keys=True).encode())
-    return digest.hexdigest()

@@ -36,6 +36,7 @@ class _Recorder:
     def __init__(
         self,
         problem: Problem,
+        points: Tensor,
         starts: int,
         callback: Callback | None,
         show: Callable[..., None] | None,
@@ -49,7 +50,7 @@ class _Recorder:
         self.evaluations = 0
         self.start = 0
         self.best_value = torch.full((starts,), torch.inf, dtype=torch.float64)
-        self.best_point = torch.zeros(starts, problem.dimension, dtype=torch.float64)
+        self.best_point = points[:starts].clone()
 
     def judge(self, point: Tensor, temperature: float, *, gradient: bool) -> tuple[Array, Array]:
         """Values (S,) and gradients (S, F) of points (S, F), which are first projected if outside.
@@ -119,7 +120,7 @@ def run_scipy(
     reasons = ["iterations"] * starts
     stopped = "finished"
     with bar(progress, starts) as show:
-        recorder = _Recorder(problem, starts, callback, show if progress else None, begun, seconds)
+        recorder = _Recorder(problem, points, starts, callback, show if progress else None, begun, seconds)
         try:
             for index in range(starts):
                 recorder.start = index

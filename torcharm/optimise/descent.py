@@ -28,6 +28,8 @@ FIRST_STEP = 2.0
 """About how far the first step goes, of the distance between bounds."""
 SUFFICIENT = 1e-4
 MOST_HALVINGS = 15
+SHORTEST = 1e-5
+"""Share of a step below which it is given up where nothing but designs without a value has been met."""
 PATIENCE = {"bfgs": 3, "adam": 30}
 RATE, FIRST_DECAY, SECOND_DECAY = 0.05, 0.9, 0.99
 
@@ -283,6 +285,7 @@ def _line_search(
         # The minimum of the parabola through value, slope and what was found; a failure has no value.
         parabola = -slope / (2 * (rise - slope)).clamp(min=1e-300)
         length[open_] = length[open_] * torch.where(rise.isfinite(), parabola, 0.1).clamp(0.1, 0.5)
+        open_ = open_[rise.isfinite() | (length[open_] > SHORTEST)]
     return taken, Judged(value, smooth, gradient, value), evaluations, found
 
 

@@ -11,10 +11,11 @@ from torch import Tensor
 from torcharm._inputs import check_choice, check_count, check_number, shown
 from torcharm.arm import ArmDesign, check_planar
 from torcharm.attainability import evaluate
-from torcharm.optimise.archive import fingerprint
 from torcharm.optimise.baselines import SCIPY_METHODS, run_scipy
+from torcharm.optimise.checkpoint import Checkpoint, Identity
+from torcharm.optimise.confirmation import compared_with_given, distance_status
 from torcharm.optimise.descent import REASONS, projected_gradient
-from torcharm.optimise.feasible import Polytope, feasible_designs
+from torcharm.optimise.feasible import FEASIBLE, Polytope, feasible_designs
 from torcharm.optimise.objective import Objective, Problem
 from torcharm.optimise.result import History, OptimisedDesign
 from torcharm.optimise.running import Callback, Log, descend
@@ -23,8 +24,8 @@ from torcharm.optimise.stationarity import stationarity
 from torcharm.task import Task, check_plain
 
 BATCHED_METHODS = ("bfgs", "adam")
-SCHEME = 2
-"""Of descent: checkpoints of another one are not gone on from."""
+TRIALS = 16
+"""Designs that are tried in place of a start that is no candidate."""
 METHODS = (*BATCHED_METHODS, *SCIPY_METHODS)
 ITERATIONS = {
     "bfgs": 200,
@@ -58,6 +59,11 @@ def optimise_design(
     designs. The very first descends by itself, so that an answer comes soon; the others then descend in one batch.
     Ctrl-C ends the search and returns what was found until then.
 
+    Designs on which a task is impossible, or whose predicted errors are not converged and stable, are no candidates; a
+    start that is none gives way to one nearby. What is chosen by predicted errors is compared with a pressure search:
+    the result's `status` says whether it confirms the value, and the given design is kept where it satisfies the
+    constraints and the search does better with it.
+
     Args:
         arm: a design, or a batch of designs to start from.
         task: tasks of any batch shape, or several such.
@@ -72,21 +78,34 @@ def optimise_design(
         tolerance: relative gain not worth another step.
         seconds: after which to stop, counted from the call; None sets no limit.
         checkpoint: a file from which to go on, if it is there, and in which to keep what has been done; of batched
-            methods. An interrupted search that goes on ends where it would have ended.
+            methods. An interrupted search that goes on ends where it would have ended. The file must be of this very
+            problem: arm, tasks, space, objective, options and force models, of which class, parameters, fields,
+            attributes and what functions close over are compared, and forces and moments on a grid. It appears whole
+            or not at all; that it cannot be written is found before the work or, if it fails later, told by one
+            warning while the result is returned.
         callback: is told about each iteration; returning True stops the search.
         progress: whether to show a bar, on the standard error.
 
     Raises:
-        ValueError: an argument is none of those allowed, or no design satisfies the constraints.
+        ValueError: an argument is none of those allowed, no design satisfies the constraints, or the checkpoint is of
+            another problem (the message says what differs), cannot be written, or could not be told from another's,
+            as where a force model holds an open file or a generator.
     """
     begun = time.perf_counter()
     space, objective = space or DesignSpace(), objective or Objective()
     tasks = check_tasks(arm, task, space, objective)
     iterations = _checked(method, starts, seed, iterations, tolerance, seconds, checkpoint)
+    keeper = None
+    if checkpoint is not None:
+        options = {"search": "one arm", "method": method, "starts": starts, "seed": seed, "iterations": iterations}
+        keeper = Checkpoint(
+            checkpoint, Identity.of(arm, arm.actuators, tasks, space, objective, options | {"tolerance": tolerance})
+        )
     polytope = feasible_designs(space, arm, tasks)
     problem = Problem((polytope,), tasks, objective)
     points = starting_points(polytope, arm, starts, seed)
     owner = torch.zeros(len(points), dtype=torch.long)
+    points = candidate_starts(problem, points, owner, space, seed)
     if method in SCIPY_METHODS:
         ends, values, reasons, log, stopped = run_scipy(
             problem,
@@ -108,10 +127,7 @@ def optimise_design(
             method=method,
             iterations=iterations,
             tolerance=tolerance,
-            checkpoint=checkpoint,
-            name=""
-            if checkpoint is None
-            else problem_name(arm, tasks, space, objective, method, len(points), seed, iterations, tolerance),
+            checkpoint=keeper,
             callback=callback,
             progress=progress,
             begun=begun,
@@ -166,11 +182,26 @@ def starting_points(polytope: Polytope, arm: ArmDesign, starts: int, seed: int) 
     return torch.cat((nearest, polytope.sample(max(0, starts - len(nearest)), seed)))
 
 
-def problem_name(arm: ArmDesign, tasks: Sequence[Task], *settings: Any) -> str:
-    """What tells this problem from others, for checkpoints."""
-    tensors = [tensor for task in tasks for tensor in (task.twists, task.tip_load, task.base_pose)]
-    models = [repr(model) for model in arm.actuators]
-    return fingerprint(torch.from_numpy(given_values(arm)), *tensors, models, *settings, SCHEME)
+def candidate_starts(problem: Problem, points: Tensor, owner: Tensor, space: DesignSpace, seed: int) -> Tensor:
+    """Starts (S, F) that have a value, where there are any nearby.
+
+    A descent cannot leave a design whose prediction is not converged and stable, or on which a task is impossible. Such
+    a start gives way to the best of `TRIALS` designs between it and random feasible ones.
+    """
+    if problem.objective.metric != "predicted_error" and space.in_range:
+        return points
+    warm = torch.full((len(points),), 1e-6, dtype=torch.float64)
+    lost = ~problem.judge(points, owner, warm, gradient=True).smooth.isfinite()
+    points = points.clone()
+    for index in lost.nonzero().squeeze(-1).tolist():
+        polytope = problem.polytopes[int(owner[index])]
+        away = polytope.sample(TRIALS, seed + 1 + index)
+        trial = torch.lerp(points[index], away, torch.linspace(1 / TRIALS, 1, TRIALS, dtype=away.dtype).unsqueeze(-1))
+        judged = problem.judge(trial, owner[index].expand(TRIALS), warm[:1].expand(TRIALS), gradient=True)
+        best = int(judged.smooth.argmin())
+        if bool(judged.smooth[best].isfinite()):
+            points[index] = trial[best]
+    return points
 
 
 def end_reasons(reason: Tensor) -> list[str]:
@@ -201,31 +232,41 @@ def outcome(
     with torch.no_grad():
         given = _best_given(arm, problem)
         best = int(values.argmin())
-        chosen = polytope.design(ends[best])
+        point, value = ends[best], float(values[best])
+        chosen, given_value = polytope.design(point), float(_value_of(given, problem))
         owner = torch.full((len(points),), architecture)
         warm = torch.full((len(points),), 1e-6, dtype=torch.float64)
         start_values = problem.judge(points, owner, warm, gradient=False).value
+        if objective.metric == "predicted_error":
+            comparison = compared_with_given(objective, problem.tasks, given, chosen)
+            status, own = comparison.status, polytope.nearest(given)[0]
+            if comparison.given_is_better and _is_design(polytope, own, given):
+                point, chosen, value = own, given, given_value
         checked = [evaluate(chosen, task, "absolute") for task in problem.tasks]
+    after = metric_values(chosen, problem)
+    if objective.metric != "predicted_error":
+        status = distance_status(after["converged"], torch.cat([result.impossible.reshape(-1) for result in checked]))
     mine = owner[: len(ends)]
-    slope = problem.judge(ends, mine, warm[: len(ends)], gradient=True).gradient
-    assert slope is not None
+    judged = problem.judge(ends, mine, warm[: len(ends)], gradient=True)
+    assert judged.gradient is not None
+    slopes = projected_gradient(problem, ends, mine, judged.gradient)
     history = History(torch.tensor(log.evaluations), torch.tensor(log.seconds), torch.as_tensor(log.values_array()))
     return OptimisedDesign(
         given=given,
         best=chosen,
-        value=float(values[best]),
-        given_value=float(_value_of(given, problem)),
+        value=value,
+        given_value=given_value,
         before=metric_values(given, problem),
-        after=metric_values(chosen, problem),
+        after=after,
         in_range=all(bool(result.in_range.all()) for result in checked),
-        violation=float(polytope.violation(ends[best])),
+        violation=float(polytope.violation(point)),
         starts=polytope.design(points),
         start_values=start_values,
         ends=polytope.design(ends),
         end_values=values,
         reasons=tuple(reasons),
-        projected_gradients=projected_gradient(problem, ends, mine, slope),
-        stationarity=stationarity(problem, ends[best], architecture),
+        projected_gradients=torch.where(judged.smooth.isfinite(), slopes, torch.nan),
+        stationarity=stationarity(problem, point, architecture),
         history=history,
         method=method,
         evaluations=log.evaluations[-1],
@@ -233,7 +274,14 @@ def outcome(
         stopped=stopped,
         space=space,
         objective=objective,
+        status=status,
     )
+
+
+def _is_design(polytope: Polytope, point: Tensor, arm: ArmDesign) -> bool:
+    """Whether a feasible point is this very design, so that the design satisfies the constraints."""
+    own, other = (given_values(one)[0] for one in (polytope.design(point), arm))
+    return bool(abs(own - other).max() <= FEASIBLE * max(1.0, abs(other).max()))
 
 
 def _value_of(arm: ArmDesign, problem: Problem) -> Tensor:

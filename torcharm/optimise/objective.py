@@ -29,7 +29,8 @@ class Objective:
     """How designs are compared; smaller is better.
 
     Attributes:
-        metric: "unattainability", or "predicted_error", the predicted shape error [m].
+        metric: "unattainability", or "predicted_error", the predicted shape error [m]. A design whose prediction is
+            not converged and stable on every task is no candidate: its value is infinite.
         relative_weight: λ of `absolute + λ relative` unattainability.
         over: "mean" over the tasks; "worst", the largest; "cvar", the mean of the worst share `tail`;
             "count", of tasks above `threshold`, and among equal counts the mean m by `m/(1 + m)`.
@@ -100,13 +101,16 @@ class Objective:
         return [evaluate(arm, task, self.metrics, signed=bool(self.margin), **options) for task in tasks]
 
     def of_result(self, result: Attainability) -> Tensor:
-        """One value a task, of the shape of the result's metrics; NaN where a distance did not converge.
+        """One value a task, of the shape of the result's metrics.
 
-        A predicted error whose pressures are not yet the best is an upper bound, and counts as it is.
+        NaN where a distance did not converge; infinite where a predicted error is not that of a stable equilibrium, or
+        its pressures did not converge.
         """
         if self.metric == "predicted_error":
-            assert result.predicted_error is not None
-            return result.predicted_error
+            assert result.prediction is not None
+            error = result.prediction.error
+            sound = result.prediction.converged & result.prediction.stable & error.isfinite()
+            return torch.where(sound, error, torch.inf)
         assert result.absolute is not None
         value = result.absolute
         if self.relative_weight:

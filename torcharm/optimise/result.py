@@ -23,7 +23,7 @@ from torcharm.optimise.objective import Objective
 from torcharm.optimise.space import DesignSpace
 
 NUMBERS = ("value", "given_value", "seconds", "stationarity", "violation")
-WORDS = ("evaluations", "method", "stopped", "in_range")
+WORDS = ("evaluations", "method", "stopped", "in_range", "status")
 ARRAYS = ("start_values", "end_values", "projected_gradients")
 
 
@@ -55,6 +55,13 @@ class OptimisedDesign:
         given: the design to improve on (of a batch, the one of the best value).
         best: the best design found, feasible.
         value, given_value: the objective of the two. The given design need not be feasible.
+        status: how far `value` can be trusted, in words. Of distances "converged", or on how many tasks they did not,
+            or an actuator has no length.
+            Of predicted errors, which are compared with a `search_pressure` of the given and the best design:
+            "confirmed by a pressure search" (within 20 % + 1 cm on every task), the same "that did not converge ...",
+            "not confirmed: ..." with both errors, or "no candidate: ..." where the prediction itself is not converged
+            and stable; the value is then infinite. If the given design satisfies the constraints and the search does
+            better with it, it is kept as the best, and the status begins with "given design kept".
         before, after: for each metric of `torcharm.evaluate` ("absolute", "relative", unsigned, and any other
             the objective uses) the values (T,) of all tasks, with the given and with the best design, and
             whether they "converged".
@@ -65,11 +72,13 @@ class OptimisedDesign:
         ends: S designs at which it ended.
         end_values: (S,) their objective.
         reasons: S words: "optimal" (the model promises no gain worth having), "stalled" (no gain for some iterations,
-            as at a kink), "iterations" (the limit), "failed" (no value is a number), "going" (stopped before).
+            as at a kink), "iterations" (the limit), "failed" (the start is no candidate: no value is a number), "going"
+            (stopped before).
         projected_gradients: (S,) `‖P(u - ∇) - u‖∞` at the ends, of the free values scaled to their bounds. Not small
-            at kinks of the objective.
+            at kinks of the objective; NaN where the value is no number.
         stationarity: the least norm of a convex mix of gradients around the best design and of the normals of its
-            constraints, as a fraction of the mean gradient's: 0 at a minimum, kinks included.
+            constraints, as a fraction of the mean gradient's: 0 at a minimum, kinks included. NaN where the value is no
+            number.
         history: how the values fell.
         method, evaluations, seconds: with what, how many designs on all tasks, and how long.
         stopped: "finished", "interrupted", "callback" or "time".
@@ -98,9 +107,15 @@ class OptimisedDesign:
     stopped: str
     space: DesignSpace
     objective: Objective
+    status: str
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write everything to one .npz file, without pickle."""
+        """Write everything to one .npz file, without pickle: whole, or not at all, when the old file stays.
+
+        Raises:
+            ValueError: there can be no such file, as in a folder that does not exist.
+            OSError: writing failed.
+        """
         header: dict[str, Any] = {"kind": "optimised design", "reasons": list(self.reasons)}
         header |= {name: getattr(self, name) for name in (*NUMBERS, *WORDS)}
         header |= {"actuators": model_header(self.best.actuators)}
@@ -138,7 +153,8 @@ def load_optimised(path: str | PathLike[str], actuators: Sequence[Actuator] | No
     }
     space = {name: _hashable(value) for name, value in header["space"].items()}
     objective = {name: _hashable(value) for name, value in header["objective"].items()}
-    parts: dict[str, Any] = {name: header[name] for name in (*NUMBERS, *WORDS)}
+    parts: dict[str, Any] = {name: header[name] for name in (*NUMBERS, *WORDS) if name != "status"}
+    parts["status"] = header.get("status", "")  # what was saved before there was one
     parts |= {name: torch.from_numpy(arrays[name]) for name in ARRAYS}
     parts |= {name: design_from(name, arrays, models) for name in ("given", "best", "starts", "ends")}
     return OptimisedDesign(

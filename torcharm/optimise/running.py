@@ -3,19 +3,18 @@
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields
-from os import PathLike
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
-from torcharm.optimise.archive import read_archive, write_archive
 from torcharm.optimise.descent import GOING, State, advance, blank
 from torcharm.optimise.objective import Problem
+
+if TYPE_CHECKING:
+    from torcharm.optimise.checkpoint import Checkpoint
 
 SAVE_EVERY = 10.0
 """Seconds between two writings of a checkpoint."""
@@ -77,8 +76,7 @@ def descend(
     method: str,
     iterations: int,
     tolerance: float,
-    checkpoint: str | PathLike[str] | None,
-    name: str,
+    checkpoint: "Checkpoint | None",
     callback: Callback | None,
     progress: bool,
     begun: float,
@@ -93,7 +91,7 @@ def descend(
     Raises:
         ValueError: the checkpoint is of another problem.
     """
-    state, log = _resumed(checkpoint, name)
+    state, log = (None, Log()) if checkpoint is None else checkpoint.resume()
     earlier = log.seconds[-1] if log.seconds else 0.0
     if state is None:
         state, count = advance(problem, blank(points, owner), method, tolerance, iterations)
@@ -110,7 +108,7 @@ def descend(
                     report = _report(problem, state, log)
                     show(len(log.seconds) - 1, report.value, f"{report.going} of {len(points)} starts going")
                 if checkpoint is not None and now - saved > SAVE_EVERY:
-                    _save(checkpoint, name, state, log)
+                    checkpoint.save(state, log)
                     saved = time.perf_counter()
                 if callback is not None and callback(report) is True:
                     stopped = "callback"
@@ -121,7 +119,7 @@ def descend(
         except KeyboardInterrupt:
             stopped = "interrupted"
     if checkpoint is not None:
-        _save(checkpoint, name, state, log)
+        checkpoint.save(state, log)
     return state, log, stopped
 
 
@@ -130,25 +128,6 @@ def _report(problem: Problem, state: State, log: Log) -> Report:
     design = problem.polytopes[int(state.owner[best])].design(state.best_point[best])
     value, going = float(state.best_value[best]), int((state.reason == GOING).sum())
     return Report(len(log.seconds) - 1, log.evaluations[-1], log.seconds[-1], value, design, going)
-
-
-def _save(path: str | PathLike[str], name: str, state: State, log: Log) -> None:
-    arrays = {f"state.{entry.name}": getattr(state, entry.name) for entry in fields(state)}
-    arrays |= {"evaluations": np.array(log.evaluations), "seconds": np.array(log.seconds)}
-    write_archive(path, {"kind": "checkpoint", "problem": name}, arrays | {"values": np.array(log.values)})
-
-
-def _resumed(path: str | PathLike[str] | None, name: str) -> tuple[State | None, Log]:
-    if path is None or not Path(path).exists():
-        return None, Log()
-    header, arrays = read_archive(path)
-    if header.get("kind") != "checkpoint" or header.get("problem") != name:
-        raise ValueError(
-            f"checkpoint: {path} belongs to another problem, method or seed; delete it or name another file"
-        )
-    state = State(*(torch.from_numpy(arrays[f"state.{entry.name}"]) for entry in fields(State)))
-    log = Log(arrays["evaluations"].tolist(), arrays["seconds"].tolist(), list(arrays["values"]))
-    return state, log
 
 
 @contextmanager

@@ -134,7 +134,7 @@ def coordinates(space: DesignSpace, arm: ArmDesign) -> Coordinates:
                 raise ValueError(f"arm: the given designs must agree in {name}, which is not free")
             continue
         least, most = _bounds(space, name, arm, values[:, own])
-        for members, signs in _groups(space, name, count, values[0, own]):
+        for members, signs in tied_groups(space, name, count, values[0, own]):
             column = np.zeros(3 * count)
             column[own][members] = signs
             columns.append(column)
@@ -185,7 +185,7 @@ def _bounds(space: DesignSpace, name: str, arm: ArmDesign, values: Array) -> tup
     return least, most
 
 
-def _groups(space: DesignSpace, name: str, count: int, values: Array) -> list[tuple[list[int], Array]]:
+def tied_groups(space: DesignSpace, name: str, count: int, values: Array) -> list[tuple[list[int], Array]]:
     """Actuators that share one free value, and with which sign."""
     tie = space.tied.get(name) if isinstance(space.tied, Mapping) else space.tied
     signed = name == "radii"

@@ -27,6 +27,9 @@ def stationarity(
         owner: whose polytope it is in.
         radius: of the ball in which gradients are gathered.
         count: of gradients; None takes 4 F.
+
+    Returns:
+        The norm; NaN if the objective is no number at the point.
     """
     from scipy.optimize import nnls
 
@@ -37,8 +40,12 @@ def stationarity(
     offset = radius * offset / offset.norm(dim=-1, keepdim=True).clamp(min=1e-300)
     around = polytope.project(torch.cat((point[None], point + offset)))
     warm = torch.full((len(around),), 1e-6, dtype=torch.float64)
-    slopes = problem.judge(around, torch.full((len(around),), owner), warm, gradient=True).gradient
-    assert slopes is not None
+    judged = problem.judge(around, torch.full((len(around),), owner), warm, gradient=True)
+    assert judged.gradient is not None
+    known = judged.smooth.isfinite()
+    if not bool(known[0]):
+        return float("nan")
+    slopes = judged.gradient[known]
     size = float(slopes.norm(dim=-1).mean())
     if size == 0.0:
         return 0.0

@@ -23,6 +23,7 @@ from torcharm.actuators import (
 from torcharm.actuators.model_file import load_actuator
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
 from torcharm.attainability import CHOICES
+from torcharm.files import read_file
 from torcharm.hulls import sample_count, slot_count
 from torcharm.optimise import DesignSpace, Objective
 from torcharm.planning import Smoothness
@@ -61,12 +62,12 @@ def load_study(path: str | PathLike[str]) -> Study:
     """
     source = str(path)
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")  # Windows editors put a byte order mark first
+        text = read_file(path).decode("utf-8-sig")  # Windows editors put a byte order mark first
     except UnicodeDecodeError as error:
         raise ValueError(one_line(f"{source}: must be UTF-8 text, got byte {error.start + 1} that is not")) from None
-    except OSError as error:
-        raise ValueError(one_line(f"{source}: cannot be read: {error.strerror or error}")) from None
-    return parse_study(text, source, Path(path).parent)
+    except ValueError as error:
+        raise ValueError(one_line(str(error))) from None
+    return parse_study(text.replace("\r\n", "\n").replace("\r", "\n"), source, Path(path).parent)
 
 
 def parse_study(text: str, source: str = "study", folder: str | PathLike[str] = ".") -> Study:

@@ -1,0 +1,3 @@
+from experiments.trust.run import main
+
+main()
