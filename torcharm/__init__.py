@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from torcharm.actuators.model_file import load_actuator, save_actuator
     from torcharm.actuators.recordings import read_pressure, read_tester
     from torcharm.actuators.uncertainty import TensorPolynomial, coefficient_tensor, standard_deviation
-    from torcharm.capacity import LoadCapacity, load_capacity
     from torcharm.distance.planar import planar_distance
     from torcharm.distance.qp import qp_distance
     from torcharm.distance.result import HullDistance, kkt_residuals
@@ -52,6 +51,7 @@ if TYPE_CHECKING:
     from torcharm.prediction import PredictedError, predict_error
     from torcharm.pressure_fit import PressureFit, fit_pressure
     from torcharm.search import PressureSearch, search_pressure
+    from torcharm.wrench_sets.capacity import LoadCapacity, load_capacity
 
 __version__ = "0.1.0"
 
@@ -143,7 +143,7 @@ _LATER = {
     "FittedActuator": "actuators.characterisation",
     "GriddedActuator": "actuators.gridded",
     "HullDistance": "distance.result",
-    "LoadCapacity": "capacity",
+    "LoadCapacity": "wrench_sets.capacity",
     "NotConvergedError": "equilibrium",
     "Objective": "optimise",
     "OptimisedDesign": "optimise",
@@ -164,7 +164,7 @@ _LATER = {
     "fit_recording": "actuators.characterisation",
     "kkt_residuals": "distance.result",
     "load_actuator": "actuators.model_file",
-    "load_capacity": "capacity",
+    "load_capacity": "wrench_sets.capacity",
     "load_optimised": "optimise",
     "nnls_distance": "distance.scipy_solvers",
     "optimise_architectures": "optimise",

@@ -12,17 +12,14 @@ from torcharm._inputs import check_choice, check_count, check_flag, shown
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.pose_cost import PoseCost
-from torcharm.statics.cross_section import per_actuator
 from torcharm.task import Task
-from torcharm.wrench_sets.design_task_grid import DesignTaskGrid, design_task_grid
-from torcharm.wrench_sets.node_distances import SetOptions, VertexDistances, node_distances
+from torcharm.wrench_sets.design_task_grid import design_task_grid, limits_in_range
+from torcharm.wrench_sets.node_distances import METRICS, SetOptions, VertexDistances, node_distances
 from torcharm.wrench_sets.vertex_sets import DistanceFunction, check_hull, vertex_distances
 
 if TYPE_CHECKING:
     from torcharm.prediction import PredictedError
 
-METRICS = ("absolute", "relative")
-"""Of wrenches, by attainable sets."""
 PREDICTED = "predicted_error"
 CHOICES = (*METRICS, PREDICTED)
 """All metrics there are."""
@@ -189,15 +186,6 @@ def _predict(
     if not isinstance(arm, ArmDesign):
         raise ValueError(f"metrics: predicted_error is for arms of one segment, got {shown(arm)}")
     return predict_error(arm, task, pose_cost=pose_cost, steps=steps, chunk_size=chunk_size)
-
-
-def limits_in_range(grid: DesignTaskGrid) -> Tensor:
-    """Whether every pressure limit lies in its model's characterised range."""
-    inside = []
-    for segment in grid.segments:
-        highest = per_actuator([model.pressure_range[1] for model in segment.actuators], segment.max_pressure)
-        inside.append((segment.max_pressure <= highest).all(-1))
-    return grid.unflatten(torch.stack(inside).all(0).view(-1, 1, 1).expand(grid.sizes))
 
 
 def _metrics(metrics: Sequence[str]) -> tuple[str, ...]:
