@@ -18,7 +18,6 @@ from torcharm.arm_series import ArmSeries, RigidLink, series
 from torcharm.attainability import Attainability, evaluate
 from torcharm.distance.closed_form import distance_to_hull
 from torcharm.geometry.rod import poses
-from torcharm.hulls import WrenchHulls, wrench_hulls
 from torcharm.load import ExternalLoad, PointLoad
 from torcharm.statics.cross_section import reaction_wrench
 from torcharm.statics.external_load import required_wrench
@@ -52,6 +51,7 @@ if TYPE_CHECKING:
     from torcharm.pressure_fit import PressureFit, fit_pressure
     from torcharm.search import PressureSearch, search_pressure
     from torcharm.wrench_sets.capacity import LoadCapacity, load_capacity
+    from torcharm.wrench_sets.wrench_set import WrenchHulls, wrench_hulls
 
 __version__ = "0.1.0"
 
@@ -155,6 +155,7 @@ _LATER = {
     "Recording": "actuators.alignment",
     "Smoothness": "planning",
     "TensorPolynomial": "actuators.uncertainty",
+    "WrenchHulls": "wrench_sets.wrench_set",
     "align": "actuators.alignment",
     "coefficient_tensor": "actuators.uncertainty",
     "estimate_offset": "actuators.alignment",
@@ -182,6 +183,7 @@ _LATER = {
     "solve_equilibrium": "equilibrium",
     "standard_deviation": "actuators.uncertainty",
     "verify_design": "optimise",
+    "wrench_hulls": "wrench_sets.wrench_set",
 }
 
 

@@ -90,7 +90,7 @@ class DesignTaskGrid:
 
     def with_designs(self, arm: Arm) -> "DesignTaskGrid":
         """Other designs of the same actuators, of one batch dimension, for the same tasks."""
-        segments = _expanded(arm)
+        segments = flat_segments(arm)
         mass = _masses(segments)[:, : self.required.mass.shape[1]]
         required = replace(self.required, mass=mass)
         return replace(self, segments=segments, required=required, design_batch=tuple(arm.batch_shape))
@@ -135,7 +135,7 @@ def design_task_grid(arm: Arm, task: Task) -> DesignTaskGrid:
         ValueError: they do not fit.
     """
     check_arm_and_task(arm, task)
-    segments = _expanded(arm)
+    segments = flat_segments(arm)
     counts = task.segment_nodes or (task.nodes,)
     ends = torch.tensor(counts).cumsum(0).tolist()
     nodes = tuple(slice(end - count, end) for end, count in zip(ends, counts, strict=True))
@@ -207,7 +207,7 @@ def _check_links(links: Sequence[RigidLink | None] | None) -> None:
             raise ValueError(f"links[{index}]: must be one link for all designs, got a batch, {link!r}")
 
 
-def _expanded(arm: Arm) -> tuple[ArmDesign, ...]:
+def flat_segments(arm: Arm) -> tuple[ArmDesign, ...]:
     """The segments, each as a flat batch of all designs."""
     batch, found = arm.batch_shape, []
     for segment in segments_of(arm):
