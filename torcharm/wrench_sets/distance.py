@@ -94,7 +94,7 @@ def find_nearest(
 
     def work(first: int, last: int) -> None:
         room = make_room(models, components, loads, pieces.shape[-2])
-        kernel(models, data, wanted, relative, first, last, room, answers)
+        kernel(data, wanted, relative, first, last, room, answers)
 
     _spread(designs, work)
     found = [torch.from_numpy(part).to(sections.strain) for part in answers]
