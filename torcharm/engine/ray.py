@@ -16,7 +16,7 @@ import numpy as np
 
 from torcharm.engine.compilation import kernel, part
 from torcharm.engine.distance import GAP, TOUCHING, curve_support, nearest_part
-from torcharm.engine.node_sets import aim, approximated, exact_distance, keep_answer, measure, write_node
+from torcharm.engine.node_sets import aim, keep_answer, measure, write_node
 
 Array = np.ndarray[Any, Any]
 
@@ -124,7 +124,7 @@ def leave_part(D: int) -> Any:
 
     @part
     def leave(curves, simplex, ray, extent, still, probe):  # type: ignore[no-untyped-def]
-        """The largest t, the t at which the simplex was last looked at, slack, remaining distance, and what became.
+        """The largest t, how far off rounding may put it, the distance that is left, and what became of the ray.
 
         Args:
             extent: the most that the curves' numbers can add up to.
@@ -142,9 +142,9 @@ def leave_part(D: int) -> Any:
                 distance, _, _ = nearest(curves, simplex, size)
             beyond = ahead(curves, simplex, distance, size) if distance != 0.0 else 0.0
             if still:
-                return math.inf, 0.0, 0.0, 0.0, UNBOUNDED if distance == 0.0 else MISSED
+                return math.inf, 0.0, 0.0, UNBOUNDED if distance == 0.0 else MISSED
             if probing:
-                return end, t, slack, left, FOUND
+                return end, slack, left, FOUND
             end = t
             if distance == -math.inf:
                 t -= beyond / length
@@ -153,17 +153,17 @@ def leave_part(D: int) -> Any:
             if beyond > TOUCHING * size:
                 towards = along(simplex.normal, ray.direction)
                 if towards <= PARALLEL * length:
-                    return t, t, 0.0, left, MISSED
+                    return t, 0.0, left, MISSED
                 rate = towards
                 t -= beyond / rate
                 if t < end:
                     continue
             slack = TOUCHING * size / rate
             if not probe:
-                return end, end, slack, left, FOUND
+                return end, slack, left, FOUND
             probing = True
             t = end + PROBE * size / rate
-        return end, t, slack, max(left, 1.0), FOUND
+        return end, slack, max(left, 1.0), FOUND
 
     return leave
 
@@ -174,7 +174,7 @@ def ray_kernel(dimension: int) -> Any:
     leave = leave_part(dimension)
 
     @kernel
-    def ends_of_rays(models, sections, start, direction, still, relative, begin, end, room, ray, ends):  # type: ignore[no-untyped-def]
+    def ends_of_rays(sections, start, direction, still, relative, begin, end, room, ray, ends):  # type: ignore[no-untyped-def]
         """Of designs from `begin` to `end`; starts and directions (P, L, N, D), of which `still` are none."""
         curves = room.change if relative else room.own
         simplex = room.simplex
@@ -182,9 +182,8 @@ def ray_kernel(dimension: int) -> Any:
         for b in range(begin, end):
             for h in range(start.shape[0]):
                 for i in range(start.shape[2]):
-                    write_node(models, sections, room, b, h, i, relative)
+                    write_node(sections, room, b, h, i, relative)
                     extent = measure(curves, room.middle)
-                    inexact = approximated(models, sections, b, h, i, relative)
                     for l in range(start.shape[1]):
                         aim(sections, start, room, b, h, l, i, relative)
                         write_direction(ray, direction, h, l, i, relative)
@@ -195,13 +194,7 @@ def ray_kernel(dimension: int) -> Any:
                             sign = 1.0 if side == 1 else -1.0
                             for c in range(dimension):
                                 ray.direction[c] = -ray.direction[c]
-                            t, seen, slack, left, became = leave(
-                                curves, simplex, ray, extent, still[h, l, i], wanted or inexact
-                            )
-                            if became == FOUND and inexact:
-                                beyond = exact_distance(models, sections, room, curves, b, h, i, relative)
-                                rate = along(simplex.normal, ray.direction)
-                                t = seen - beyond / rate if rate > 0.0 else t
+                            t, slack, left, became = leave(curves, simplex, ray, extent, still[h, l, i], wanted)
                             if became == MISSED:
                                 t = -math.inf
                             ends.factor[at] = sign * t

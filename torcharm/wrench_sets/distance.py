@@ -78,7 +78,7 @@ def find_nearest(
 
     def work(first: int, last: int) -> None:
         room = make_room(models, components, shape[2], data.sampled.shape[-2])
-        kernel(models, data, wanted, relative, first, last, room, answers)
+        kernel(data, wanted, relative, first, last, room, answers)
 
     in_threads(shape[0], work)
     found = [torch.from_numpy(part).to(sections.strain) for part in answers]

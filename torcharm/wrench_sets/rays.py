@@ -66,7 +66,7 @@ def find_ends(
 
     def work(first: int, last: int) -> None:
         room = make_room(models, components, change.shape[1], data.sampled.shape[-2])
-        kernel(models, data, begin, change, still, relative, first, last, room, make_ray(components), ends)
+        kernel(data, begin, change, still, relative, first, last, room, make_ray(components), ends)
 
     in_threads(designs, work)
     found = [torch.from_numpy(part).to(sections.strain).unflatten(0, (-1, 2)) for part in ends if part.size or points]
