@@ -109,27 +109,6 @@ def curve_support(D: int) -> Any:
     return ask
 
 
-def vertex_support(D: int) -> Any:
-    """`ask` for hulls of vertices in D components."""
-
-    @part
-    def ask(vertices, simplex):  # type: ignore[no-untyped-def]
-        """Find the vertex of (V, D) furthest along the normal, seen from the target; its number is its pressure."""
-        best, at = -np.inf, 0
-        for v in range(len(vertices)):
-            reach = 0.0
-            for c in range(D):
-                reach += simplex.normal[c] * vertices[v, c]
-            if reach > best:
-                best, at = reach, v
-        simplex.fresh[0] = at
-        for c in range(D):
-            simplex.point[c] = vertices[at, c] - simplex.target[c]
-        return 0
-
-    return ask
-
-
 def nearest_part(D: int, ask: Any) -> Any:
     """`nearest` for sets in D components whose support is asked for by `ask`."""
 

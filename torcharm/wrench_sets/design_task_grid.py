@@ -41,6 +41,13 @@ class RequiredWrench:
             found = found + self.mass[:, s].view(-1, 1, 1, 1) * (normal * unit.unsqueeze(-3)).sum(-1)
         return found
 
+    def whole(self) -> Tensor:
+        """The wrenches (B, P, L, N, C) themselves."""
+        found = self.external
+        for s, unit in enumerate(self.unit_weight):
+            found = found + self.mass[:, s].view(-1, 1, 1, 1, 1) * unit.unsqueeze(-3)
+        return found.expand(len(self.mass), *self.external.shape)
+
     def minus_first(self) -> "RequiredWrench":
         """The differences from the first node."""
         external, weight = self.external, self.unit_weight

@@ -5,6 +5,7 @@ its gradient by everything, parameters of force models too, is that of this expr
 and the pressures p held (those at a limit or at a model's kink move with it).
 """
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
@@ -80,7 +81,7 @@ def find_nearest(
         room = make_room(models, components, shape[2], data.sampled.shape[-2])
         kernel(data, wanted, relative, first, last, room, answers)
 
-    in_threads(shape[0], work)
+    spread(shape[0], work)
     found = [torch.from_numpy(part).to(sections.strain) for part in answers]
     certified = (found[1] <= CERTIFIED) & found[0].isfinite()
     return NearestPoints(found[0], certified, *(found[2:] if points else (None, None, None)))
@@ -120,9 +121,8 @@ def as_array(value: Tensor) -> np.ndarray:  # type: ignore[type-arg]
     return np.ascontiguousarray(value.detach().cpu().double().numpy())
 
 
-def in_threads(count: int, work: object) -> None:
-    """Work on parts of a batch in as many threads as torch takes."""
-    assert callable(work)
+def spread(count: int, work: Callable[[int, int], None]) -> None:
+    """Work on parts of a batch, from a first to a last, in as many threads as torch takes."""
     threads = min(torch.get_num_threads(), max(1, count // WORTH_A_THREAD))
     if threads == 1:
         work(0, count)

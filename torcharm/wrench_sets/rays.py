@@ -17,7 +17,7 @@ from torcharm.engine.node_sets import make_room
 from torcharm.engine.ray import Ends, make_ray, ray_kernel
 from torcharm.statics.cross_section import CrossSections
 from torcharm.wrench_sets.design_task_grid import RequiredWrench
-from torcharm.wrench_sets.distance import CERTIFIED, as_array, beyond_planes, engine_sections, in_threads
+from torcharm.wrench_sets.distance import CERTIFIED, as_array, beyond_planes, engine_sections, spread
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ def find_ends(
         room = make_room(models, components, change.shape[1], data.sampled.shape[-2])
         kernel(data, begin, change, still, relative, first, last, room, make_ray(components), ends)
 
-    in_threads(designs, work)
+    spread(designs, work)
     found = [torch.from_numpy(part).to(sections.strain).unflatten(0, (-1, 2)) for part in ends if part.size or points]
     factor, slack, gap = found[:3]
     return RayEnds(factor, slack, gap <= CERTIFIED, *(found[3:] if points else (None, None, None)))

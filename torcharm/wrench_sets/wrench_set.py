@@ -19,7 +19,7 @@ from torcharm.arm_series import ArmSeries
 from torcharm.geometry.rod import check_segment_nodes
 from torcharm.statics.cross_section import CrossSections, actuator_force, cross_sections
 from torcharm.wrench_sets.design_task_grid import flat_segments, segments_of
-from torcharm.wrench_sets.vertex_sets import EDGE_SAMPLES, check_hull, edge_pressures, edge_vertices
+from torcharm.wrench_sets.vertex_sets import EDGE_SAMPLES, check_sets, edge_pressures, edge_vertices
 
 CURVE_POINTS = 17
 """Points on an actuator's curve unless told, besides its kinks: between them it is off by 1e-5 of its reach."""
@@ -88,7 +88,7 @@ def wrench_hulls(
     if not isinstance(arm, (ArmDesign, ArmSeries)):
         raise ValueError(f"arm: must be an ArmDesign or an ArmSeries, got {shown(arm)}")
     check_tensor("twists", twists, "N", 3 if arm.dimension == 2 else 6)
-    check_hull(arm, hull, samples)
+    check_sets(arm, hull, samples)
     counts = (twists.shape[-2],) if segment_nodes is None else check_segment_nodes(segment_nodes, twists.shape[-2])
     if len(counts) != len(segments_of(arm)):
         raise ValueError(f"segment_nodes: must hold one number for each segment, got {shown(segment_nodes)}")
@@ -135,7 +135,7 @@ def _segment(sections: CrossSections, relative: bool, hull: str, samples: int | 
     planar = sections.lever.shape[-1] == 2
     if hull == "edges":
         vertices = edge_vertices(sections, samples or EDGE_SAMPLES, relative=relative)
-        table = edge_pressures(len(sections.actuators), samples or EDGE_SAMPLES).to(sections.strain)
+        table = torch.from_numpy(edge_pressures(len(sections.actuators), samples or EDGE_SAMPLES)).to(sections.strain)
         pressure = (table * sections.limit.unsqueeze(-2)).expand(*vertices.shape[:-1], -1)
         return _extreme(vertices, pressure)
     with torch.no_grad():
