@@ -126,8 +126,7 @@ def evaluate(
         ValueError: an argument is none of those allowed, or arm and task do not fit.
     """
     check_flag("signed", signed)
-    if isinstance(power, bool) or not isinstance(power, int) or power not in (1, 2):
-        raise ValueError(f"power: must be 1 or 2, got {shown(power)}")
+    check_power(power)
     if chunk_size is not None:
         check_count("chunk_size", chunk_size, 1)
     asked, scale = _metrics(metrics), scale_of(weights)
@@ -204,6 +203,12 @@ def scale_of(weights: tuple[float, float]) -> tuple[float, float]:
     if not (0 < force < float("inf") and 0 < moment < float("inf")):
         raise ValueError(f"weights: must be finite and above 0, got {(force, moment)}")
     return force**0.5, moment**0.5
+
+
+def check_power(power: object) -> None:
+    """Raise a ValueError unless it is a power of distances that can be summed."""
+    if isinstance(power, bool) or not isinstance(power, int) or power not in (1, 2):
+        raise ValueError(f"power: must be 1 or 2, got {shown(power)}")
 
 
 def over_nodes(
