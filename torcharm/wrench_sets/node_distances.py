@@ -81,7 +81,7 @@ def node_distances(grid: DesignTaskGrid, options: SetOptions, chunk_size: int | 
     return NodeDistances(*map_chunks(grid, size, work))
 
 
-def default_chunk(grid: DesignTaskGrid, vertices: VertexSets | None) -> int:
+def default_chunk(grid: DesignTaskGrid, vertices: VertexSets | None = None) -> int:
     """(design, shape, load) triples worked on at once."""
     components = grid.required.external.shape[-1]
     actuators = max(segment.actuator_count for segment in grid.segments)
