@@ -221,8 +221,7 @@ def _held(sections: CrossSections, pressure: Tensor, *, relative: bool) -> Tenso
     limit, strain = sections.limit, sections.strain
     if limit.requires_grad:
         bound = limit.unsqueeze(-3).unsqueeze(-2)
-        share = pressure / torch.where(bound > 0, bound, 1.0).detach()
-        pressure = share * bound
+        pressure = torch.where(pressure >= bound.detach(), bound, pressure)
     if not strain.requires_grad:
         return pressure
     for model, members in group_alike(sections.actuators):
