@@ -168,16 +168,24 @@ def _by_vertices(
     signed: bool,
 ) -> VertexDistances | None:
     """How to measure sets that are given by vertices; None where the sets themselves are measured."""
+    check_sets(arm, hull, samples, distance, signed)
+    if hull == "exact" and distance == "gjk":
+        return None
+    return partial(vertex_distances, hull=hull, samples=samples, distance=distance, scale=scale)
+
+
+def check_sets(
+    arm: ArmDesign | ArmSeries, hull: str, samples: int | None, distance: str | DistanceFunction, signed: bool
+) -> None:
+    """Raise a ValueError unless these arguments of `evaluate` go together."""
     check_hull(arm, hull, samples)
     if hull == "exact" and distance == "gjk":
         if samples is not None:
             raise ValueError(
-                f"samples: must be None for hull='exact' and distance='gjk', which is exact, got {samples}"
+                f"samples: must be left out for hull='exact' and distance='gjk', which is exact, got {samples}"
             )
-        return None
-    if signed:
+    elif signed:
         raise ValueError("signed: True needs hull='exact' and distance='gjk'; vertices know no distance inside a hull")
-    return partial(vertex_distances, hull=hull, samples=samples, distance=distance, scale=scale)
 
 
 def _predict(
