@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 from hull_cases import VERTEX_SETS, double, points_about
-
-from torcharm import distance_to_hull
-from torcharm.distance import qp
 from torcharm.distance.qp import FORMS, GRADIENTS, qp_distance
 from torcharm.distance.result import kkt_residuals
 from torcharm.distance.scipy_solvers import nnls_distance
+
+from torcharm import distance_to_hull
+from torcharm.distance import qp
 
 needs_qpth = pytest.mark.skipif(importlib.util.find_spec("qpth") is None, reason="qpth is not installed")
 each_form = pytest.mark.parametrize("form", FORMS)

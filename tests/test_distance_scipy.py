@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 from hull_cases import VERTEX_SETS, double, points_about, size_of
-
-from torcharm import distance_to_hull
 from torcharm.distance.result import kkt_residuals
 from torcharm.distance.scipy_solvers import nnls_distance, slsqp_distance
+
+from torcharm import distance_to_hull
 
 SQUARE = double([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
