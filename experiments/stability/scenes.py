@@ -106,7 +106,7 @@ def curvatures() -> Iterator[Scene]:
         yield arm_scene(group, f"κ = {curvature:g} rad", slope=0.0, start=curvature)
     slim = (-0.01, -0.004, 0.004, 0.01)
     yield arm_scene(group, "κ = 20 rad, slim arm", slope=0.0, start=20.0, radii=slim)
-    yield arm_scene(group, "κ = 20 rad, the paper's arm", slope=0.0, start=20.0)
+    yield arm_scene(group, "κ = 6 rad, the paper's arm", slope=0.0, start=6.0)
 
 
 def bends() -> Iterator[Scene]:
@@ -133,7 +133,7 @@ def vanishing_lengths() -> Iterator[Scene]:
 
 def strains() -> Iterator[Scene]:
     group = "strain beyond the range"
-    for along in (0.55, 1.0, 2.0, 0.3, 0.1, 0.01):
+    for along in (0.55, 1.0, 2.0, 0.3, 0.1, 0.08):
         yield arm_scene(group, f"an arm of 0.5 m at {along:g} m", along=along)
     muscles = [ta.McKibben(force_scale=2.0)] * 4
     yield arm_scene(group, "p = 0, muscles in extension", actuators=muscles, limit=[0.0] * 4, along=0.52)
