@@ -147,7 +147,7 @@ def _predict_block(
     found = minimum_over_pressures(tasks.detached(), weights, steps)
     exact = steps is None
     with torch.no_grad():
-        reached = _Replay(tasks, weights, diagonal, found, exact)()
+        reached: tuple[Tensor, ...] = _Replay(tasks, weights, diagonal, found, exact)()
         known = reached[0].isfinite() & has_lengths(tasks.arm, mechanics.to_unknowns(tasks.twists))
     stable, converged = found.stable & known, found.converged & known
     excess = _strain_excess(tasks, reached[-1])
@@ -158,7 +158,7 @@ def _predict_block(
     inside = excess <= 16 * torch.finfo(excess.dtype).eps
     highest = along([model.pressure_range[1] for model in tasks.arm.actuators], excess, -1)
     in_range = inside & (pressure <= highest).all(-1)
-    arrived = _is_reached(tasks.detached(), *(column.detach() for column in reached[-2:]), stable, exact=exact)
+    arrived = _is_reached(tasks.detached(), reached[-2].detach(), reached[-1].detach(), stable, exact=exact)
     columns = (*reached, found.optimality, converged, stable, arrived, found.small, excess, in_range)
     shape = (len(block.arm.radii), *block.tip_load.shape[:2])
     return tuple(column.unflatten(0, shape) for column in columns)
