@@ -3,6 +3,8 @@
 import csv
 import os
 import signal
+import subprocess
+import sys
 import threading
 
 import numpy as np
@@ -216,6 +218,10 @@ def test_a_link_is_followed_and_permissions_are_kept(tmp_path):
 def test_a_device_is_written_directly(folder, monkeypatch):
     assert not command(monkeypatch, "evaluate", "study.toml", "--out", "/dev/null")
     assert not os.path.isfile("/dev/null")
+    line = [sys.executable, "-m", "torcharm.cli", "search", "study.toml", "--starts", "1", "--out", "/dev/stdout"]
+    done = subprocess.run(line, capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert sum(row.startswith(("'=2+3,", "'@arm,")) for row in done.stdout.splitlines()) == 4  # and not again
 
 
 def test_names_that_a_spreadsheet_takes_for_formulas(folder, monkeypatch):

@@ -87,6 +87,8 @@ def check_tensor(name: str, value: object, *dims: str | int) -> None:
 
 def check_finite(name: str, value: Tensor) -> None:
     """Raise unless every entry is finite, and so are squares of sums of what it is multiplied with."""
+    if torch._C._functorch.is_batchedtensor(value):
+        refuse_transforms(name)
     largest = torch.finfo(value.dtype).max
     most = largest if value.dtype == torch.float16 else 1e-4 * math.sqrt(largest)
     good = value.abs() <= most
@@ -94,6 +96,15 @@ def check_finite(name: str, value: Tensor) -> None:
         bad = value[~good].flatten()[0].item()
         bound = f", and at most {most:.1e} in size" if math.isfinite(bad) else ""
         raise ValueError(f"{name}: must be finite{bound}, got {bad:g}")
+
+
+def refuse_transforms(name: str) -> None:
+    """Raise under a transform of torch.func or forward-mode differentiation, which iterations without graph escape."""
+    if torch._C._are_functorch_transforms_active() or torch.autograd.forward_ad._current_level >= 0:
+        raise RuntimeError(
+            f"{name}: transforms of torch.func and forward-mode differentiation are not supported; use plain autograd "
+            "(requires_grad with torch.autograd.grad or backward), and batches of designs and tasks instead of vmap"
+        )
 
 
 def check_at_least(name: str, value: Tensor, low: float, *, strict: bool = False, unit: str = "") -> None:
@@ -107,13 +118,24 @@ def check_at_least(name: str, value: Tensor, low: float, *, strict: bool = False
 def check_number(name: str, value: Any, low: float = -math.inf, *, strict: bool = False, unit: str = "") -> float:
     """A finite number of at least (or, strictly, above) `low`."""
     try:
-        number = float(value)
-    except (TypeError, ValueError, OverflowError):
+        number = plain_number(value)
+    except (TypeError, ValueError, OverflowError, RuntimeError):
         number = math.nan
     if not (low < number if strict else low <= number) or not abs(number) < math.inf:
         bound = "" if low == -math.inf else f" and {'above' if strict else 'at least'} {low:g}{unit and ' ' + unit}"
         raise ValueError(f"{name}: must be a finite number{bound}, got {shown(value)}")
     return number
+
+
+def plain_number(value: Any) -> float:
+    """A number, of a tensor without its graph."""
+    return float(value.detach() if isinstance(value, Tensor) else value)
+
+
+def refuse_graphs(name: str, value: Any, instead: str) -> None:
+    """Raise if a tensor, or one in nested lists, asks for a gradient that would be lost."""
+    if any(leaf.requires_grad for leaf in _leaves(value)):
+        raise ValueError(f"{name}: must be plain numbers, got a tensor that asks for a gradient; {instead}")
 
 
 def check_choice(name: str, value: object, allowed: Collection[str]) -> None:

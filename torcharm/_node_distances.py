@@ -21,6 +21,7 @@ from torcharm._sampled_distances import (
     sampled_distances,
     strain_excess,
 )
+from torcharm.actuators import want_gradients
 from torcharm.distance import DistanceFunction
 from torcharm.distance.closed_form import BOUNDARY_ULPS, NearestFaces, face_normals, nearest_faces, signed_length
 from torcharm.hulls import (
@@ -148,15 +149,12 @@ def _by_closed_form(block: Block, check: Check, recompute: bool) -> tuple[list[C
     ends of each nearest face are evaluated once more with them: a graph of two pressures a
     node, not of whole hulls.
     """
-    recording = torch.is_grad_enabled()
-    followed = recording and inputs_want_gradient(block)
+    followed = torch.is_grad_enabled() and inputs_want_gradient(block)
     with torch.no_grad():
         sections = possible_sections(block)
-        with torch.set_grad_enabled(recording and not followed):
-            curves = _Sampled.of(sections, check)
-        replayed = followed or curves.requires_grad  # a force model may hold what is asked about
-        found = [_nearest_face(block, sections, curves, check, metric, slots=replayed) for metric in check.metrics]
-    if replayed:
+        curves = _Sampled.of(sections, check)
+        found = [_nearest_face(block, sections, curves, check, metric, slots=followed) for metric in check.metrics]
+    if followed:
         replay = _Replay(block, check, [one.fraction for one in found])
         *again, excess = checkpoint(replay, use_reentrant=False) if recompute else replay()
         replays = [_agreeing(square, one.faces, check.signed) for square, one in zip(again, found, strict=True)]
@@ -181,7 +179,7 @@ def _by_machine_code(
     from torcharm._face_squares import Faces, face_squares  # load when they are first asked for
     from torcharm.distance.compiled import CompiledFaces, compiled_faces, law_table
 
-    if check.auditor is not None:
+    if check.auditor is not None or want_gradients(block.arm.actuators, block.arm.radii):
         return None
     followed = torch.is_grad_enabled() and inputs_want_gradient(block)
     again = followed and recompute
@@ -279,13 +277,6 @@ class _Sampled:
             if laws is not None:
                 return cls(None, laws)
         return cls(sample_curves(sections, check.samples), None)
-
-    @property
-    def requires_grad(self) -> bool:
-        """Whether the force models hold something that wants a gradient."""
-        if self.curves is not None:
-            return self.curves.force.requires_grad
-        return self.laws is not None and self.laws.requires_grad
 
     def metric(self, sections: Sections, relative: bool) -> "Laws | None":
         """The laws of absolute or relative reactions, if known."""

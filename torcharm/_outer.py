@@ -8,7 +8,7 @@ from math import prod
 import torch
 from torch import Tensor
 
-from torcharm._inputs import shown
+from torcharm._inputs import refuse_transforms, shown
 from torcharm.arm import ArmDesign
 from torcharm.task import Task
 
@@ -57,7 +57,8 @@ class OuterProduct:
 
 
 def check_arm_and_task(arm: ArmDesign, task: Task) -> None:
-    """Raise unless they are a design and a task, of one dtype and on one device."""
+    """Raise unless they are a design and a task, of one dtype and on one device, and under no transform."""
+    refuse_transforms("arm, task")
     for name, value, kind in (("arm", arm, ArmDesign), ("task", task, Task)):
         if not isinstance(value, kind):
             raise ValueError(f"{name}: must be of type {kind.__name__}, got {shown(value)}")

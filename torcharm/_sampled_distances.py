@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from torcharm._outer import Block, OuterProduct
+from torcharm.actuators import want_gradients
 from torcharm.distance.closed_form import NearestFaces, face_distance, nearest_faces, signed_length
 from torcharm.hulls import Curves, Hulls, Sections, build_hulls, cross_sections, relative_curves, sample_curves
 from torcharm.wrenches import PLANAR, actuator_force, along, required_wrench
@@ -95,17 +96,16 @@ def sampled_distances(
     with torch.set_grad_enabled(recording and not (recompute and followed)):
         sections = possible_sections(block)
         curves = sample_curves(sections, sampling.samples)
-    wanted = followed or curves.force.requires_grad  # a force model may hold what is asked about
-    again = wanted and recompute
+    again = followed and recompute
     with torch.set_grad_enabled(recording and not again):
         hulls = _hulls(sections, curves, sampling)
     with torch.no_grad():
-        faces = [nearest_faces(own.polygons, *point, slots=wanted) for own, point in zip(hulls, points, strict=True)]
+        faces = [nearest_faces(own.polygons, *point, slots=followed) for own, point in zip(hulls, points, strict=True)]
     if again:
         replay = partial(_replayed, block, points, sampling, faces, excess)
         *lengths, beyond = checkpoint(replay, use_reentrant=False)
     else:
-        lengths = _lengths(hulls, points, sampling, faces, followed=wanted)
+        lengths = _lengths(hulls, points, sampling, faces, followed=followed)
         beyond = strain_excess(sections) if excess else None
     lengths = decided(block, sampling, lengths)
     return Sampled(tuple(lengths), sections, hulls, points, beyond)
@@ -147,10 +147,10 @@ def _replayed(
 
 
 def inputs_want_gradient(block: Block) -> bool:
-    """Whether any tensor of the block does."""
+    """Whether any tensor of the block does, or what the force models hold."""
     arm = block.arm
     inputs = (arm.radii, arm.length, arm.max_pressure, block.twists, block.tip_load, block.base_pose)
-    return any(value.requires_grad for value in inputs)
+    return any(value.requires_grad for value in inputs) or want_gradients(arm.actuators, arm.radii)
 
 
 def impossible_nodes(radii: Tensor, twists: Tensor) -> Tensor:

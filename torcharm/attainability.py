@@ -108,8 +108,10 @@ def evaluate(
     within 16 roundings of the node's largest wrench, required or provided, are zero. A shape that leaves an
     actuator no length is impossible: all of its distances are infinite, with a gradient of zero.
 
-    Differentiable with respect to radii, lengths, pressure limits, twists and loads: twice with
-    the closed form, once through solvers. Where the distance has a kink, the gradient is one of its
+    Differentiable with respect to radii, lengths, pressure limits, twists, loads and whatever force models hold
+    (tensors in their fields, parameters of modules, what their functions captured): twice with
+    the closed form, once through solvers, by plain autograd; transforms of torch.func and forward mode are
+    refused, with a RuntimeError. Where the distance has a kink, the gradient is one of its
     one-sided derivatives: inside a hull and on its boundary that of the inside, 0 (signed: that of the
     nearest face); between two faces equally near, that of either; where one of two actuators that are alike
     changes, and their parallel faces part, one between the two; where a force model has a kink, that of the

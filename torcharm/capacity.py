@@ -87,9 +87,9 @@ def load_capacity(
     """The largest factor by which every task's load can grow, at its shape, for every design.
 
     Along the outward normal n of the face that the line `t w` leaves a node's hull by, `t = h(n)/(n·w)`, with h
-    the hull's support function. Differentiable once with respect to radii, lengths, pressure limits, twists and
-    loads, by the same formula with the normal held; where a vertex or two nodes limit alike there is a kink, and
-    the gradient is a one-sided one.
+    the hull's support function. Differentiable once with respect to radii, lengths, pressure limits, twists, loads
+    and whatever force models hold, by the same formula with the normal held; where a vertex or two nodes limit alike
+    there is a kink, and the gradient is a one-sided one.
 
     As all that hulls say, the factor is an upper bound: every node's requirement can be met below it, each by a
     pressure of its own.
@@ -183,7 +183,7 @@ class Hits:
 
 def _block_intervals(block: Block, samples: int, relative: bool, polish: bool, recompute: bool) -> tuple[Tensor, ...]:
     """The columns of `_per_node`, (d, p, l, N) each."""
-    recording = torch.is_grad_enabled()
+    followed = torch.is_grad_enabled() and inputs_want_gradient(block)
     with torch.no_grad():
         sections = cross_sections(block.arm, block.twists)
         curves = sample_curves(sections, samples)
@@ -191,14 +191,14 @@ def _block_intervals(block: Block, samples: int, relative: bool, polish: bool, r
         point = required_points(block, (1.0, 1.0), relative)
         hits = clip_line(hulls.polygons, *point)
         converged = torch.ones_like(hits.factor, dtype=torch.bool)
-        fraction = _end_fractions(hulls, hits, point) if polish or recording else None
+        fraction = _end_fractions(hulls, hits, point) if polish or followed else None
         if polish:
             from torcharm.distance.ray import polish_hits  # loads when it is first asked for
 
             assert fraction is not None
             hits, fraction, converged = polish_hits(sections, hits, fraction, point, relative=relative)
     factor = hits.factor
-    if recording and inputs_want_gradient(block):
+    if followed:
         assert fraction is not None
         replay = _Replay(block, hits, fraction, relative, polish)
         again, excess = checkpoint(replay, use_reentrant=False) if recompute else replay()

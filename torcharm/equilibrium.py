@@ -25,9 +25,11 @@ from torcharm._inputs import (
     check_finite,
     check_flag,
     check_tensor,
+    refuse_transforms,
     shown,
 )
 from torcharm._response import DEFINITE, has_lengths, is_stable
+from torcharm.actuators import want_gradients
 from torcharm.arm import ArmDesign
 from torcharm.rod import BASE_POSE
 from torcharm.wrenches import along
@@ -101,8 +103,9 @@ def solve_equilibrium(
     pressure rises first, then the load, in proportion. Where that branch ends (an arm about to snap), the arm is let
     go, and comes to rest on another: `continued` is then false. Such an equilibrium need not be stable: `stable` says.
 
-    Differentiable once, with respect to pressures, loads, base poses, radii and lengths, by the implicit function
-    theorem: one linear solve, whatever the number of iterations. Gradients of elements that did not converge are
+    Differentiable once, with respect to pressures, loads, base poses, radii, lengths and whatever force models hold, by
+    the implicit function theorem: one linear solve, whatever the number of iterations. (Plain autograd does it;
+    transforms of torch.func are refused, with a RuntimeError.) Gradients of elements that did not converge are
     NaN, unless nothing depends on them.
 
     Args:
@@ -126,6 +129,7 @@ def solve_equilibrium(
     """
     if not isinstance(arm, ArmDesign):
         raise ValueError(f"arm: must be of type ArmDesign, got {shown(arm)}")
+    refuse_transforms("pressure, tip_load")
     check_count("nodes", nodes, 1)
     pressure, load, base, _ = as_floating(pressure=pressure, tip_load=tip_load, base_pose=base_pose, radii=arm.radii)
     _check_inputs(arm, pressure, load, base)
@@ -310,7 +314,8 @@ def with_gradients(problem: Problem, unknowns: Tensor, converged: Tensor, *, rec
         recompute: works the residual out again for the backward pass, and keeps no graph until then.
     """
     inputs = (problem.arm.radii, problem.arm.length, problem.pressure, problem.tip_load, problem.base_pose)
-    if not (torch.is_grad_enabled() and any(value.requires_grad for value in inputs)):
+    followed = torch.is_grad_enabled() and any(value.requires_grad for value in inputs)
+    if not (followed or want_gradients(problem.arm.actuators, problem.arm.radii)):
         return unknowns
 
     def residual(*_: Tensor) -> Tensor:

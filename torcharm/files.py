@@ -34,10 +34,10 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
     Raises:
         OSError: the file cannot be written; and whatever the block raises.
     """
-    target = Path(os.path.realpath(path))
-    if target.exists() and not target.is_file() and not target.is_dir():
-        yield target
+    if is_stream(path):
+        yield Path(path)
         return
+    target = Path(os.path.realpath(path))
     partial = _beside(target)
     try:
         partial.open("xb").close()
@@ -75,14 +75,14 @@ def check_writable(path: StrPath, name: str = "") -> None:
         raise ValueError(f"{prefix}: cannot be written, {_reason(error)}") from None
     if mode is not None and stat.S_ISDIR(mode):
         raise ValueError(f"{prefix}: is a directory, must be a file")
+    if is_stream(path):
+        if not os.access(path, os.W_OK):
+            raise ValueError(f"{prefix}: cannot be written, Permission denied")
+        return
     target = Path(os.path.realpath(path))
     if not target.parent.is_dir():
         raise ValueError(f"{prefix}: the directory {Path(path).parent} does not exist")
     try:
-        if mode is not None and not stat.S_ISREG(mode):
-            if not os.access(target, os.W_OK):
-                raise PermissionError(13, "Permission denied")
-            return
         if mode is not None:
             target.open("ab").close()  # permissions alone do not tell
         beside = _beside(target)
@@ -118,6 +118,15 @@ def read_file(path: StrPath) -> bytes:
 def plain_cell(text: str) -> str:
     """A text as a cell of a CSV file that no spreadsheet takes for a formula: an apostrophe before =, +, - or @."""
     return f"'{text}" if text.startswith(_CELL_STARTS) else text
+
+
+def is_stream(path: StrPath) -> bool:
+    """Whether it is there and no file of its own: a device, a pipe, or a name for what a process has open."""
+    try:
+        mode = os.stat(path).st_mode
+    except OSError:
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)) or os.path.abspath(path).startswith(("/dev/fd/", "/dev/std"))
 
 
 def _beside(target: Path) -> Path:

@@ -93,19 +93,17 @@ class Laws:
     Attributes:
         groups: of actuators alike.
         holds: (B) whether the laws hold up to the pressure limits.
-        requires_grad: whether the force models hold something that wants a gradient.
     """
 
     groups: tuple[Law, ...]
     holds: Array
-    requires_grad: bool
 
     def minus_first(self, sections: Sections) -> "Laws":
         """Differences from node 1's forces at the same pressures."""
         groups = tuple(law.minus_first(sections) for law in self.groups)
         shape = sections.shape
         first = np.broadcast_to(self.holds.reshape(shape)[:, :1], shape).reshape(-1)
-        return Laws(groups, self.holds & first, self.requires_grad)
+        return Laws(groups, self.holds & first)
 
     def samples(self, like: Tensor, count: int, *, kinks: bool) -> tuple[Tensor, Tensor]:
         """Evenly spaced fractions (S, 1, 1), or with the laws' kinks (S, M, B), and the forces (S, M, B) there.
@@ -134,17 +132,15 @@ class Laws:
 def section_laws(sections: Sections) -> Laws | None:
     """The laws of absolute forces, if every model writes its own."""
     limit = as_array(sections.limit)
-    groups, holds, wanted = [], np.ones(limit.shape[1], dtype=bool), False
+    groups, holds = [], np.ones(limit.shape[1], dtype=bool)
     for model, rows in group_alike(sections.actuators):
         law = pressure_law(model, sections.strain[rows])
         if law is None or (law.gain is not None and len(law.coefficients) > 2):
             return None
         groups.append(_over_fractions(law, rows, limit[rows]))
-        parts = (*law.coefficients, law.kinks, law.slopes, law.gain)
-        wanted = wanted or any(part is not None and part.requires_grad for part in parts)
         if law.until is not None:
             holds = holds & (limit[rows] <= as_array(law.until)).all(0)
-    return Laws(tuple(groups), holds, wanted)
+    return Laws(tuple(groups), holds)
 
 
 def _over_fractions(law: PressureLaw, rows: Rows, limit: Array) -> Law:

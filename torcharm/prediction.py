@@ -21,6 +21,8 @@ from torcharm._inputs import check_count, shown
 from torcharm._outer import Block, OuterProduct, check_arm_and_task, map_blocks, outer_product
 from torcharm._predicted_minimum import FLOORS, SCREENED, Found, Tasks, minimum_over_pressures
 from torcharm._response import has_lengths, size
+from torcharm.actuators import want_gradients
+from torcharm.actuators.bending import active_moment, passive_moment
 from torcharm.arm import ArmDesign
 from torcharm.equilibrium import TOLERANCES, solved
 from torcharm.pose_cost import PoseCost
@@ -88,9 +90,10 @@ def predict_error(
 ) -> PredictedError:
     """The least pose error that each design can be expected to reach on each task, without a forward solve.
 
-    Errors, per-node errors and pose errors are differentiable once in radii, lengths, limits, twists, loads and the
-    base pose: by the envelope theorem the pressures found are held, but for those at a limit, which move with it, and
-    the shape follows its balance. With several steps the shape from which the last one carries the load is held too.
+    Errors, per-node errors and pose errors are differentiable once in radii, lengths, limits, twists, loads, the base
+    pose and whatever force models hold: by the envelope theorem the pressures found are held, but for those at a limit,
+    which move with it, and the shape follows its balance. With several steps the shape from which the last one carries
+    the load is held too. At a kink of a force model they are those of one side.
     That holds at a minimum only: **gradients of predictions that are not converged and stable are NaN**, unless
     nothing depends on them, as where `torch.where(found.converged & found.stable, found.error, 0.0)` leaves them out.
 
@@ -201,15 +204,21 @@ def _strain_excess(tasks: Tasks, twists: Tensor) -> Tensor:
 
 
 def _sources(tasks: Tasks) -> tuple[Tensor, ...]:
-    """All that a prediction may depend on: a force model may hold what is asked about, and its force shows it."""
+    """All that a prediction may depend on: what force models hold shows in their forces and moments."""
     arm = tasks.arm
     probe = torch.zeros_like(arm.radii[:1].detach())
     force = actuator_force(arm.actuators, probe, probe, -1)
-    return arm.radii, arm.length, arm.max_pressure, tasks.twists, tasks.tip_load, tasks.base_pose, force
+    stiffness = [model.bending_stiffness for model in arm.actuators]
+    moments = [m for k in stiffness for m in (active_moment(k, probe), passive_moment(k, probe)) if m is not None]
+    held = (force, *moments, *(model.max_pressure for model in arm.actuators if isinstance(model.max_pressure, Tensor)))
+    return arm.radii, arm.length, arm.max_pressure, tasks.twists, tasks.tip_load, tasks.base_pose, *held
 
 
 def _wants_gradient(tasks: Tasks) -> bool:
-    return torch.is_grad_enabled() and any(value.requires_grad for value in _sources(tasks))
+    arm = tasks.arm
+    inputs = (arm.radii, arm.length, arm.max_pressure, tasks.twists, tasks.tip_load, tasks.base_pose)
+    wanted = torch.is_grad_enabled() and any(value.requires_grad for value in inputs)
+    return wanted or want_gradients(arm.actuators, arm.radii)
 
 
 def _with_gradient(

@@ -52,6 +52,7 @@ def fit_pressure(
     Minimises `Σ_i ‖a_i(z*, p) - w_i‖²_K` over `p ∈ [0, p̄]` by Levenberg-Marquardt from several starts, with
     steps bent along curved valleys. A distance of zero is a certificate: one pressure holds the shape under the load.
     Above zero it is no distance of shapes: what is a newton too much may move the arm far or not at all.
+    Results hold no graph: they are not differentiable.
 
     Args:
         arm: designs, of any batch shape.

@@ -88,6 +88,8 @@ def search_pressure(
     equilibrium under the task's load. The cost is not convex: both methods find local minima, the best of several
     starts. The shape returned is the one that continuation from zero load reaches (see `solve_equilibrium`).
 
+    Results hold no graph: they are not differentiable; `predict_error` is.
+
     "batched" descends from all starts of all tasks at once, by projected Levenberg-Marquardt steps in pressures and
     shapes together. Of pressures that are promising to first order at the task shape, or spread over the box, the best
     are its starts; of two or more, the last begins at the task shape itself. Ends are confirmed by continuation. Under

@@ -20,6 +20,7 @@ from torcharm.actuators.bending import (
     passive_moment,
     reference_pressure,
 )
+from torcharm.actuators.inspection import same_model
 from torcharm.arm import ArmDesign
 
 PLANAR = (0, 2)
@@ -59,12 +60,17 @@ def _joint(node: Tensor, force: Tensor) -> torch.Size:
     return torch.broadcast_shapes(node.shape[:-1], force.shape[:-1])
 
 
-def along(values: Sequence[float], like: Tensor, dim: int) -> Tensor:
-    """One number per actuator, shaped to broadcast along dimension `dim` (counted from the end)."""
-    return like.new_tensor(values).view(-1, *(1,) * (-1 - dim))
+def along(values: Sequence[float | Tensor], like: Tensor, dim: int) -> Tensor:
+    """One number per actuator, shaped to broadcast along dimension `dim` (counted from the end); tensors keep their
+    graphs."""
+    if any(isinstance(value, Tensor) for value in values):
+        row = torch.stack([torch.as_tensor(value, dtype=like.dtype, device=like.device).squeeze() for value in values])
+    else:
+        row = like.new_tensor(values)
+    return row.view(-1, *(1,) * (-1 - dim))
 
 
-def reference_pressures(actuators: tuple[Actuator, ...]) -> list[float]:
+def reference_pressures(actuators: tuple[Actuator, ...]) -> list[float | Tensor]:
     """The pressures [kPa] at which the models' bending stiffness holds."""
     return [reference_pressure(model.bending_stiffness, model.max_pressure) for model in actuators]
 
@@ -124,7 +130,7 @@ def resting_moment(
 def actuator_force(actuators: tuple[Actuator, ...], strain: Tensor, pressure: Tensor, dim: int = -1) -> Tensor:
     """Axial forces [N] of M actuators along dimension `dim` (counted from the end).
 
-    Equal models are evaluated in one call, so the cost follows the number of kinds.
+    Models that are the same are evaluated in one call, so the cost follows the number of kinds.
     """
     groups = group_alike(actuators)
     shape = torch.broadcast_shapes(strain.shape, pressure.shape)
@@ -161,7 +167,7 @@ def group_alike(actuators: tuple[Actuator, ...]) -> list[tuple[Actuator, slice |
     groups: list[tuple[Actuator, list[int]]] = []
     for index, model in enumerate(actuators):
         for known, members in groups:
-            if known is model or known == model:
+            if same_model(known, model):
                 members.append(index)
                 break
         else:

@@ -20,7 +20,7 @@ from torch import Tensor
 
 import torcharm as ta
 from experiments.rows import write_rows
-from torcharm.actuators import Bending
+from torcharm.actuators.bending import Bending, Number
 
 HERE = Path(__file__).parent
 Array = NDArray[np.float64]
@@ -44,11 +44,11 @@ class Held:
     model: ta.Actuator
 
     @property
-    def bending_stiffness(self) -> float | Bending:
+    def bending_stiffness(self) -> Number | Bending:
         return self.model.bending_stiffness
 
     @property
-    def max_pressure(self) -> float:
+    def max_pressure(self) -> Number:
         return self.model.max_pressure
 
     @property

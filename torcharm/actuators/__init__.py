@@ -13,6 +13,7 @@ from torcharm.actuators.protocol import (
     pressure_degree,
     pressure_knots,
     pressure_law,
+    want_gradients,
 )
 
 __all__ = [
@@ -33,4 +34,5 @@ __all__ = [
     "pressure_degree",
     "pressure_knots",
     "pressure_law",
+    "want_gradients",
 ]

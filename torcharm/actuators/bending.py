@@ -14,8 +14,11 @@ from typing import Any, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from torcharm._inputs import check_number, shown
+from torcharm._inputs import check_number, refuse_graphs, shown
+from torcharm.actuators.inspection import follows
 
+Number = float | Tensor
+"""A tensor of one number makes results differentiable in it."""
 CHECKED_CURVATURES = (-30.0, -10.0, -1.0, 0.0, 1.0, 10.0, 30.0)
 """Curvatures [rad/m] at which a user's function is checked."""
 CHECKED_SHARES = (0.25, 0.5, 0.75, 1.5)
@@ -29,7 +32,7 @@ class Bending(Protocol):
     """A bending model: what an actuator's `bending_stiffness` may be instead of a number."""
 
     @property
-    def reference_pressure(self) -> float | None:
+    def reference_pressure(self) -> Number | None:
         """p_ref [kPa]; None stands for the actuator's own `max_pressure`."""
         ...
 
@@ -54,8 +57,8 @@ class LinearBending:
         ValueError: K is not finite, or p_ref not above 0.
     """
 
-    stiffness: float
-    reference_pressure: float | None = None
+    stiffness: Number
+    reference_pressure: Number | None = None
 
     def __post_init__(self) -> None:
         _check(self)
@@ -80,7 +83,7 @@ class ConstantBending:
         ValueError: K is not finite.
     """
 
-    stiffness: float
+    stiffness: Number
 
     def __post_init__(self) -> None:
         _check(self)
@@ -105,8 +108,8 @@ class BendingFunction:
 
     Of curvature it may be any function; torch's operations make it differentiable. That it is affine in pressure
     is checked when the model is made, at a few curvatures up to 30 rad/m and pressures up to 1.5 p_ref: a
-    stiffness that grows as the square of pressure, say, is refused. Models of equal function compare
-    equal and are evaluated alike.
+    stiffness that grows as the square of pressure, say, is refused. Results are differentiable in tensors that the
+    function holds.
 
     Attributes:
         function: of two tensors that broadcast.
@@ -120,9 +123,14 @@ class BendingFunction:
     reference_pressure: float
 
     def __post_init__(self) -> None:
+        refuse_graphs("reference_pressure", self.reference_pressure, "the moment does not depend on it")
         _check(self)
         if not callable(self.function):
             raise ValueError(f"function: must be a function of curvature and pressure, got {shown(self.function)}")
+        self._check_function()
+
+    @torch.no_grad()
+    def _check_function(self) -> None:
         curvature = torch.tensor(CHECKED_CURVATURES, dtype=torch.float64)
         try:
             rest, full = self.passive(curvature), self._at(curvature, self.reference_pressure)
@@ -163,34 +171,48 @@ def _check(model: Any) -> None:
         check_number("reference_pressure", model.reference_pressure, 0.0, strict=True, unit="kPa")
 
 
-def bending_model(stiffness: "float | Bending") -> Bending | None:
+def bending_model(stiffness: "Number | Bending") -> Bending | None:
     """The model that stands in place of a plain number K, if one does."""
     return stiffness if hasattr(stiffness, "active") else None  # type: ignore[return-value]
 
 
-def reference_pressure(stiffness: "float | Bending", max_pressure: float) -> float:
+def reference_pressure(stiffness: "Number | Bending", max_pressure: Number) -> Number:
     """The pressure [kPa] at which an actuator's active moment holds."""
     model = bending_model(stiffness)
     own = None if model is None else model.reference_pressure
     return max_pressure if own is None else own
 
 
-def linear_stiffness(stiffness: "float | Bending") -> float | None:
+def linear_stiffness(stiffness: "Number | Bending") -> Number | None:
     """K [N·m²] of an active moment that is linear in curvature; None for others."""
-    if isinstance(stiffness, LinearBending):
-        return stiffness.stiffness
-    if isinstance(stiffness, ConstantBending):
+    if follows(stiffness, LinearBending, "active"):
+        return stiffness.stiffness  # type: ignore[union-attr]
+    if follows(stiffness, ConstantBending, "active"):
         return 0.0
-    return None if bending_model(stiffness) is not None else float(stiffness)  # type: ignore[arg-type]
+    return None if bending_model(stiffness) is not None else _number(stiffness)  # type: ignore[arg-type]
 
 
-def active_moment(stiffness: "float | Bending", curvature: Tensor) -> Tensor:
+def is_bent(stiffness: "Number | Bending") -> bool:
+    """Whether there is a bending moment, or one whose gradient is asked for."""
+    linear = linear_stiffness(stiffness)
+    if bending_model(stiffness) is not None or linear is None:
+        return True
+    return linear.requires_grad or bool(linear != 0) if isinstance(linear, Tensor) else linear != 0
+
+
+def active_moment(stiffness: "Number | Bending", curvature: Tensor) -> Tensor:
     """τ_1 [N·m]."""
     model = bending_model(stiffness)
-    return float(stiffness) * curvature if model is None else model.active(curvature)  # type: ignore[arg-type]
+    return _number(stiffness) * curvature if model is None else model.active(curvature)  # type: ignore[arg-type]
 
 
-def passive_moment(stiffness: "float | Bending", curvature: Tensor) -> Tensor | None:
+def passive_moment(stiffness: "Number | Bending", curvature: Tensor) -> Tensor | None:
     """τ_0 [N·m], or None where it is nothing."""
     model = bending_model(stiffness)
-    return None if model is None or isinstance(model, LinearBending) else model.passive(curvature)
+    none = model is None or follows(model, LinearBending, "passive")
+    return None if none else model.passive(curvature)  # type: ignore[union-attr]
+
+
+def _number(value: Number) -> Number:
+    """A number; of a tensor with its graph."""
+    return value.squeeze() if isinstance(value, Tensor) else float(value)

@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm._inputs import TensorLike, check_number, shown
-from torcharm.actuators.bending import Bending
+from torcharm._inputs import TensorLike, check_number, refuse_graphs, shown
+from torcharm.actuators.bending import Bending, Number
 from torcharm.actuators.fitting import Array
 from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS
 from torcharm.actuators.protocol import check_numbers
@@ -45,13 +45,15 @@ class GriddedActuator:
     strains: Row
     pressures: Row
     forces: tuple[Row, ...]
-    max_pressure: float
-    bending_stiffness: float | Bending = PAPER_BENDING_STIFFNESS
-    force_scale: float = 1.0
+    max_pressure: Number
+    bending_stiffness: Number | Bending = PAPER_BENDING_STIFFNESS
+    force_scale: Number = 1.0
     strain_range: tuple[float, float] = field(init=False)
     pressure_range: tuple[float, float] = field(init=False)
 
     def __post_init__(self) -> None:
+        for name in ("strains", "pressures", "forces"):
+            refuse_graphs(name, getattr(self, name), "results differentiate by force_scale and bending_stiffness alone")
         for name in ("strains", "pressures"):
             object.__setattr__(self, name, _axis(name, getattr(self, name)))
         object.__setattr__(self, "forces", _forces(self.forces, len(self.strains), len(self.pressures)))

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torcharm._inputs import plain_number
 from torcharm._select import select
-from torcharm.actuators.bending import Bending
+from torcharm.actuators.bending import Bending, Number
 from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS
 from torcharm.actuators.protocol import PressureLaw, check_numbers
 
@@ -81,9 +82,9 @@ class McKibben:
 
     strain_range: tuple[float, float] = (-0.5, 0.05)
     pressure_range: tuple[float, float] = (0.0, 100.0)
-    max_pressure: float = 100.0
-    bending_stiffness: float | Bending = PAPER_BENDING_STIFFNESS
-    force_scale: float = 1.0
+    max_pressure: Number = 100.0
+    bending_stiffness: Number | Bending = PAPER_BENDING_STIFFNESS
+    force_scale: Number = 1.0
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -153,7 +154,7 @@ class McKibben:
             force = torch.where(extended, _extension(x) + pull, force)
             slope = torch.where(extended, stretch, slope)
             rate = torch.where(extended, gain * (1 + exponent * (pressure > _TRACE)) * power, rate)
-        scale = -self.force_scale
+        scale = -plain_number(self.force_scale)
         return force.mul_(scale), slope.mul_(scale), rate.mul_(scale) if by_pressure else None
 
     def pressure_law(self, strain: Tensor) -> PressureLaw:
@@ -166,7 +167,7 @@ class McKibben:
         gain = extends * (_B1 * (_B2 * strain + _SLACK).square())
         never = strain.new_tensor(_NEVER)
         scale = (1 - extends) * -self.force_scale
-        ladder = strain.new_tensor(self.max_pressure)
+        ladder = strain.new_tensor(plain_number(self.max_pressure))
         return PressureLaw(
             (select(extended, _extension(strain), compression) * -self.force_scale,),
             torch.stack((select(extended, ladder / 64, rise_from), select(extended, ladder / 8, threshold))),
@@ -183,7 +184,8 @@ class McKibben:
         """
         compression, threshold = _compression(strain), _threshold(strain)
         kinks = torch.stack((_rise(strain, compression, threshold)[1], threshold))
-        ladder = strain.new_tensor((self.max_pressure / 64, self.max_pressure / 8)).view(-1, *[1] * strain.ndim)
+        most = plain_number(self.max_pressure)
+        ladder = strain.new_tensor((most / 64, most / 8)).view(-1, *[1] * strain.ndim)
         return select(strain >= 0, ladder.expand_as(kinks), kinks)
 
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torcharm._inputs import shown
-from torcharm.actuators.bending import Bending
+from torcharm._inputs import plain_number, refuse_graphs, shown
+from torcharm.actuators.bending import Bending, Number
 from torcharm.actuators.protocol import PressureLaw, check_numbers
 
 PAPER_BENDING_STIFFNESS = -1.0 / 3.5
@@ -36,9 +36,9 @@ class PolynomialActuator:
     coefficients: Coefficients
     strain_range: tuple[float, float]
     pressure_range: tuple[float, float]
-    max_pressure: float
-    bending_stiffness: float | Bending = PAPER_BENDING_STIFFNESS
-    force_scale: float = 1.0
+    max_pressure: Number
+    bending_stiffness: Number | Bending = PAPER_BENDING_STIFFNESS
+    force_scale: Number = 1.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coefficients", _terms(self.coefficients))
@@ -51,7 +51,12 @@ class PolynomialActuator:
 
     def force(self, strain: Tensor, pressure: Tensor) -> Tensor:
         """Axial force [N]; strain and pressure [kPa] broadcast."""
-        rows = self._rows()
+        if isinstance(self.force_scale, Tensor):
+            return self._force(self._rows(1.0), strain, pressure) * self.force_scale
+        return self._force(self._rows(self.force_scale), strain, pressure)
+
+    @staticmethod
+    def _force(rows: list[list[float]], strain: Tensor, pressure: Tensor) -> Tensor:
         total = _horner(rows[-1], strain)
         for row in reversed(rows[:-1]):
             total = total * pressure + _horner(row, strain)
@@ -61,7 +66,7 @@ class PolynomialActuator:
         self, strain: Tensor, pressure: Tensor, by_pressure: bool = True
     ) -> tuple[Tensor, Tensor, Tensor | None]:
         """f, ∂f/∂ε and, if wanted, ∂f/∂p. Cheapest where pressure has fewer entries than strain."""
-        table = strain.new_tensor(self._rows()).mT  # (powers of ε, powers of p)
+        table = strain.new_tensor(self._rows(plain_number(self.force_scale))).mT  # (powers of ε, powers of p)
         degrees = range(1, table.shape[1])
         powers = torch.stack([pressure**degree for degree in range(table.shape[1])])
         row = (table @ powers.flatten(1)).unflatten(1, pressure.shape).unbind(0)
@@ -77,21 +82,22 @@ class PolynomialActuator:
 
     def pressure_law(self, strain: Tensor) -> PressureLaw | None:
         """The same force as a function of pressure, up to a cubic."""
-        rows = self._rows()
+        rows = self._rows(plain_number(self.force_scale))
         return PressureLaw(tuple(_horner(row, strain) for row in rows)) if self.pressure_degree <= 3 else None
 
-    def _rows(self) -> list[list[float]]:
-        """`rows[j][i] = c_ij`: for each power of pressure a polynomial in strain."""
+    def _rows(self, scale: float) -> list[list[float]]:
+        """`rows[j][i] = c_ij` times a scale: for each power of pressure a polynomial in strain."""
         strain_degree = max([0, *(i for i, _, _ in self.coefficients)])
         pressure_degree = max([0, *(j for _, j, _ in self.coefficients)])
         rows = [[0.0] * (strain_degree + 1) for _ in range(pressure_degree + 1)]
         for i, j, c in self.coefficients:
-            rows[j][i] += c * self.force_scale
+            rows[j][i] += c * scale
         return rows
 
 
 def _terms(coefficients: Coefficients) -> Coefficients:
     """The terms, checked, as a tuple with powers that are integers."""
+    refuse_graphs("coefficients", coefficients, "TensorPolynomial has coefficients to differentiate by")
     try:
         terms = [(float(i), float(j), float(c)) for i, j, c in coefficients]
     except (TypeError, ValueError):
@@ -149,4 +155,4 @@ class Bellows(PolynomialActuator):
     coefficients: Coefficients = BELLOWS_COEFFICIENTS
     strain_range: tuple[float, float] = (-0.167, 0.668)
     pressure_range: tuple[float, float] = (0.0, 92.0)
-    max_pressure: float = 50.0
+    max_pressure: Number = 50.0

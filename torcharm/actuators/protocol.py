@@ -7,8 +7,16 @@ from typing import Any, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from torcharm._inputs import shown
-from torcharm.actuators.bending import Bending, bending_model
+from torcharm._inputs import plain_number, shown
+from torcharm.actuators.bending import Bending, Number, active_moment, bending_model, passive_moment
+from torcharm.actuators.inspection import holds_numbers_only, written_out
+
+PROBED = (-0.4, -0.1, 0.0, 0.1, 0.4)
+"""Strains, beside the ends of its range, at which a model is asked whether its force wants gradients."""
+PROBED_SHARES = (0.0, 0.1, 0.5, 1.0)
+"""Pressures, in shares of its highest."""
+PROBED_CURVATURES = (-10.0, -1.0, 0.0, 1.0, 10.0)
+"""Material curvatures [rad/m], for bending moments."""
 
 
 @dataclass(frozen=True)
@@ -35,10 +43,13 @@ class Actuator(Protocol):
     """A fluid-driven actuator: its axial force, and what is needed to trust it.
 
     Any object with these five members is an actuator; nothing needs to be inherited or
-    registered. Make it hashable (a frozen dataclass is) and equal to its copies: actuators that
-    compare equal are evaluated together.
+    registered. An object that stands in several places is evaluated once for all of them, and so are dataclasses of one
+    class whose attributes are equal numbers, texts and tuples of these; tensors and parameters are never taken for
+    one another, equal or not. Numbers may be tensors, and results are differentiable in them, in parameters
+    of modules and in whatever else force and bending moments are computed from.
 
-    Three more members are optional, and let torcharm be exact where it would else be accurate.
+    Three more members are optional, and let torcharm be exact where it would else be accurate. They count where they
+    were written for the force: a subclass that overrides `force` has none of its parent's, unless it writes its own.
     `pressure_knots(strain)` returns pressures (k, *strain.shape) [kPa], in any order, at which the force has
     a kink. `pressure_degree = 3` says that between them it is a polynomial in pressure of that degree;
     at degree 1 without knots two samples stand for the whole curve. `pressure_law(strain)` writes the force out
@@ -46,7 +57,7 @@ class Actuator(Protocol):
     """
 
     @property
-    def bending_stiffness(self) -> float | Bending:
+    def bending_stiffness(self) -> Number | Bending:
         """K [N·m²] of the bending moment `τ = K (p / max_pressure) κ/l`; negative resists bending.
 
         Or a model of it: `LinearBending`, `ConstantBending`, `BendingFunction` or one's own.
@@ -54,7 +65,7 @@ class Actuator(Protocol):
         ...
 
     @property
-    def max_pressure(self) -> float:
+    def max_pressure(self) -> Number:
         """Highest pressure in use [kPa]: the default limit, and the pressure at which K holds by default."""
         ...
 
@@ -111,34 +122,38 @@ def check_numbers(actuator: Any, prefix: str = "") -> None:
 
 def _number(value: Any) -> float:
     try:
-        return float(value)
-    except (TypeError, ValueError):
+        return plain_number(value)
+    except (TypeError, ValueError, RuntimeError):
         return math.nan
 
 
 def pressure_degree(actuator: Actuator) -> int | None:
     """The degree in pressure of the force between its kinks, if the model says so."""
-    degree: int | None = getattr(actuator, "pressure_degree", None)
+    if not written_out(actuator, "pressure_degree"):
+        return None
+    degree: int | None = actuator.pressure_degree  # type: ignore[attr-defined]
     return degree
 
 
 def pressure_knots(actuator: Actuator, strain: Tensor) -> Tensor:
     """Pressures (k, *strain.shape) [kPa] at which the model says its force has a kink; k may be 0."""
-    if not hasattr(actuator, "pressure_knots"):
+    if not written_out(actuator, "pressure_knots"):
         return strain.new_empty(0, *strain.shape)
-    knots: Tensor = actuator.pressure_knots(strain)
+    knots: Tensor = actuator.pressure_knots(strain)  # type: ignore[attr-defined]
     return knots
 
 
 def is_linear_in_pressure(actuator: Actuator) -> bool:
     """Whether the model says that its force is affine in pressure."""
     degree = pressure_degree(actuator)
-    return degree is not None and degree <= 1 and not hasattr(actuator, "pressure_knots")
+    return degree is not None and degree <= 1 and not written_out(actuator, "pressure_knots")
 
 
 def pressure_law(actuator: Actuator, strain: Tensor) -> PressureLaw | None:
     """The force as a function of pressure, if the model writes it so."""
-    law: PressureLaw | None = actuator.pressure_law(strain) if hasattr(actuator, "pressure_law") else None
+    if not written_out(actuator, "pressure_law"):
+        return None
+    law: PressureLaw | None = actuator.pressure_law(strain)  # type: ignore[attr-defined]
     return law
 
 
@@ -146,8 +161,11 @@ def force_slopes(
     actuator: Actuator, strain: Tensor, pressure: Tensor, by_pressure: bool = True
 ) -> tuple[Tensor, Tensor, Tensor | None]:
     """f, ∂f/∂ε and, if wanted, ∂f/∂p, detached: written out by the model, or by autograd."""
-    if hasattr(actuator, "force_slopes"):
-        found: tuple[Tensor, Tensor, Tensor | None] = actuator.force_slopes(strain, pressure, by_pressure)
+    if written_out(actuator, "force_slopes"):
+        with torch.no_grad():
+            found: tuple[Tensor, Tensor, Tensor | None] = actuator.force_slopes(  # type: ignore[attr-defined]
+                strain, pressure, by_pressure
+            )
         return found
     with torch.enable_grad():
         strain = strain.detach().requires_grad_()
@@ -158,3 +176,34 @@ def force_slopes(
         if force.requires_grad:
             slopes = torch.autograd.grad(force.sum(), wanted, allow_unused=True, materialize_grads=True)
     return force.detach(), slopes[0], slopes[1] if by_pressure else None
+
+
+def want_gradients(actuators: tuple[Actuator, ...], like: Tensor) -> bool:
+    """Whether forces or bending moments hold something that wants a gradient, while gradients are recorded.
+
+    Found by asking them for some: what they hold may be fields, parameters of modules, or captured by functions.
+    """
+    if not torch.is_grad_enabled():
+        return False
+    distinct = {id(model): model for model in actuators}.values()
+    return any(_wants_gradient(model, like) for model in distinct)
+
+
+def _wants_gradient(model: Actuator, like: Tensor) -> bool:
+    if holds_numbers_only(model):
+        return False
+    stiffness, most = model.bending_stiffness, plain_number(model.max_pressure)
+    bending = bending_model(stiffness)
+    held = (model.max_pressure, stiffness if bending is None else bending.reference_pressure)
+    if any(isinstance(value, Tensor) and value.requires_grad for value in held):
+        return True
+    strains = (*PROBED, *(min(max(plain_number(end), -0.5), 1.0) for end in model.strain_range))
+    pairs = [(strain, share * most) for strain in strains for share in PROBED_SHARES]
+    strain, pressure = like.new_tensor(pairs).unbind(-1)
+    if model.force(strain.clone(), pressure.clone()).requires_grad:
+        return True
+    if bending is None:
+        return False
+    curvature = like.new_tensor(PROBED_CURVATURES)
+    moments = (active_moment(stiffness, curvature), passive_moment(stiffness, curvature))
+    return any(moment is not None and moment.requires_grad for moment in moments)

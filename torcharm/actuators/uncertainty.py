@@ -7,8 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torcharm._inputs import TensorLike, as_floating, check_tensor
-from torcharm.actuators.bending import Bending
+from torcharm._inputs import TensorLike, as_floating, check_tensor, shown
+from torcharm.actuators.bending import Bending, Number
+from torcharm.actuators.inspection import follows
 from torcharm.actuators.polynomial import PolynomialActuator
 
 
@@ -23,22 +24,24 @@ class TensorPolynomial:
         coefficients: (K) [N] and kPa, in the order of its terms.
 
     Raises:
-        ValueError: the coefficients do not match the terms.
+        ValueError: the coefficients do not match the terms, or the model's force is not that of its coefficients.
     """
 
     like: PolynomialActuator
     coefficients: Tensor
 
     def __post_init__(self) -> None:
+        if not follows(self.like, PolynomialActuator, "force"):
+            raise ValueError(f"like: must be a polynomial that does not override its force, got {shown(self.like)}")
         check_tensor("coefficients", self.coefficients, len(self.like.coefficients))
 
     @property
-    def bending_stiffness(self) -> float | Bending:
+    def bending_stiffness(self) -> Number | Bending:
         """As of `like`."""
         return self.like.bending_stiffness
 
     @property
-    def max_pressure(self) -> float:
+    def max_pressure(self) -> Number:
         """As of `like`."""
         return self.like.max_pressure
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from torcharm.cli.terminal import check_outputs, count, mistakes, open_console, save_all, say
-from torcharm.files import atomic_write, plain_cell
+from torcharm.files import atomic_write, is_stream, plain_cell
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -95,7 +95,7 @@ class _Rows:
     def __init__(self, path: Path | None, header: list[str]) -> None:
         self.path, self.header = path, header
         self.rows: list[list[Any]] = []
-        self._grows = path is not None and (path.is_file() or not path.exists())  # a terminal gets all at the end
+        self._grows = path is not None and not is_stream(path)  # a terminal gets all at the end
         self._next = -math.inf
 
     def __enter__(self) -> None:

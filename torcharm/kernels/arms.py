@@ -8,8 +8,10 @@ from torch import Tensor
 
 from torcharm import mechanics
 from torcharm._arrays import Array, as_array
+from torcharm._inputs import plain_number
 from torcharm.actuators import Actuator, McKibben, PolynomialActuator
 from torcharm.actuators.bending import bending_model
+from torcharm.actuators.inspection import follows
 from torcharm.wrenches import reference_pressures
 
 POLYNOMIAL, MUSCLE = 0, 1
@@ -21,7 +23,7 @@ class Arms(NamedTuple):
     Attributes:
         kind: (M,) POLYNOMIAL or MUSCLE.
         table: (M, P, S) `c_ji` of `Σ c_ji p^j ε^i`, of the polynomials.
-        factor: (M,) on the forces of the muscles.
+        factor: (M,) on the forces, in use for the muscles alone.
         bending: (M,) bending stiffness by pressure [N·m²/kPa].
         radii, neutral: (B, M) [m].
         load, base: (B, 3) tip loads and base poses.
@@ -51,22 +53,24 @@ def known(models: tuple[Actuator, ...], like: Tensor, shear_stiffness: float | N
 
 
 def _is_of(model: Actuator, kind: type) -> bool:
-    names = ("force", "force_slopes") + (("_rows",) if kind is PolynomialActuator else ())
-    return isinstance(model, kind) and all(
-        getattr(type(model), name) is getattr(kind, name) and name not in vars(model) for name in names
-    )
+    return follows(model, kind, "force", "force_slopes", *(("_rows",) if kind is PolynomialActuator else ()))
 
 
 def arms_of(arms: mechanics.Arms, scale: tuple[Tensor, Tensor, Tensor], limits: Tensor, tolerance: float) -> Arms:
     """From arms of known kinds; limits (M, B)."""
     kind = [MUSCLE if isinstance(model, McKibben) else POLYNOMIAL for model in arms.models]
-    factor = np.array([model.force_scale if isinstance(model, McKibben) else 1.0 for model in arms.models], dtype=float)
-    tables = [model._rows() if isinstance(model, PolynomialActuator) else [[0.0]] for model in arms.models]
+    factor = np.array(
+        [plain_number(model.force_scale) if isinstance(model, McKibben) else 1.0 for model in arms.models]
+    )
+    tables = [
+        model._rows(plain_number(model.force_scale)) if isinstance(model, PolynomialActuator) else [[0.0]]
+        for model in arms.models
+    ]
     table = np.zeros((len(kind), max(map(len, tables)), max(len(rows[0]) for rows in tables)))
     for at, rows in enumerate(tables):
         table[at, : len(rows), : len(rows[0])] = rows
-    factors = [float(model.bending_stiffness) for model in arms.models]  # type: ignore[arg-type]
-    bending = np.array(factors) / reference_pressures(arms.models)
+    factors = [plain_number(model.bending_stiffness) for model in arms.models]
+    bending = np.array(factors) / [plain_number(pressure) for pressure in reference_pressures(arms.models)]
     flat = (arms.radii[:, 0], arms.length[:, 0], arms.tip_load, arms.base_pose, torch.stack(scale), limits)
     radii, neutral, load, base, measure, most = (np.array(as_array(part).T, order="C") for part in flat)
     return Arms(np.array(kind), table, factor, bending, radii, neutral, load, base, measure, most, tolerance)

@@ -22,7 +22,7 @@ from torcharm.actuators import Actuator
 from torcharm.actuators.bending import bending_model
 from torcharm.arm import ArmDesign
 from torcharm.mechanics.sections import any_bending, bending_moments
-from torcharm.wrenches import actuator_slopes, reference_pressures
+from torcharm.wrenches import actuator_slopes, along, reference_pressures
 
 T = TypeVar("T")
 
@@ -312,13 +312,12 @@ def _sections(arms: Arms, length: Tensor, curvature: Tensor, pressure: Tensor, r
     a21, a22 = a12, leaning.mul_(radii).sum(0)
     moment_rate = None if by_pressure is None else by_pressure * -radii
     if any_bending(arms.models):  # a term that is switched off costs nothing
-        reference = own.new_tensor(reference_pressures(arms.models)).view(-1, 1, 1)
+        reference = along(reference_pressures(arms.models), own, -3)
         if all(bending_model(model.bending_stiffness) is None for model in arms.models):
             # as `bending_moments`, for moments linear in curvature
             floor = 1e-6 * neutral
             per_length = torch.where(own.abs() < floor, floor.copysign(own), own).reciprocal_()
-            factors = [float(model.bending_stiffness) for model in arms.models]  # type: ignore[arg-type]
-            slope = own.new_tensor(factors).view(-1, 1, 1) / reference
+            slope = along([model.bending_stiffness for model in arms.models], own, -3) / reference  # type: ignore[misc]
             if moment_rate is not None:
                 moment_rate.addcmul_(slope * curvature, per_length)
             bent = per_length * (slope * pressure)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torcharm import rod
 from torcharm.actuators import Actuator
-from torcharm.actuators.bending import active_moment, bending_model, linear_stiffness, passive_moment
+from torcharm.actuators.bending import active_moment, bending_model, is_bent, passive_moment
 from torcharm.arm import ArmDesign
 from torcharm.mechanics.kinematics import rows_of
 from torcharm.wrenches import (
@@ -119,7 +119,7 @@ def actuator_part(
 
 def any_bending(models: tuple[Actuator, ...]) -> bool:
     """Whether any actuator bears bending moments."""
-    return any(linear_stiffness(m.bending_stiffness) != 0 or bending_model(m.bending_stiffness) for m in models)
+    return any(is_bent(model.bending_stiffness) for model in models)
 
 
 class Bent(NamedTuple):
@@ -155,7 +155,7 @@ def bending_moments(
     live = (own_length.detach().abs() >= 1e-6 * neutral.detach()).to(own_length.dtype)
     squeezed = material * per_length * live
     if all(bending_model(model.bending_stiffness) is None for model in models):
-        stiffness = along([float(model.bending_stiffness) for model in models], material, -2)  # type: ignore[arg-type]
+        stiffness = along([model.bending_stiffness for model in models], material, -2)  # type: ignore[misc]
         active = stiffness * material
         return Bent(active * share, active, stiffness * share, per_length, squeezed)
     with torch.enable_grad():
