@@ -22,8 +22,8 @@ import torcharm as ta
 from experiments.rows import write_rows
 
 HERE = Path(__file__).parent
-TASKS, SNAPPED, QUICK = 5000, 1000, 40
-EACH, LOADED = 10, 100
+TASKS, SNAPPED, QUICK = 5000, 1000, 50
+EACH, LOADED = 25, 500
 """Tasks of a design; and pressures and loads at which a design is solved in search of snaps."""
 NODES = 6
 BELOW, WITHIN = 1e-3, 1e-2
