@@ -273,6 +273,8 @@ def block_size(outer: OuterProduct, hull: str, samples: int, *, through_solver: 
 
 def _impossible(outer: OuterProduct) -> Tensor:
     """(*design batch, *task batch) whether an actuator has no length somewhere."""
+    if 0 in outer.sizes:
+        return outer.unflatten(torch.zeros(outer.sizes, dtype=torch.bool, device=outer.twists.device))
     at_once = max(1, IMPOSSIBLE_ELEMENTS // max(1, outer.twists[..., 0].numel()))
     lost = [impossible_nodes(radii, outer.twists).any(1) for radii in outer.arm.radii.split(at_once)]
     return outer.unflatten(torch.cat(lost, -1).T.unsqueeze(-1).expand(outer.sizes))
