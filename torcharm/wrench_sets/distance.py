@@ -226,11 +226,9 @@ def _added(total: Tensor, place: Tensor, value: Tensor) -> Tensor:
 
 
 def _held(model: Actuator, strains: list[Tensor], pressure: Tensor, limit: Tensor) -> Tensor:
-    """Pressures (K,) of one model: those at a limit that wants a gradient move with it, as do those at kinks."""
+    """Pressures (K,) of one model: those as near as kinks to a limit move with it, and those at kinks with these."""
     near = KINK * limit.detach()
-    at = pressure
-    if limit.requires_grad:
-        at = pressure / limit.detach() * limit
+    at = torch.where(limit.detach() - pressure <= near, pressure / limit.detach() * limit, pressure)
     for strain in strains:
         knots = pressure_knots(model, strain) if strain.requires_grad else strain.new_zeros(0)
         for knot in knots if knots.requires_grad else ():
