@@ -7,9 +7,9 @@ import numpy as np
 
 from torcharm.engine.compilation import kernel, part
 from torcharm.engine.curves import Curves, copy_curve, make_curves, most_pieces, sides, write_curve, write_difference
-from torcharm.engine.depth import Polytope, depth_part, make_polytope
-from torcharm.engine.distance import Simplex, curve_support, make_simplex, nearest_part, vertex_support
-from torcharm.engine.forces import POLYNOMIAL, SAMPLED, STRETCHED_FROM, Models, force
+from torcharm.engine.depth import Polytope, make_polytope, signed_distance_part
+from torcharm.engine.distance import Simplex, curve_support, make_simplex, nearest_part
+from torcharm.engine.forces import Models
 
 Array = np.ndarray[Any, Any]
 
@@ -47,7 +47,6 @@ class Room(NamedTuple):
         own, first, change: curves of a node, of the first node, and their difference.
         simplex, polytope: of one problem.
         middle: (D,) the set's middle.
-        row: room for a polynomial.
         start: (L, D) the last node's normals, to begin the next node's with.
     """
 
@@ -57,7 +56,6 @@ class Room(NamedTuple):
     simplex: Simplex
     polytope: Polytope
     middle: Array
-    row: Array
     start: Array
 
 
@@ -83,28 +81,27 @@ def make_room(models: Models, dimension: int, loads: int, sampled: int) -> Room:
     """Room for sets of wrenches of so many components."""
     actuators, pieces = len(models.kind), most_pieces(models, sampled)
     return Room(
-        make_curves(actuators, dimension, pieces),
-        make_curves(actuators, dimension, pieces),
-        make_curves(actuators, dimension, 2 * pieces),
+        make_curves(models, dimension, pieces),
+        make_curves(models, dimension, pieces),
+        make_curves(models, dimension, 2 * pieces, terms=2),
         make_simplex(actuators, dimension),
         make_polytope(actuators, dimension),
         np.zeros(dimension),
-        np.zeros(max(4, models.table.shape[1])),
         np.zeros((loads, dimension)),
     )
 
 
 @part
-def write_node(models, sections, room, b, h, i, relative):  # type: ignore[no-untyped-def]
+def write_node(sections, room, b, h, i, relative):  # type: ignore[no-untyped-def]
     """Write the curves of node i of shape h of design b, less those of the first node if `relative`."""
-    for a in range(len(models.kind)):
-        own = room.own
+    own = room.own
+    for a in range(len(own.pieces)):
         for c in range(sections.bending.shape[4]):
             own.bending[a, c] = sections.bending[b, h, i, a, c]
             own.lever[a, c] = sections.lever[b, a, c]
         own.lever[a, sections.bending.shape[4]] = sections.lever[b, a, sections.bending.shape[4]]
         pieces = sections.sampled[b, h, i, sections.sample[a]]
-        write_curve(own, a, models, sections.strain[b, h, i, a], sections.limit[b, a], pieces, room.row)
+        write_curve(own, a, sections.strain[b, h, i, a], sections.limit[b, a], pieces)
         if relative:
             if i == 0:
                 copy_curve(room.first, a, own)
@@ -156,47 +153,6 @@ def aim(sections, required, room, b, h, l, i, relative):  # type: ignore[no-unty
 
 
 @part
-def exact_distance(models, sections, room, curves, b, h, i, relative):  # type: ignore[no-untyped-def]
-    """The distance beyond the plane with the simplex's normal through its points, by the models' own forces.
-
-    Pieces stand for forces to 1e-7; at the pressures found, where the reach is largest, an error of theirs in pressure
-    counts by its square.
-    """
-    simplex, distance = room.simplex, 0.0
-    for c in range(len(simplex.target)):
-        distance += simplex.normal[c] * simplex.target[c]
-    for a in range(len(models.kind)):
-        by_force, by_pressure = 0.0, 0.0
-        for c in range(len(simplex.target)):
-            by_force += simplex.normal[c] * curves.lever[a, c]
-            if c > 0:
-                by_pressure += simplex.normal[c] * curves.bending[a, c - 1]
-        for k in range(len(simplex.weight)):
-            if simplex.weight[k] > 0.0:
-                p = simplex.pressure[k, a]
-                f = force(models, a, sections.strain[b, h, i, a], p, room.row)
-                if relative:
-                    f -= force(models, a, sections.strain[b, h, 0, a], p, room.row)
-                distance -= simplex.weight[k] * (by_force * f + by_pressure * p)
-    return distance
-
-
-@part
-def approximated(models, sections, b, h, i, relative):  # type: ignore[no-untyped-def]
-    """Whether pieces only come near one of the forces, and all forces are known here."""
-    near = False
-    for a in range(len(models.kind)):
-        if models.kind[a] == SAMPLED:
-            return False
-        if models.kind[a] == POLYNOMIAL:
-            near = near or models.table.shape[1] > 4
-        else:
-            near = near or sections.strain[b, h, i, a] >= STRETCHED_FROM
-            near = near or (relative and sections.strain[b, h, 0, a] >= STRETCHED_FROM)
-    return near
-
-
-@part
 def keep_answer(answers, simplex, at):  # type: ignore[no-untyped-def]
     """Write the normal, the weights and the pressures of an answer, if they are asked for."""
     b, h, l, i = at
@@ -213,10 +169,10 @@ def distance_kernel(dimension: int, signed: bool = False) -> Any:
     """The kernel for wrenches of so many components, which measures from the outside or, signed, from both sides."""
     ask = curve_support(dimension)
     nearest = nearest_part(dimension, ask)
-    depth = depth_part(dimension, ask)
+    signed_distance = signed_distance_part(dimension, ask)
 
     @kernel
-    def distances(models, sections, required, relative, begin, end, room, answers):  # type: ignore[no-untyped-def]
+    def distances(sections, required, relative, begin, end, room, answers):  # type: ignore[no-untyped-def]
         """Of designs from `begin` to `end`; required wrenches (P, L, N, D)."""
         curves = room.change if relative else room.own
         simplex = room.simplex
@@ -225,20 +181,16 @@ def distance_kernel(dimension: int, signed: bool = False) -> Any:
                 for l in range(required.shape[1]):
                     forget(room.start, l)
                 for i in range(required.shape[2]):
-                    write_node(models, sections, room, b, h, i, relative)
+                    write_node(sections, room, b, h, i, relative)
                     extent = measure(curves, room.middle)
-                    inexact = approximated(models, sections, b, h, i, relative)
                     for l in range(required.shape[1]):
                         size = extent + aim(sections, required, room, b, h, l, i, relative)
                         begin_with(room, l)
-                        distance, gap, inside = nearest(curves, simplex, size)
-                        if signed and inside:
-                            distance, gap = depth(curves, simplex, room.polytope, size)
-                            distance = -distance
+                        if signed:
+                            distance, gap = signed_distance(curves, simplex, room.polytope, size)
+                        else:
+                            distance, gap, _ = nearest(curves, simplex, size)
                         if distance != 0.0:
-                            if inexact:
-                                exact = exact_distance(models, sections, room, curves, b, h, i, relative)
-                                distance = max(exact, 0.0) if distance > 0.0 else min(exact, 0.0)
                             remember(room.start, l, simplex.normal)
                         answers.distance[b, h, l, i] = distance
                         answers.gap[b, h, l, i] = gap / size if size > 0.0 else gap
@@ -269,44 +221,3 @@ def begin_with(room, l):  # type: ignore[no-untyped-def]
         known = known or room.start[l, c] != 0.0
     for c in range(len(simplex.normal)):
         simplex.normal[c] = room.start[l, c] if known else simplex.target[c] - room.middle[c]
-
-
-class VertexAnswers(NamedTuple):
-    """Of B hulls with L points each: distances and gaps (B, L), normals and weights (B, L, D), vertices (B, L, D)."""
-
-    distance: Array
-    gap: Array
-    normal: Array
-    weight: Array
-    vertex: Array
-
-
-@cache
-def vertex_kernel(dimension: int) -> Any:
-    """The kernel for hulls of vertices with so many components."""
-    D = dimension
-    nearest = nearest_part(D, vertex_support(D))
-
-    @kernel
-    def vertex_distances(vertices, points, begin, end, simplex, answers):  # type: ignore[no-untyped-def]
-        """Of hulls from `begin` to `end` of vertices (B, V, D), for points (B, L, D)."""
-        for b in range(begin, end):
-            for l in range(points.shape[1]):
-                size = 0.0
-                for c in range(D):
-                    most, mean = 0.0, 0.0
-                    for v in range(vertices.shape[1]):
-                        most = max(most, abs(vertices[b, v, c] - points[b, l, c]))
-                        mean += vertices[b, v, c] / vertices.shape[1]
-                    size += most
-                    simplex.target[c] = points[b, l, c]
-                    simplex.normal[c] = points[b, l, c] - mean
-                distance, gap, _ = nearest(vertices[b], simplex, size)
-                answers.distance[b, l] = distance
-                answers.gap[b, l] = gap / size if size > 0.0 else gap
-                for c in range(D):
-                    answers.normal[b, l, c] = simplex.normal[c]
-                    answers.weight[b, l, c] = simplex.weight[c]
-                    answers.vertex[b, l, c] = simplex.pressure[c, 0]
-
-    return vertex_distances

@@ -3,10 +3,10 @@
 from dataclasses import dataclass, field
 
 from torcharm.arm import ArmDesign
-from torcharm.attainability import METRICS
 from torcharm.optimise import DesignSpace, Objective
 from torcharm.planning import Smoothness
 from torcharm.task import Task
+from torcharm.wrench_sets.node_distances import METRICS
 
 
 @dataclass(frozen=True)

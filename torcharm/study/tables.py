@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag
 
-from torcharm.attainability import CHOICES, METRICS
+from torcharm.attainability import CHOICES
 from torcharm.geometry.rod import BASE_POSE
 from torcharm.optimise import METHODS, Objective
 from torcharm.optimise.objective import AGGREGATES
@@ -31,6 +31,7 @@ from torcharm.study.fields import (
     one_of,
     refuse,
 )
+from torcharm.wrench_sets.node_distances import METRICS
 from torcharm.wrench_sets.vertex_sets import DISTANCES, HULLS
 
 
