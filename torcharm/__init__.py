@@ -17,7 +17,6 @@ from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm,
 from torcharm.arm_series import ArmSeries, RigidLink, series
 from torcharm.attainability import Attainability, evaluate
 from torcharm.geometry.rod import poses
-from torcharm.hulls import WrenchHulls, wrench_hulls
 from torcharm.load import ExternalLoad, PointLoad
 from torcharm.statics.cross_section import reaction_wrench
 from torcharm.statics.external_load import required_wrench
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
     from torcharm.actuators.model_file import load_actuator, save_actuator
     from torcharm.actuators.recordings import read_pressure, read_tester
     from torcharm.actuators.uncertainty import TensorPolynomial, coefficient_tensor, standard_deviation
-    from torcharm.capacity import LoadCapacity, load_capacity
     from torcharm.equilibrium import Equilibrium, NotConvergedError, solve_equilibrium
     from torcharm.optimise import (
         Architectures,
@@ -48,9 +46,11 @@ if TYPE_CHECKING:
     from torcharm.prediction import PredictedError, predict_error
     from torcharm.pressure_fit import PressureFit, fit_pressure
     from torcharm.search import PressureSearch, search_pressure
+    from torcharm.wrench_sets.capacity import LoadCapacity, load_capacity
     from torcharm.wrench_sets.hull_distance import HullDistance, kkt_residuals
     from torcharm.wrench_sets.qp import qp_distance
     from torcharm.wrench_sets.reference import nnls_distance, slsqp_distance
+    from torcharm.wrench_sets.wrench_set import WrenchHulls, wrench_hulls
 
 __version__ = "0.1.0"
 
@@ -141,7 +141,7 @@ _LATER = {
     "FittedActuator": "actuators.characterisation",
     "GriddedActuator": "actuators.gridded",
     "HullDistance": "wrench_sets.hull_distance",
-    "LoadCapacity": "capacity",
+    "LoadCapacity": "wrench_sets.capacity",
     "NotConvergedError": "equilibrium",
     "Objective": "optimise",
     "OptimisedDesign": "optimise",
@@ -153,6 +153,7 @@ _LATER = {
     "Recording": "actuators.alignment",
     "Smoothness": "planning",
     "TensorPolynomial": "actuators.uncertainty",
+    "WrenchHulls": "wrench_sets.wrench_set",
     "align": "actuators.alignment",
     "coefficient_tensor": "actuators.uncertainty",
     "estimate_offset": "actuators.alignment",
@@ -162,7 +163,7 @@ _LATER = {
     "fit_recording": "actuators.characterisation",
     "kkt_residuals": "wrench_sets.hull_distance",
     "load_actuator": "actuators.model_file",
-    "load_capacity": "capacity",
+    "load_capacity": "wrench_sets.capacity",
     "load_optimised": "optimise",
     "nnls_distance": "wrench_sets.reference",
     "optimise_architectures": "optimise",
@@ -179,6 +180,7 @@ _LATER = {
     "solve_equilibrium": "equilibrium",
     "standard_deviation": "actuators.uncertainty",
     "verify_design": "optimise",
+    "wrench_hulls": "wrench_sets.wrench_set",
 }
 
 

@@ -11,17 +11,14 @@ from torcharm._inputs import check_choice, check_count, check_flag, shown
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.pose_cost import PoseCost
-from torcharm.statics.cross_section import per_actuator
 from torcharm.task import Task
-from torcharm.wrench_sets.design_task_grid import DesignTaskGrid, design_task_grid
-from torcharm.wrench_sets.node_distances import SetOptions, node_distances
+from torcharm.wrench_sets.design_task_grid import design_task_grid, limits_in_range
+from torcharm.wrench_sets.node_distances import METRICS, SetOptions, node_distances
 from torcharm.wrench_sets.vertex_sets import DistanceFunction, VertexSets, check_sets
 
 if TYPE_CHECKING:
     from torcharm.prediction import PredictedError
 
-METRICS = ("absolute", "relative")
-"""Of wrenches, by attainable sets."""
 PREDICTED = "predicted_error"
 CHOICES = (*METRICS, PREDICTED)
 """All metrics there are."""
@@ -128,8 +125,7 @@ def evaluate(
         ValueError: an argument is none of those allowed, or arm and task do not fit.
     """
     check_flag("signed", signed)
-    if isinstance(power, bool) or not isinstance(power, int) or power not in (1, 2):
-        raise ValueError(f"power: must be 1 or 2, got {shown(power)}")
+    check_power(power)
     if chunk_size is not None:
         check_count("chunk_size", chunk_size, 1)
     asked, scale = _metrics(metrics), scale_of(weights)
@@ -187,15 +183,6 @@ def _predict(
     return predict_error(arm, task, pose_cost=pose_cost, steps=steps, chunk_size=chunk_size)
 
 
-def limits_in_range(grid: DesignTaskGrid) -> Tensor:
-    """Whether every pressure limit lies in its model's characterised range."""
-    inside = []
-    for segment in grid.segments:
-        highest = per_actuator([model.pressure_range[1] for model in segment.actuators], segment.max_pressure)
-        inside.append((segment.max_pressure <= highest).all(-1))
-    return grid.unflatten(torch.stack(inside).all(0).view(-1, 1, 1).expand(grid.sizes))
-
-
 def _metrics(metrics: Sequence[str]) -> tuple[str, ...]:
     """The metrics asked for, once each."""
     names = (metrics,) if isinstance(metrics, str) else metrics
@@ -215,6 +202,12 @@ def scale_of(weights: tuple[float, float]) -> tuple[float, float]:
     if not (0 < force < float("inf") and 0 < moment < float("inf")):
         raise ValueError(f"weights: must be finite and above 0, got {(force, moment)}")
     return force**0.5, moment**0.5
+
+
+def check_power(power: object) -> None:
+    """Raise a ValueError unless it is a power of distances that can be summed."""
+    if isinstance(power, bool) or not isinstance(power, int) or power not in (1, 2):
+        raise ValueError(f"power: must be 1 or 2, got {shown(power)}")
 
 
 def over_nodes(

@@ -25,7 +25,6 @@ from torcharm._inputs import (
     check_flag,
     check_tensor,
     refuse_transforms,
-    shown,
 )
 from torcharm._response import DEFINITE, has_lengths, is_stable
 from torcharm.actuators import want_gradients
@@ -128,8 +127,6 @@ def solve_equilibrium(
         ValueError: an argument is none of those allowed, or shapes do not fit.
         NotConvergedError: see `raise_on_failure`.
     """
-    if not isinstance(arm, ArmDesign):
-        raise ValueError(f"arm: must be of type ArmDesign, got {shown(arm)}")
     check_planar(arm)
     refuse_transforms("pressure, tip_load")
     check_count("nodes", nodes, 1)

@@ -78,6 +78,10 @@ class PointLoad:
         object.__setattr__(self, "frame", frame)
         object.__setattr__(self, "mass", values["mass"])
 
+    def to(self, *args: Any, **kwargs: Any) -> "PointLoad":
+        """The load in another dtype or on another device, as `Tensor.to`."""
+        return self._map(lambda value: value.to(*args, **kwargs))
+
     def _map(self, change: Callable[[Tensor], Tensor]) -> "PointLoad":
         load = object.__new__(type(self))
         for name in ("segment", "at", "frame"):

@@ -469,6 +469,7 @@ def test_a_tasks_wrench_takes_place_masses_and_links_from_task_and_arm():
     [
         ({"load": torch.zeros(3)}, "load: must have shape"),
         ({"load": torch.zeros(5, 6)}, "twists, load: batch shapes"),
+        ({"load": ta.ExternalLoad(points=ta.PointLoad(torch.ones(5, 6)))}, "twists, load: batch shapes"),
         ({"load": ta.ExternalLoad(torch.zeros(3))}, "load: must be of 6 components"),
         ({"load": ta.ExternalLoad(points=ta.PointLoad(torch.ones(6), 2))}, r"points\[0\].segment: must be below 2"),
         ({"wrench_at": "end"}, "wrench_at: must be one of start, middle"),

@@ -59,7 +59,7 @@ def part(function: F) -> F:
 def _compiled(function: F, **options: bool) -> F:
     import numba
 
-    from torcharm._code_cache import guard
+    from torcharm.engine.code_cache import guard
 
     config: Any = numba.config
     # numba takes code from disk unless the function's own file has changed; that of what it calls may have

@@ -2,7 +2,8 @@
 
 An actuator at a node provides the wrenches `f(p) u + p t` over the pressures of its limits. The graph (p, f) is cut
 into pieces on each of which f is a cubic, held by its four Bézier coefficients: a piece lies in the convex hull of its
-control points, which tells at a glance that it cannot reach furthest.
+control points, which tells at a glance that it cannot reach furthest. Where a force that the engine knows is no cubic,
+pieces tell where to look, and Newton's method finds the place on the force itself.
 """
 
 import math
@@ -11,12 +12,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from torcharm.engine.compilation import part
-from torcharm.engine.forces import POLYNOMIAL, STRETCHED_FROM, Models, muscle, muscle_corners, polynomial_row
+from torcharm.engine.forces import (
+    POLYNOMIAL,
+    STRETCHED_FROM,
+    Models,
+    force_by_pressure,
+    muscle,
+    muscle_corners,
+    polynomial_row,
+)
 
 Array = np.ndarray[Any, Any]
 
 MUSCLE_PIECES = 8
-"""Pieces of the power of pressure with which a stretched muscle pulls: good to 1e-7 of its largest force."""
+"""Pieces of the power of pressure with which a stretched muscle pulls: good to 1e-4 of its pull."""
+MUSCLE_OFF = 1e-3
+"""More than a muscle's pieces are off, as a part of its pull, up to strains of 0.6."""
 MUSCLE_GRADING = 3.6
 """Pieces end at pressures `(k / MUSCLE_PIECES) ** MUSCLE_GRADING` of the limit: each is then as far from a cubic."""
 NO_PRESSURE = 1e-30
@@ -25,6 +36,10 @@ GRADES = tuple((k / MUSCLE_PIECES) ** MUSCLE_GRADING for k in range(MUSCLE_PIECE
 LOG_GRADES = tuple(math.log(max(grade, NO_PRESSURE)) for grade in GRADES)
 HIGH_DEGREE_PIECES = 8
 """Pieces of a polynomial of more than the third degree in pressure."""
+NEWTON_STEPS = 6
+"""Steps to the place on a force itself at most: 2 or 3 are usual."""
+SETTLED = 1e-10
+"""By this part of the limit a last step may still move a pressure: its square counts."""
 
 
 class Curves(NamedTuple):
@@ -37,6 +52,11 @@ class Curves(NamedTuple):
         control: (M, K, 4) Bézier coefficients of the forces [N].
         lever: (M, D) u, the wrench of a force of 1 N.
         bending: (M, D - 1) t, the moments of a pressure of 1 kPa.
+        off: (M,) more than the pieces are off the forces that the engine knows [N]; 0 where they are these.
+        strain: (M, 2) the actuators' strains, here and, of differences, at the first node.
+        terms: (1,) 1, or 2 for differences.
+        row: room for a polynomial.
+        models: whose forces they are.
     """
 
     pieces: Array
@@ -45,10 +65,16 @@ class Curves(NamedTuple):
     control: Array
     lever: Array
     bending: Array
+    off: Array
+    strain: Array
+    terms: Array
+    row: Array
+    models: Models
 
 
-def make_curves(actuators: int, dimension: int, pieces: int) -> Curves:
-    """Room for the curves of one node."""
+def make_curves(models: Models, dimension: int, pieces: int, terms: int = 1) -> Curves:
+    """Room for the curves of one node, or, of two terms, for differences of curves."""
+    actuators = len(models.kind)
     return Curves(
         np.zeros(actuators, np.int64),
         np.zeros(actuators, np.int64),
@@ -56,6 +82,11 @@ def make_curves(actuators: int, dimension: int, pieces: int) -> Curves:
         np.zeros((actuators, pieces, 4)),
         np.zeros((actuators, dimension)),
         np.zeros((actuators, dimension - 1)),
+        np.zeros(actuators),
+        np.zeros((actuators, 2)),
+        np.array([terms]),
+        np.zeros(max(4, models.table.shape[1])),
+        models,
     )
 
 
@@ -76,10 +107,15 @@ def write_piece(curves, a, k, high, force_low, slope_low, force_high, slope_high
 
 
 @part
-def write_polynomial(curves, a, models, strain, limit, row):  # type: ignore[no-untyped-def]
+def write_polynomial(curves, a, strain, limit):  # type: ignore[no-untyped-def]
     """The pieces of a polynomial force. Up to the third degree in pressure one piece is the force itself."""
-    degree = polynomial_row(models, a, strain, row)
+    row = curves.row
+    degree = polynomial_row(curves.models, a, strain, row)
     pieces = 1 if degree <= 3 else HIGH_DEGREE_PIECES
+    fourth = 0.0
+    for j in range(degree, 3, -1):
+        fourth = fourth * limit + j * (j - 1) * (j - 2) * (j - 3) * abs(row[j])
+    curves.off[a] = fourth * (limit / pieces) ** 4 / 384.0
     curves.edge[a, 0] = 0.0
     force_low, slope_low = row[0], row[1]
     for k in range(pieces):
@@ -107,6 +143,7 @@ def write_muscle(curves, a, scale, strain, limit):  # type: ignore[no-untyped-de
                 write_piece(curves, a, k - 1, limit * GRADES[k], force_low, slope_low, force, slope)
             force_low, slope_low = force, slope
         curves.pieces[a] = MUSCLE_PIECES
+        curves.off[a] = MUSCLE_OFF * limit * abs(slope_low)
         return
     onset, pull = muscle_corners(strain)
     pieces, low = 0, 0.0
@@ -123,17 +160,18 @@ def write_muscle(curves, a, scale, strain, limit):  # type: ignore[no-untyped-de
 
 
 @part
-def write_curve(curves, a, models, strain, limit, sampled, row):  # type: ignore[no-untyped-def]
+def write_curve(curves, a, strain, limit, sampled):  # type: ignore[no-untyped-def]
     """The pieces of actuator a, by its own force model.
 
     Args:
         sampled: (K, 6) pieces that torch has sampled, of models that the engine does not know: where each begins and
             ends, and the forces and slopes at its ends.
     """
-    if models.kind[a] == POLYNOMIAL:
-        write_polynomial(curves, a, models, strain, limit, row)
-    elif models.kind[a] > POLYNOMIAL:
-        write_muscle(curves, a, models.scale[a], strain, limit)
+    curves.strain[a, 0], curves.off[a] = strain, 0.0
+    if curves.models.kind[a] == POLYNOMIAL:
+        write_polynomial(curves, a, strain, limit)
+    elif curves.models.kind[a] > POLYNOMIAL:
+        write_muscle(curves, a, curves.models.scale[a], strain, limit)
     else:
         curves.edge[a, 0] = sampled[0, 0]
         for k in range(len(sampled)):
@@ -170,7 +208,7 @@ def write_difference(out, a, own, first):  # type: ignore[no-untyped-def]
     while i < own.pieces[a] and j < first.pieces[a]:
         own_end, first_end = own.edge[a, i + 1], first.edge[a, j + 1]
         high = min(own_end, first_end)
-        if high > low or (own.pieces[a] == 1 and first.pieces[a] == 1):
+        if high > low or (pieces == 0 and high == own.edge[a, own.pieces[a]]):
             c0, c1, c2, c3 = cut(own, a, i, low, high)
             f0, f1, f2, f3 = cut(first, a, j, low, high)
             out.control[a, pieces, 0], out.control[a, pieces, 1] = c0 - f0, c1 - f1
@@ -182,7 +220,8 @@ def write_difference(out, a, own, first):  # type: ignore[no-untyped-def]
             i += 1
         if first_end <= high:
             j += 1
-    out.pieces[a] = pieces
+    out.pieces[a], out.off[a] = pieces, own.off[a] + first.off[a]
+    out.strain[a, 0], out.strain[a, 1] = own.strain[a, 0], first.strain[a, 0]
     for c in range(out.bending.shape[1]):
         out.bending[a, c] = own.bending[a, c] - first.bending[a, c]
         out.lever[a, c] = own.lever[a, c]
@@ -193,6 +232,7 @@ def write_difference(out, a, own, first):  # type: ignore[no-untyped-def]
 def copy_curve(out, a, own):  # type: ignore[no-untyped-def]
     """Keep an actuator's curve."""
     out.pieces[a], out.edge[a, 0] = own.pieces[a], own.edge[a, 0]
+    out.off[a], out.strain[a, 0] = own.off[a], own.strain[a, 0]
     for k in range(own.pieces[a]):
         out.edge[a, k + 1] = own.edge[a, k + 1]
         for j in range(4):
@@ -224,6 +264,32 @@ def sides(curves, a):  # type: ignore[no-untyped-def]
 
 
 @part
+def exact_force(curves, a, p):  # type: ignore[no-untyped-def]
+    """The force of a curve at a pressure, and its two derivatives, by the model itself."""
+    force, slope, bend = force_by_pressure(curves.models, a, curves.strain[a, 0], p, curves.row)
+    if curves.terms[0] == 2:
+        less, less_slope, less_bend = force_by_pressure(curves.models, a, curves.strain[a, 1], p, curves.row)
+        force, slope, bend = force - less, slope - less_slope, bend - less_bend
+    return force, slope, bend
+
+
+@part
+def settle(curves, a, by_force, by_pressure, k, p):  # type: ignore[no-untyped-def]
+    """From a pressure within piece k go to where g is largest by the force itself; also the force and -g'' there."""
+    low, high = curves.edge[a, k], curves.edge[a, k + 1]
+    force, slope, bend = exact_force(curves, a, p)
+    for _ in range(NEWTON_STEPS):
+        fall, last = -by_force * bend, p
+        if not fall > 0.0:
+            break
+        p = min(max(p + (by_force * slope + by_pressure) / fall, low), high)
+        force, slope, bend = exact_force(curves, a, p)
+        if abs(p - last) <= SETTLED * high:
+            break
+    return p, force, max(-by_force * bend, 0.0) if low < p < high else 0.0
+
+
+@part
 def furthest(curves, a, by_force, by_pressure):  # type: ignore[no-untyped-def]
     """The pressure p and force f of a curve that make `g = by_force f + by_pressure p` largest, and -g'' there.
 
@@ -237,7 +303,7 @@ def furthest(curves, a, by_force, by_pressure):  # type: ignore[no-untyped-def]
         return curves.edge[a, last], end, 0.0
     low = curves.edge[a, 0]
     at, force, fall = low, curves.control[a, 0, 0], 0.0
-    best = by_force * force + by_pressure * low
+    best, slack = by_force * force + by_pressure * low, abs(by_force) * curves.off[a]
     for k in range(last):
         high = curves.edge[a, k + 1]
         third = (high - low) / 3.0
@@ -253,7 +319,7 @@ def furthest(curves, a, by_force, by_pressure):  # type: ignore[no-untyped-def]
             best, at, force, fall = g0, low, f0, 0.0
         if g3 > best:
             best, at, force, fall = g3, high, f3, 0.0
-        if g1 > best or g2 > best:
+        if g1 > best - slack or g2 > best - slack:
             # Of the slope `q t² + 2 b t + c`, a quadratic over t from 0 to 1, the root at which it falls through 0.
             c = g1 - g0
             b = g2 - g1 - c
@@ -266,11 +332,13 @@ def furthest(curves, a, by_force, by_pressure):  # type: ignore[no-untyped-def]
                 elif q < 0.0:
                     t = -(b + root) / q
                 if 0.0 < t < 1.0:
-                    s = 1.0 - t
-                    g = s * s * (s * g0 + 3.0 * t * g1) + t * t * (3.0 * s * g2 + t * g3)
+                    s, p = 1.0 - t, low + t * (high - low)
+                    f = s * s * (s * f0 + 3.0 * t * f1) + t * t * (3.0 * s * f2 + t * f3)
+                    down = 6.0 * root / ((high - low) * (high - low))
+                    if slack > 0.0:
+                        p, f, down = settle(curves, a, by_force, by_pressure, k, p)
+                    g = by_force * f + by_pressure * p
                     if g > best:
-                        best, at = g, low + t * (high - low)
-                        force = s * s * (s * f0 + 3.0 * t * f1) + t * t * (3.0 * s * f2 + t * f3)
-                        fall = 6.0 * root / ((high - low) * (high - low))
+                        best, at, force, fall = g, p, f, down
         low = high
     return at, force, fall

@@ -109,16 +109,8 @@ def curve_support(D: int) -> Any:
     return ask
 
 
-def nearest_part(D: int, ask: Any) -> Any:
-    """`nearest` for sets in D components whose support is asked for by `ask`."""
-
-    @part
-    def ahead_of(simplex):  # type: ignore[no-untyped-def]
-        """How far w lies beyond the supporting plane that was last asked for: a lower bound of its distance."""
-        ahead = 0.0
-        for c in range(D):
-            ahead -= simplex.normal[c] * simplex.point[c]
-        return ahead
+def turn_part(D: int) -> Any:
+    """`turn_normal` for wrenches of D components."""
 
     @part
     def turn_normal(simplex, ahead, smooth):  # type: ignore[no-untyped-def]
@@ -160,6 +152,22 @@ def nearest_part(D: int, ask: Any) -> Any:
         length = math.sqrt(length)
         for c in range(D):
             n[c] /= length
+
+    return turn_normal
+
+
+def nearest_part(D: int, ask: Any) -> Any:
+    """`nearest` for sets in D components whose support is asked for by `ask`."""
+
+    turn_normal = turn_part(D)
+
+    @part
+    def ahead_of(simplex):  # type: ignore[no-untyped-def]
+        """How far w lies beyond the supporting plane that was last asked for: a lower bound of its distance."""
+        ahead = 0.0
+        for c in range(D):
+            ahead -= simplex.normal[c] * simplex.point[c]
+        return ahead
 
     @part
     def surrounded(simplex):  # type: ignore[no-untyped-def]

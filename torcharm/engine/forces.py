@@ -136,13 +136,15 @@ def polynomial_row(models, a, strain, row):  # type: ignore[no-untyped-def]
 
 
 @part
-def force(models, a, strain, pressure, row):  # type: ignore[no-untyped-def]
-    """The axial force [N] of actuator a, of a kind that the engine knows."""
+def force_by_pressure(models, a, strain, pressure, row):  # type: ignore[no-untyped-def]
+    """The axial force [N] of actuator a, of a kind that the engine knows, and its two derivatives by pressure."""
     if models.kind[a] == POLYNOMIAL:
-        degree = polynomial_row(models, a, strain, row)
-        total = row[degree]
-        for j in range(degree - 1, -1, -1):
+        total = slope = bend = 0.0
+        for j in range(polynomial_row(models, a, strain, row), -1, -1):
+            bend = bend * pressure + 2.0 * slope
+            slope = slope * pressure + total
             total = total * pressure + row[j]
-        return total
-    pull, _, _ = muscle(strain, pressure, math.log(max(pressure, _TRACE)))
-    return -models.scale[a] * pull
+        return total, slope, bend
+    pull, _, rate = muscle(strain, pressure, math.log(max(pressure, _TRACE)))
+    bend = rate * _B3 * strain / pressure if strain >= STRETCHED_FROM and pressure > 0.0 else 0.0
+    return -models.scale[a] * pull, -models.scale[a] * rate, -models.scale[a] * bend

@@ -9,7 +9,7 @@ from torcharm.engine.compilation import kernel, part
 from torcharm.engine.curves import Curves, copy_curve, make_curves, most_pieces, sides, write_curve, write_difference
 from torcharm.engine.depth import Polytope, make_polytope, signed_distance_part
 from torcharm.engine.distance import Simplex, curve_support, make_simplex, nearest_part
-from torcharm.engine.forces import POLYNOMIAL, SAMPLED, STRETCHED_FROM, Models, force
+from torcharm.engine.forces import Models
 
 Array = np.ndarray[Any, Any]
 
@@ -47,7 +47,6 @@ class Room(NamedTuple):
         own, first, change: curves of a node, of the first node, and their difference.
         simplex, polytope: of one problem.
         middle: (D,) the set's middle.
-        row: room for a polynomial.
         start: (L, D) the last node's normals, to begin the next node's with.
     """
 
@@ -57,7 +56,6 @@ class Room(NamedTuple):
     simplex: Simplex
     polytope: Polytope
     middle: Array
-    row: Array
     start: Array
 
 
@@ -83,28 +81,27 @@ def make_room(models: Models, dimension: int, loads: int, sampled: int) -> Room:
     """Room for sets of wrenches of so many components."""
     actuators, pieces = len(models.kind), most_pieces(models, sampled)
     return Room(
-        make_curves(actuators, dimension, pieces),
-        make_curves(actuators, dimension, pieces),
-        make_curves(actuators, dimension, 2 * pieces),
+        make_curves(models, dimension, pieces),
+        make_curves(models, dimension, pieces),
+        make_curves(models, dimension, 2 * pieces, terms=2),
         make_simplex(actuators, dimension),
         make_polytope(actuators, dimension),
         np.zeros(dimension),
-        np.zeros(max(4, models.table.shape[1])),
         np.zeros((loads, dimension)),
     )
 
 
 @part
-def write_node(models, sections, room, b, h, i, relative):  # type: ignore[no-untyped-def]
+def write_node(sections, room, b, h, i, relative):  # type: ignore[no-untyped-def]
     """Write the curves of node i of shape h of design b, less those of the first node if `relative`."""
-    for a in range(len(models.kind)):
-        own = room.own
+    own = room.own
+    for a in range(len(own.pieces)):
         for c in range(sections.bending.shape[4]):
             own.bending[a, c] = sections.bending[b, h, i, a, c]
             own.lever[a, c] = sections.lever[b, a, c]
         own.lever[a, sections.bending.shape[4]] = sections.lever[b, a, sections.bending.shape[4]]
         pieces = sections.sampled[b, h, i, sections.sample[a]]
-        write_curve(own, a, models, sections.strain[b, h, i, a], sections.limit[b, a], pieces, room.row)
+        write_curve(own, a, sections.strain[b, h, i, a], sections.limit[b, a], pieces)
         if relative:
             if i == 0:
                 copy_curve(room.first, a, own)
@@ -156,47 +153,6 @@ def aim(sections, required, room, b, h, l, i, relative):  # type: ignore[no-unty
 
 
 @part
-def exact_distance(models, sections, room, curves, b, h, i, relative):  # type: ignore[no-untyped-def]
-    """The distance beyond the plane with the simplex's normal through its points, by the models' own forces.
-
-    Pieces stand for forces to 1e-7; at the pressures found, where the reach is largest, an error of theirs in pressure
-    counts by its square.
-    """
-    simplex, distance = room.simplex, 0.0
-    for c in range(len(simplex.target)):
-        distance += simplex.normal[c] * simplex.target[c]
-    for a in range(len(models.kind)):
-        by_force, by_pressure = 0.0, 0.0
-        for c in range(len(simplex.target)):
-            by_force += simplex.normal[c] * curves.lever[a, c]
-            if c > 0:
-                by_pressure += simplex.normal[c] * curves.bending[a, c - 1]
-        for k in range(len(simplex.weight)):
-            if simplex.weight[k] > 0.0:
-                p = simplex.pressure[k, a]
-                f = force(models, a, sections.strain[b, h, i, a], p, room.row)
-                if relative:
-                    f -= force(models, a, sections.strain[b, h, 0, a], p, room.row)
-                distance -= simplex.weight[k] * (by_force * f + by_pressure * p)
-    return distance
-
-
-@part
-def approximated(models, sections, b, h, i, relative):  # type: ignore[no-untyped-def]
-    """Whether pieces only come near one of the forces, and all forces are known here."""
-    near = False
-    for a in range(len(models.kind)):
-        if models.kind[a] == SAMPLED:
-            return False
-        if models.kind[a] == POLYNOMIAL:
-            near = near or models.table.shape[1] > 4
-        else:
-            near = near or sections.strain[b, h, i, a] >= STRETCHED_FROM
-            near = near or (relative and sections.strain[b, h, 0, a] >= STRETCHED_FROM)
-    return near
-
-
-@part
 def keep_answer(answers, simplex, at):  # type: ignore[no-untyped-def]
     """Write the normal, the weights and the pressures of an answer, if they are asked for."""
     b, h, l, i = at
@@ -216,7 +172,7 @@ def distance_kernel(dimension: int, signed: bool = False) -> Any:
     signed_distance = signed_distance_part(dimension, ask)
 
     @kernel
-    def distances(models, sections, required, relative, begin, end, room, answers):  # type: ignore[no-untyped-def]
+    def distances(sections, required, relative, begin, end, room, answers):  # type: ignore[no-untyped-def]
         """Of designs from `begin` to `end`; required wrenches (P, L, N, D)."""
         curves = room.change if relative else room.own
         simplex = room.simplex
@@ -225,9 +181,8 @@ def distance_kernel(dimension: int, signed: bool = False) -> Any:
                 for l in range(required.shape[1]):
                     forget(room.start, l)
                 for i in range(required.shape[2]):
-                    write_node(models, sections, room, b, h, i, relative)
+                    write_node(sections, room, b, h, i, relative)
                     extent = measure(curves, room.middle)
-                    inexact = approximated(models, sections, b, h, i, relative)
                     for l in range(required.shape[1]):
                         size = extent + aim(sections, required, room, b, h, l, i, relative)
                         begin_with(room, l)
@@ -236,9 +191,6 @@ def distance_kernel(dimension: int, signed: bool = False) -> Any:
                         else:
                             distance, gap, _ = nearest(curves, simplex, size)
                         if distance != 0.0:
-                            if inexact:
-                                exact = exact_distance(models, sections, room, curves, b, h, i, relative)
-                                distance = max(exact, 0.0) if distance > 0.0 else min(exact, 0.0)
                             remember(room.start, l, simplex.normal)
                         answers.distance[b, h, l, i] = distance
                         answers.gap[b, h, l, i] = gap / size if size > 0.0 else gap

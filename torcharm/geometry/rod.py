@@ -42,8 +42,8 @@ def poses(
     """Poses of the N+1 nodes of a rod of N elements of constant twist, in the world frame.
 
     The product of exponentials `g_{i+1} = g_i ∘ exp(twist_i / N)`: node i is the start of element i, and the last
-    pose is the tip. In the plane it is written as two running sums, because headings add; in space as a scan
-    of log₂ N products. Neither loops over the nodes.
+    pose is the tip. In the plane it is written as two running sums, because headings add, without a loop
+    over the nodes.
 
     Args:
         twists: (..., N, 3) `(l, γ, κ)` or (..., N, 6) `(l, γ_y, γ_z, κ_x, κ_y, κ_z)` per unit of the segment's own
@@ -138,15 +138,11 @@ def chain(base: Tensor, step: Tensor, group: ModuleType) -> Tensor:
 
 
 def _chain_in_space(base: Tensor, step: Tensor) -> Tensor:
-    """Running products by doubling: after k rounds every pose is the product of the last 2^k steps before it."""
-    reached, count = 1, step.shape[-3]
-    while reached < count:
-        joined = se3.compose(step[..., :-reached, :, :], step[..., reached:, :, :])
-        step = torch.cat((step[..., :reached, :, :], joined), -3)
-        reached *= 2
-    moved = se3.compose(base.unsqueeze(-3), step)
-    start = base.unsqueeze(-3).expand(*moved.shape[:-3], 1, 4, 4)
-    return torch.cat((start, moved), -3)
+    """Running products, node after node: in large batches a scan of fewer but wider products costs twice as much."""
+    found = [base.expand(*torch.broadcast_shapes(base.shape[:-2], step.shape[:-3]), 4, 4)]
+    for one in step.unbind(-3):
+        found.append(se3.compose(found[-1], one))
+    return torch.stack(found, -3)
 
 
 def actuator_twists(twists: Float[Tensor, "*#batch N K"], radii: Tensor) -> Float[Tensor, "... N M K"]:

@@ -37,7 +37,7 @@ def exp(twist: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 4 4"]:
     With W the cross product by the turn: rotation `1 + A W + B W²`, position `(1 + B W + C W²)` times the
     linear part.
     """
-    linear, turn = twist[..., :3], twist[..., 3:]
+    linear, turn = twist.split(3, -1)
     square = turn.square().sum(-1, keepdim=True)
     a, b, c, _ = turn_ratios(square)
     once = _cross(turn, linear)
@@ -93,7 +93,7 @@ def _rotation_vector(rotation: Tensor) -> Tensor:
 
 def centroid(twist: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 3"]:
     """Mean position [m] along the path of a constant body twist over unit time: `(1/2 + C W + D W²)` linear."""
-    linear, turn = twist[..., :3], twist[..., 3:]
+    linear, turn = twist.split(3, -1)
     _, _, c, d = turn_ratios(turn.square().sum(-1, keepdim=True))
     once = _cross(turn, linear)
     return linear / 2 + c * once + d * _cross(turn, once)
@@ -141,12 +141,12 @@ def rotate_back(pose: Float[Tensor, "... 4 4"], vector: Float[Tensor, "... 3"]) 
 
 def turn_wrench(pose: Float[Tensor, "... 4 4"], wrench: Float[Tensor, "... 6"]) -> Float[Tensor, "... 6"]:
     """The components of a wrench at the frame's origin, given in the frame at `pose`, along the outer axes."""
-    return torch.cat((rotate(pose, wrench[..., :3]), rotate(pose, wrench[..., 3:])), -1)
+    return (wrench.unflatten(-1, (2, 3)) @ pose[..., :3, :3].mT).flatten(-2)
 
 
 def turn_wrench_back(pose: Float[Tensor, "... 4 4"], wrench: Float[Tensor, "... 6"]) -> Float[Tensor, "... 6"]:
     """The components of a wrench at the frame's origin, given along the outer axes, in the frame at `pose`."""
-    return torch.cat((rotate_back(pose, wrench[..., :3]), rotate_back(pose, wrench[..., 3:])), -1)
+    return (wrench.unflatten(-1, (2, 3)) @ pose[..., :3, :3]).flatten(-2)
 
 
 def position(pose: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 3"]:

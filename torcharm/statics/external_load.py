@@ -71,10 +71,10 @@ def required_wrench(
     columns = twists.shape[-1]
     if not isinstance(load, ExternalLoad):
         check_tensor("load", load, columns)
-        broadcast_shapes(twists=twists.shape[:-2], load=load.shape[:-1])
         load = ExternalLoad().with_tip(load)
     elif load.columns not in (None, columns):
         raise ValueError(f"load: must be of {columns} components as the twists are, got {load.columns}")
+    broadcast_shapes(twists=twists.shape[:-2], load=load.batch_shape)
     check_segments(load, len(counts))
     base = hanging(twists, columns) if base_pose is None else base_pose
     rod = _rod(group, element_twists(twists, counts), base, counts, _check_links(links, counts), wrench_at)
@@ -170,8 +170,8 @@ def _rod(
     middle = wrench_at == "middle"
     frame = group.compose(node, group.exp(step / 2)) if middle else node
     at = group.position(pose)
-    base_place, tip_place = at[..., :1, :], at[..., -1:, :]
-    return _Rod(group, step, node, frame, base_place, group.position(frame), tip_place, counts, links, middle)
+    place = group.position(frame) if middle else at[..., :-1, :]
+    return _Rod(group, step, node, frame, at[..., :1, :], place, at[..., -1:, :], counts, links, middle)
 
 
 def _carried(rod: _Rod, wrench: Tensor, place: Tensor, element: int | None = None, fraction: float = 1.0) -> Part:

@@ -12,6 +12,8 @@ from torcharm.wrench_sets.design_task_grid import DesignTaskGrid, RequiredWrench
 from torcharm.wrench_sets.distance import NearestPoints, evaluate_distance, find_nearest
 from torcharm.wrench_sets.vertex_sets import VertexSets
 
+METRICS = ("absolute", "relative")
+"""Of wrenches, by attainable sets."""
 CHUNK_ELEMENTS = 200_000
 """Numbers in a chunk's largest tensor, one for each actuator, node and point: 1.6 MB, which caches hold."""
 VERTEX_CHUNK_NUMBERS = 2_000_000
@@ -79,7 +81,7 @@ def node_distances(grid: DesignTaskGrid, options: SetOptions, chunk_size: int | 
     return NodeDistances(*map_chunks(grid, size, work))
 
 
-def default_chunk(grid: DesignTaskGrid, vertices: VertexSets | None) -> int:
+def default_chunk(grid: DesignTaskGrid, vertices: VertexSets | None = None) -> int:
     """(design, shape, load) triples worked on at once."""
     components = grid.required.external.shape[-1]
     actuators = max(segment.actuator_count for segment in grid.segments)
@@ -101,10 +103,10 @@ def _segment(
     required = grid.required.part(*place, grid.nodes[segment])
 
     def prepare() -> tuple[CrossSections, Tensor, Tensor]:
-        sections, lost = _possible(grid.sections(segment, designs, shapes))
-        return sections, lost, _strain_excess(sections)
+        sections, lost = possible_sections(grid.sections(segment, designs, shapes))
+        return sections, lost, strain_excess(sections)
 
-    if not _wants_gradient(grid, segment):
+    if not wants_gradient(grid, segment):
         with torch.no_grad():
             sections, lost, excess = prepare()
             found = [_measure(sections, required, options, metric == "relative") for metric in options.metrics]
@@ -169,7 +171,7 @@ def any_sampled(sections: CrossSections) -> bool:
     return bool((models_of(sections.actuators).kind == SAMPLED).any())
 
 
-def _wants_gradient(grid: DesignTaskGrid, segment: int) -> bool:
+def wants_gradient(grid: DesignTaskGrid, segment: int) -> bool:
     """Whether anything that distances depend on asks for its gradient."""
     arm, required = grid.segments[segment], grid.required
     inputs = (arm.radii, arm.length, arm.max_pressure, arm.out_of_plane, grid.twists)
@@ -178,7 +180,7 @@ def _wants_gradient(grid: DesignTaskGrid, segment: int) -> bool:
     return torch.is_grad_enabled() and (wanted or want_gradients(arm.actuators, arm.radii))
 
 
-def _possible(sections: CrossSections) -> tuple[CrossSections, Tensor]:
+def possible_sections(sections: CrossSections) -> tuple[CrossSections, Tensor]:
     """The sections with those of impossible shapes made harmless, and which (b, p) these are."""
     lost = (sections.strain.detach() <= -1).flatten(-2).any(-1)
     if not bool(lost.any()):
@@ -193,7 +195,7 @@ def _possible(sections: CrossSections) -> tuple[CrossSections, Tensor]:
     ), lost
 
 
-def _strain_excess(sections: CrossSections) -> Tensor:
+def strain_excess(sections: CrossSections) -> Tensor:
     """(b, p) the largest strain beyond its actuator's characterised range, 0 if none is."""
     low, high = (
         per_actuator([model.strain_range[end] for model in sections.actuators], sections.strain) for end in (0, 1)
