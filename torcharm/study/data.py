@@ -40,7 +40,7 @@ class Settings:
     metrics: tuple[str, ...] = METRICS
     hull: str = "exact"
     samples: int | None = None
-    distance: str = "closed_form"
+    distance: str = "gjk"
     weights: tuple[float, float] = (1.0, 1.0)
     power: int = 1
     signed: bool = False

@@ -35,7 +35,7 @@ DistanceFunction = Callable[..., HullDistance]
 `groups=M`, to the sum of M hulls."""
 
 
-def check_sets(
+def check_hull(
     arm: ArmDesign | ArmSeries, hull: str, samples: int | None, distance: str | DistanceFunction = "gjk"
 ) -> None:
     """Raise a ValueError unless sets of this kind can be made of so many samples, and measured like this."""
@@ -95,7 +95,7 @@ class VertexSets:
 
     @classmethod
     def of(cls, hull: str, samples: int | None, distance: str | DistanceFunction) -> "VertexSets":
-        """What passed `check_sets`."""
+        """What passed `check_hull`."""
         chosen = samples or (EDGE_SAMPLES if hull == "edges" else CURVE_SAMPLES)
         return cls(hull, chosen, None if distance == "gjk" else find_solver(distance))
 
