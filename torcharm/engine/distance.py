@@ -306,10 +306,12 @@ def nearest_part(D: int, ask: Any) -> Any:
             length = math.sqrt(square)
             if length <= TOUCHING * size:
                 return 0.0, 0.0, False
-            if length - low <= GAP * size:
-                break
             for c in range(D):
                 simplex.back[c] = -simplex.nearest[c] / length
+            if length - low <= GAP * size:  # the bound may be an earlier normal's, the last one asked for a worse one
+                for c in range(D):
+                    simplex.normal[c] = simplex.back[c]
+                break
             newton = smooth > 0 and ahead > 0.0 and (better or not newton)
             if newton:
                 turn_normal(simplex, ahead, smooth)
