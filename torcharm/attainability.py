@@ -14,7 +14,7 @@ from torcharm.pose_cost import PoseCost
 from torcharm.task import Task
 from torcharm.wrench_sets.design_task_grid import design_task_grid, limits_in_range
 from torcharm.wrench_sets.node_distances import METRICS, SetOptions, node_distances
-from torcharm.wrench_sets.vertex_sets import DistanceFunction, VertexSets, check_hull
+from torcharm.wrench_sets.vertex_sets import DistanceFunction, VertexSets, check_sets
 
 if TYPE_CHECKING:
     from torcharm.prediction import PredictedError
@@ -161,15 +161,15 @@ def _by_vertices(
     arm: ArmDesign | ArmSeries, hull: str, samples: int | None, distance: str | DistanceFunction, signed: bool
 ) -> VertexSets | None:
     """How to measure sets that are given by vertices; None where the sets themselves are measured."""
-    check_sets(arm, hull, samples, distance, signed)
+    check_set_options(arm, hull, samples, distance, signed)
     return None if hull == "exact" and distance == "gjk" else VertexSets.of(hull, samples, distance)
 
 
-def check_sets(
+def check_set_options(
     arm: ArmDesign | ArmSeries, hull: str, samples: int | None, distance: str | DistanceFunction, signed: bool
 ) -> None:
     """Raise a ValueError unless these arguments of `evaluate` go together."""
-    check_hull(arm, hull, samples, distance)
+    check_sets(arm, hull, samples, distance)
     if hull == "exact" and distance == "gjk":
         if samples is not None:
             raise ValueError(

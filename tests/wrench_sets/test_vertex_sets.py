@@ -180,18 +180,19 @@ def test_a_planar_arm_in_space_gives_the_planar_values():
     wide[:, 0], wide[:, 5] = twists[:, 0], twists[:, 2]
     tip = torch.tensor([6.0, -3.0, 0, 0, 0, 0.4], dtype=torch.float64)
     for options in ({"hull": "edges"}, {"hull": "edges", "distance": "scipy"}, {"distance": "scipy"}):
-        flat, turned = ta.evaluate(arm, ta.Task(twists, load), **options), ta.evaluate(
-            spatial, ta.Task(wide, tip), **options
+        flat, turned = (
+            ta.evaluate(arm, ta.Task(twists, load), **options),
+            ta.evaluate(spatial, ta.Task(wide, tip), **options),
         )
         assert largest(turned, flat) < 1e-9
 
 
 def test_segments_gravity_and_following_loads():
-    """A scene of two segments in space: edges are hulls of vertices, and scipy's are the engine's."""
-    names = [name for name, scene in spatial_scenes.SCENES.items() if len(scene.segments) > 1]
-    assert names
-    for name in names[:2]:
-        arm, task = spatial_scenes.arm_and_task(spatial_scenes.SCENES[name])
+    """Scenes of several segments in space: scipy's distances to hulls of edges are the engine's."""
+    scenes = [scene for scene in spatial_scenes.SCENES if len(scene.segments) > 1]
+    assert scenes
+    for scene in scenes[:2]:
+        arm, task = spatial_scenes.arm_and_task(scene)
         expected, found = (ta.evaluate(arm, task, hull="edges", distance=one) for one in ("gjk", "scipy"))
         assert largest(found, expected) < 1e-9
 

@@ -41,7 +41,9 @@ def sets_in(dimension):
 SETS = {dimension: sets_in(dimension) for dimension in (2, 3)}
 NAMES = tuple(SETS[2])
 WITHOUT_INSIDE = frozenset(
-    name for name in NAMES if name.startswith(("coplanar", "two", "near-", "collinear", "nearly", "along", "one", "the "))
+    name
+    for name in NAMES
+    if name.startswith(("coplanar", "two", "near-", "collinear", "nearly", "along", "one", "the "))
 )
 
 

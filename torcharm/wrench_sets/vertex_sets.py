@@ -35,7 +35,7 @@ DistanceFunction = Callable[..., HullDistance]
 `groups=M`, to the sum of M hulls."""
 
 
-def check_hull(
+def check_sets(
     arm: ArmDesign | ArmSeries, hull: str, samples: int | None, distance: str | DistanceFunction = "gjk"
 ) -> None:
     """Raise a ValueError unless sets of this kind can be made of so many samples, and measured like this."""
@@ -95,7 +95,7 @@ class VertexSets:
 
     @classmethod
     def of(cls, hull: str, samples: int | None, distance: str | DistanceFunction) -> "VertexSets":
-        """What passed `check_hull`."""
+        """What passed `check_sets`."""
         chosen = samples or (EDGE_SAMPLES if hull == "edges" else CURVE_SAMPLES)
         return cls(hull, chosen, None if distance == "gjk" else find_solver(distance))
 
@@ -133,6 +133,14 @@ class VertexSets:
         grades = torch.from_numpy(edge_pressures(len(sections.actuators), self.samples)).to(point)
         limit = sections.limit.unsqueeze(-2).unsqueeze(-2)  # (B, 1, 1, 1, 1, M)
         return NearestPoints(distance, certified, normal, weight, grades[vertex] * limit)
+
+    @staticmethod
+    def tied_to_limits(nearest: NearestPoints, sections: CrossSections) -> NearestPoints:
+        """The same points, with pressures that are held as parts of the limits: so vertices are made."""
+        assert nearest.pressure is not None
+        limit = sections.limit.unsqueeze(-2).unsqueeze(-2)
+        share = nearest.pressure / torch.where(limit > 0, limit, 1.0).detach()
+        return replace(nearest, pressure=share * limit)
 
     def solve(
         self, sections: CrossSections, required: RequiredWrench, scale: tuple[float, float], *, relative: bool
