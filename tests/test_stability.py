@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from torcharm.distance.qp import FORMS
 
 import torcharm as ta
 from torcharm.distance import qp
-from torcharm.distance.qp import FORMS
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # plain pytest does not look there
 
