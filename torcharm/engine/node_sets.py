@@ -68,6 +68,7 @@ class Answers(NamedTuple):
         normal: (B, P, L, N, D) unit normals; empty if not asked for, like what follows.
         weight: (B, P, L, N, D) of the points whose mix is nearest.
         pressure: (B, P, L, N, D, M) of these points [kPa].
+        size: (B, P, L, N) of the problem, the most that the numbers in it can add up to.
     """
 
     distance: Array
@@ -75,6 +76,7 @@ class Answers(NamedTuple):
     normal: Array
     weight: Array
     pressure: Array
+    size: Array
 
 
 def make_room(models: Models, dimension: int, loads: int, sampled: int) -> Room:
@@ -153,10 +155,11 @@ def aim(sections, required, room, b, h, l, i, relative):  # type: ignore[no-unty
 
 
 @part
-def keep_answer(answers, simplex, at):  # type: ignore[no-untyped-def]
+def keep_answer(answers, simplex, size, at):  # type: ignore[no-untyped-def]
     """Write the normal, the weights and the pressures of an answer, if they are asked for."""
     b, h, l, i = at
     if len(answers.normal) > 0:
+        answers.size[b, h, l, i] = size
         for c in range(len(simplex.normal)):
             answers.normal[b, h, l, i, c] = simplex.normal[c]
             answers.weight[b, h, l, i, c] = simplex.weight[c]
@@ -194,7 +197,7 @@ def distance_kernel(dimension: int, signed: bool = False) -> Any:
                             remember(room.start, l, simplex.normal)
                         answers.distance[b, h, l, i] = distance
                         answers.gap[b, h, l, i] = gap / size if size > 0.0 else gap
-                        keep_answer(answers, simplex, (b, h, l, i))
+                        keep_answer(answers, simplex, size, (b, h, l, i))
 
     return distances
 

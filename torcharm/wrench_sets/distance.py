@@ -24,6 +24,9 @@ CERTIFIED = 1e-8
 """The gap, as a part of a problem's size, up to which a distance counts as known: what rounding leaves in bad cases."""
 WORTH_A_THREAD = 64
 """Designs below which a thread takes longer to start than to work."""
+OFF = 5e-7
+"""By this part of a problem's size a distance by cubic pieces may be off that by the forces at the points found: more,
+and a model that only torch knows bends too much for its pieces."""
 KINK = 1e-6
 """How near to a kink, as a part of the limit, a pressure counts as held by it."""
 
@@ -38,6 +41,7 @@ class NearestPoints:
         normal: (B, P, L, N, C) unit normals of the weighted components; None if not asked for, like what follows.
         weight: (B, P, L, N, C) of the points whose mix is nearest.
         pressure: (B, P, L, N, C, M) of these points [kPa].
+        size: (B, P, L, N) the most that the numbers in a problem can add up to [N].
     """
 
     distance: Tensor
@@ -45,6 +49,14 @@ class NearestPoints:
     normal: Tensor | None
     weight: Tensor | None
     pressure: Tensor | None
+    size: Tensor | None
+
+    def known(self, value: Tensor) -> Tensor:
+        """Whether distances are known to rounding, and forces at the points found agree: `value` is by these."""
+        if self.size is None:
+            return self.certified
+        off = max(OFF, 64 * torch.finfo(value.dtype).eps)
+        return self.certified & ((value.detach() - self.distance).abs() <= off * self.size)
 
 
 @torch.no_grad()
@@ -88,6 +100,7 @@ def find_nearest(
     wanted = _array(required.external) * factors
     shape = (designs, shapes, loads, nodes)
     more = [np.empty((*shape, components)), np.empty((*shape, components)), np.empty((*shape, components, actuators))]
+    more.append(np.empty(shape))
     more = more if points else [np.empty((0,) * part.ndim) for part in more]
     answers = Answers(np.empty(shape), np.empty(shape), *more)
     kernel = distance_kernel(components, signed)
@@ -99,7 +112,7 @@ def find_nearest(
     _spread(designs, work)
     found = [torch.from_numpy(part).to(sections.strain) for part in answers]
     certified = (found[1] <= CERTIFIED) & found[0].isfinite()
-    return NearestPoints(found[0], certified, *(found[2:] if points else (None, None, None)))
+    return NearestPoints(found[0], certified, *(found[2:] if points else (None, None, None, None)))
 
 
 def _array(value: Tensor) -> np.ndarray:  # type: ignore[type-arg]
@@ -180,7 +193,9 @@ def evaluate_distance(
         constant = sections.constant
         constant = constant - constant[..., :1, :] if relative else constant
         distance = distance - (normal[..., 1:] * constant.unsqueeze(-3)).sum(-1)
-    return torch.where(nearest.distance == 0, torch.zeros_like(distance), distance)
+    # by forces that pieces only come near, a point barely outside may be inside, and the other way round
+    same_side = ~torch.where(nearest.distance < 0, distance >= 0, distance <= 0) & (nearest.distance != 0)
+    return torch.where(same_side, distance, torch.zeros_like(distance))
 
 
 def _held(sections: CrossSections, pressure: Tensor, *, relative: bool) -> Tensor:
