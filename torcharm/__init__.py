@@ -16,13 +16,12 @@ from torcharm.actuators import (
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm, ring
 from torcharm.arm_series import ArmSeries, RigidLink, series
 from torcharm.attainability import Attainability, evaluate
-from torcharm.distance.closed_form import distance_to_hull
 from torcharm.geometry.rod import poses
-from torcharm.hulls import WrenchHulls, wrench_hulls
 from torcharm.load import ExternalLoad, PointLoad
 from torcharm.statics.cross_section import reaction_wrench
 from torcharm.statics.external_load import required_wrench
 from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
+from torcharm.wrench_sets.vertices import distance_to_hull
 
 if TYPE_CHECKING:
     from torcharm.actuators.alignment import Recording, align, estimate_offset, pool
@@ -31,11 +30,6 @@ if TYPE_CHECKING:
     from torcharm.actuators.model_file import load_actuator, save_actuator
     from torcharm.actuators.recordings import read_pressure, read_tester
     from torcharm.actuators.uncertainty import TensorPolynomial, coefficient_tensor, standard_deviation
-    from torcharm.capacity import LoadCapacity, load_capacity
-    from torcharm.distance.planar import planar_distance
-    from torcharm.distance.qp import qp_distance
-    from torcharm.distance.result import HullDistance, kkt_residuals
-    from torcharm.distance.scipy_solvers import nnls_distance, slsqp_distance
     from torcharm.equilibrium import Equilibrium, NotConvergedError, solve_equilibrium
     from torcharm.optimise import (
         Architectures,
@@ -52,6 +46,11 @@ if TYPE_CHECKING:
     from torcharm.prediction import PredictedError, predict_error
     from torcharm.pressure_fit import PressureFit, fit_pressure
     from torcharm.search import PressureSearch, search_pressure
+    from torcharm.wrench_sets.capacity import LoadCapacity, load_capacity
+    from torcharm.wrench_sets.hull_distance import HullDistance, kkt_residuals
+    from torcharm.wrench_sets.qp import qp_distance
+    from torcharm.wrench_sets.reference import nnls_distance, slsqp_distance
+    from torcharm.wrench_sets.wrench_set import WrenchHulls, wrench_hulls
 
 __version__ = "0.1.0"
 
@@ -114,7 +113,6 @@ __all__ = [
     "optimise_architectures",
     "optimise_design",
     "plan_shape",
-    "planar_distance",
     "pool",
     "poses",
     "predict_error",
@@ -142,8 +140,8 @@ _LATER = {
     "FitQuality": "actuators.characterisation",
     "FittedActuator": "actuators.characterisation",
     "GriddedActuator": "actuators.gridded",
-    "HullDistance": "distance.result",
-    "LoadCapacity": "capacity",
+    "HullDistance": "wrench_sets.hull_distance",
+    "LoadCapacity": "wrench_sets.capacity",
     "NotConvergedError": "equilibrium",
     "Objective": "optimise",
     "OptimisedDesign": "optimise",
@@ -155,6 +153,7 @@ _LATER = {
     "Recording": "actuators.alignment",
     "Smoothness": "planning",
     "TensorPolynomial": "actuators.uncertainty",
+    "WrenchHulls": "wrench_sets.wrench_set",
     "align": "actuators.alignment",
     "coefficient_tensor": "actuators.uncertainty",
     "estimate_offset": "actuators.alignment",
@@ -162,26 +161,26 @@ _LATER = {
     "fit_gridded_model": "actuators.gridded",
     "fit_pressure": "pressure_fit",
     "fit_recording": "actuators.characterisation",
-    "kkt_residuals": "distance.result",
+    "kkt_residuals": "wrench_sets.hull_distance",
     "load_actuator": "actuators.model_file",
-    "load_capacity": "capacity",
+    "load_capacity": "wrench_sets.capacity",
     "load_optimised": "optimise",
-    "nnls_distance": "distance.scipy_solvers",
+    "nnls_distance": "wrench_sets.reference",
     "optimise_architectures": "optimise",
     "optimise_design": "optimise",
     "plan_shape": "planning",
-    "planar_distance": "distance.planar",
     "pool": "actuators.alignment",
     "predict_error": "prediction",
-    "qp_distance": "distance.qp",
+    "qp_distance": "wrench_sets.qp",
     "read_pressure": "actuators.recordings",
     "read_tester": "actuators.recordings",
     "save_actuator": "actuators.model_file",
     "search_pressure": "search",
-    "slsqp_distance": "distance.scipy_solvers",
+    "slsqp_distance": "wrench_sets.reference",
     "solve_equilibrium": "equilibrium",
     "standard_deviation": "actuators.uncertainty",
     "verify_design": "optimise",
+    "wrench_hulls": "wrench_sets.wrench_set",
 }
 
 

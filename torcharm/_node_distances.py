@@ -22,7 +22,6 @@ from torcharm._sampled_distances import (
     strain_excess,
 )
 from torcharm.actuators import want_gradients
-from torcharm.distance import DistanceFunction
 from torcharm.distance.closed_form import BOUNDARY_ULPS, NearestFaces, face_normals, nearest_faces, signed_length
 from torcharm.hulls import (
     Curves,
@@ -36,6 +35,7 @@ from torcharm.hulls import (
     sample_curves,
 )
 from torcharm.polygon import face_square
+from torcharm.wrench_sets.vertex_sets import DistanceFunction
 
 if TYPE_CHECKING:
     from torcharm._arrays import Array

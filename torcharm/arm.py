@@ -22,7 +22,7 @@ from torcharm._inputs import (
 )
 from torcharm.actuators import Actuator, Bellows, McKibben, check_actuator
 
-Index = int | slice | EllipsisType | Tensor
+Index = int | slice | EllipsisType | Tensor | None
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)

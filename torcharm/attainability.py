@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING
 
 import torch
@@ -12,17 +11,14 @@ from torcharm._inputs import check_choice, check_count, check_flag, shown
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.pose_cost import PoseCost
-from torcharm.statics.cross_section import per_actuator
 from torcharm.task import Task
-from torcharm.wrench_sets.design_task_grid import DesignTaskGrid, design_task_grid
-from torcharm.wrench_sets.node_distances import SetOptions, VertexDistances, node_distances
-from torcharm.wrench_sets.vertex_sets import DistanceFunction, check_hull, vertex_distances
+from torcharm.wrench_sets.design_task_grid import design_task_grid, limits_in_range
+from torcharm.wrench_sets.node_distances import METRICS, SetOptions, node_distances
+from torcharm.wrench_sets.vertex_sets import DistanceFunction, VertexSets, check_sets
 
 if TYPE_CHECKING:
     from torcharm.prediction import PredictedError
 
-METRICS = ("absolute", "relative")
-"""Of wrenches, by attainable sets."""
 PREDICTED = "predicted_error"
 CHOICES = (*METRICS, PREDICTED)
 """All metrics there are."""
@@ -112,8 +108,11 @@ def evaluate(
         hull: "exact", or "edges" as the paper samples.
         samples: points on each edge of the pressure box (edges; the paper's 3), or on each actuator's curve where a
             solver needs vertices of exact sets; None chooses.
-        distance: "gjk", the exact one; "qpth", the differentiable QP layer; "scipy", the slow reference; or a function
-            of points and vertices such as `partial(qp_distance, form="halfspaces")`.
+        distance: "gjk", the exact one; "qpth", the differentiable QP layer; "scipy", the slow reference, by non-negative
+            least squares; or a function of points and vertices such as `slsqp_distance` or
+            `partial(qp_distance, gradient="envelope")`. All but "gjk" measure sets of vertices: of hull="exact" they
+            take samples of each actuator's curve, 9 unless told, and give each curve its own simplex of weights, for
+            which a function needs the keyword `groups`.
         weights: k_f [1/N²] and k_m [1/(N·m)²] of the distance `sqrt(k_f f² + k_m m²)`.
         power: 1 sums distances (the paper's text), 2 their squares (the paper's table).
         signed: gives attainable tasks a negative value: where every node is inside its set, minus the smallest margin
@@ -127,14 +126,13 @@ def evaluate(
         ValueError: an argument is none of those allowed, or arm and task do not fit.
     """
     check_flag("signed", signed)
-    if isinstance(power, bool) or not isinstance(power, int) or power not in (1, 2):
-        raise ValueError(f"power: must be 1 or 2, got {shown(power)}")
+    check_power(power)
     if chunk_size is not None:
         check_count("chunk_size", chunk_size, 1)
     asked, scale = _metrics(metrics), scale_of(weights)
     grid = design_task_grid(arm, task)
     measured = tuple(name for name in asked if name in METRICS)
-    options = SetOptions(measured, scale, signed, _by_vertices(arm, hull, samples, distance, scale, signed))
+    options = SetOptions(measured, scale, signed, _by_vertices(arm, hull, samples, distance, signed))
     prediction = _predict(arm, task, pose_cost, steps, chunk_size) if PREDICTED in asked else None
     nodes = node_distances(grid, options, chunk_size)
     converged = (nodes.converged & nodes.distance.isfinite()).flatten(-2).all(-1) & ~nodes.impossible
@@ -161,15 +159,10 @@ def evaluate(
 
 
 def _by_vertices(
-    arm: ArmDesign | ArmSeries,
-    hull: str,
-    samples: int | None,
-    distance: str | DistanceFunction,
-    scale: tuple[float, float],
-    signed: bool,
-) -> VertexDistances | None:
+    arm: ArmDesign | ArmSeries, hull: str, samples: int | None, distance: str | DistanceFunction, signed: bool
+) -> VertexSets | None:
     """How to measure sets that are given by vertices; None where the sets themselves are measured."""
-    check_hull(arm, hull, samples)
+    check_sets(arm, hull, samples, distance)
     if hull == "exact" and distance == "gjk":
         if samples is not None:
             raise ValueError(
@@ -177,8 +170,8 @@ def _by_vertices(
             )
         return None
     if signed:
-        raise ValueError("signed: True needs hull='exact' and distance='gjk'; vertices know no distance inside a hull")
-    return partial(vertex_distances, hull=hull, samples=samples, distance=distance, scale=scale)
+        raise ValueError("signed: must be False except for hull='exact' and distance='gjk', got True")
+    return VertexSets.of(hull, samples, distance)
 
 
 def _predict(
@@ -189,15 +182,6 @@ def _predict(
     if not isinstance(arm, ArmDesign):
         raise ValueError(f"metrics: predicted_error is for arms of one segment, got {shown(arm)}")
     return predict_error(arm, task, pose_cost=pose_cost, steps=steps, chunk_size=chunk_size)
-
-
-def limits_in_range(grid: DesignTaskGrid) -> Tensor:
-    """Whether every pressure limit lies in its model's characterised range."""
-    inside = []
-    for segment in grid.segments:
-        highest = per_actuator([model.pressure_range[1] for model in segment.actuators], segment.max_pressure)
-        inside.append((segment.max_pressure <= highest).all(-1))
-    return grid.unflatten(torch.stack(inside).all(0).view(-1, 1, 1).expand(grid.sizes))
 
 
 def _metrics(metrics: Sequence[str]) -> tuple[str, ...]:
@@ -219,6 +203,12 @@ def scale_of(weights: tuple[float, float]) -> tuple[float, float]:
     if not (0 < force < float("inf") and 0 < moment < float("inf")):
         raise ValueError(f"weights: must be finite and above 0, got {(force, moment)}")
     return force**0.5, moment**0.5
+
+
+def check_power(power: object) -> None:
+    """Raise a ValueError unless it is a power of distances that can be summed."""
+    if isinstance(power, bool) or not isinstance(power, int) or power not in (1, 2):
+        raise ValueError(f"power: must be 1 or 2, got {shown(power)}")
 
 
 def over_nodes(

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from torcharm.engine.compilation import part
+from torcharm.engine.distance import nearest_part
 
 Array = np.ndarray[Any, Any]
 
@@ -20,6 +21,14 @@ CORNERS = {2: 80, 3: 300}
 """Corners of the polytope at most: of smooth sets in space the depth is then known to 1e-6 or so, and flagged."""
 BEYOND = 1e-14
 """By this part of the problem's size a point must lie beyond a face to be a new corner: less is rounding."""
+NUDGE = 1e-10
+"""By this part of the problem's size a point is moved that lies on a face of its simplex, where sides cannot be told:
+more than the gap up to which a distance counts as known."""
+NUDGES = {
+    2: ((0.8, 0.6), (-0.6, 0.8)),
+    3: ((2 / 3, -1 / 3, 2 / 3), (2 / 3, 2 / 3, -1 / 3), (-1 / 3, 2 / 3, 2 / 3)),
+}
+"""Unit vectors to move it along: orthogonal, for one to leave the face; along no axis, where arms are symmetric."""
 NEVER = 1e300
 """The distance that is given to faces without area, which no depth is measured to."""
 
@@ -210,3 +219,41 @@ def depth_part(D: int, ask: Any) -> Any:
         return low, max(best - low, 0.0)
 
     return depth
+
+
+def signed_distance_part(D: int, ask: Any) -> Any:
+    """`signed_distance` for sets in D components whose support is asked for by `ask`."""
+    nearest, depth = nearest_part(D, ask), depth_part(D, ask)
+    nudges = NUDGES[D]
+
+    @part
+    def move(simplex, along, length):  # type: ignore[no-untyped-def]
+        for c in range(D):
+            simplex.target[c] += nudges[along][c] * length
+
+    @part
+    def signed_distance(support, simplex, polytope, size):  # type: ignore[no-untyped-def]
+        """The distance of the simplex's target from the set, minus its depth if inside, and the gap that is left.
+
+        A target on a chord of the set, as symmetric arms have them, may be inside or on the boundary. Its neighbours
+        tell.
+        """
+        distance, gap, inside = nearest(support, simplex, size)
+        if inside:
+            distance, gap = depth(support, simplex, polytope, size)
+            return -distance, gap
+        if distance > 0.0 or not size > 0.0:
+            return distance, gap
+        for along in range(D):
+            move(simplex, along, NUDGE * size)
+            for c in range(D):
+                simplex.normal[c] = nudges[along][c]
+            _, _, inside = nearest(support, simplex, size)
+            if inside:
+                distance, gap = depth(support, simplex, polytope, size)
+            move(simplex, along, -NUDGE * size)
+            if inside and distance > 4.0 * NUDGE * size:
+                return -distance, gap + NUDGE * size
+        return 0.0, 0.0
+
+    return signed_distance

@@ -109,37 +109,8 @@ def curve_support(D: int) -> Any:
     return ask
 
 
-def vertex_support(D: int) -> Any:
-    """`ask` for hulls of vertices in D components."""
-
-    @part
-    def ask(vertices, simplex):  # type: ignore[no-untyped-def]
-        """Find the vertex of (V, D) furthest along the normal, seen from the target; its number is its pressure."""
-        best, at = -np.inf, 0
-        for v in range(len(vertices)):
-            reach = 0.0
-            for c in range(D):
-                reach += simplex.normal[c] * vertices[v, c]
-            if reach > best:
-                best, at = reach, v
-        simplex.fresh[0] = at
-        for c in range(D):
-            simplex.point[c] = vertices[at, c] - simplex.target[c]
-        return 0
-
-    return ask
-
-
-def nearest_part(D: int, ask: Any) -> Any:
-    """`nearest` for sets in D components whose support is asked for by `ask`."""
-
-    @part
-    def ahead_of(simplex):  # type: ignore[no-untyped-def]
-        """How far w lies beyond the supporting plane that was last asked for: a lower bound of its distance."""
-        ahead = 0.0
-        for c in range(D):
-            ahead -= simplex.normal[c] * simplex.point[c]
-        return ahead
+def turn_part(D: int) -> Any:
+    """`turn_normal` for wrenches of D components."""
 
     @part
     def turn_normal(simplex, ahead, smooth):  # type: ignore[no-untyped-def]
@@ -181,6 +152,22 @@ def nearest_part(D: int, ask: Any) -> Any:
         length = math.sqrt(length)
         for c in range(D):
             n[c] /= length
+
+    return turn_normal
+
+
+def nearest_part(D: int, ask: Any) -> Any:
+    """`nearest` for sets in D components whose support is asked for by `ask`."""
+
+    turn_normal = turn_part(D)
+
+    @part
+    def ahead_of(simplex):  # type: ignore[no-untyped-def]
+        """How far w lies beyond the supporting plane that was last asked for: a lower bound of its distance."""
+        ahead = 0.0
+        for c in range(D):
+            ahead -= simplex.normal[c] * simplex.point[c]
+        return ahead
 
     @part
     def surrounded(simplex):  # type: ignore[no-untyped-def]

@@ -7,8 +7,8 @@ import numpy as np
 
 from torcharm.engine.compilation import kernel, part
 from torcharm.engine.curves import Curves, copy_curve, make_curves, most_pieces, sides, write_curve, write_difference
-from torcharm.engine.depth import Polytope, depth_part, make_polytope
-from torcharm.engine.distance import Simplex, curve_support, make_simplex, nearest_part, vertex_support
+from torcharm.engine.depth import Polytope, make_polytope, signed_distance_part
+from torcharm.engine.distance import Simplex, curve_support, make_simplex, nearest_part
 from torcharm.engine.forces import Models
 
 Array = np.ndarray[Any, Any]
@@ -155,11 +155,10 @@ def aim(sections, required, room, b, h, l, i, relative):  # type: ignore[no-unty
 
 
 @part
-def keep_answer(answers, simplex, size, at):  # type: ignore[no-untyped-def]
+def keep_answer(answers, simplex, at):  # type: ignore[no-untyped-def]
     """Write the normal, the weights and the pressures of an answer, if they are asked for."""
     b, h, l, i = at
     if len(answers.normal) > 0:
-        answers.size[b, h, l, i] = size
         for c in range(len(simplex.normal)):
             answers.normal[b, h, l, i, c] = simplex.normal[c]
             answers.weight[b, h, l, i, c] = simplex.weight[c]
@@ -172,7 +171,7 @@ def distance_kernel(dimension: int, signed: bool = False) -> Any:
     """The kernel for wrenches of so many components, which measures from the outside or, signed, from both sides."""
     ask = curve_support(dimension)
     nearest = nearest_part(dimension, ask)
-    depth = depth_part(dimension, ask)
+    signed_distance = signed_distance_part(dimension, ask)
 
     @kernel
     def distances(sections, required, relative, begin, end, room, answers):  # type: ignore[no-untyped-def]
@@ -189,15 +188,17 @@ def distance_kernel(dimension: int, signed: bool = False) -> Any:
                     for l in range(required.shape[1]):
                         size = extent + aim(sections, required, room, b, h, l, i, relative)
                         begin_with(room, l)
-                        distance, gap, inside = nearest(curves, simplex, size)
-                        if signed and inside:
-                            distance, gap = depth(curves, simplex, room.polytope, size)
-                            distance = -distance
+                        if signed:
+                            distance, gap = signed_distance(curves, simplex, room.polytope, size)
+                        else:
+                            distance, gap, _ = nearest(curves, simplex, size)
                         if distance != 0.0:
                             remember(room.start, l, simplex.normal)
                         answers.distance[b, h, l, i] = distance
                         answers.gap[b, h, l, i] = gap / size if size > 0.0 else gap
-                        keep_answer(answers, simplex, size, (b, h, l, i))
+                        keep_answer(answers, simplex, (b, h, l, i))
+                        if len(answers.size) > 0:
+                            answers.size[b, h, l, i] = size
 
     return distances
 
@@ -224,44 +225,3 @@ def begin_with(room, l):  # type: ignore[no-untyped-def]
         known = known or room.start[l, c] != 0.0
     for c in range(len(simplex.normal)):
         simplex.normal[c] = room.start[l, c] if known else simplex.target[c] - room.middle[c]
-
-
-class VertexAnswers(NamedTuple):
-    """Of B hulls with L points each: distances and gaps (B, L), normals and weights (B, L, D), vertices (B, L, D)."""
-
-    distance: Array
-    gap: Array
-    normal: Array
-    weight: Array
-    vertex: Array
-
-
-@cache
-def vertex_kernel(dimension: int) -> Any:
-    """The kernel for hulls of vertices with so many components."""
-    D = dimension
-    nearest = nearest_part(D, vertex_support(D))
-
-    @kernel
-    def vertex_distances(vertices, points, begin, end, simplex, answers):  # type: ignore[no-untyped-def]
-        """Of hulls from `begin` to `end` of vertices (B, V, D), for points (B, L, D)."""
-        for b in range(begin, end):
-            for l in range(points.shape[1]):
-                size = 0.0
-                for c in range(D):
-                    most, mean = 0.0, 0.0
-                    for v in range(vertices.shape[1]):
-                        most = max(most, abs(vertices[b, v, c] - points[b, l, c]))
-                        mean += vertices[b, v, c] / vertices.shape[1]
-                    size += most
-                    simplex.target[c] = points[b, l, c]
-                    simplex.normal[c] = points[b, l, c] - mean
-                distance, gap, _ = nearest(vertices[b], simplex, size)
-                answers.distance[b, l] = distance
-                answers.gap[b, l] = gap / size if size > 0.0 else gap
-                for c in range(D):
-                    answers.normal[b, l, c] = simplex.normal[c]
-                    answers.weight[b, l, c] = simplex.weight[c]
-                    answers.vertex[b, l, c] = simplex.pressure[c, 0]
-
-    return vertex_distances

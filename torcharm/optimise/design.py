@@ -300,9 +300,7 @@ def metric_values(arm: ArmDesign, problem: Problem) -> dict[str, Tensor]:
     """Unsigned metrics of one design, each (T,) over all tasks, and whether they converged."""
     objective = problem.objective
     metrics = tuple(dict.fromkeys(("absolute", "relative", *objective.metrics)))
-    options: dict[str, Any] = {
-        name: getattr(objective, name) for name in ("hull", "samples", "weights", "power", "chunk_size")
-    }
+    options: dict[str, Any] = {name: getattr(objective, name) for name in ("weights", "power", "chunk_size")}
     with torch.no_grad():
         results = [evaluate(arm, task, metrics, **options) for task in problem.tasks]
     return {

@@ -6,7 +6,6 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Discriminator, Field, Tag
 
 from torcharm.attainability import CHOICES, METRICS
-from torcharm.distance import DISTANCES
 from torcharm.geometry.rod import BASE_POSE
 from torcharm.hulls import KINDS
 from torcharm.optimise import METHODS, Objective
@@ -32,6 +31,7 @@ from torcharm.study.fields import (
     kind_among,
     one_of,
 )
+from torcharm.wrench_sets.vertex_sets import DISTANCES
 
 
 class BendingTable(Table):

@@ -13,7 +13,7 @@ from torcharm._inputs import refuse_transforms, shown
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries, RigidLink
 from torcharm.load import ExternalLoad
-from torcharm.statics.cross_section import CrossSections, cross_sections
+from torcharm.statics.cross_section import CrossSections, cross_sections, per_actuator
 from torcharm.statics.external_load import HULL, required_wrench
 from torcharm.task import Task
 
@@ -40,6 +40,13 @@ class RequiredWrench:
         for s, unit in enumerate(self.unit_weight):
             found = found + self.mass[:, s].view(-1, 1, 1, 1) * (normal * unit.unsqueeze(-3)).sum(-1)
         return found
+
+    def whole(self) -> Tensor:
+        """The wrenches (B, P, L, N, C) themselves."""
+        found = self.external
+        for s, unit in enumerate(self.unit_weight):
+            found = found + self.mass[:, s].view(-1, 1, 1, 1, 1) * unit.unsqueeze(-3)
+        return found.expand(len(self.mass), *self.external.shape)
 
     def minus_first(self) -> "RequiredWrench":
         """The differences from the first node."""
@@ -90,7 +97,7 @@ class DesignTaskGrid:
 
     def with_designs(self, arm: Arm) -> "DesignTaskGrid":
         """Other designs of the same actuators, of one batch dimension, for the same tasks."""
-        segments = _expanded(arm)
+        segments = flat_segments(arm)
         mass = _masses(segments)[:, : self.required.mass.shape[1]]
         required = replace(self.required, mass=mass)
         return replace(self, segments=segments, required=required, design_batch=tuple(arm.batch_shape))
@@ -135,7 +142,7 @@ def design_task_grid(arm: Arm, task: Task) -> DesignTaskGrid:
         ValueError: they do not fit.
     """
     check_arm_and_task(arm, task)
-    segments = _expanded(arm)
+    segments = flat_segments(arm)
     counts = task.segment_nodes or (task.nodes,)
     ends = torch.tensor(counts).cumsum(0).tolist()
     nodes = tuple(slice(end - count, end) for end, count in zip(ends, counts, strict=True))
@@ -207,7 +214,7 @@ def _check_links(links: Sequence[RigidLink | None] | None) -> None:
             raise ValueError(f"links[{index}]: must be one link for all designs, got a batch, {link!r}")
 
 
-def _expanded(arm: Arm) -> tuple[ArmDesign, ...]:
+def flat_segments(arm: Arm) -> tuple[ArmDesign, ...]:
     """The segments, each as a flat batch of all designs."""
     batch, found = arm.batch_shape, []
     for segment in segments_of(arm):
@@ -217,6 +224,15 @@ def _expanded(arm: Arm) -> tuple[ArmDesign, ...]:
             segment = segment.with_values(whole, length, limit)
         found.append(segment.flatten())
     return tuple(found)
+
+
+def limits_in_range(grid: DesignTaskGrid) -> Tensor:
+    """Whether every pressure limit lies in its model's characterised range."""
+    inside = []
+    for segment in grid.segments:
+        highest = per_actuator([model.pressure_range[1] for model in segment.actuators], segment.max_pressure)
+        inside.append((segment.max_pressure <= highest).all(-1))
+    return grid.unflatten(torch.stack(inside).all(0).view(-1, 1, 1).expand(grid.sizes))
 
 
 def map_chunks(
@@ -232,6 +248,7 @@ def map_chunks(
     Returns:
         Tensors (B, P, L, ...).
     """
+    _keep_freed_memory()
     designs, shapes, loads = grid.sizes
     per_load = min(loads, chunk_size)
     per_shape = min(shapes, max(1, chunk_size // per_load))
@@ -256,3 +273,12 @@ def map_chunks(
         for column, own in zip(whole, part, strict=True):
             column[place] = own
     return whole
+
+
+def _keep_freed_memory() -> None:
+    """Let the C library keep freed blocks of a few megabytes for the next tensor.
+
+    glibc maps large blocks afresh every time until it has seen one of their size freed; each map costs a page fault for
+    every 4 kB, which doubles the time of a chunk. Freeing one of 30 MB, never touched, settles it.
+    """
+    torch.empty(30_000_000, dtype=torch.uint8)

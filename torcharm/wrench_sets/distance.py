@@ -5,6 +5,7 @@ its gradient by everything, parameters of force models too, is that of this expr
 and the pressures p held (those at a limit or at a model's kink move with it).
 """
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
@@ -14,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torcharm.actuators import pressure_knots
-from torcharm.engine.forces import SAMPLED, models_of
+from torcharm.engine.forces import SAMPLED, Models, models_of
 from torcharm.engine.node_sets import Answers, Sections, distance_kernel, make_room
 from torcharm.statics.cross_section import CrossSections, actuator_force, group_alike
 from torcharm.wrench_sets.curves import sample_pieces
@@ -79,26 +80,10 @@ def find_nearest(
         signed: whether inside counts as negative.
         points: whether to tell normals, weights and pressures.
     """
-    designs, shapes, nodes, actuators = sections.strain.shape
-    loads, components = required.external.shape[1], required.external.shape[-1]
-    factors = np.array([scale[0]] + [scale[1]] * (components - 1))
-    models = models_of(sections.actuators)
-    constant = sections.constant
-    constant = sections.strain.new_zeros(designs, shapes, nodes, components - 1) if constant is None else constant
-    pieces, which = _sampled(sections, models.kind)
-    data = Sections(
-        _array(sections.limit.expand(designs, 1, 1, actuators).reshape(designs, actuators)),
-        _array(sections.strain),
-        _array(sections.lever.expand(designs, 1, 1, actuators, components).reshape(designs, actuators, -1)) * factors,
-        _array(sections.bending.expand(designs, shapes, nodes, actuators, components - 1)) * scale[1],
-        _array(constant.expand(designs, shapes, nodes, components - 1)) * scale[1],
-        pieces,
-        which,
-        _array(required.unit_weight) * factors,
-        _array(required.mass),
-    )
-    wanted = _array(required.external) * factors
-    shape = (designs, shapes, loads, nodes)
+    shape = (*sections.strain.shape[:2], required.external.shape[1], sections.strain.shape[2])
+    models, data = engine_sections(sections, required, scale)
+    components, actuators = data.lever.shape[-1], data.lever.shape[-2]
+    wanted = as_array(required.external) * components_scale(scale, components)
     more = [np.empty((*shape, components)), np.empty((*shape, components)), np.empty((*shape, components, actuators))]
     more.append(np.empty(shape))
     more = more if points else [np.empty((0,) * part.ndim) for part in more]
@@ -106,22 +91,51 @@ def find_nearest(
     kernel = distance_kernel(components, signed)
 
     def work(first: int, last: int) -> None:
-        room = make_room(models, components, loads, pieces.shape[-2])
+        room = make_room(models, components, shape[2], data.sampled.shape[-2])
         kernel(data, wanted, relative, first, last, room, answers)
 
-    _spread(designs, work)
+    spread(shape[0], work)
     found = [torch.from_numpy(part).to(sections.strain) for part in answers]
     certified = (found[1] <= CERTIFIED) & found[0].isfinite()
     return NearestPoints(found[0], certified, *(found[2:] if points else (None, None, None, None)))
 
 
-def _array(value: Tensor) -> np.ndarray:  # type: ignore[type-arg]
+def engine_sections(
+    sections: CrossSections, required: RequiredWrench, scale: tuple[float, float]
+) -> tuple[Models, Sections]:
+    """The force models, and sections (B, P) with their weights, as the engine takes them."""
+    designs, shapes, nodes, actuators = sections.strain.shape
+    components = required.external.shape[-1]
+    factors = components_scale(scale, components)
+    models = models_of(sections.actuators)
+    constant = sections.constant
+    constant = sections.strain.new_zeros(designs, shapes, nodes, components - 1) if constant is None else constant
+    pieces, which = _sampled(sections, models.kind)
+    return models, Sections(
+        as_array(sections.limit.expand(designs, 1, 1, actuators).reshape(designs, actuators)),
+        as_array(sections.strain),
+        as_array(sections.lever.expand(designs, 1, 1, actuators, components).reshape(designs, actuators, -1)) * factors,
+        as_array(sections.bending.expand(designs, shapes, nodes, actuators, components - 1)) * scale[1],
+        as_array(constant.expand(designs, shapes, nodes, components - 1)) * scale[1],
+        pieces,
+        which,
+        as_array(required.unit_weight) * factors,
+        as_array(required.mass),
+    )
+
+
+def components_scale(scale: tuple[float, float], components: int) -> np.ndarray:  # type: ignore[type-arg]
+    """Factors on the components of a wrench, from those on force and moment."""
+    return np.array([scale[0]] + [scale[1]] * (components - 1))
+
+
+def as_array(value: Tensor) -> np.ndarray:  # type: ignore[type-arg]
+    """A tensor as the engine takes it: float64, on the CPU, without its graph."""
     return np.ascontiguousarray(value.detach().cpu().double().numpy())
 
 
-def _spread(count: int, work: object) -> None:
-    """Work on parts of a batch in as many threads as torch takes."""
-    assert callable(work)
+def spread(count: int, work: Callable[[int, int], None]) -> None:
+    """Work on parts of a batch, from a first to a last, in as many threads as torch takes."""
     threads = min(torch.get_num_threads(), max(1, count // WORTH_A_THREAD))
     if threads == 1:
         work(0, count)
@@ -147,7 +161,7 @@ def _sampled(sections: CrossSections, kind: np.ndarray) -> tuple[np.ndarray, np.
             parts.update({a: found[..., j, :, :] for j, a in enumerate(own)})
     most = max(part.shape[-2] for part in parts.values())
     which[unknown] = np.arange(len(unknown))
-    return _array(torch.stack([_padded(parts[a], most) for a in unknown], -3)), which
+    return as_array(torch.stack([_padded(parts[a], most) for a in unknown], -3)), which
 
 
 def _padded(pieces: Tensor, count: int) -> Tensor:
@@ -174,28 +188,47 @@ def evaluate_distance(
     assert nearest.normal is not None
     assert nearest.weight is not None
     assert nearest.pressure is not None
-    factors = nearest.normal.new_tensor([scale[0]] + [scale[1]] * (nearest.normal.shape[-1] - 1))
-    normal = nearest.normal * factors
+    normal = nearest.normal * nearest.normal.new_tensor(components_scale(scale, nearest.normal.shape[-1]))
+    distance = beyond_planes(sections, required, normal, nearest.weight, nearest.pressure, relative=relative)
+    # by forces that pieces only come near, a point barely outside may be inside, and the other way round
+    same_side = ~torch.where(nearest.distance < 0, distance >= 0, distance <= 0) & (nearest.distance != 0)
+    return torch.where(same_side, distance, torch.zeros_like(distance))
+
+
+def beyond_planes(
+    sections: CrossSections,
+    required: RequiredWrench,
+    normal: Tensor,
+    weight: Tensor,
+    held: Tensor,
+    *,
+    relative: bool,
+) -> Tensor:
+    """How far (B, P, L, N) required wrenches lie beyond the planes with given normals through points of the sets.
+
+    Args:
+        normal: (B, P, L, N, C), of unscaled components.
+        weight: (B, P, L, N, C) of the points whose mixes the planes go through.
+        held: (B, P, L, N, C, M) their pressures [kPa]; those at limits and kinks move with these.
+    """
     strain, bending = sections.strain, sections.bending
     if relative:
         required, bending = required.minus_first(), bending - bending[..., :1, :, :]
     # (B, P, L, N, M) components of levers and of moments a kPa along the normals
     by_force = (normal.unsqueeze(-2) * sections.lever.unsqueeze(-4)).sum(-1)
     by_pressure = (normal[..., 1:].unsqueeze(-2) * bending.unsqueeze(-4)).sum(-1)
-    pressure = _held(sections, nearest.pressure, relative=relative)
+    pressure = _held(sections, held, relative=relative)
     own = strain.unsqueeze(-3).unsqueeze(-2)  # (B, P, 1, N, 1, M)
     force = actuator_force(sections.actuators, own.expand_as(pressure), pressure)
     if relative:
         force = force - actuator_force(sections.actuators, own[..., :1, :, :].expand_as(pressure), pressure)
     reach = by_force.unsqueeze(-2) * force + by_pressure.unsqueeze(-2) * pressure
-    distance = required.along(normal) - (nearest.weight * reach.sum(-1)).sum(-1)
+    distance = required.along(normal) - (weight * reach.sum(-1)).sum(-1)
     if sections.constant is not None:
         constant = sections.constant
         constant = constant - constant[..., :1, :] if relative else constant
         distance = distance - (normal[..., 1:] * constant.unsqueeze(-3)).sum(-1)
-    # by forces that pieces only come near, a point barely outside may be inside, and the other way round
-    same_side = ~torch.where(nearest.distance < 0, distance >= 0, distance <= 0) & (nearest.distance != 0)
-    return torch.where(same_side, distance, torch.zeros_like(distance))
+    return distance
 
 
 def _held(sections: CrossSections, pressure: Tensor, *, relative: bool) -> Tensor:
@@ -203,8 +236,7 @@ def _held(sections: CrossSections, pressure: Tensor, *, relative: bool) -> Tenso
     limit, strain = sections.limit, sections.strain
     if limit.requires_grad:
         bound = limit.unsqueeze(-3).unsqueeze(-2)
-        share = pressure / torch.where(bound > 0, bound, 1.0).detach()
-        pressure = share * bound
+        pressure = torch.where(pressure >= bound.detach(), bound, pressure)
     if not strain.requires_grad:
         return pressure
     for model, members in group_alike(sections.actuators):

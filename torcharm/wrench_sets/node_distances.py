@@ -1,6 +1,5 @@
 """Distances of a grid of designs and tasks: chunk by chunk, with a graph where gradients are wanted."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -10,13 +9,15 @@ from torch.utils.checkpoint import checkpoint
 from torcharm.actuators import want_gradients
 from torcharm.statics.cross_section import CrossSections, per_actuator
 from torcharm.wrench_sets.design_task_grid import DesignTaskGrid, RequiredWrench, map_chunks
-from torcharm.wrench_sets.distance import evaluate_distance, find_nearest
+from torcharm.wrench_sets.distance import NearestPoints, evaluate_distance, find_nearest
+from torcharm.wrench_sets.vertex_sets import VertexSets
 
+METRICS = ("absolute", "relative")
+"""Of wrenches, by attainable sets."""
 CHUNK_ELEMENTS = 200_000
 """Numbers in a chunk's largest tensor, one for each actuator, node and point: 1.6 MB, which caches hold."""
-
-VertexDistances = Callable[[CrossSections, RequiredWrench, bool], tuple[Tensor, Tensor]]
-"""From sections, requirements and whether they are relative to distances (B, P, L, N) and whether they converged."""
+VERTEX_CHUNK_NUMBERS = 2_000_000
+"""The same where sets are given by vertices: what is worked out of these at once must be worth a call."""
 
 
 @dataclass(frozen=True)
@@ -27,13 +28,13 @@ class SetOptions:
         metrics: of "absolute" and "relative".
         scale: factors on force and moment.
         signed: whether inside counts as negative.
-        vertices: how to measure sets that are given by vertices; None measures the sets themselves.
+        vertices: of which vertices sets are made, and who measures them; None measures the sets themselves.
     """
 
     metrics: tuple[str, ...]
     scale: tuple[float, float]
     signed: bool = False
-    vertices: VertexDistances | None = None
+    vertices: VertexSets | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +66,7 @@ def node_distances(grid: DesignTaskGrid, options: SetOptions, chunk_size: int | 
         real = grid.twists.new_zeros(*grid.sizes, len(options.metrics), grid.twists.shape[-2])
         flag = torch.zeros_like(real, dtype=torch.bool)
         return NodeDistances(real, ~flag, real.new_zeros(grid.sizes), flag.new_zeros(grid.sizes))
-    size = chunk_size or default_chunk(grid)
+    size = chunk_size or default_chunk(grid, options.vertices)
     again = len(grid.segments[0].radii) * grid.sizes[1] * grid.sizes[2] > size
 
     def work(designs: slice, shapes: slice, loads: slice) -> tuple[Tensor, ...]:
@@ -80,10 +81,13 @@ def node_distances(grid: DesignTaskGrid, options: SetOptions, chunk_size: int | 
     return NodeDistances(*map_chunks(grid, size, work))
 
 
-def default_chunk(grid: DesignTaskGrid) -> int:
+def default_chunk(grid: DesignTaskGrid, vertices: VertexSets | None = None) -> int:
     """(design, shape, load) triples worked on at once."""
     components = grid.required.external.shape[-1]
     actuators = max(segment.actuator_count for segment in grid.segments)
+    if vertices is not None:
+        numbers = vertices.count(actuators) * max(actuators, components) * grid.twists.shape[-2]
+        return max(1, VERTEX_CHUNK_NUMBERS // numbers)
     return max(1, CHUNK_ELEMENTS // (components * actuators * grid.twists.shape[-2]))
 
 
@@ -99,23 +103,24 @@ def _segment(
     required = grid.required.part(*place, grid.nodes[segment])
 
     def prepare() -> tuple[CrossSections, Tensor, Tensor]:
-        sections, lost = _possible(grid.sections(segment, designs, shapes))
-        return sections, lost, _strain_excess(sections)
+        sections, lost = possible_sections(grid.sections(segment, designs, shapes))
+        return sections, lost, strain_excess(sections)
 
-    if not _wants_gradient(grid, segment):
+    if not wants_gradient(grid, segment):
         with torch.no_grad():
             sections, lost, excess = prepare()
             found = [_measure(sections, required, options, metric == "relative") for metric in options.metrics]
-    elif options.vertices is not None:
+    elif options.vertices is not None and not options.vertices.by_engine:
         sections, lost, excess = prepare()
-        found = [options.vertices(sections, required, metric == "relative") for metric in options.metrics]
+        found = [
+            options.vertices.solve(sections, required, options.scale, relative=metric == "relative")
+            for metric in options.metrics
+        ]
     else:
         with torch.no_grad():
             sections, lost, _ = prepare()
             nearest = [
-                find_nearest(
-                    sections, required, options.scale, relative=metric == "relative", signed=options.signed, points=True
-                )
+                _nearest(sections, required, options, relative=metric == "relative", points=True)
                 for metric in options.metrics
             ]
 
@@ -137,14 +142,23 @@ def _segment(
     return distance, converged, excess.unsqueeze(-1).expand(shape), lost.unsqueeze(-1).expand(shape)
 
 
+def _nearest(
+    sections: CrossSections, required: RequiredWrench, options: SetOptions, *, relative: bool, points: bool
+) -> NearestPoints:
+    """What the engine finds, of the sets themselves or of their vertices."""
+    if options.vertices is not None:
+        return options.vertices.find_nearest(sections, required, options.scale, relative=relative)
+    return find_nearest(sections, required, options.scale, relative=relative, signed=options.signed, points=points)
+
+
 def _measure(
     sections: CrossSections, required: RequiredWrench, options: SetOptions, relative: bool
 ) -> tuple[Tensor, Tensor]:
     """Distances (b, p, l, N) and whether they converged, without a graph."""
-    if options.vertices is not None:
-        return options.vertices(sections, required, relative)
-    sampled = any_sampled(sections)
-    found = find_nearest(sections, required, options.scale, relative=relative, signed=options.signed, points=sampled)
+    if options.vertices is not None and not options.vertices.by_engine:
+        return options.vertices.solve(sections, required, options.scale, relative=relative)
+    sampled = options.vertices is None and any_sampled(sections)
+    found = _nearest(sections, required, options, relative=relative, points=sampled)
     if not sampled:
         return found.distance, found.certified
     value = evaluate_distance(sections, required, options.scale, found, relative=relative)
@@ -158,7 +172,7 @@ def any_sampled(sections: CrossSections) -> bool:
     return bool((models_of(sections.actuators).kind == SAMPLED).any())
 
 
-def _wants_gradient(grid: DesignTaskGrid, segment: int) -> bool:
+def wants_gradient(grid: DesignTaskGrid, segment: int) -> bool:
     """Whether anything that distances depend on asks for its gradient."""
     arm, required = grid.segments[segment], grid.required
     inputs = (arm.radii, arm.length, arm.max_pressure, arm.out_of_plane, grid.twists)
@@ -167,7 +181,7 @@ def _wants_gradient(grid: DesignTaskGrid, segment: int) -> bool:
     return torch.is_grad_enabled() and (wanted or want_gradients(arm.actuators, arm.radii))
 
 
-def _possible(sections: CrossSections) -> tuple[CrossSections, Tensor]:
+def possible_sections(sections: CrossSections) -> tuple[CrossSections, Tensor]:
     """The sections with those of impossible shapes made harmless, and which (b, p) these are."""
     lost = (sections.strain.detach() <= -1).flatten(-2).any(-1)
     if not bool(lost.any()):
@@ -182,7 +196,7 @@ def _possible(sections: CrossSections) -> tuple[CrossSections, Tensor]:
     ), lost
 
 
-def _strain_excess(sections: CrossSections) -> Tensor:
+def strain_excess(sections: CrossSections) -> Tensor:
     """(b, p) the largest strain beyond its actuator's characterised range, 0 if none is."""
     low, high = (
         per_actuator([model.strain_range[end] for model in sections.actuators], sections.strain) for end in (0, 1)

@@ -92,7 +92,7 @@ def test_polished_hits_lie_on_the_sets_themselves(name, metric):
     for slope, intercept in PAPER_SHAPES:
         task = ta.Task(ta.affine_curvature(slope, intercept, nodes=5), loads)
         with unchecked():
-            found = ta.load_capacity(arm, task, metric, polish=True)
+            found = ta.load_capacity(arm, task, metric)
             sampled = ta.load_capacity(arm, task, metric)
         assert found.converged.all()
         sets = attainable_sets(arm, task.twists.numpy(), relative=metric == "relative")
@@ -108,19 +108,18 @@ def test_polished_hits_lie_on_the_sets_themselves(name, metric):
     assert ends >= 4
 
 
-@pytest.mark.parametrize("polish", [False, True])
-def test_a_bending_moment_that_no_pressure_changes(polish):
+def test_a_bending_moment_that_no_pressure_changes():
     """It shifts the sets: a signed distance of 0 at both ends."""
     models = [ta.Bellows(bending_stiffness=ta.ConstantBending(-0.1)), ta.McKibben(), ta.McKibben(), ta.Bellows()]
     arm = ta.ArmDesign([-0.08, -0.015, 0.015, 0.08], 0.5, models)
-    found, plain = (ta.load_capacity(a, REACHED, polish=polish) for a in (arm, ta.antagonistic_arm()))
+    found, plain = (ta.load_capacity(a, REACHED) for a in (arm, ta.antagonistic_arm()))
     assert found.converged.all()
     assert found.attainable.any()
     assert ((found.t_max - plain.t_max).abs() > 1e-3)[found.attainable].all()
     for case in found.attainable.nonzero().squeeze(-1).tolist():
         for factor, node in ((found.t_min, found.t_min_per_node), (found.t_max, found.t_max_per_node)):
             grown = ta.Task(REACHED.twists, REACHED.tip_load[case] * factor[case])
-            distance = ta.evaluate(arm, grown, ("absolute",), signed=True, polish=polish).absolute_per_node
+            distance = ta.evaluate(arm, grown, ("absolute",), signed=True).absolute_per_node
             limiting = (node[case] - factor[case]).abs().argmin()
             assert abs(distance[limiting].item()) < 1e-8
 
@@ -136,29 +135,27 @@ def test_a_larger_load_has_a_smaller_factor_and_a_reversed_one_the_reversed_inte
         torch.testing.assert_close(other.t_max_per_node, high, equal_nan=True, rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("polish", [False, True])
-def test_a_mirrored_arm_bears_the_mirrored_load(polish):
+def test_a_mirrored_arm_bears_the_mirrored_load():
     radii, models = double([-0.08, -0.015, 0.016, 0.079]), [ta.Bellows(), ta.McKibben(), ta.McKibben(), ta.Bellows()]
     arm, mirrored = ta.ArmDesign(radii, 0.5, models), ta.ArmDesign(-radii, 0.5, models)
     flipped = ta.Task(REACHED.twists * double([1, 1, -1]), REACHED.tip_load * double([-1, 1, -1]))
-    found, other = (ta.load_capacity(a, t, polish=polish) for a, t in ((arm, REACHED), (mirrored, flipped)))
+    found, other = (ta.load_capacity(a, t) for a, t in ((arm, REACHED), (mirrored, flipped)))
     assert found.attainable.any()
     torch.testing.assert_close(found.t_max_per_node, other.t_max_per_node, equal_nan=True, rtol=1e-9, atol=1e-9)
     assert found.limiting_node.equal(other.limiting_node)
 
 
-@pytest.mark.parametrize("polish", [False, True])
-def test_a_batch_is_a_loop_in_blocks_of_any_size(polish):
+def test_a_batch_is_a_loop_in_blocks_of_any_size():
     arm = ta.antagonistic_arm(outer_radius=double([0.05, 0.08, 0.09]))
     shapes = ta.affine_curvature(double([1.0, -1.0]), double([1.5, 1.0]), nodes=4)[:, None]
     task = ta.Task(shapes, 0.1 * ta.sample_loads(3))
-    whole = ta.load_capacity(arm, task, polish=polish)
+    whole = ta.load_capacity(arm, task)
     for name in ("factor", "t_min", "t_max", "limiting_node", "attainable", "in_range", "converged", "unbounded"):
         assert getattr(whole, name).shape == (3, 2, 3)
     assert whole.t_max_per_node.shape == (3, 2, 3, 4)
-    small = ta.load_capacity(arm, task, polish=polish, chunk_size=2)
+    small = ta.load_capacity(arm, task, chunk_size=2)
     for design, shape, load in np.ndindex(3, 2, 3):
-        one = ta.load_capacity(arm[design], ta.Task(shapes[shape, 0], task.tip_load[load]), polish=polish)
+        one = ta.load_capacity(arm[design], ta.Task(shapes[shape, 0], task.tip_load[load]))
         for name, value in vars(one).items():
             for other in (whole, small):
                 torch.testing.assert_close(
@@ -166,9 +163,8 @@ def test_a_batch_is_a_loop_in_blocks_of_any_size(polish):
                 )
 
 
-@pytest.mark.parametrize("polish", [False, True])
 @pytest.mark.parametrize("leaf", ["radii", "length", "max_pressure", "twists", "tip_load"])
-def test_gradients_against_differences(leaf, polish):
+def test_gradients_against_differences(leaf):
     arm = ta.antagonistic_arm()
     task = ta.Task(ta.affine_curvature(0.9, 1.5, nodes=4), double([-1.0, 2.0, 0.2]))
     leaves = {
@@ -185,7 +181,7 @@ def test_gradients_against_differences(leaf, polish):
     def ends(step):
         values = leaves | {leaf: leaves[leaf] + step * size * direction}
         design = ta.ArmDesign(values["radii"], values["length"], arm.actuators, values["max_pressure"])
-        found = ta.load_capacity(design, ta.Task(values["twists"], values["tip_load"]), polish=polish)
+        found = ta.load_capacity(design, ta.Task(values["twists"], values["tip_load"]))
         assert found.converged
         assert found.attainable_unloaded
         return torch.stack((found.t_min, found.factor))
@@ -236,7 +232,7 @@ class TestFlags:
     def test_an_arm_that_needs_a_load(self, limit):
         """Two springs of 100 N, squeezed by 4 %, push 8 N, and 4 N more when driven at 1 kPa each."""
         arm = ta.ArmDesign([-0.02, 0.02], 0.5 / 0.96, [spring(), spring()], [limit, limit])
-        found = ta.load_capacity(arm, ta.Task(self.shape, [0.0, 2.0, 0.0]), polish=True)  # up, into the arm
+        found = ta.load_capacity(arm, ta.Task(self.shape, [0.0, 2.0, 0.0]))  # up, into the arm
         torch.testing.assert_close(found.t_min, double(4.0))
         torch.testing.assert_close(found.factor, double(4.0 + 2.0 * limit))
         assert found.attainable
@@ -290,8 +286,6 @@ def test_empty_batches():
     ("options", "message"),
     [
         ({"metric": "both"}, "metric: must be one of absolute, relative"),
-        ({"samples": 1}, "samples: must be an integer of at least 2"),
-        ({"polish": 1}, "polish: must be True or False"),
         ({"chunk_size": 0}, "chunk_size: must be an integer of at least 1"),
     ],
 )
@@ -307,8 +301,7 @@ def test_arm_and_task_must_fit():
         ta.load_capacity(ta.antagonistic_arm(), REACHED.to(torch.float32))
 
 
-@pytest.mark.parametrize("polish", [False, True])
-def test_moments_at_no_pressure_move_the_hull(polish):
+def test_moments_at_no_pressure_move_the_hull():
     """A constant bending moment is as good as a load that the arm bears of itself."""
     shape = ta.affine_curvature(0.0, 1.0, length=0.48, nodes=3)
     bare = [replace(model, bending_stiffness=0.0) for model in (ta.Bellows(), ta.McKibben(), ta.Bellows())]
@@ -317,6 +310,6 @@ def test_moments_at_no_pressure_move_the_hull(polish):
     task = ta.Task(shape, [0.0, 0.0, 1.0])
     lengths = 0.48 - torch.tensor([-0.05, 0.0, 0.05], dtype=torch.float64)
     own = (-0.2 / lengths).sum()  # κ = 1; a pure moment is required of every node alike
-    alone, with_moment = (ta.load_capacity(arm, task, samples=9, polish=polish) for arm in arms)
+    alone, with_moment = (ta.load_capacity(arm, task) for arm in arms)
     torch.testing.assert_close(with_moment.t_max, alone.t_max - own, rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(with_moment.t_min, alone.t_min - own, rtol=1e-9, atol=1e-9)
