@@ -135,7 +135,7 @@ def _segment(
             return *values, excess
 
         *values, excess = checkpoint(replay, use_reentrant=False) if again else replay()
-        found = [(value, one.certified) for value, one in zip(values, nearest, strict=True)]
+        found = [(value, one.known(value)) for value, one in zip(values, nearest, strict=True)]
     loads_here = required.external.shape[1]
     shape = (*excess.shape, loads_here)
     none = excess.new_zeros(*shape, 0, required.external.shape[-2])
@@ -168,7 +168,8 @@ def _measure(
     found = _nearest(sections, required, options, relative=relative, points=sampled)
     if not sampled:
         return found.distance, found.certified
-    return evaluate_distance(sections, required, options.scale, found, relative=relative), found.certified
+    value = evaluate_distance(sections, required, options.scale, found, relative=relative)
+    return value, found.known(value)
 
 
 def any_sampled(sections: CrossSections) -> bool:
