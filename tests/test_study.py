@@ -588,7 +588,7 @@ BAD_STUDIES = {
     ),
     "margins of vertices": (
         bad_settings('hull = "edges"\nsigned = true'),
-        "evaluate.signed: True needs hull='exact' and distance='gjk'",
+        "evaluate.signed: must be False except for hull='exact' and distance='gjk', got True",
     ),
     "power": (bad_settings("power = 3"), "evaluate.power: must be at most 2, got 3"),
     "power is a truth": (bad_settings("power = true"), "evaluate.power: must be a whole number, got true"),

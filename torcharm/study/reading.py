@@ -22,7 +22,7 @@ from torcharm.actuators import (
 )
 from torcharm.actuators.model_file import load_actuator
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
-from torcharm.attainability import CHOICES, check_set_options
+from torcharm.attainability import CHOICES, check_measure
 from torcharm.files import read_file
 from torcharm.optimise import DesignSpace, Objective
 from torcharm.planning import Smoothness
@@ -249,7 +249,7 @@ def _plan(table: PlanTable) -> NamedPlan:
 
 def _check_size(arm: NamedArm, task: NamedTask, settings: Settings) -> None:
     """Refuse options that do not go together, hulls of too many actuators, and those that no memory holds."""
-    check_set_options(arm.design, settings.hull, settings.samples, settings.distance, settings.signed)
+    check_measure(arm.design, settings.hull, settings.samples, settings.distance, settings.signed)
     actuators, nodes = arm.design.actuator_count, task.task.nodes
     if settings.hull == "edges":
         count = settings.samples or EDGE_SAMPLES

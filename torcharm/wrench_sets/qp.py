@@ -30,9 +30,8 @@ CHUNK = 1000
 REGULARISATION = 1e-10
 """ε of the first solve: the least that stays clear of qpth's rounding."""
 SUM_CURVATURE = 1e-2
-"""μ, by which the square of each group's sum of weights is added to the objective. As sums are 1 that is a constant;
-but without it qpth's factorisation fails at small ε of several groups, and loses digits of one. At μ = 1 digits go
-again."""
+"""μ, by which the square of each group's sum of weights is added to the objective: a constant, as sums are 1. Without
+it qpth's factorisation fails at small ε of several groups, and loses digits of one. At μ = 1 digits go again."""
 PROXIMITY = 1e-4
 """ρ of the solve that is differentiated: large enough for qpth's backward pass to keep its digits."""
 SHARPNESS = 1e-2
