@@ -162,16 +162,22 @@ def _by_vertices(
     arm: ArmDesign | ArmSeries, hull: str, samples: int | None, distance: str | DistanceFunction, signed: bool
 ) -> VertexSets | None:
     """How to measure sets that are given by vertices; None where the sets themselves are measured."""
+    check_measure(arm, hull, samples, distance, signed)
+    return None if hull == "exact" and distance == "gjk" else VertexSets.of(hull, samples, distance)
+
+
+def check_measure(
+    arm: ArmDesign | ArmSeries, hull: str, samples: int | None, distance: str | DistanceFunction, signed: bool
+) -> None:
+    """Raise a ValueError unless these arguments of `evaluate` go together."""
     check_sets(arm, hull, samples, distance)
     if hull == "exact" and distance == "gjk":
         if samples is not None:
             raise ValueError(
-                f"samples: must be None for hull='exact' and distance='gjk', which is exact, got {samples}"
+                f"samples: must be left out for hull='exact' and distance='gjk', which is exact, got {samples}"
             )
-        return None
-    if signed:
+    elif signed:
         raise ValueError("signed: must be False except for hull='exact' and distance='gjk', got True")
-    return VertexSets.of(hull, samples, distance)
 
 
 def _predict(

@@ -19,11 +19,11 @@ from rich.table import Table
 from torch import Tensor
 
 import torcharm as ta
-from experiments.rows import write_rows
+from experiments.rows import read_rows, write_rows
 
 HERE = Path(__file__).parent
-TASKS, SNAPPED, QUICK = 5000, 1000, 40
-EACH, LOADED = 10, 100
+TASKS, SNAPPED, QUICK = 5000, 1000, 50
+EACH, LOADED = 25, 500
 """Tasks of a design; and pressures and loads at which a design is solved in search of snaps."""
 NODES = 6
 BELOW, WITHIN = 1e-3, 1e-2
@@ -62,14 +62,18 @@ class Row:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a smoke run: fewer draws, no file written")
+    parser.add_argument("--kept", action="store_true", help="tables of results.csv, nothing drawn again or written")
     options = parser.parse_args()
     torch.set_num_threads(1)
     console = Console(width=120)
-    rows = [*predictions(QUICK if options.quick else TASKS, console)]
-    rows += snapped(QUICK if options.quick else SNAPPED)
-    for table in (prediction_table(rows), snapped_table(rows)):
+    if options.kept:
+        rows = read_rows(HERE / "results.csv", Row)
+    else:
+        rows = [*predictions(QUICK if options.quick else TASKS, console)]
+        rows += snapped(QUICK if options.quick else SNAPPED)
+    for table in (prediction_table(rows), unconfirmed_table(rows), snapped_table(rows)):
         console.print(table)
-    if not options.quick:
+    if not (options.quick or options.kept):
         write_rows(HERE / "results.csv", rows)
         console.print(f"wrote {len(rows)} rows to results.csv")
 
@@ -201,6 +205,31 @@ def prediction_table(rows: list[Row]) -> Table:
             len(searched),
         )
         table.add_row(str(size), source, *map(str, (*cells, held, len(searched) - held)))
+    return table
+
+
+def unconfirmed_table(rows: list[Row]) -> Table:
+    """Predictions that the search did not confirm: what it says of itself, and where loading leads."""
+    table = Table(title="not confirmed by the search", title_justify="left")
+    for name in ("seed", "task", "actuators", "predicted\n[m]", "searched\n[m]", "search\nconverged", "in range"):
+        table.add_column(name, justify="right")
+    table.add_column("poses reached by loading\noff the task by [m]", justify="right")
+    chosen = [row for row in rows if row.part == "prediction"]
+    for place, row in enumerate(chosen):
+        if row.holds:
+            continue
+        index, generator = place % EACH, torch.Generator().manual_seed(row.seed)
+        arm, _ = draw_arm(generator, 1 + row.seed % 4)
+        task, _ = draw_tasks(generator, arm)
+        task = ta.Task(task.twists[index], task.tip_load[index])
+        found = ta.predict_error(arm, task)
+        search = ta.search_pressure(arm, task, compiled=COMPILED)
+        loaded = ta.solve_equilibrium(arm, found.pressure, task.tip_load, NODES)
+        gap = (loaded.poses - ta.poses(task.twists))[:, :2].norm(dim=-1).max()
+        gap = gap if bool(loaded.continued & loaded.stable) else gap * math.nan
+        flags = (str(bool(search.converged)), str(bool(found.in_range)))
+        names = (str(row.seed), str(index), row.actuators, f"{row.claimed:.1g}", f"{row.found:.3g}")
+        table.add_row(*names, *flags, f"{float(gap):.1g}")
     return table
 
 

@@ -278,7 +278,7 @@ def nearest_part(D: int, ask: Any) -> Any:
             support: the curves or vertices that make the set.
             size: of the problem, the most that the numbers in it can add up to.
         """
-        low, length, square, newton = 0.0, 0.0, 0.0, False
+        low, length, square, newton, ahead = 0.0, 0.0, 0.0, False, 0.0
         for iteration in range(ITERATIONS):
             smooth = ask(support, simplex)
             ahead, better = 0.0, False
@@ -306,16 +306,19 @@ def nearest_part(D: int, ask: Any) -> Any:
             length = math.sqrt(square)
             if length <= TOUCHING * size:
                 return 0.0, 0.0, False
-            if length - low <= GAP * size:
-                break
             for c in range(D):
                 simplex.back[c] = -simplex.nearest[c] / length
+            if length - low <= GAP * size:
+                break
             newton = smooth > 0 and ahead > 0.0 and (better or not newton)
             if newton:
                 turn_normal(simplex, ahead, smooth)
             else:
                 for c in range(D):
                     simplex.normal[c] = simplex.back[c]
+        if ahead < low:  # the last normal that was asked is not the best one
+            for c in range(D):
+                simplex.normal[c] = simplex.back[c]
         return length, max(length - low, 0.0), False
 
     return nearest

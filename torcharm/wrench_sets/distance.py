@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm.actuators import pressure_knots
+from torcharm.actuators import Actuator, pressure_knots
 from torcharm.engine.forces import SAMPLED, Models, models_of
 from torcharm.engine.node_sets import Answers, Sections, distance_kernel, make_room
 from torcharm.statics.cross_section import CrossSections, actuator_force, group_alike
@@ -176,8 +176,10 @@ def evaluate_distance(
     assert nearest.weight is not None
     assert nearest.pressure is not None
     normal = nearest.normal * nearest.normal.new_tensor(components_scale(scale, nearest.normal.shape[-1]))
-    distance = beyond_planes(sections, required, normal, nearest.weight, nearest.pressure, relative=relative)
-    return torch.where(nearest.distance == 0, torch.zeros_like(distance), distance)
+    nothing = nearest.distance == 0
+    weight = torch.where(nothing.unsqueeze(-1), 0.0, nearest.weight)
+    distance = beyond_planes(sections, required, normal, weight, nearest.pressure, relative=relative)
+    return torch.where(nothing, torch.zeros_like(distance), distance)
 
 
 def beyond_planes(
@@ -196,45 +198,73 @@ def beyond_planes(
         weight: (B, P, L, N, C) of the points whose mixes the planes go through.
         held: (B, P, L, N, C, M) their pressures [kPa]; those at limits and kinks move with these.
     """
-    strain, bending = sections.strain, sections.bending
+    bending, constant = sections.bending, sections.constant
     if relative:
         required, bending = required.minus_first(), bending - bending[..., :1, :, :]
-    # (B, P, L, N, M) components of levers and of moments a kPa along the normals
-    by_force = (normal.unsqueeze(-2) * sections.lever.unsqueeze(-4)).sum(-1)
-    by_pressure = (normal[..., 1:].unsqueeze(-2) * bending.unsqueeze(-4)).sum(-1)
-    pressure = _held(sections, held, relative=relative)
-    own = strain.unsqueeze(-3).unsqueeze(-2)  # (B, P, 1, N, 1, M)
-    force = actuator_force(sections.actuators, own.expand_as(pressure), pressure)
-    if relative:
-        force = force - actuator_force(sections.actuators, own[..., :1, :, :].expand_as(pressure), pressure)
-    reach = by_force.unsqueeze(-2) * force + by_pressure.unsqueeze(-2) * pressure
-    distance = required.along(normal) - (weight * reach.sum(-1)).sum(-1)
-    if sections.constant is not None:
-        constant = sections.constant
-        constant = constant - constant[..., :1, :] if relative else constant
+        constant = None if constant is None else constant - constant[..., :1, :]
+    force, pressure = _mixed(sections, weight, held, relative=relative)
+    distance = required.along(normal)
+    for c, own in enumerate(normal.unbind(-1)):
+        provided = (force * sections.lever[..., c].unsqueeze(-3)).sum(-1)
+        if c > 0:
+            provided = provided + (pressure * bending[..., c - 1].unsqueeze(-3)).sum(-1)
+        distance = distance - own * provided
+    if constant is not None:
         distance = distance - (normal[..., 1:] * constant.unsqueeze(-3)).sum(-1)
     return distance
 
 
-def _held(sections: CrossSections, pressure: Tensor, *, relative: bool) -> Tensor:
-    """The pressures (B, P, L, N, C, M): those at a limit that wants a gradient move with it, as do those at kinks."""
-    limit, strain = sections.limit, sections.strain
-    if limit.requires_grad:
-        bound = limit.unsqueeze(-3).unsqueeze(-2)
-        pressure = torch.where(pressure >= bound.detach(), bound, pressure)
-    if not strain.requires_grad:
-        return pressure
+def _mixed(sections: CrossSections, weight: Tensor, pressure: Tensor, *, relative: bool) -> tuple[Tensor, Tensor]:
+    """Forces and pressures (B, P, L, N, M) of points (B, P, L, N, C, M), mixed by weights (B, P, L, N, C).
+
+    Most points have no pressure or the limit: the forces there are worked out once for all loads, and one by one only
+    those between.
+    """
+    strain, limit = sections.strain, sections.limit
+    bound, share = limit.detach().unsqueeze(-3).unsqueeze(-2), weight.unsqueeze(-1)
+    empty = pressure <= 0
+    full = (pressure >= bound) & ~empty
+    ends = torch.stack((torch.zeros_like(strain), limit.expand_as(strain)))
+    at_ends = actuator_force(sections.actuators, strain.expand_as(ends), ends)
+    if relative:
+        first = strain[..., :1, :].expand_as(strain)
+        at_ends = at_ends - actuator_force(sections.actuators, first.expand_as(ends), ends)
+    filled = torch.where(full, share, 0.0).sum(-2)
+    force = torch.where(empty, share, 0.0).sum(-2) * at_ends[0].unsqueeze(-3) + filled * at_ends[1].unsqueeze(-3)
+    mixed = filled * limit.unsqueeze(-3)
+    between = ~(empty | full) & (share != 0)
+    if not bool(between.any()):
+        return force, mixed
+    b, p, l, n, c, a = between.nonzero(as_tuple=True)
+    own_weight, own_pressure = weight[b, p, l, n, c], pressure[b, p, l, n, c, a]
+    forces, pressures = force.new_empty(len(a)), force.new_empty(len(a))
     for model, members in group_alike(sections.actuators):
-        places = (strain[..., members], strain[..., :1, members]) if relative else (strain[..., members],)
-        for place in places:
-            knots = pressure_knots(model, place)
-            if not knots.requires_grad:
-                continue
-            near = KINK * sections.limit[..., members].detach().unsqueeze(-3).unsqueeze(-2)
-            for knot in knots:
-                at = knot.unsqueeze(-3).unsqueeze(-2)
-                own = pressure[..., members]
-                moved = torch.where((own.detach() - at.detach()).abs() <= near, at - at.detach(), 0.0)
-                pressure = pressure.clone()
-                pressure[..., members] = own + moved
-    return pressure
+        inside = torch.zeros(len(sections.actuators), dtype=torch.bool, device=a.device)
+        inside[members] = True
+        own = inside[a].nonzero().squeeze(-1)
+        where = b[own], p[own], a[own]
+        strains = [strain[where[0], where[1], n[own], where[2]]]
+        strains += [strain[where[0], where[1], 0, where[2]]] if relative else []
+        held = _held(model, strains, own_pressure[own], limit.expand(len(strain), 1, 1, -1)[where[0], 0, 0, where[2]])
+        found = [model.force(one, held) for one in strains]
+        forces = forces.index_copy(0, own, found[0] - found[1] if relative else found[0])
+        pressures = pressures.index_copy(0, own, held)
+    place = (((b * force.shape[1] + p) * force.shape[2] + l) * force.shape[3] + n) * force.shape[4] + a
+    return _added(force, place, own_weight * forces), _added(mixed, place, own_weight * pressures)
+
+
+def _added(total: Tensor, place: Tensor, value: Tensor) -> Tensor:
+    """A tensor with values added at places of its flat form."""
+    return total.flatten().index_add(0, place, value).view_as(total)
+
+
+def _held(model: Actuator, strains: list[Tensor], pressure: Tensor, limit: Tensor) -> Tensor:
+    """Pressures (K,) of one model: those as near as kinks to a limit move with it, and those at kinks with these."""
+    near = KINK * limit.detach()
+    at = torch.where(limit.detach() - pressure <= near, pressure / limit.detach() * limit, pressure)
+    for strain in strains:
+        knots = pressure_knots(model, strain) if strain.requires_grad else strain.new_zeros(0)
+        for knot in knots if knots.requires_grad else ():
+            moved = torch.where((pressure - knot.detach()).abs() <= near, knot - knot.detach(), 0.0)
+            at = at + moved
+    return at

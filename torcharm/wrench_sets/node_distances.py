@@ -127,7 +127,9 @@ def _segment(
         def replay() -> tuple[Tensor, ...]:
             sections, _, excess = prepare()
             values = [
-                evaluate_distance(sections, required, options.scale, one, relative=metric == "relative")
+                evaluate_distance(
+                    sections, required, options.scale, _held(options, sections, one), relative=metric == "relative"
+                )
                 for metric, one in zip(options.metrics, nearest, strict=True)
             ]
             return *values, excess
@@ -149,6 +151,11 @@ def _nearest(
     if options.vertices is not None:
         return options.vertices.find_nearest(sections, required, options.scale, relative=relative)
     return find_nearest(sections, required, options.scale, relative=relative, signed=options.signed, points=points)
+
+
+def _held(options: SetOptions, sections: CrossSections, nearest: NearestPoints) -> NearestPoints:
+    """The same points, whose pressures move with limits if they are those of vertices."""
+    return nearest if options.vertices is None else options.vertices.tied_to_limits(nearest, sections)
 
 
 def _measure(
