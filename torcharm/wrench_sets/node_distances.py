@@ -103,8 +103,8 @@ def _segment(
     required = grid.required.part(*place, grid.nodes[segment])
 
     def prepare() -> tuple[CrossSections, Tensor, Tensor]:
-        sections, lost = possible_sections(grid.sections(segment, designs, shapes))
-        return sections, lost, strain_excess(sections)
+        sections = grid.sections(segment, designs, shapes)
+        return *possible_sections(sections), strain_excess(sections)
 
     if not wants_gradient(grid, segment):
         with torch.no_grad():
