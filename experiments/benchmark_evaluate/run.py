@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -185,7 +185,7 @@ def scene(
     loads: int = 1,
     nodes: int = NODES,
     actuators: int = 4,
-    models: tuple[ta.Actuator, ta.Actuator] | None = None,
+    models: Sequence[ta.Actuator] | None = None,
 ) -> tuple[ta.ArmDesign, ta.Task]:
     """Random designs of bellows and muscles in turn, on a curved shape.
 
@@ -258,7 +258,7 @@ class OwnBellows:
     """The bellows' force as a user would write it, unknown to the engine."""
 
     bending_stiffness: float = ta.Bellows().bending_stiffness  # type: ignore[assignment]
-    max_pressure: float = ta.Bellows().max_pressure
+    max_pressure: float = 50.0
     strain_range: tuple[float, float] = ta.Bellows().strain_range
     pressure_range: tuple[float, float] = ta.Bellows().pressure_range
 
@@ -272,7 +272,8 @@ def own_model(quick: bool) -> Iterator[Measurement]:
     part = f"a user's torch model: {count:,} designs × 10 nodes × 1 load, absolute"
     for dimension in (PLANE, SPACE):
         spent, answers = {}, {}
-        for name, model in {"shipped": ta.Bellows(), "user's": OwnBellows()}.items():
+        known: dict[str, ta.Actuator] = {"shipped": ta.Bellows(), "user's": OwnBellows()}
+        for name, model in known.items():
             arm, task = scene(dimension, designs=count, models=(model, model))
             spent[name], answers[name] = timed(arm, task, "absolute", 3), total(arm, task, "absolute")
             yield Measurement(part, f"{dimension}, {name}", "forward", spent[name].forward / count * 1e6, "µs a design")
@@ -308,7 +309,7 @@ def print_peak(dimension: str, count: int, gradient: bool) -> None:
     if gradient:
         assert found.absolute is not None
         assert found.relative is not None
-        (found.absolute.sum() + found.relative.sum()).backward()  # type: ignore[no-untyped-call]
+        (found.absolute.sum() + found.relative.sum()).backward()
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time() - start)
 
 
