@@ -205,19 +205,19 @@ def _segment(
     designs, shapes, loads = place
     start = grid.required.part(designs, shapes, loads, grid.nodes[segment])
 
-    def prepare() -> tuple[CrossSections, Tensor]:
-        return possible_sections(grid.sections(segment, designs, shapes))
+    def prepare() -> tuple[CrossSections, Tensor, Tensor]:
+        sections = grid.sections(segment, designs, shapes)
+        return *possible_sections(sections), strain_excess(sections)
 
     with torch.no_grad():
-        sections, lost = prepare()
+        sections, lost, excess = prepare()
     followed = wants_gradient(grid, segment) or (torch.is_grad_enabled() and direction.requires_grad)
     points = followed or any_sampled(sections)
     ends = find_ends(sections, start, direction, relative=relative, points=points)
-    excess = strain_excess(sections)
 
     def replay() -> tuple[Tensor, Tensor]:
-        own, _ = prepare()
-        return evaluate_ends(own, start, direction, ends, relative=relative), strain_excess(own)
+        own, _, beyond = prepare()
+        return evaluate_ends(own, start, direction, ends, relative=relative), beyond
 
     factor = ends.factor
     if followed:
