@@ -221,7 +221,7 @@ def unconfirmed_table(rows: list[Row]) -> Table:
         task, _ = draw_tasks(generator, arm)
         task = ta.Task(task.twists[index], task.tip_load[index])
         found = ta.predict_error(arm, task)
-        search = ta.search_pressure(arm, task, compiled=COMPILED)
+        search = ta.search_pressure(arm, task, compiled=True)
         loaded = ta.solve_equilibrium(arm, found.pressure, task.tip_load, NODES)
         gap = (loaded.poses - ta.poses(task.twists))[:, :2].norm(dim=-1).max()
         gap = gap if bool(loaded.continued & loaded.stable) else gap * math.nan

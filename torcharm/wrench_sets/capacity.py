@@ -109,7 +109,7 @@ def load_capacity(
     grid = design_task_grid(arm, weight)
     direction = design_task_grid(arm, payload).required.external
     ends = _per_node(grid, direction, metric == "relative", chunk_size)
-    return _over_nodes(*(grid.unflatten(part) for part in ends), limits=limits_in_range(grid))
+    return _over_nodes(*(grid.unflatten(part) for part in ends), limits_in_range(grid))
 
 
 def _weight_and_payload(task: Task) -> tuple[Task, Task]:
@@ -204,19 +204,19 @@ def _segment(
     designs, shapes, loads = place
     start = grid.required.part(designs, shapes, loads, grid.nodes[segment])
 
-    def prepare() -> tuple[CrossSections, Tensor]:
-        return possible_sections(grid.sections(segment, designs, shapes))
+    def prepare() -> tuple[CrossSections, Tensor, Tensor]:
+        sections = grid.sections(segment, designs, shapes)
+        return *possible_sections(sections), strain_excess(sections)
 
     with torch.no_grad():
-        sections, lost = prepare()
+        sections, lost, excess = prepare()
     followed = wants_gradient(grid, segment) or (torch.is_grad_enabled() and direction.requires_grad)
     points = followed or any_sampled(sections)
     ends = find_ends(sections, start, direction, relative=relative, points=points)
-    excess = strain_excess(sections)
 
     def replay() -> tuple[Tensor, Tensor]:
-        own, _ = prepare()
-        return evaluate_ends(own, start, direction, ends, relative=relative), strain_excess(own)
+        own, _, beyond = prepare()
+        return evaluate_ends(own, start, direction, ends, relative=relative), beyond
 
     factor = ends.factor
     if followed:

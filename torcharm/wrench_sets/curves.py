@@ -21,7 +21,7 @@ PARTS = 4
 """A piece that is off is cut into so many at most, by how much it is off."""
 REFINEMENTS = 8
 """So often: powers of pressure as low as 1.01 need 6."""
-MOST_PIECES = 64
+MOST_PIECES = 96
 """Pieces at most: a curve with kinks that its model does not name would take any number."""
 INWARD = 1e-9
 """By this part of a piece its ends are moved inwards where the model names kinks: at one the force may jump."""

@@ -103,8 +103,8 @@ def _segment(
     required = grid.required.part(*place, grid.nodes[segment])
 
     def prepare() -> tuple[CrossSections, Tensor, Tensor]:
-        sections, lost = possible_sections(grid.sections(segment, designs, shapes))
-        return sections, lost, strain_excess(sections)
+        sections = grid.sections(segment, designs, shapes)
+        return *possible_sections(sections), strain_excess(sections)
 
     if not wants_gradient(grid, segment):
         with torch.no_grad():
@@ -135,7 +135,7 @@ def _segment(
             return *values, excess
 
         *values, excess = checkpoint(replay, use_reentrant=False) if again else replay()
-        found = [(value, one.certified) for value, one in zip(values, nearest, strict=True)]
+        found = [(value, one.known(value)) for value, one in zip(values, nearest, strict=True)]
     loads_here = required.external.shape[1]
     shape = (*excess.shape, loads_here)
     none = excess.new_zeros(*shape, 0, required.external.shape[-2])
@@ -168,7 +168,8 @@ def _measure(
     found = _nearest(sections, required, options, relative=relative, points=sampled)
     if not sampled:
         return found.distance, found.certified
-    return evaluate_distance(sections, required, options.scale, found, relative=relative), found.certified
+    value = evaluate_distance(sections, required, options.scale, found, relative=relative)
+    return value, found.known(value)
 
 
 def any_sampled(sections: CrossSections) -> bool:
