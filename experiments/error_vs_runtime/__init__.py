@@ -1,1 +1,1 @@
-"""What accuracy costs: exact attainable sets, sampled ones, and solvers for distances to them, in the plane and in space."""
+"""What accuracy costs: exact attainable sets, sampled ones, and solvers for distances, in the plane and in space."""

@@ -45,7 +45,8 @@ def _panel(axes: Any, rows: "Sequence[Row]") -> None:
         if not own:
             continue
         x, y = [row.forward_us for row in own], [max(FLOOR, row.error_p99) for row in own]
-        axes.plot(x, y, color=colour, marker="*" if method == "exact" else "o", markersize=15 if method == "exact" else 6)
+        marker, size = ("*", 15) if method == "exact" else ("o", 6)
+        axes.plot(x, y, color=colour, marker=marker, markersize=size)
         axes.annotate(label, (x[-1], y[-1]), off, textcoords="offset points", color=colour, fontsize=9)
         if len(own) > 1:
             for row, at, height in zip(own, x, y, strict=True):

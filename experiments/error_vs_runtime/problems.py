@@ -64,9 +64,8 @@ def problems(space: str) -> Problems:
     twists = np.zeros(shape)
     twists[..., 0] = 0.5
     turning = [2] if flat else [4, 5]
-    twists[..., turning] = rng.uniform(-3, 3, (TASKS, 1, len(turning))) + rng.uniform(-3, 3, (TASKS, 1, len(turning))) * (
-        np.linspace(0, 1, NODES)[:, None]
-    )
+    start, change = rng.uniform(-3, 3, (2, TASKS, 1, len(turning)))
+    twists[..., turning] = start + change * np.linspace(0, 1, NODES)[:, None]
     load = rng.uniform(-10, 10, (TASKS, shape[-1]))
     load[:, shape[-1] // 2 + flat :] *= 0.25
     radii, length = torch.from_numpy(places), torch.from_numpy(rng.uniform(0.45, 0.55, (DESIGNS, 1)))

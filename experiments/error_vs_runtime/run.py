@@ -141,7 +141,8 @@ def main() -> None:
         with open(HERE / "results.csv", "w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, [one.name for one in fields(Row)])
             writer.writeheader()
-            writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in asdict(row).items()} for row in rows)
+            for row in rows:
+                writer.writerow({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in asdict(row).items()})
         publish(rows)
 
 
@@ -157,8 +158,9 @@ def publish(rows: list[Row]) -> None:
     readme = HERE / "README.md"
     before, rest = readme.read_text(encoding="utf-8").split(START)
     _, after = rest.split(END)
-    head = "| | sets | method | points | µs a node | with gradient | error p50 | p99 | max |\n|---|---|---|---|---|---|---|---|---|\n"
-    readme.write_text(f"{before}{START}\n\n{head}" + "\n".join(map(shown, rows)) + f"\n\n{END}{after}", encoding="utf-8")
+    names = ("", "sets", "method", "points", "µs a node", "with gradient", "error p50", "p99", "max")
+    lines = [f"| {' | '.join(names)} |", "|---" * len(names) + "|", *map(shown, rows)]
+    readme.write_text(f"{before}{START}\n\n" + "\n".join(lines) + f"\n\n{END}{after}", encoding="utf-8")
 
 
 def shown(row: Row) -> str:
@@ -168,5 +170,5 @@ def shown(row: Row) -> str:
         return "" if np.isnan(value) else f"{value:.3g}" if value < 1000 else f"{value:,.0f}"
 
     errors = [f"{value:.0e}" for value in (row.error_p50, row.error_p99, row.error_max)]
-    cells = [row.space, row.metric, row.method, str(row.samples or ""), time_of(row.forward_us), time_of(row.gradient_us)]
-    return "| " + " | ".join(cells + errors) + " |"
+    names = [row.space, row.metric, row.method, str(row.samples or "")]
+    return "| " + " | ".join([*names, time_of(row.forward_us), time_of(row.gradient_us), *errors]) + " |"
