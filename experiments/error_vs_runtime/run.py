@@ -90,18 +90,21 @@ def measured(space: str, metric: str, method: Method) -> Row:
     distance, scale = (part[: method.designs, : method.tasks] for part in reference(space, metric))
     value = getattr(found, metric + "_per_node").numpy()
     own = slice(1, None) if metric == "relative" else slice(None)  # node 1 differs from itself by nothing
-    error = (np.abs(value - distance) / scale)[..., own]
+    error = (np.abs(value - distance)[..., own] / scale[..., own]).ravel()
     p50, p99 = np.quantile(error, (0.5, 0.99))
     converged = float(found.converged.double().mean())
     return Row(
-        space,
-        metric,
-        method.name,
-        method.options.get("samples", 0),
-        count,
-        *(seconds / count * 1e6 for seconds in (forward, gradient)),
-        *(float(one) for one in (p50, p99, error.max())),
-        converged,
+        space=space,
+        metric=metric,
+        method=method.name,
+        samples=method.options.get("samples", 0),
+        problems=count,
+        forward_us=forward / count * 1e6,
+        gradient_us=gradient / count * 1e6,
+        error_p50=float(p50),
+        error_p99=float(p99),
+        error_max=float(error.max()),
+        converged=converged,
     )
 
 
