@@ -59,7 +59,6 @@ OLD = {
     "_tracing.py",
     "_underway.py",
     "_wrench_fit.py",
-    "capacity.py",
     "distance/",
     "envelope.py",
     "equilibrium.py",
