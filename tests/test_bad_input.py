@@ -46,7 +46,7 @@ CASES = {
     # hulls and distances
     "ta.wrench_hulls(arm, [[0.5, 0.0, 1.0]])": ("twists", "[[0.5, 0.0, 1.0]]"),
     "ta.wrench_hulls(arm, zeros[:3])": ("twists", "(3,)"),
-    "ta.distance_to_hull(zeros[:3], torch.zeros(3, 2))": ("point", "(3,)"),
+    "ta.distance_to_hull(zeros[:3], torch.zeros(3, 2))": ("vertices", "(3, 2)"),
     "ta.distance_to_hull(zeros[:2], zeros[:2])": ("vertices", "(2,)"),
     "ta.distance_to_hull([0.0, 1.0], torch.zeros(3, 2))": ("point", "[0.0, 1.0]"),
     "ta.distance_to_hull(torch.zeros(2, 2), torch.zeros(3, 4, 2))": ("point, vertices", "(3,)"),

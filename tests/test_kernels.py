@@ -297,18 +297,6 @@ def refuse(*_, **__):
     raise PermissionError("read-only")
 
 
-def test_without_numba_it_says_so(monkeypatch):
-    monkeypatch.setattr("torcharm.engine.compilation.find_spec", lambda name: None)
-    for ask in (
-        lambda: ta.search_pressure(ARMS["bellows"], ta.Task(SHAPE, [0.0] * 3), compiled=True),
-        lambda: ta.solve_equilibrium(ARMS["bellows"], [0.0] * 4, [0.0] * 3, compiled=True),
-    ):
-        with pytest.raises(
-            ValueError, match=r"compiled: must be False without numba, which torcharm\[compiled\] brings"
-        ):
-            ask()
-
-
 def test_code_on_disk_is_of_these_sources(tmp_path, monkeypatch):
     """A change of what a kernel calls, or of a constant, makes it another."""
     from torcharm import _compiled

@@ -55,7 +55,6 @@ DAMAGES = {
 
 @pytest.mark.parametrize("ending", ["nbi", "nbc"])
 def test_damaged_code_is_compiled_anew(tmp_path, monkeypatch, ending):
-    pytest.importorskip("numba")
     from torcharm import _compiled
 
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
@@ -78,7 +77,6 @@ def test_damaged_code_is_compiled_anew(tmp_path, monkeypatch, ending):
 
 
 def test_code_that_cannot_be_kept_runs(tmp_path, monkeypatch):
-    pytest.importorskip("numba")
     from torcharm import _compiled
 
     def full(*_, **__):

@@ -138,8 +138,6 @@ def test_small_predictions_are_confirmed_by_the_search():
 
 @pytest.mark.parametrize("compiled", [False, True])
 def test_arms_that_snapped_are_called_stable_only_if_they_are(compiled):
-    if compiled:
-        pytest.importorskip("numba")
     generator = torch.Generator().manual_seed(2)
     at_rest = unstable = stable = 0
     for radii, kinds in (([-0.077, 0.075], (ta.McKibben, ta.McKibben)), ([-0.08, 0.08], (ta.Bellows, ta.McKibben))):
@@ -161,8 +159,6 @@ def test_arms_that_snapped_are_called_stable_only_if_they_are(compiled):
 @pytest.mark.parametrize("compiled", [False, True])
 def test_folded_arms_do_not_converge(compiled):
     """A lone bellows without pressure hardly resists bending: it balances a load by lengths below 0."""
-    if compiled:
-        pytest.importorskip("numba")
     arm = ta.ArmDesign([0.05], 0.5, (ta.Bellows(),))
     loads = ta.sample_loads(40, seed=7)
     found = ta.solve_equilibrium(arm, torch.tensor([0.2], dtype=D), loads, compiled=compiled)
@@ -213,8 +209,6 @@ class Logarithmic:
     ids=str,
 )
 def test_impossible_shapes_are_infinitely_far_and_leave_the_others_alone(options, model):
-    if options.get("compiled"):
-        pytest.importorskip("numba")
     fine, degrees = ta.affine_curvature(1.0, 1.5, nodes=4), ta.affine_curvature(57.3, 85.9, nodes=4)
     edge = ta.affine_curvature(0.0, 8.0, nodes=4)  # an actuator of length 0
     slopes = []

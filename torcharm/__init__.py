@@ -184,11 +184,20 @@ _LATER = {
 }
 
 
+_MODULES = ("plot", "study")
+
+
 def __getattr__(name: str) -> Any:
     """What loads when it is first used."""
-    """Distance solvers and optimisers, which load when they are first used."""
-    if name not in _LATER:
+    if name not in _LATER and name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
+    if name in _MODULES:
+        return import_module(f"torcharm.{name}")
     return getattr(import_module(f"torcharm.{_LATER[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    """All public names, those included that load when they are first used."""
+    return sorted({*globals(), *__all__, *_MODULES})

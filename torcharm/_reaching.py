@@ -35,7 +35,7 @@ class Reached(NamedTuple):
 
     Attributes:
         place: (M, B) the pressures, as shares of their limits.
-        cost: (B,) infinite where the branch ends.
+        cost: (B,) infinite where the branch ends, or the arm is folded.
         unknowns: (C, N, B) at the full load.
         rest: (C, 1, B) without load.
         quick, rush: (C, N, B) the equilibrium on the way at which the arm gives way most, and its rate by the
@@ -107,6 +107,13 @@ class Block:
         own = self.searches
         return Course(own.arms, place * own.limits, loading, own.scale, own.tolerance)
 
+    def _unfolded(self, unknowns: Tensor) -> Tensor:
+        """(B,) whether all lengths at unknowns (C, N, B) are above 0: the centreline's, and the actuators'."""
+        length, curvature = unknowns[0], unknowns[-1]
+        radii = pick(self.searches.setting.arms.radii, self.searches.rows)
+        own = torch.minimum(length - radii.amax(0) * curvature, length - radii.amin(0) * curvature)
+        return (torch.minimum(own, length) > 0).all(0)
+
     def reach(self, place: Tensor, near: Tensor | None = None, *, far: bool = False, looks: int = LOOKS) -> Reached:
         """What continuation reaches.
 
@@ -124,5 +131,5 @@ class Block:
         looks, least = (looks, LEAST_SHARE) if self.patient is None else PATIENCE
         path = self._trace(place, start, looks, least, loading=True)
         cost = self.searches.cost(path.unknowns)
-        cost = torch.where(path.arrived & still & cost.isfinite(), cost, float("inf"))
+        cost = torch.where(path.arrived & still & cost.isfinite() & self._unfolded(path.unknowns), cost, float("inf"))
         return Reached(place, cost, path.unknowns, rest, path.quick, path.rush, path.share)

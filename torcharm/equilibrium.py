@@ -29,7 +29,6 @@ from torcharm._inputs import (
 from torcharm._response import DEFINITE, has_lengths, is_stable
 from torcharm.actuators import want_gradients
 from torcharm.arm import ArmDesign, check_planar
-from torcharm.engine.compilation import check_compiled
 from torcharm.geometry import rod
 from torcharm.geometry.rod import BASE_POSE
 from torcharm.wrenches import along
@@ -135,7 +134,7 @@ def solve_equilibrium(
     shear_stiffness = check_above_zero("shear_stiffness", shear_stiffness)
     tolerance = check_above_zero("tolerance", tolerance)
     check_flag("raise_on_failure", raise_on_failure)
-    check_compiled("compiled", compiled)
+    check_flag("compiled", compiled)
     if start is not None:
         check_tensor("start", start, nodes, 3)
         check_finite("start", start)

@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torcharm.distance.qp import HalfspaceForm, VertexForm, require_qpth
+from torcharm.distance.result import HullAnswer, HullDistance, HullProblem, solve_hulls
 
 import torcharm as ta
 from experiments.error_vs_runtime import measure, sets
 from experiments.error_vs_runtime.rows import Row
 from torcharm import hulls
-from torcharm.distance.qp import HalfspaceForm, VertexForm, require_qpth
-from torcharm.distance.result import HullAnswer, HullDistance, HullProblem, solve_hulls
 
 COUNT = 2000
 SINGLES = 20

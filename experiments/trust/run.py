@@ -4,7 +4,6 @@ Prints tables; writes results.csv, one row for each claim that was looked at, be
 """
 
 import argparse
-import importlib.util
 import math
 from collections import Counter
 from collections.abc import Iterator
@@ -19,17 +18,16 @@ from rich.table import Table
 from torch import Tensor
 
 import torcharm as ta
-from experiments.rows import write_rows
+from experiments.rows import read_rows, write_rows
 
 HERE = Path(__file__).parent
-TASKS, SNAPPED, QUICK = 5000, 1000, 40
-EACH, LOADED = 10, 100
+TASKS, SNAPPED, QUICK = 5000, 1000, 50
+EACH, LOADED = 25, 500
 """Tasks of a design; and pressures and loads at which a design is solved in search of snaps."""
 NODES = 6
 BELOW, WITHIN = 1e-3, 1e-2
 """Predictions below the first [m] are searched; the search confirms them if it comes within the second."""
 KINDS = ta.Bellows, ta.McKibben
-COMPILED = importlib.util.find_spec("numba") is not None
 
 
 @dataclass(frozen=True)
@@ -62,14 +60,18 @@ class Row:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a smoke run: fewer draws, no file written")
+    parser.add_argument("--kept", action="store_true", help="tables of results.csv, nothing drawn again or written")
     options = parser.parse_args()
     torch.set_num_threads(1)
     console = Console(width=120)
-    rows = [*predictions(QUICK if options.quick else TASKS, console)]
-    rows += snapped(QUICK if options.quick else SNAPPED)
-    for table in (prediction_table(rows), snapped_table(rows)):
+    if options.kept:
+        rows = read_rows(HERE / "results.csv", Row)
+    else:
+        rows = [*predictions(QUICK if options.quick else TASKS, console)]
+        rows += snapped(QUICK if options.quick else SNAPPED)
+    for table in (prediction_table(rows), unconfirmed_table(rows), snapped_table(rows)):
         console.print(table)
-    if not options.quick:
+    if not (options.quick or options.kept):
         write_rows(HERE / "results.csv", rows)
         console.print(f"wrote {len(rows)} rows to results.csv")
 
@@ -125,7 +127,7 @@ def predictions(total: int, console: Console) -> Iterator[Row]:
         searched = torch.full_like(claimed, math.nan)
         if wanted:
             again = ta.Task(task.twists[wanted], task.tip_load[wanted])
-            searched[wanted] = ta.search_pressure(arm, again, compiled=COMPILED).cost.clamp(min=0).sqrt()
+            searched[wanted] = ta.search_pressure(arm, again, compiled=True).cost.clamp(min=0).sqrt()
         for index, values in enumerate(zip(claimed.tolist(), searched.tolist(), strict=True)):
             confirmed = index not in wanted or abs(values[0] - values[1]) <= WITHIN
             yield Row("prediction", seed, kinds, sources[index], *values, flags[index], confirmed)
@@ -158,7 +160,7 @@ def snapped(total: int) -> Iterator[Row]:
         generator = torch.Generator().manual_seed(10_000 + seed)
         arm, kinds = draw_arm(generator, 1 + seed % 4)
         pressure = arm.max_pressure * uniform(generator, 0.0, 1.0, LOADED, arm.actuator_count)
-        loads, compiled = draw_loads(generator, LOADED), COMPILED and seed // 4 % 2 == 1
+        loads, compiled = draw_loads(generator, LOADED), seed // 4 % 2 == 1
         found = ta.solve_equilibrium(arm, pressure, loads, NODES, compiled=compiled)
         at_rest = (found.residual <= 1e-10) & ~found.continued
         for index in at_rest.nonzero().flatten().tolist()[:left]:
@@ -201,6 +203,31 @@ def prediction_table(rows: list[Row]) -> Table:
             len(searched),
         )
         table.add_row(str(size), source, *map(str, (*cells, held, len(searched) - held)))
+    return table
+
+
+def unconfirmed_table(rows: list[Row]) -> Table:
+    """Predictions that the search did not confirm: what it says of itself, and where loading leads."""
+    table = Table(title="not confirmed by the search", title_justify="left")
+    for name in ("seed", "task", "actuators", "predicted\n[m]", "searched\n[m]", "search\nconverged", "in range"):
+        table.add_column(name, justify="right")
+    table.add_column("poses reached by loading\noff the task by [m]", justify="right")
+    chosen = [row for row in rows if row.part == "prediction"]
+    for place, row in enumerate(chosen):
+        if row.holds:
+            continue
+        index, generator = place % EACH, torch.Generator().manual_seed(row.seed)
+        arm, _ = draw_arm(generator, 1 + row.seed % 4)
+        task, _ = draw_tasks(generator, arm)
+        task = ta.Task(task.twists[index], task.tip_load[index])
+        found = ta.predict_error(arm, task)
+        search = ta.search_pressure(arm, task, compiled=True)
+        loaded = ta.solve_equilibrium(arm, found.pressure, task.tip_load, NODES)
+        gap = (loaded.poses - ta.poses(task.twists))[:, :2].norm(dim=-1).max()
+        gap = gap if bool(loaded.continued & loaded.stable) else gap * math.nan
+        flags = (str(bool(search.converged)), str(bool(found.in_range)))
+        names = (str(row.seed), str(index), row.actuators, f"{row.claimed:.1g}", f"{row.found:.3g}")
+        table.add_row(*names, *flags, f"{float(gap):.1g}")
     return table
 
 

@@ -41,11 +41,13 @@ def by_linprog(vertices, wrench):
 @pytest.mark.parametrize("metric", ["absolute", "relative"])
 @pytest.mark.parametrize("name", ARMS)
 def test_every_node_against_linear_programming(name, metric):
+    """Of fine vertices, which lie on the sets' boundaries: their hulls are within the sets, and hardly smaller."""
     scene = random_scene(name, designs=2, tasks=4, nodes=4, seed=3)
     arm, task = scene.arm_and_task()
     with unchecked():
         found = ta.load_capacity(arm, task, metric)
-        vertices, _ = scene.vertices_and_required(metric)
+        vertices, _ = scene.vertices_and_required(metric, samples=65)
+    assert found.converged.all()
     wrench = required(task, metric == "relative")
     hits = 0
     for design, case, node in np.ndindex(2, 4, 4):
@@ -59,7 +61,9 @@ def test_every_node_against_linear_programming(name, metric):
             assert np.isnan([low, high]).all()
         else:
             hits += 1
-            np.testing.assert_allclose([low, high], expected, rtol=1e-6, atol=1e-7)
+            np.testing.assert_allclose([low, high], expected, rtol=2e-4, atol=2e-4)
+            assert low <= expected[0] + 1e-7
+            assert high >= expected[1] - 1e-7
     assert hits >= 4
 
 
@@ -75,7 +79,7 @@ def test_the_factor_is_where_unattainability_starts(metric):
             continue
         factor = found.factor[design, case]
         node = int(found.limiting_node[design, case]) - 1
-        for share, outside in ((1 - 1e-9, False), (1 + 1e-6, True)):
+        for share, outside in ((1 - 1e-8, False), (1 + 1e-8, True)):
             grown = ta.Task(task.twists, task.tip_load[case] * factor * share)
             distance = getattr(ta.evaluate(arm[design], grown, (metric,)), f"{metric}_per_node")
             assert bool(distance[node] > 0) == outside
@@ -86,14 +90,13 @@ def test_the_factor_is_where_unattainability_starts(metric):
 
 @pytest.mark.parametrize("metric", ["absolute", "relative"])
 @pytest.mark.parametrize("name", ARMS)
-def test_polished_hits_lie_on_the_sets_themselves(name, metric):
+def test_ends_lie_on_the_sets_boundaries(name, metric):
     """Signed distances by an independent method, in numpy, of the wrenches at both ends of the intervals."""
     arm, loads, ends = PAPER_ARMS[name](), 0.3 * ta.sample_loads(2), 0
     for slope, intercept in PAPER_SHAPES:
         task = ta.Task(ta.affine_curvature(slope, intercept, nodes=5), loads)
         with unchecked():
             found = ta.load_capacity(arm, task, metric)
-            sampled = ta.load_capacity(arm, task, metric)
         assert found.converged.all()
         sets = attainable_sets(arm, task.twists.numpy(), relative=metric == "relative")
         wrench = required(task, metric == "relative").numpy()
@@ -103,8 +106,6 @@ def test_polished_hits_lie_on_the_sets_themselves(name, metric):
                 gap, _ = enclosed_distance(sets, np.where(real, factor, 0.0)[:, None] * wrench[case])
                 assert np.abs(gap[real]).max(initial=0.0) < 1e-8
                 ends += real.sum()
-        more = (found.t_max_per_node - sampled.t_max_per_node) * double(np.hypot(wrench[..., 0], wrench[..., 1]))
-        assert (more[more.isfinite()] >= -1e-9).all()  # samples lie inside
     assert ends >= 4
 
 
@@ -313,3 +314,112 @@ def test_moments_at_no_pressure_move_the_hull():
     alone, with_moment = (ta.load_capacity(arm, task) for arm in arms)
     torch.testing.assert_close(with_moment.t_max, alone.t_max - own, rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(with_moment.t_min, alone.t_min - own, rtol=1e-9, atol=1e-9)
+
+
+# --- space, weight, segments in series ---
+
+
+def assert_ends_lie_on_boundaries(arm, task, metric, with_payload):
+    """Where factors end, the signed distance of the node is 0, and `with_payload(t)` is the task with so much of it."""
+    found = ta.load_capacity(arm, task, metric)
+    assert found.converged.all()
+    checked = 0
+    for ends in (found.t_min_per_node, found.t_max_per_node):
+        for node in ends.isfinite().nonzero().squeeze(-1).tolist():
+            here = ta.evaluate(arm, with_payload(ends[node]), (metric,), signed=True)
+            assert abs(getattr(here, f"{metric}_per_node")[node].item()) < 1e-6
+            checked += 1
+    return found, checked
+
+
+@pytest.mark.parametrize("metric", ["absolute", "relative"])
+def test_the_payload_grows_and_the_arms_own_weight_does_not(metric):
+    twists = torch.tensor([[0.4, 0.0, 0.0, 0.0, 0.25, -0.1]] * 4, dtype=torch.float64)
+    arm = ta.ArmDesign(offsets=ta.ring(0.05, 4), length=0.4, actuators=[ta.Bellows(), ta.McKibben()] * 2, mass=0.4)
+    point = double([0.0, -0.5, 0.2, 0.0, 0.0, 0.0])
+    tip = double([0.4, -0.6, 0.3, 0.0, 0.01, 0.0])
+
+    def with_payload(t):
+        points = [ta.PointLoad(t * point, at=0.6, mass=0.05)]
+        return ta.Task(twists, load=ta.ExternalLoad(tip=t * tip, gravity=True, points=points), wrench_at="middle")
+
+    found, checked = assert_ends_lie_on_boundaries(arm, with_payload(1.0), metric, with_payload)
+    assert checked >= 4
+    # the weight alone is factor 0
+    bare = ta.evaluate(arm, with_payload(0.0), (metric,), signed=True)
+    margin = getattr(bare, f"{metric}_per_node")[1:]
+    assert ((margin <= 0) == ((found.t_min_per_node <= 0) & (found.t_max_per_node >= 0))[1:]).all()
+
+
+def test_segments_in_series_have_the_factors_of_their_nodes():
+    """The upper segment alone, under the same tip load, has the same ends as within the series."""
+    lower = ta.ArmDesign(radii=[-0.06, 0.0, 0.06], length=0.3, actuators=[ta.Bellows(), ta.McKibben(), ta.Bellows()])
+    upper = ta.ArmDesign(radii=[-0.04, 0.04], length=0.2, actuators=ta.Bellows())
+    shape = torch.cat((ta.affine_curvature(0.3, 0.2, 0.3, 3), ta.affine_curvature(-0.2, 0.3, 0.21, 2)))
+    load = double([0.8, -1.0, 0.02])
+    arm = ta.series([lower, ta.RigidLink(length=0.02), upper])
+    task = ta.Task(shape, load, segment_nodes=(3, 2))
+    found, checked = assert_ends_lie_on_boundaries(
+        arm, task, "absolute", lambda t: ta.Task(shape, t * load, segment_nodes=(3, 2))
+    )
+    assert checked >= 6
+    base = ta.poses(shape, segment_nodes=(3, 2), links=[double([0.02, 0.0, 0.0]), None])[3]
+    alone = ta.load_capacity(upper, ta.Task(shape[3:], load, base))
+    torch.testing.assert_close(found.t_max_per_node[3:], alone.t_max_per_node, rtol=1e-9, atol=1e-9)
+    relative = ta.load_capacity(arm, task, "relative")
+    assert relative.t_max_per_node[[0, 3]].tolist() == [np.inf, np.inf]  # each segment's first node
+
+
+def test_a_planar_arm_in_space_bears_the_same():
+    arm = ta.antagonistic_arm()
+    turned = ta.ArmDesign(arm.radii, arm.length, arm.actuators, out_of_plane=torch.zeros(4).double())
+    zero = torch.zeros_like(REACHED.twists[..., 0])
+    length, shear, curvature = REACHED.twists.unbind(-1)
+    twists = torch.stack((length, shear, zero, zero, zero, curvature), -1)
+    none = torch.zeros_like(REACHED.tip_load[..., 0])
+    fx, fy, m = REACHED.tip_load.unbind(-1)
+    task = ta.Task(twists, torch.stack((fx, fy, none, none, none, m), -1))
+    flat, found = ta.load_capacity(arm, REACHED), ta.load_capacity(turned, task)
+    torch.testing.assert_close(found.t_max, flat.t_max, rtol=1e-9, atol=1e-9, equal_nan=True)
+    torch.testing.assert_close(found.t_min, flat.t_min, rtol=1e-9, atol=1e-9, equal_nan=True)
+    assert flat.attainable.any()
+
+
+@pytest.mark.parametrize("leaf", ["offsets", "mass", "twists", "tip"])
+def test_gradients_in_space_against_differences(leaf):
+    leaves = {
+        "offsets": ta.ring(0.05, 4),
+        "mass": double(0.3),
+        "twists": torch.tensor([[0.4, 0.0, 0.0, 0.0, 0.25, -0.1]] * 3, dtype=torch.float64),
+        "tip": double([0.4, -0.6, 0.3, 0.0, 0.01, 0.0]),
+    }
+    generator = torch.Generator().manual_seed(1)
+    direction = torch.randn(leaves[leaf].shape, generator=generator, dtype=torch.float64)
+
+    def ends(step):
+        values = leaves | {leaf: leaves[leaf] + 1e-2 * step * direction}
+        models = [ta.Bellows(), ta.McKibben()] * 2
+        arm = ta.ArmDesign(offsets=values["offsets"], length=0.4, actuators=models, mass=values["mass"])
+        load = ta.ExternalLoad(tip=values["tip"], gravity=True)
+        found = ta.load_capacity(arm, ta.Task(values["twists"], load=load))
+        assert found.converged
+        return torch.stack((found.t_min, found.t_max))
+
+    step = torch.zeros((), dtype=torch.float64, requires_grad=True)
+    slopes = [torch.autograd.grad(ends(step)[end], step)[0].item() for end in (0, 1)]
+    h = 1e-4
+    differences = (ends(double(h)) - ends(double(-h))) / (2 * h)
+    np.testing.assert_allclose(slopes, differences.numpy(), rtol=1e-5, atol=1e-7)
+    assert min(abs(slope) for slope in slopes) > 0
+
+
+def test_an_impossible_shape_bears_nothing():
+    arm = ta.antagonistic_arm()
+    shapes = ta.affine_curvature(double([0.0, 0.0]), double([0.0, 90.0]))  # degrees, it seems
+    found = ta.load_capacity(arm, ta.Task(shapes, [1.0, 0.0, 0.0]))
+    assert found.impossible.tolist() == [False, True]
+    assert found.factor[1].isnan()
+    assert found.t_max_per_node[1].isnan().all()
+    assert not found.attainable[1]
+    assert not found.converged[1]
+    assert not found.in_range[1]

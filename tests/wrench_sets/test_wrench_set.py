@@ -1,4 +1,5 @@
 import math
+from itertools import combinations
 
 import numpy as np
 import oracle
@@ -159,7 +160,7 @@ def test_vertices_go_round_once_counter_clockwise(case, shape, kind, relative):
 
 
 def test_exact_hull_is_the_hull_of_all_combinations_of_samples():
-    arm, twin = designs("paper's antagonistic")
+    arm, twin = designs("wavy")
     hulls = ta.wrench_hulls(arm, double(CURVED), samples=5)
     for vertices, table in zip(hulls.vertices, tables(twin, CURVED, 5, relative=False), strict=True):
         everything = oracle.box_points(table)
@@ -233,9 +234,9 @@ def slots(arm, **options):
     return ta.wrench_hulls(arm, double(CURVED), **options).vertices.shape[-2]
 
 
-def test_exact_has_a_vertex_for_both_sides_of_every_chord():
+def test_exact_has_vertices_for_the_sides_of_the_curves_hulls():
     arm, _ = designs("bellows only")
-    assert slots(arm, samples=7) == 2 * 4 * 6
+    assert slots(arm, samples=7) == 2 * 2 * 4 * 7
 
 
 @every_kind
@@ -258,7 +259,7 @@ def test_two_samples_serve_forces_linear_in_pressure(kind):
 
 def test_one_curved_force_among_linear_ones_needs_more_samples():
     arm = ta.ArmDesign([-0.01, 0.01], 0.5, [polynomial(LINEAR_TERMS), ta.Bellows()])
-    assert slots(arm) == 2 * 2 * 16
+    assert slots(arm) == 2 * 2 * 2 * 17
 
 
 @every_kind
@@ -294,3 +295,89 @@ def test_vertices_are_differentiable(relative):
     with torch.no_grad():
         wanted = (width(radius + 1e-6) - width(radius - 1e-6)) / 2e-6
     torch.testing.assert_close(found, wanted, rtol=1e-6, atol=0)
+
+
+# --- space, segments in series ---
+
+
+def spatial(**changes):
+    models = [ta.Bellows(), ta.McKibben(), ta.Bellows(), ta.McKibben()]
+    return ta.ArmDesign(**{"offsets": ta.ring(0.05, 4), "length": 0.4, "actuators": models, **changes})
+
+
+BENT = torch.tensor([[0.4, 0.0, 0.0, 0.0, 0.3, -0.2], [0.39, 0.0, 0.0, 0.0, -0.1, 0.4]], dtype=torch.float64)
+
+
+@both_sets
+@every_kind
+def test_spatial_vertices_are_reactions_and_corners(kind, relative):
+    arm = spatial()
+    hulls = ta.wrench_hulls(arm, BENT, relative=relative, hull=kind)
+    for node in range(2):
+        reaction = ta.reaction_wrench(arm, BENT, hulls.pressure[node])[..., node, :]
+        if relative:
+            reaction = reaction - ta.reaction_wrench(arm, BENT, hulls.pressure[node])[..., 0, :]
+        torch.testing.assert_close(hulls.vertices[node], reaction, rtol=1e-11, atol=1e-11)
+    if relative:
+        assert not hulls.vertices[0].any()
+        assert hulls.volume()[0] == 0
+
+
+@both_sets
+def test_spatial_hulls_hold_random_pressures_and_the_papers_edges(relative):
+    arm, rng = spatial(), np.random.default_rng(2)
+    exact = ta.wrench_hulls(arm, BENT, relative=relative)
+    drawn = torch.from_numpy(rng.beta(0.3, 0.3, (2000, 4))) * arm.max_pressure
+    wrench = ta.reaction_wrench(arm, BENT, drawn)
+    wrench = wrench - wrench[:, :1] if relative else wrench
+    edges = ta.wrench_hulls(arm, BENT, relative=relative, hull="edges", samples=9).vertices
+    faces = ConvexHull(exact.vertices[1].numpy())
+    for points in (wrench[:, 1].numpy(), edges[1].numpy()):
+        outside = (points @ faces.equations[:, :3].T + faces.equations[:, 3]).max()
+        assert outside < 2e-3 * np.abs(exact.vertices[1].numpy()).max()
+    assert exact.volume()[1].item() == pytest.approx(faces.volume, rel=1e-9)
+
+
+def test_forces_linear_in_pressure_make_a_zonotope_in_space():
+    """Of 4 chords in general position: 14 corners, and the volume of all parallelepipeds of three."""
+    model = polynomial(LINEAR_TERMS, bending_stiffness=0.0)
+    offsets = [[0.05, 0.0], [0.0, 0.04], [-0.03, 0.01], [0.01, -0.06]]
+    arm = ta.ArmDesign(offsets=offsets, length=0.4, actuators=model)
+    hulls = ta.wrench_hulls(arm, BENT)
+    for node in range(2):
+        assert len(np.unique(hulls.vertices[node].numpy().round(9), axis=0)) == 14
+        ends = [ta.reaction_wrench(arm, BENT, 40.0 * one)[node] for one in torch.eye(4, dtype=torch.float64)]
+        base = ta.reaction_wrench(arm, BENT, torch.zeros(4, dtype=torch.float64))[node]
+        chords = torch.stack(ends) - base
+        boxes = [torch.linalg.det(chords[list(three)]).abs() for three in combinations(range(4), 3)]
+        assert hulls.volume()[node].item() == pytest.approx(sum(boxes).item(), rel=1e-9)
+
+
+def test_areas_and_volumes_are_differentiable():
+    """In space of corners: which points of a smooth boundary are shown changes with the design."""
+    model = polynomial(LINEAR_TERMS, bending_stiffness=0.0)
+    for make in (
+        lambda r: (ta.antagonistic_arm(0.08 + r), double(CURVED)),
+        lambda r: (spatial(offsets=ta.ring(0.05 + r, 4, 0.1), actuators=model), BENT),
+    ):
+        radius = torch.zeros((), dtype=torch.float64, requires_grad=True)
+        (found,) = torch.autograd.grad(ta.wrench_hulls(*make(radius)).volume().sum(), radius)
+        with torch.no_grad():
+            ends = [ta.wrench_hulls(*make(double(sign * 1e-6))).volume().sum() for sign in (1, -1)]
+        assert found.item() == pytest.approx((ends[0] - ends[1]).item() / 2e-6, rel=1e-5)
+
+
+def test_segments_in_series_are_the_segments():
+    lower = ta.ArmDesign(radii=[-0.06, 0.0, 0.06], length=0.5, actuators=[ta.Bellows(), ta.McKibben(), ta.Bellows()])
+    upper = ta.ArmDesign(radii=[-0.04, 0.04], length=0.5, actuators=ta.Bellows())
+    twists = double(CURVED)
+    hulls = ta.wrench_hulls(ta.series([lower, upper]), twists, relative=True, segment_nodes=[1, 2])
+    assert hulls.pressure.shape[-1] == 5
+    alone = ta.wrench_hulls(upper, twists[1:], relative=True)
+    slots_alone = alone.vertices.shape[-2]
+    torch.testing.assert_close(hulls.vertices[1:, :slots_alone], alone.vertices, rtol=0, atol=0)
+    torch.testing.assert_close(hulls.pressure[1:, :slots_alone, 3:], alone.pressure, rtol=0, atol=0)
+    assert not hulls.pressure[1:, :, :3].any()
+    assert not hulls.vertices[0].any()
+    with pytest.raises(ValueError, match="segment_nodes: must hold one number for each segment"):
+        ta.wrench_hulls(ta.series([lower, upper]), twists)

@@ -1,29 +1,15 @@
-"""Loops as machine code: numba, where it is installed."""
+"""Loops as machine code, by numba."""
 
 import os
 from collections.abc import Callable
 from functools import cache
 from hashlib import sha256
-from importlib.util import find_spec
 from inspect import unwrap
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any, TypeVar
 
-from torcharm._inputs import check_flag
-
 F = TypeVar("F", bound=Callable[..., Any])
-
-
-def check_compiled(name: str, compiled: bool) -> None:
-    """Check the flag, and that there is something to compile with.
-
-    Raises:
-        ValueError: it is no flag, or numba is not installed.
-    """
-    check_flag(name, compiled)
-    if compiled and find_spec("numba") is None:
-        raise ValueError(f"{name}: must be False without numba, which torcharm[compiled] brings, got True")
 
 
 def jit(function: F) -> F:

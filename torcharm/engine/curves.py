@@ -36,7 +36,7 @@ GRADES = tuple((k / MUSCLE_PIECES) ** MUSCLE_GRADING for k in range(MUSCLE_PIECE
 LOG_GRADES = tuple(math.log(max(grade, NO_PRESSURE)) for grade in GRADES)
 HIGH_DEGREE_PIECES = 8
 """Pieces of a polynomial of more than the third degree in pressure."""
-NEWTON_STEPS = 6
+NEWTON_STEPS = 40
 """Steps to the place on a force itself at most: 2 or 3 are usual."""
 SETTLED = 1e-10
 """By this part of the limit a last step may still move a pressure: its square counts."""
@@ -193,6 +193,11 @@ def cut(curves, a, k, start, end):  # type: ignore[no-untyped-def]
     low, high = curves.edge[a, k], curves.edge[a, k + 1]
     if start == low and end == high:
         return c0, c1, c2, c3
+    if curves.off[a] > 0.0:  # of a force without kinks: by itself, so that the ends are where the force is
+        third = (end - start) / 3.0
+        f0, s0, _ = force_by_pressure(curves.models, a, curves.strain[a, 0], start, curves.row)
+        f3, s3, _ = force_by_pressure(curves.models, a, curves.strain[a, 0], end, curves.row)
+        return f0, f0 + third * s0, f3 - third * s3, f3
     s, t = (start - low) / (high - low), (end - low) / (high - low)
     d0, d1, d2 = c0 + s * (c1 - c0), c1 + s * (c2 - c1), c2 + s * (c3 - c2)
     e0, e1, e2 = c0 + t * (c1 - c0), c1 + t * (c2 - c1), c2 + t * (c3 - c2)
@@ -275,18 +280,22 @@ def exact_force(curves, a, p):  # type: ignore[no-untyped-def]
 
 @part
 def settle(curves, a, by_force, by_pressure, k, p):  # type: ignore[no-untyped-def]
-    """From a pressure within piece k go to where g is largest by the force itself; also the force and -g'' there."""
+    """From a pressure within piece k go to where g is largest by the force itself; also the force and -g'' there.
+
+    Newton's method, and half of what is left where that would leave the place at which the slope of g falls through 0.
+    """
     low, high = curves.edge[a, k], curves.edge[a, k + 1]
+    close = SETTLED * high
     force, slope, bend = exact_force(curves, a, p)
     for _ in range(NEWTON_STEPS):
-        fall, last = -by_force * bend, p
-        if not fall > 0.0:
-            break
-        p = min(max(p + (by_force * slope + by_pressure) / fall, low), high)
+        rise, fall, last = by_force * slope + by_pressure, -by_force * bend, p
+        low, high = (p, high) if rise > 0.0 else (low, p)
+        p += rise / fall if fall > 0.0 else 0.0
+        p = p if low < p < high else 0.5 * (low + high)
         force, slope, bend = exact_force(curves, a, p)
-        if abs(p - last) <= SETTLED * high:
+        if abs(p - last) <= close:
             break
-    return p, force, max(-by_force * bend, 0.0) if low < p < high else 0.0
+    return p, force, max(-by_force * bend, 0.0)
 
 
 @part

@@ -24,11 +24,8 @@ BEYOND = 1e-14
 NUDGE = 1e-10
 """By this part of the problem's size a point is moved that lies on a face of its simplex, where sides cannot be told:
 more than the gap up to which a distance counts as known."""
-NUDGES = {
-    2: ((0.8, 0.6), (-0.6, 0.8)),
-    3: ((2 / 3, -1 / 3, 2 / 3), (2 / 3, 2 / 3, -1 / 3), (-1 / 3, 2 / 3, 2 / 3)),
-}
-"""Unit vectors to move it along: orthogonal, for one to leave the face; along no axis, where arms are symmetric."""
+NUDGES = {2: ((0.93, 0.37), (-0.37, 0.93)), 3: ((0.77, 0.53, 0.34), (-0.61, 0.77, 0.17), (-0.18, -0.34, 0.92))}
+"""What it is moved along: independent, for one to leave the face; along no axis or diagonal, for arms are symmetric."""
 NEVER = 1e300
 """The distance that is given to faces without area, which no depth is measured to."""
 

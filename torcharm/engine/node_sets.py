@@ -68,6 +68,7 @@ class Answers(NamedTuple):
         normal: (B, P, L, N, D) unit normals; empty if not asked for, like what follows.
         weight: (B, P, L, N, D) of the points whose mix is nearest.
         pressure: (B, P, L, N, D, M) of these points [kPa].
+        size: (B, P, L, N) of the problem, the most that the numbers in it can add up to.
     """
 
     distance: Array
@@ -75,6 +76,7 @@ class Answers(NamedTuple):
     normal: Array
     weight: Array
     pressure: Array
+    size: Array
 
 
 def make_room(models: Models, dimension: int, loads: int, sampled: int) -> Room:
@@ -195,6 +197,8 @@ def distance_kernel(dimension: int, signed: bool = False) -> Any:
                         answers.distance[b, h, l, i] = distance
                         answers.gap[b, h, l, i] = gap / size if size > 0.0 else gap
                         keep_answer(answers, simplex, (b, h, l, i))
+                        if len(answers.size) > 0:
+                            answers.size[b, h, l, i] = size
 
     return distances
 

@@ -25,8 +25,8 @@ STEPS = 60
 PARALLEL = 32 * float(np.finfo(np.float64).eps)
 """A cosine between plane and ray below which they count as parallel: what rounding makes of a right angle."""
 PROBE = 1e-8
-"""So far beyond its end, as a part of the problem's size, the ray is looked at for normal, weights and pressures: nearer
-to the set rounding would turn the normal, and further away other points of the set would be nearest."""
+"""So far beyond its end, as a part of the problem's size, the ray is looked at for normal, weights and pressures:
+nearer to the set rounding would turn the normal, and further away other points of the set would be nearest."""
 TURNS = 3
 """Newton steps at most that sharpen this normal: the gap at which a distance is known may leave it 1e-6 off."""
 FOUND, MISSED, UNBOUNDED = 0, 1, 2

@@ -90,10 +90,10 @@ def prediction_status(results: Sequence[Attainability], searched: Searched, inde
     apart = (predicted - error).abs() > share * error + length
     if bool(apart.any()):
         worst = int((predicted - error).abs().argmax())
-        unsure = "" if bool(sure[apart].all()) else ", which did not converge everywhere"
+        unsure = "" if bool(sure[apart].all()) else ", which did not converge everywhere,"
         elsewhere = "" if bool(reached[worst]) else ", to which loading does not lead"
         return (
-            f"not confirmed: the pressure search{unsure}, reaches {float(error[worst]):.3g} m where "
+            f"not confirmed: the pressure search{unsure} reaches {float(error[worst]):.3g} m where "
             f"{float(predicted[worst]):.3g} m is predicted{elsewhere}; they are apart {_on(apart, count)}"
         )
     if not bool(sure.all()):

@@ -117,8 +117,13 @@ def _weight_and_payload(task: Task) -> tuple[Task, Task]:
     load = task.load
     nothing = task.twists.new_zeros(task.twists.shape[-1]).expand(*task.batch_shape, -1)
     weights = tuple(
-        PointLoad(None if point.wrench is None else torch.zeros_like(point.wrench), point.segment, point.at,
-                  point.frame, point.mass)
+        PointLoad(
+            None if point.wrench is None else torch.zeros_like(point.wrench),
+            point.segment,
+            point.at,
+            point.frame,
+            point.mass,
+        )
         for point in load.points
     )
     wrenches = tuple(
@@ -166,9 +171,7 @@ def _over_nodes(
     )
 
 
-def _per_node(
-    grid: DesignTaskGrid, direction: Tensor, relative: bool, chunk_size: int | None
-) -> tuple[Tensor, ...]:
+def _per_node(grid: DesignTaskGrid, direction: Tensor, relative: bool, chunk_size: int | None) -> tuple[Tensor, ...]:
     """Ends of the nodes' intervals (B, P, L, N), how well they are known, and whether they converged; then (B, P, L)
     the strain excess, and whether the shape is impossible."""
     if 0 in grid.sizes:
@@ -201,19 +204,19 @@ def _segment(
     designs, shapes, loads = place
     start = grid.required.part(designs, shapes, loads, grid.nodes[segment])
 
-    def prepare() -> tuple[CrossSections, Tensor]:
-        return possible_sections(grid.sections(segment, designs, shapes))
+    def prepare() -> tuple[CrossSections, Tensor, Tensor]:
+        sections = grid.sections(segment, designs, shapes)
+        return *possible_sections(sections), strain_excess(sections)
 
     with torch.no_grad():
-        sections, lost = prepare()
+        sections, lost, excess = prepare()
     followed = wants_gradient(grid, segment) or (torch.is_grad_enabled() and direction.requires_grad)
     points = followed or any_sampled(sections)
     ends = find_ends(sections, start, direction, relative=relative, points=points)
-    excess = strain_excess(sections)
 
     def replay() -> tuple[Tensor, Tensor]:
-        own, _ = prepare()
-        return evaluate_ends(own, start, direction, ends, relative=relative), strain_excess(own)
+        own, _, beyond = prepare()
+        return evaluate_ends(own, start, direction, ends, relative=relative), beyond
 
     factor = ends.factor
     if followed:

@@ -25,6 +25,9 @@ CERTIFIED = 1e-8
 """The gap, as a part of a problem's size, up to which a distance counts as known: what rounding leaves in bad cases."""
 WORTH_A_THREAD = 64
 """Designs below which a thread takes longer to start than to work."""
+OFF = 5e-7
+"""By this part of a problem's size a distance by cubic pieces may be off that by the forces at the points found: more,
+and a model that only torch knows bends too much for its pieces."""
 KINK = 1e-6
 """How near to a kink, as a part of the limit, a pressure counts as held by it."""
 
@@ -39,6 +42,7 @@ class NearestPoints:
         normal: (B, P, L, N, C) unit normals of the weighted components; None if not asked for, like what follows.
         weight: (B, P, L, N, C) of the points whose mix is nearest.
         pressure: (B, P, L, N, C, M) of these points [kPa].
+        size: (B, P, L, N) the most that the numbers in a problem can add up to [N].
     """
 
     distance: Tensor
@@ -46,6 +50,14 @@ class NearestPoints:
     normal: Tensor | None
     weight: Tensor | None
     pressure: Tensor | None
+    size: Tensor | None = None
+
+    def known(self, value: Tensor) -> Tensor:
+        """Whether distances are known to rounding, and forces at the points found agree: `value` is by these."""
+        if self.size is None:
+            return self.certified
+        off = max(OFF, 64 * torch.finfo(value.dtype).eps)
+        return self.certified & ((value.detach() - self.distance).abs() <= off * self.size)
 
 
 @torch.no_grad()
@@ -73,6 +85,7 @@ def find_nearest(
     components, actuators = data.lever.shape[-1], data.lever.shape[-2]
     wanted = as_array(required.external) * components_scale(scale, components)
     more = [np.empty((*shape, components)), np.empty((*shape, components)), np.empty((*shape, components, actuators))]
+    more.append(np.empty(shape))
     more = more if points else [np.empty((0,) * part.ndim) for part in more]
     answers = Answers(np.empty(shape), np.empty(shape), *more)
     kernel = distance_kernel(components, signed)
@@ -84,7 +97,7 @@ def find_nearest(
     spread(shape[0], work)
     found = [torch.from_numpy(part).to(sections.strain) for part in answers]
     certified = (found[1] <= CERTIFIED) & found[0].isfinite()
-    return NearestPoints(found[0], certified, *(found[2:] if points else (None, None, None)))
+    return NearestPoints(found[0], certified, *(found[2:] if points else (None, None, None, None)))
 
 
 def engine_sections(
@@ -179,7 +192,9 @@ def evaluate_distance(
     nothing = nearest.distance == 0
     weight = torch.where(nothing.unsqueeze(-1), 0.0, nearest.weight)
     distance = beyond_planes(sections, required, normal, weight, nearest.pressure, relative=relative)
-    return torch.where(nothing, torch.zeros_like(distance), distance)
+    # By forces that pieces only come near, a point barely outside may be inside, and the other way round.
+    other_side = torch.where(nearest.distance < 0, distance >= 0, distance <= 0)
+    return torch.where(nothing | other_side, torch.zeros_like(distance), distance)
 
 
 def beyond_planes(

@@ -103,8 +103,8 @@ def _segment(
     required = grid.required.part(*place, grid.nodes[segment])
 
     def prepare() -> tuple[CrossSections, Tensor, Tensor]:
-        sections, lost = possible_sections(grid.sections(segment, designs, shapes))
-        return sections, lost, strain_excess(sections)
+        sections = grid.sections(segment, designs, shapes)
+        return *possible_sections(sections), strain_excess(sections)
 
     if not wants_gradient(grid, segment):
         with torch.no_grad():
@@ -127,13 +127,15 @@ def _segment(
         def replay() -> tuple[Tensor, ...]:
             sections, _, excess = prepare()
             values = [
-                evaluate_distance(sections, required, options.scale, one, relative=metric == "relative")
+                evaluate_distance(
+                    sections, required, options.scale, _held(options, sections, one), relative=metric == "relative"
+                )
                 for metric, one in zip(options.metrics, nearest, strict=True)
             ]
             return *values, excess
 
         *values, excess = checkpoint(replay, use_reentrant=False) if again else replay()
-        found = [(value, one.certified) for value, one in zip(values, nearest, strict=True)]
+        found = [(value, one.known(value)) for value, one in zip(values, nearest, strict=True)]
     loads_here = required.external.shape[1]
     shape = (*excess.shape, loads_here)
     none = excess.new_zeros(*shape, 0, required.external.shape[-2])
@@ -151,6 +153,11 @@ def _nearest(
     return find_nearest(sections, required, options.scale, relative=relative, signed=options.signed, points=points)
 
 
+def _held(options: SetOptions, sections: CrossSections, nearest: NearestPoints) -> NearestPoints:
+    """The same points, whose pressures move with limits if they are those of vertices."""
+    return nearest if options.vertices is None else options.vertices.tied_to_limits(nearest, sections)
+
+
 def _measure(
     sections: CrossSections, required: RequiredWrench, options: SetOptions, relative: bool
 ) -> tuple[Tensor, Tensor]:
@@ -161,7 +168,8 @@ def _measure(
     found = _nearest(sections, required, options, relative=relative, points=sampled)
     if not sampled:
         return found.distance, found.certified
-    return evaluate_distance(sections, required, options.scale, found, relative=relative), found.certified
+    value = evaluate_distance(sections, required, options.scale, found, relative=relative)
+    return value, found.known(value)
 
 
 def any_sampled(sections: CrossSections) -> bool:

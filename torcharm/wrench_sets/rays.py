@@ -93,9 +93,7 @@ def evaluate_ends(
     found = []
     for side in (0, 1):
         normal = torch.where(real[:, side, ..., None], ends.normal[:, side], 0.0)
-        beyond = beyond_planes(
-            sections, start, normal, ends.weight[:, side], ends.pressure[:, side], relative=relative
-        )
+        beyond = beyond_planes(sections, start, normal, ends.weight[:, side], ends.pressure[:, side], relative=relative)
         rate = (normal * change).sum(-1)
         found.append(-beyond / torch.where(rate == 0, torch.ones_like(rate), rate))
     return torch.where(real, torch.stack(found, 1), ends.factor)

@@ -134,6 +134,14 @@ class VertexSets:
         limit = sections.limit.unsqueeze(-2).unsqueeze(-2)  # (B, 1, 1, 1, 1, M)
         return NearestPoints(distance, certified, normal, weight, grades[vertex] * limit)
 
+    @staticmethod
+    def tied_to_limits(nearest: NearestPoints, sections: CrossSections) -> NearestPoints:
+        """The same points, with pressures that are held as parts of the limits: so vertices are made."""
+        assert nearest.pressure is not None
+        limit = sections.limit.unsqueeze(-2).unsqueeze(-2)
+        share = nearest.pressure / torch.where(limit > 0, limit, 1.0).detach()
+        return replace(nearest, pressure=share * limit)
+
     def solve(
         self, sections: CrossSections, required: RequiredWrench, scale: tuple[float, float], *, relative: bool
     ) -> tuple[Tensor, Tensor]:

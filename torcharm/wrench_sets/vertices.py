@@ -49,15 +49,15 @@ def find_nearest_vertices(point: Tensor, vertices: Tensor, *, signed: bool = Fal
     finite = points.isfinite().all(-1) & corners.isfinite().flatten(1).all(-1, keepdim=True)
     points, corners = points.nan_to_num(0.0, 0.0, 0.0), corners.nan_to_num(0.0, 0.0, 0.0)
     unit = power_of_two(torch.maximum(points.abs().amax((1, 2)), corners.abs().amax((1, 2))))
-    points, corners = (np.ascontiguousarray((x / unit.view(-1, 1, 1)).numpy()) for x in (points, corners))
-    shape = points.shape[:2]
+    contiguous = [np.ascontiguousarray((x / unit.view(-1, 1, 1)).numpy()) for x in (points, corners)]
+    shape = contiguous[0].shape[:2]
     square = (*shape, dimension)
     answers = VertexAnswers(np.empty(shape), np.empty(shape), np.empty(square), np.empty(square), np.empty(square))
     kernel = vertex_kernel(dimension, signed)
 
     def work(first: int, last: int) -> None:
         simplex, polytope = make_simplex(1, dimension), make_polytope(1, dimension)
-        kernel(corners, points, ROUNDINGS * eps, first, last, simplex, polytope, answers)
+        kernel(contiguous[1], contiguous[0], ROUNDINGS * eps, first, last, simplex, polytope, answers)
 
     spread(len(points), work)
     distance, gap, normal, weight, vertex = (torch.from_numpy(part) for part in answers)

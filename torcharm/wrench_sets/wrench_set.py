@@ -185,7 +185,8 @@ def _furthest_shares(sections: CrossSections, relative: bool, samples: int | Non
         bending = bending - bending[..., :1, :, :, :]
     curve = force.unsqueeze(-1) * own.lever  # (B, P, N, S, M, C)
     curve = torch.cat((curve[..., :1], curve[..., 1:] + pressure.unsqueeze(-1) * bending), -1)
-    directions = _planar_directions(curve) if curve.shape[-1] == 2 else _spatial_directions(curve)
+    planar = curve.shape[-1] == 2
+    directions = _planar_directions(_sides(share, force, curve)) if planar else _spatial_directions(curve)
     chosen = [(directions @ curve[..., a, :].mT).max(-1).indices for a in range(curve.shape[-2])]
     return torch.stack([share[..., a].gather(-1, index) for a, index in enumerate(chosen)], -1)
 
@@ -207,13 +208,28 @@ def _candidates(sections: CrossSections, relative: bool, samples: int | None) ->
     return torch.cat([_repeated(row, most) for row in rows], -1)
 
 
-def _planar_directions(curve: Tensor) -> Tensor:
-    """Directions (..., V, 2) in counter-clockwise order, one for each corner of the sum of curves (..., S, M, 2).
+def _sides(share: Tensor, force: Tensor, curve: Tensor) -> Tensor:
+    """Chords (..., 2 S, M, 2) of planar curves (..., S, M, 2), with all sides of their hulls among them.
+
+    Of the hull of a graph of forces over shares, the side that begins at a sample goes to where, of those with a higher
+    share, the slope is largest, or least.
+    """
+    ahead = share.unsqueeze(-3) - share.unsqueeze(-2)  # (..., S, S, M), to the second from the first
+    slope = (force.unsqueeze(-3) - force.unsqueeze(-2)) / torch.where(ahead > 0, ahead, 1.0)
+    ends = (
+        torch.where(ahead > 0, slope, -torch.inf).max(-2).indices,
+        torch.where(ahead > 0, slope, torch.inf).min(-2).indices,
+    )
+    return torch.cat([curve.gather(-3, end.unsqueeze(-1).expand_as(curve)) - curve for end in ends], -3)
+
+
+def _planar_directions(chord: Tensor) -> Tensor:
+    """Directions (..., V, 2) in counter-clockwise order, one for each corner of a sum of curves with sides (..., M, 2).
 
     The sum's sides are sides of the curves' hulls. Each of its corners is furthest in the directions between the
     normals of two sides, so it is asked for in the middle of them.
     """
-    chord = curve.diff(dim=-3).flatten(-3, -2)
+    chord = chord.flatten(-3, -2)
     angle = torch.atan2(-chord[..., 0], chord[..., 1])
     angle = torch.cat((angle, angle + torch.pi), -1).remainder(2 * torch.pi).sort(-1).values
     gap = torch.cat((angle.diff(dim=-1), angle[..., :1] + 2 * torch.pi - angle[..., -1:]), -1)

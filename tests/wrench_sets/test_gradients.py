@@ -1,0 +1,152 @@
+"""Gradients of distances against central differences: every input, every metric, plane and space."""
+
+from dataclasses import dataclass
+
+import pytest
+import torch
+from torch import nn
+
+import torcharm as ta
+
+STEP = 1e-5
+NODES = 4
+METRICS = ("absolute", "relative", "signed")
+
+
+class TorchModel(nn.Module):
+    """A user's model with parameters, one of them of its bending moment, and a kink that they move."""
+
+    max_pressure = 60.0
+    strain_range = (-1.0, 1.0)
+    pressure_range = (0.0, 60.0)
+
+    def __init__(self, gain, knee):
+        super().__init__()
+        self.gain, self.knee = gain, knee
+
+    @property
+    def bending_stiffness(self):
+        return -0.01 * self.gain
+
+    def pressure_knots(self, strain):
+        return (self.knee + 30 * strain).unsqueeze(0)
+
+    def force(self, strain, pressure):
+        beyond = (pressure - self.knee - 30 * strain).relu()
+        return self.gain * torch.tanh(pressure / 40) + 0.9 * beyond - 40 * strain
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """All that results may depend on, by name; each a leaf."""
+
+    values: dict
+
+
+def inputs_of(dimension):
+    double = {"dtype": torch.float64}
+    wrench = 3 if dimension == 2 else 6
+    twists = torch.zeros(NODES, wrench, **double)
+    twists[:, 0] = 0.37
+    twists[:, -1] = torch.linspace(0.5, 1.1, NODES, **double)
+    found = {
+        "radii": torch.tensor([0.05, -0.03, -0.045, 0.02], **double),
+        "length": torch.tensor([0.36, 0.35, 0.37, 0.38], **double),
+        "max_pressure": torch.tensor([40.0, 45.0, 90.0, 55.0], **double),
+        "mass": torch.tensor(0.3, **double),
+        "twists": twists,
+        "tip": 3.0 * torch.linspace(1.0, -0.7, wrench, **double),
+        "point wrench": torch.linspace(-1.0, 2.0, wrench, **double),
+        "point mass": torch.tensor(0.2, **double),
+        "base_pose": torch.tensor([0.1, 0.2, -1.4], **double),
+        "force scale": torch.tensor(1.1, **double),
+        "muscle scale": torch.tensor(1.4, **double),
+        "gain": torch.tensor(25.0, **double),
+        "knee": torch.tensor(22.0, **double),
+        "stiffness": torch.tensor(-0.25, **double),
+        "constant stiffness": torch.tensor(-0.1, **double),
+        "reference": torch.tensor(50.0, **double),
+    }
+    if dimension == 3:
+        found["out_of_plane"] = torch.tensor([0.03, -0.02, 0.04, -0.05], **double)
+        twists[:, 4] = torch.linspace(-0.6, 0.4, NODES, **double)
+        found["base_pose"] = torch.eye(4, **double)
+        found["base_pose"][:3, :3] = torch.tensor([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], **double)
+    return {name: value.clone().requires_grad_() for name, value in found.items()}
+
+
+def distances(inputs, metric, weight):
+    """A sum of the nodes' distances with different weights, so that no gradient cancels; metrics of which some are
+    asked for with signs are of a load that all nodes can hold."""
+    light = 0.02 if metric == "signed" else 1.0
+    models = [
+        ta.Bellows(force_scale=inputs["force scale"], bending_stiffness=inputs["stiffness"]),
+        TorchModel(inputs["gain"], inputs["knee"]),
+        ta.McKibben(
+            force_scale=inputs["muscle scale"],
+            bending_stiffness=ta.LinearBending(inputs["stiffness"], inputs["reference"]),
+        ),
+        ta.Bellows(bending_stiffness=ta.ConstantBending(inputs["constant stiffness"])),
+    ]
+    arm = ta.ArmDesign(
+        inputs["radii"],
+        inputs["length"],
+        models,
+        inputs["max_pressure"],
+        mass=inputs["mass"],
+        out_of_plane=inputs.get("out_of_plane"),
+    )
+    points = [
+        ta.PointLoad(light * inputs["point wrench"], at=0.6, frame="body"),
+        ta.PointLoad(mass=light * inputs["point mass"], at=0.8),
+    ]
+    load = ta.ExternalLoad(tip=light * inputs["tip"], gravity=True, points=points)
+    task = ta.Task(inputs["twists"], load=load, base_pose=inputs["base_pose"])
+    name = "relative" if metric == "relative" else "absolute"
+    found = ta.evaluate(arm, task, name, signed=metric == "signed")
+    assert found.converged.all()
+    per_node = getattr(found, f"{name}_per_node")
+    return (per_node * weight).sum(), per_node.detach()
+
+
+WITHOUT_EFFECT = {("relative", "constant nothing")}
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("metric", METRICS)
+def test_table(dimension, metric):
+    weight = torch.linspace(1.0, 1.9, NODES, dtype=torch.float64)
+    inputs = inputs_of(dimension)
+    value, per_node = distances(inputs, metric, weight)
+    if metric == "signed":
+        assert (per_node < 0).any()
+    else:
+        assert (per_node[1:] > 0).all()
+    gradients = torch.autograd.grad(value, list(inputs.values()), allow_unused=True)
+    generator, wrong = torch.Generator().manual_seed(1), {}
+    for (name, leaf), gradient in zip(inputs.items(), gradients, strict=True):
+        assert gradient is not None, f"{name}: lost"
+        assert gradient.isfinite().all(), name
+        direction = torch.rand(leaf.shape, generator=generator, dtype=torch.float64) - 0.4
+        if name == "base_pose" and dimension == 3:
+            direction[:] = leaf.detach() @ torch.tensor(SPIN, dtype=torch.float64)
+        along = float((gradient * direction).sum())
+        size = max(1.0, float(leaf.detach().abs().max())) if leaf.ndim == 0 else float(leaf.detach().abs().max())
+        differences = []
+        for step in (STEP * size, 2 * STEP * size):
+            ends = []
+            for sign in (1.0, -1.0):
+                moved = {**inputs, name: (leaf + sign * step * direction).detach()}
+                with torch.no_grad():
+                    ends.append(float(distances(moved, metric, weight)[0]))
+            differences.append((ends[0] - ends[1]) / (2 * step))
+        difference = (4 * differences[0] - differences[1]) / 3
+        scale = max(abs(along), abs(difference), 1e-3 * float(value.detach().abs()) / size)
+        if abs(along - difference) > 1e-6 * scale:
+            wrong[name] = (along, difference)
+        assert abs(along) > 1e-12, f"{name}: no effect, and so no test"
+    assert wrong == {}
+
+
+SPIN = [[0.0, -0.3, 0.5, 0.1], [0.3, 0.0, -0.2, 0.2], [-0.5, 0.2, 0.0, -0.1], [0.0, 0.0, 0.0, 0.0]]
+"""A body twist, along which a pose stays a pose to first order."""
