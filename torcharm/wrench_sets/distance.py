@@ -50,7 +50,7 @@ class NearestPoints:
     normal: Tensor | None
     weight: Tensor | None
     pressure: Tensor | None
-    size: Tensor | None
+    size: Tensor | None = None
 
     def known(self, value: Tensor) -> Tensor:
         """Whether distances are known to rounding, and forces at the points found agree: `value` is by these."""
