@@ -66,7 +66,9 @@ def make(family: str, dimension: int, count: int, generator: np.random.Generator
         strain[:, -1], first[:, -1] = draw(0.0, 0.3, count), draw(-0.3, 0.3, count)
     if family == "nonsense":
         strain, first = (
-            np.where(generator.integers(2, size=(count, M)), draw(-0.5, 2.0, (count, M)), -(10.0 ** draw(-1, 4, (count, M))))
+            np.where(
+                generator.integers(2, size=(count, M)), draw(-0.5, 2.0, (count, M)), -(10.0 ** draw(-1, 4, (count, M)))
+            )
             for _ in range(2)
         )
     if family == "weak bending":
@@ -95,7 +97,9 @@ def make(family: str, dimension: int, count: int, generator: np.random.Generator
         np.zeros((count, D)),
     )
     place = generator.integers(len(PLACES), size=count)
-    sets = Sets(*(getattr(sets, name) for name in list(Sets.__dataclass_fields__)[:-1]), _targets(sets, place, generator))
+    sets = Sets(
+        *(getattr(sets, name) for name in list(Sets.__dataclass_fields__)[:-1]), _targets(sets, place, generator)
+    )
     return _for_the_library(family, names, place, sets, [pair.actuator for pair in pairs])
 
 
