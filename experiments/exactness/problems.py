@@ -123,8 +123,8 @@ def _targets(sets: Sets, place: Array, generator: np.random.Generator) -> Array:
 
 
 def _for_the_library(family: str, names: tuple[str, ...], place: Array, sets: Sets, actuators: list) -> Problems:
-    """The same problems as cross-sections; what is required is written as masses, which differ from design to design."""
-    relative, (count, D) = sets.first is not None, sets.target.shape
+    """The same problems as cross-sections; what is required is written as masses, which differ by design."""
+    relative, D = sets.first is not None, sets.target.shape[-1]
     strain, bending = torch.from_numpy(sets.strain)[:, None, None], torch.from_numpy(sets.bending)[:, None, None, :, 1:]
     unit = torch.eye(D, dtype=torch.float64)[:, None, None]
     if relative:
