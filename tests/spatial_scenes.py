@@ -253,7 +253,11 @@ def node_sets(scene, metric):
         target, first = required[start : start + nodes], None
         start += nodes
         if metric == "relative":
-            first, bending, target = np.broadcast_to(strain[:1], strain.shape), bending - bending[:1], target - target[:1]
+            first, bending, target = (
+                np.broadcast_to(strain[:1], strain.shape),
+                bending - bending[:1],
+                target - target[:1],
+            )
         own = tuple(kinds[kind][0] for kind in segment.kinds)
         found.append(Sets(own, strain, first, lever, bending, np.broadcast_to(limit, strain.shape), target))
     return found

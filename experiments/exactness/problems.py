@@ -1,10 +1,11 @@
 """Random problems, for the library and for the reference: arms of 1 to 12 actuators, ordinary and degenerate."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
+import torcharm as ta
 from experiments.exactness.models import PAIRS
 from experiments.exactness.reference import Array, Sets, support
 from torcharm.statics.cross_section import CrossSections
@@ -97,9 +98,7 @@ def make(family: str, dimension: int, count: int, generator: np.random.Generator
         np.zeros((count, D)),
     )
     place = generator.integers(len(PLACES), size=count)
-    sets = Sets(
-        *(getattr(sets, name) for name in list(Sets.__dataclass_fields__)[:-1]), _targets(sets, place, generator)
-    )
+    sets = replace(sets, target=_targets(sets, place, generator))
     return _for_the_library(family, names, place, sets, [pair.actuator for pair in pairs])
 
 
@@ -122,7 +121,9 @@ def _targets(sets: Sets, place: Array, generator: np.random.Generator) -> Array:
     return np.stack(moved)[place, np.arange(count)].astype(float)
 
 
-def _for_the_library(family: str, names: tuple[str, ...], place: Array, sets: Sets, actuators: list) -> Problems:
+def _for_the_library(
+    family: str, names: tuple[str, ...], place: Array, sets: Sets, actuators: list[ta.Actuator]
+) -> Problems:
     """The same problems as cross-sections; what is required is written as masses, which differ by design."""
     relative, D = sets.first is not None, sets.target.shape[-1]
     strain, bending = torch.from_numpy(sets.strain)[:, None, None], torch.from_numpy(sets.bending)[:, None, None, :, 1:]

@@ -72,7 +72,7 @@ class Sets:
         force = self.models[a].force(self.strain[:, a, None].astype(kind), pressure)
         if self.first is not None:
             force = force - self.models[a].force(self.first[:, a, None].astype(kind), pressure)
-        return cast(Array, force)
+        return force
 
     def kinks(self, a: int) -> list[Array]:
         """Pressures (B,) within the limits at which the curve of actuator a may have a kink."""
@@ -110,7 +110,7 @@ def furthest(sets: Sets, normal: Array) -> Array:
 def _best(sets: Sets, a: int, grid: Array, by_force: Array, by_pressure: Array) -> Array:
     """(B, 1) of pressures (B, S) the one that reaches furthest."""
     reach = by_force * sets.force(a, grid) + by_pressure * grid
-    return cast(Array, np.take_along_axis(grid, reach.argmax(-1)[:, None], -1))
+    return np.take_along_axis(grid, reach.argmax(-1)[:, None], -1)
 
 
 def support(sets: Sets, normal: Array) -> tuple[Array, Array]:

@@ -22,7 +22,9 @@ def test_distances_are_the_oracles(scene, metric):
     arm, task = scenes.arm_and_task(scene)
     found = ta.evaluate(arm, task, metric)
     assert found.converged
-    low, high, size = (np.concatenate(part) for part in zip(*map(distances, scenes.node_sets(scene, metric)), strict=True))
+    low, high, size = (
+        np.concatenate(part) for part in zip(*map(distances, scenes.node_sets(scene, metric)), strict=True)
+    )
     value = getattr(found, f"{metric}_per_node").numpy()
     assert (high - low <= NEAR * size).all()
     assert (value >= low - NEAR * size).all()
@@ -112,7 +114,10 @@ def test_a_planar_arm_turned_into_any_plane_of_space_gives_the_planar_values(ang
     space[:, 1], space[:, 2] = cos * twists[:, 1], sin * twists[:, 1]
     space[:, 4], space[:, 5] = -sin * twists[:, 2], cos * twists[:, 2]
     turned = ta.ArmDesign(
-        offsets=torch.stack((cos * arm.radii, sin * arm.radii), -1), length=arm.length, actuators=arm.actuators, mass=0.4
+        offsets=torch.stack((cos * arm.radii, sin * arm.radii), -1),
+        length=arm.length,
+        actuators=arm.actuators,
+        mass=0.4,
     )
     tip = loads.new_zeros(3, 6)
     tip[:, :2], tip[:, 5] = loads[:, :2], loads[:, 2]
