@@ -34,7 +34,7 @@ def test_distances_are_the_oracles(scene, metric):
 
 @pytest.mark.parametrize("metric", ["absolute", "relative"])
 def test_a_series_is_its_segments_each_with_what_the_rest_asks_of_it(metric):
-    """By hand: the lower segment alone, under the wrench that the upper one hands on at its base, tip load and weight."""
+    """By hand: the lower segment alone, under the wrench that the upper one hands on at its base."""
     arm, task = scenes.arm_and_task(scenes.SCENES[5])
     found = getattr(ta.evaluate(arm, task, metric), f"{metric}_per_node")
     required = task_wrench(arm, task)[..., list(HULL[6])]
@@ -47,7 +47,7 @@ def test_a_series_is_its_segments_each_with_what_the_rest_asks_of_it(metric):
 
 
 def distances_of(arm, twists, required, metric):
-    """Distances (N,) of wrenches that are given, by one load a node that asks it of that node and, relative, the first."""
+    """Distances (N,) of wrenches that are given, by one load a node that asks it of that node and the first."""
     from torcharm.statics.cross_section import cross_sections
     from torcharm.wrench_sets.design_task_grid import RequiredWrench
     from torcharm.wrench_sets.distance import find_nearest
