@@ -66,7 +66,9 @@ def make(family: str, dimension: int, count: int, generator: np.random.Generator
         strain[:, -1], first[:, -1] = draw(0.0, 0.3, count), draw(-0.3, 0.3, count)
     if family == "nonsense":
         strain, first = (
-            np.where(generator.integers(2, size=(count, M)), draw(-0.5, 2.0, (count, M)), -(10.0 ** draw(-1, 4, (count, M))))
+            np.where(
+                generator.integers(2, size=(count, M)), draw(-0.5, 2.0, (count, M)), -(10.0 ** draw(-1, 4, (count, M)))
+            )
             for _ in range(2)
         )
     if family == "weak bending":
@@ -95,7 +97,9 @@ def make(family: str, dimension: int, count: int, generator: np.random.Generator
         np.zeros((count, D)),
     )
     place = generator.integers(len(PLACES), size=count)
-    sets = Sets(*(getattr(sets, name) for name in list(Sets.__dataclass_fields__)[:-1]), _targets(sets, place, generator))
+    sets = Sets(
+        *(getattr(sets, name) for name in list(Sets.__dataclass_fields__)[:-1]), _targets(sets, place, generator)
+    )
     return _for_the_library(family, names, place, sets, [pair.actuator for pair in pairs])
 
 
@@ -119,8 +123,8 @@ def _targets(sets: Sets, place: Array, generator: np.random.Generator) -> Array:
 
 
 def _for_the_library(family: str, names: tuple[str, ...], place: Array, sets: Sets, actuators: list) -> Problems:
-    """The same problems as cross-sections; what is required is written as masses, which differ from design to design."""
-    relative, (count, D) = sets.first is not None, sets.target.shape
+    """The same problems as cross-sections; what is required is written as masses, which differ by design."""
+    relative, D = sets.first is not None, sets.target.shape[-1]
     strain, bending = torch.from_numpy(sets.strain)[:, None, None], torch.from_numpy(sets.bending)[:, None, None, :, 1:]
     unit = torch.eye(D, dtype=torch.float64)[:, None, None]
     if relative:

@@ -20,7 +20,7 @@ Array = NDArray[Any]
 SAMPLES = 65
 """Pressures of a curve that are tried first, evenly spaced, and as many more that crowd towards no pressure."""
 ZOOMS, ZOOM_SAMPLES = 8, 17
-"""So often the neighbourhood of the best is sampled again: to `(2 / 16) ** 8` of a sample's distance, 1e-9 of the limit."""
+"""So often the neighbourhood of the best is sampled again: to `(2 / 16) ** 8` of a sample's distance."""
 PATIENCE = 80
 """Points of a set that are added at most."""
 MET = 1e-9
