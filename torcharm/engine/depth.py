@@ -239,7 +239,7 @@ def signed_distance_part(D: int, ask: Any) -> Any:
         if inside:
             distance, gap = depth(support, simplex, polytope, size)
             return -distance, gap
-        if distance > 0.0 or not size > 0.0:
+        if distance != 0.0 or not size > 0.0:  # what is no number is no zero
             return distance, gap
         for along in range(D):
             move(simplex, along, NUDGE * size)
