@@ -11,6 +11,8 @@ import numpy as np
 from scipy.linalg import expm
 
 GRAVITY = np.array([0.0, -9.81, 0.0])
+STIFFNESS = -1 / 3.5
+"""K [N·m²] of bellows and muscles alike, at their highest pressures, 50 and 100 kPa."""
 
 
 @dataclass(frozen=True)
@@ -230,6 +232,35 @@ def required_wrench(scene):
                 total[3:] += pose[:3, :3].T @ (moment + np.cross(place - pose[:3, 3], force))
         found.append(-total)
     return np.array(found)
+
+
+def node_sets(scene, metric):
+    """For each segment its nodes' attainable sets and required wrenches, for `experiments.exactness.reference`."""
+    from experiments.exactness import models
+    from experiments.exactness.reference import Sets
+
+    kinds = {"b": (models.polynomial(models.BELLOWS), 50.0), "m": (models.mckibben(), 100.0)}
+    required, start, found = required_wrench(scene)[:, [0, 4, 5]], 0, []
+    for segment in scene.segments:
+        twists, (y, z) = segment.twists, segment.offsets.T
+        nodes, count = len(twists), len(y)
+        length = twists[:, :1] - y * twists[:, 5:] + z * twists[:, 4:5]
+        strain = (length - segment.length) / segment.length
+        limit = np.array([kinds[kind][1] for kind in segment.kinds])
+        lever = np.broadcast_to(np.stack((np.ones_like(y), z, -y), -1), (nodes, count, 3))
+        rate = STIFFNESS / (length * limit)
+        bending = np.stack((0 * rate, rate * twists[:, 4:5], rate * twists[:, 5:]), -1)
+        target, first = required[start : start + nodes], None
+        start += nodes
+        if metric == "relative":
+            first, bending, target = (
+                np.broadcast_to(strain[:1], strain.shape),
+                bending - bending[:1],
+                target - target[:1],
+            )
+        own = tuple(kinds[kind][0] for kind in segment.kinds)
+        found.append(Sets(own, strain, first, lever, bending, np.broadcast_to(limit, strain.shape), target))
+    return found
 
 
 def potential_energy(scene):

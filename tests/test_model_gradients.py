@@ -142,7 +142,7 @@ RESULTS: dict[str, Callable] = {
         arm, torch.stack((PRESSURE, PRESSURE / 2)), LOAD, 4, chunk_size=1
     ).poses[:, -1],
     "capacity": lambda arm: ta.load_capacity(arm, TASK).t_max_per_node,
-    "polished capacity": lambda arm: ta.load_capacity(arm, TASK, polish=True, chunk_size=1).t_max_per_node,
+    "capacity in chunks": lambda arm: ta.load_capacity(arm, TASK, chunk_size=1).t_max_per_node,
     "reaction": lambda arm: ta.reaction_wrench(arm, TASK.twists, PRESSURE),
     "hulls": lambda arm: areas(ta.wrench_hulls(arm, TASK.twists, samples=3).vertices),
 }

@@ -14,7 +14,6 @@ import pytest
 import torch
 
 import torcharm as ta
-from torcharm.wrench_sets import qp
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # plain pytest does not look there
 
@@ -281,27 +280,6 @@ def differentiated(arm):
     found = ta.evaluate(scaled, BATCH_TASK, samples=3, distance="qpth")
     total = torch.where(found.converged, found.absolute, torch.zeros_like(found.absolute)).sum()
     return found, torch.autograd.grad(total, radii)[0]
-
-
-@needs_qpth
-def test_an_element_that_ends_its_batch_leaves_the_others_unharmed(monkeypatch):
-    """A solver that answers a whole batch with junk as soon as a hull of one point is in it."""
-    layer, spoiled = qp.require_qpth(), []
-
-    def fragile(*terms):
-        entries = terms[0].flatten(1)
-        if (entries.amax(1) - entries.amin(1) > 1e-3).all():
-            return layer(*terms)
-        spoiled.append(len(entries))
-        return torch.full_like(terms[1], 1.0 / terms[1].shape[-1])
-
-    monkeypatch.setattr(qp, "require_qpth", lambda: fragile)
-    arm = batch_of(*zip(*good_designs()[:2], bad_designs()["one point"], *good_designs()[2:], strict=True))
-    found = ta.evaluate(arm, BATCH_TASK, ("absolute",), samples=3, distance="qpth")
-    expected = ta.evaluate(arm, BATCH_TASK, ("absolute",), samples=3, distance="scipy")
-    assert max(spoiled) > 1
-    assert found.converged.all()
-    torch.testing.assert_close(found.absolute, expected.absolute, rtol=1e-6, atol=0)
 
 
 # --- float32 ---

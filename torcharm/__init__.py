@@ -15,13 +15,11 @@ from torcharm.actuators import (
 )
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm, ring
 from torcharm.arm_series import ArmSeries, RigidLink, series
-from torcharm.attainability import Attainability, evaluate
 from torcharm.geometry.rod import poses
 from torcharm.load import ExternalLoad, PointLoad
 from torcharm.statics.cross_section import reaction_wrench
 from torcharm.statics.external_load import required_wrench
 from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
-from torcharm.wrench_sets.vertices import distance_to_hull
 
 if TYPE_CHECKING:
     from torcharm.actuators.alignment import Recording, align, estimate_offset, pool
@@ -30,6 +28,7 @@ if TYPE_CHECKING:
     from torcharm.actuators.model_file import load_actuator, save_actuator
     from torcharm.actuators.recordings import read_pressure, read_tester
     from torcharm.actuators.uncertainty import TensorPolynomial, coefficient_tensor, standard_deviation
+    from torcharm.attainability import Attainability, evaluate
     from torcharm.equilibrium import Equilibrium, NotConvergedError, solve_equilibrium
     from torcharm.optimise import (
         Architectures,
@@ -50,6 +49,7 @@ if TYPE_CHECKING:
     from torcharm.wrench_sets.hull_distance import HullDistance, kkt_residuals
     from torcharm.wrench_sets.qp import qp_distance
     from torcharm.wrench_sets.reference import nnls_distance, slsqp_distance
+    from torcharm.wrench_sets.vertices import distance_to_hull
     from torcharm.wrench_sets.wrench_set import WrenchHulls, wrench_hulls
 
 __version__ = "0.1.0"
@@ -134,6 +134,9 @@ __all__ = [
 ]
 
 _LATER = {
+    "Attainability": "attainability",
+    "distance_to_hull": "wrench_sets.vertices",
+    "evaluate": "attainability",
     "Architectures": "optimise",
     "DesignSpace": "optimise",
     "Equilibrium": "equilibrium",

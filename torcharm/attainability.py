@@ -108,8 +108,8 @@ def evaluate(
         hull: "exact", or "edges" as the paper samples.
         samples: points on each edge of the pressure box (edges; the paper's 3), or on each actuator's curve where a
             solver needs vertices of exact sets; None chooses.
-        distance: "gjk", the exact one; "qpth", the differentiable QP layer; "scipy", the slow reference, by non-negative
-            least squares; or a function of points and vertices such as `slsqp_distance` or
+        distance: "gjk", the exact one; "qpth", the differentiable QP layer; "scipy", the slow reference, by
+            non-negative least squares; or a function of points and vertices such as `slsqp_distance` or
             `partial(qp_distance, gradient="envelope")`. All but "gjk" measure sets of vertices: of hull="exact" they
             take samples of each actuator's curve, 9 unless told, and give each curve its own simplex of weights, for
             which a function needs the keyword `groups`.

@@ -1,10 +1,11 @@
 """Random problems, for the library and for the reference: arms of 1 to 12 actuators, ordinary and degenerate."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
+import torcharm as ta
 from experiments.exactness.models import PAIRS
 from experiments.exactness.reference import Array, Sets, support
 from torcharm.statics.cross_section import CrossSections
@@ -66,7 +67,9 @@ def make(family: str, dimension: int, count: int, generator: np.random.Generator
         strain[:, -1], first[:, -1] = draw(0.0, 0.3, count), draw(-0.3, 0.3, count)
     if family == "nonsense":
         strain, first = (
-            np.where(generator.integers(2, size=(count, M)), draw(-0.5, 2.0, (count, M)), -(10.0 ** draw(-1, 4, (count, M))))
+            np.where(
+                generator.integers(2, size=(count, M)), draw(-0.5, 2.0, (count, M)), -(10.0 ** draw(-1, 4, (count, M)))
+            )
             for _ in range(2)
         )
     if family == "weak bending":
@@ -95,7 +98,7 @@ def make(family: str, dimension: int, count: int, generator: np.random.Generator
         np.zeros((count, D)),
     )
     place = generator.integers(len(PLACES), size=count)
-    sets = Sets(*(getattr(sets, name) for name in list(Sets.__dataclass_fields__)[:-1]), _targets(sets, place, generator))
+    sets = replace(sets, target=_targets(sets, place, generator))
     return _for_the_library(family, names, place, sets, [pair.actuator for pair in pairs])
 
 
@@ -118,9 +121,11 @@ def _targets(sets: Sets, place: Array, generator: np.random.Generator) -> Array:
     return np.stack(moved)[place, np.arange(count)].astype(float)
 
 
-def _for_the_library(family: str, names: tuple[str, ...], place: Array, sets: Sets, actuators: list) -> Problems:
-    """The same problems as cross-sections; what is required is written as masses, which differ from design to design."""
-    relative, (count, D) = sets.first is not None, sets.target.shape
+def _for_the_library(
+    family: str, names: tuple[str, ...], place: Array, sets: Sets, actuators: list[ta.Actuator]
+) -> Problems:
+    """The same problems as cross-sections; what is required is written as masses, which differ by design."""
+    relative, D = sets.first is not None, sets.target.shape[-1]
     strain, bending = torch.from_numpy(sets.strain)[:, None, None], torch.from_numpy(sets.bending)[:, None, None, :, 1:]
     unit = torch.eye(D, dtype=torch.float64)[:, None, None]
     if relative:

@@ -20,7 +20,7 @@ Array = NDArray[Any]
 SAMPLES = 65
 """Pressures of a curve that are tried first, evenly spaced, and as many more that crowd towards no pressure."""
 ZOOMS, ZOOM_SAMPLES = 8, 17
-"""So often the neighbourhood of the best is sampled again: to `(2 / 16) ** 8` of a sample's distance, 1e-9 of the limit."""
+"""So often the neighbourhood of the best is sampled again: to `(2 / 16) ** 8` of a sample's distance."""
 PATIENCE = 80
 """Points of a set that are added at most."""
 MET = 1e-9
@@ -72,7 +72,7 @@ class Sets:
         force = self.models[a].force(self.strain[:, a, None].astype(kind), pressure)
         if self.first is not None:
             force = force - self.models[a].force(self.first[:, a, None].astype(kind), pressure)
-        return cast(Array, force)
+        return force
 
     def kinks(self, a: int) -> list[Array]:
         """Pressures (B,) within the limits at which the curve of actuator a may have a kink."""
@@ -110,7 +110,7 @@ def furthest(sets: Sets, normal: Array) -> Array:
 def _best(sets: Sets, a: int, grid: Array, by_force: Array, by_pressure: Array) -> Array:
     """(B, 1) of pressures (B, S) the one that reaches furthest."""
     reach = by_force * sets.force(a, grid) + by_pressure * grid
-    return cast(Array, np.take_along_axis(grid, reach.argmax(-1)[:, None], -1))
+    return np.take_along_axis(grid, reach.argmax(-1)[:, None], -1)
 
 
 def support(sets: Sets, normal: Array) -> tuple[Array, Array]:

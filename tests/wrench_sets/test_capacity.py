@@ -46,7 +46,7 @@ def test_every_node_against_linear_programming(name, metric):
     arm, task = scene.arm_and_task()
     with unchecked():
         found = ta.load_capacity(arm, task, metric)
-        vertices, _ = scene.vertices_and_required(metric, samples=65)
+        vertices, _ = scene.vertices_and_required(metric, samples=257)
     assert found.converged.all()
     wrench = required(task, metric == "relative")
     hits = 0
@@ -56,7 +56,7 @@ def test_every_node_against_linear_programming(name, metric):
         if np.abs(w).max() < 1e-12:  # node 1 differs from itself by nothing
             assert (low, high) == (-np.inf, np.inf)
             continue
-        expected = by_linprog(own, w)
+        expected = by_linprog(np.unique(own, axis=0), w)
         if expected is None:
             assert np.isnan([low, high]).all()
         else:
@@ -81,9 +81,9 @@ def test_the_factor_is_where_unattainability_starts(metric):
         node = int(found.limiting_node[design, case]) - 1
         for share, outside in ((1 - 1e-8, False), (1 + 1e-8, True)):
             grown = ta.Task(task.twists, task.tip_load[case] * factor * share)
-            distance = getattr(ta.evaluate(arm[design], grown, (metric,)), f"{metric}_per_node")
+            distance = getattr(ta.evaluate(arm[design], grown, (metric,), signed=True), f"{metric}_per_node")
             assert bool(distance[node] > 0) == outside
-            assert outside or not distance.any()
+            assert outside or not bool((distance > 0).any())
         checked += 1
     assert checked >= 2
 
@@ -192,7 +192,7 @@ def test_gradients_against_differences(leaf):
     h = 1e-5
     differences = (ends(double(h)) - ends(double(-h))) / (2 * h)
     np.testing.assert_allclose(slopes, differences.numpy(), rtol=2e-6, atol=2e-8)
-    assert min(abs(slope) for slope in slopes) > 0
+    assert max(abs(slope) for slope in slopes) > 0.1  # limits that are not reached do not matter
 
 
 def test_gradients_in_blocks_are_those_of_the_whole_and_finite_where_nothing_is_attainable():
@@ -334,7 +334,8 @@ def assert_ends_lie_on_boundaries(arm, task, metric, with_payload):
 
 @pytest.mark.parametrize("metric", ["absolute", "relative"])
 def test_the_payload_grows_and_the_arms_own_weight_does_not(metric):
-    twists = torch.tensor([[0.4, 0.0, 0.0, 0.0, 0.25, -0.1]] * 4, dtype=torch.float64)
+    bends = [(0.395, -0.135, -0.574), (0.393, -0.249, -0.214), (0.394, -0.396, -0.536), (0.391, -0.196, -0.509)]
+    twists = torch.tensor([[length, 0.0, 0.0, 0.0, *turn] for length, *turn in bends], dtype=torch.float64)
     arm = ta.ArmDesign(offsets=ta.ring(0.05, 4), length=0.4, actuators=[ta.Bellows(), ta.McKibben()] * 2, mass=0.4)
     point = double([0.0, -0.5, 0.2, 0.0, 0.0, 0.0])
     tip = double([0.4, -0.6, 0.3, 0.0, 0.01, 0.0])
@@ -344,7 +345,7 @@ def test_the_payload_grows_and_the_arms_own_weight_does_not(metric):
         return ta.Task(twists, load=ta.ExternalLoad(tip=t * tip, gravity=True, points=points), wrench_at="middle")
 
     found, checked = assert_ends_lie_on_boundaries(arm, with_payload(1.0), metric, with_payload)
-    assert checked >= 4
+    assert checked >= (8 if metric == "absolute" else 4)
     # the weight alone is factor 0
     bare = ta.evaluate(arm, with_payload(0.0), (metric,), signed=True)
     margin = getattr(bare, f"{metric}_per_node")[1:]
@@ -407,7 +408,7 @@ def test_gradients_in_space_against_differences(leaf):
 
     step = torch.zeros((), dtype=torch.float64, requires_grad=True)
     slopes = [torch.autograd.grad(ends(step)[end], step)[0].item() for end in (0, 1)]
-    h = 1e-4
+    h = 1e-3  # of 1e-2 of each input
     differences = (ends(double(h)) - ends(double(-h))) / (2 * h)
     np.testing.assert_allclose(slopes, differences.numpy(), rtol=1e-5, atol=1e-7)
     assert min(abs(slope) for slope in slopes) > 0

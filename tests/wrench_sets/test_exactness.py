@@ -56,7 +56,9 @@ def test_signed_distances_are_those_to_the_facets_of_all_sums_of_samples(dimensi
         one = sets.those(np.array([b]))
         curves = []
         for a in range(actuators):
-            p = np.concatenate((one.limit[:, a, None] * np.linspace(0, 1, samples), np.array(one.kinks(a)).reshape(1, -1)), -1)
+            p = np.concatenate(
+                (one.limit[:, a, None] * np.linspace(0, 1, samples), np.array(one.kinks(a)).reshape(1, -1)), -1
+            )
             curves.append(one.force(a, p)[0, :, None] * one.lever[0, a] + p[0, :, None] * one.bending[0, a])
         points = sums(curves)
         facets = ConvexHull(points).equations

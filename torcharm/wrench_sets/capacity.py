@@ -109,7 +109,8 @@ def load_capacity(
     grid = design_task_grid(arm, weight)
     direction = design_task_grid(arm, payload).required.external
     ends = _per_node(grid, direction, metric == "relative", chunk_size)
-    return _over_nodes(*(grid.unflatten(part) for part in ends), limits_in_range(grid))
+    low, high, slack, converged, excess, impossible = (grid.unflatten(part) for part in ends)
+    return _over_nodes(low, high, slack, converged, excess, impossible, limits_in_range(grid))
 
 
 def _weight_and_payload(task: Task) -> tuple[Task, Task]:

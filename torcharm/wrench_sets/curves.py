@@ -5,6 +5,7 @@ two there is a cubic. Where a cubic is off, more samples are taken, until all ar
 """
 
 import math
+from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -104,7 +105,7 @@ def _refined(grades: Grades, excess: list[float]) -> Grades:
     finer, k = [], 0
     for row in grades:
         places = row[:1]
-        for begin, end in zip(row, row[1:], strict=False):
+        for begin, end in pairwise(row):
             count = 1 if excess[k] <= 1 else min(PARTS, max(2, math.ceil(excess[k] ** 0.25)))
             places += [begin + (end - begin) * i / count for i in range(1, count)] + [end]
             k += 1

@@ -1,1 +1,0 @@
-"""Distances from required wrenches to attainable sets, as the first edition measured them."""
