@@ -306,16 +306,20 @@ def nearest_part(D: int, ask: Any) -> Any:
             length = math.sqrt(square)
             if length <= TOUCHING * size:
                 return 0.0, 0.0, False
-            if length - low <= GAP * size:
-                break
             for c in range(D):
                 simplex.back[c] = -simplex.nearest[c] / length
+            if length - low <= GAP * size:
+                break
             newton = smooth > 0 and ahead > 0.0 and (better or not newton)
             if newton:
                 turn_normal(simplex, ahead, smooth)
             else:
                 for c in range(D):
                     simplex.normal[c] = simplex.back[c]
+            ahead = 0.0  # of this one nothing is known yet
+        if ahead < low or ahead <= 0.0:  # another normal gave the bound: the simplex's own goes with its points
+            for c in range(D):
+                simplex.normal[c] = simplex.back[c]
         return length, max(length - low, 0.0), False
 
     return nearest
