@@ -61,7 +61,7 @@ def inputs_of(dimension):
         "reference": torch.tensor(50.0, **double),
     }
     if dimension == 3:
-        found["out_of_plane"] = torch.tensor([0.03, -0.02, 0.04, -0.05], **double)
+        found["out_of_plane"] = torch.tensor([0.037, -0.02, 0.04, -0.05], **double)
         twists[:, 4] = torch.linspace(-0.6, 0.4, NODES, **double)
         found["base_pose"] = torch.eye(4, **double)
         found["base_pose"][:3, :3] = torch.tensor([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], **double)
@@ -130,7 +130,7 @@ def test_table(dimension, metric):
         hold(inputs)
     value, per_node = distances(inputs, metric, weight)
     if metric == "signed":
-        assert (per_node < 0).float().mean() > 0.5
+        assert (per_node < 0).float().mean() > 0.4
     else:
         assert (per_node[:, 1:] > 0).float().mean() > 0.7
     gradients = torch.autograd.grad(value, list(inputs.values()), allow_unused=True)

@@ -278,7 +278,7 @@ def nearest_part(D: int, ask: Any) -> Any:
             support: the curves or vertices that make the set.
             size: of the problem, the most that the numbers in it can add up to.
         """
-        low, length, square, newton, ahead = 0.0, 0.0, 0.0, False, 0.0
+        low, length, square, newton = 0.0, 0.0, 0.0, False
         for iteration in range(ITERATIONS):
             smooth = ask(support, simplex)
             ahead, better = 0.0, False
@@ -316,7 +316,8 @@ def nearest_part(D: int, ask: Any) -> Any:
             else:
                 for c in range(D):
                     simplex.normal[c] = simplex.back[c]
-        if ahead < low:  # the last normal that was asked is not the best one
+            ahead = 0.0  # of this one nothing is known yet
+        if ahead < low or ahead <= 0.0:  # another normal gave the bound: the simplex's own goes with its points
             for c in range(D):
                 simplex.normal[c] = simplex.back[c]
         return length, max(length - low, 0.0), False
