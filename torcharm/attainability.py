@@ -108,11 +108,10 @@ def evaluate(
         hull: "exact", or "edges" as the paper samples.
         samples: points on each edge of the pressure box (edges; the paper's 3), or on each actuator's curve where a
             solver needs vertices of exact sets; None chooses.
-        distance: "gjk", the exact one; "qpth", the differentiable QP layer; "scipy", the slow reference, by
-            non-negative least squares; or a function of points and vertices such as `slsqp_distance` or
-            `partial(qp_distance, gradient="envelope")`. All but "gjk" measure sets of vertices: of hull="exact" they
-            take samples of each actuator's curve, 9 unless told, and give each curve its own simplex of weights, for
-            which a function needs the keyword `groups`.
+        distance: "gjk", the exact one; "qpth", the differentiable QP layer; "scipy", the slow reference, non-negative
+            least squares; or a function of points and vertices such as `slsqp_distance`. All but "gjk" measure sets
+            of vertices: of hull="exact" they take samples of each actuator's curve, 9 unless told, and give each curve
+            its own simplex of weights, for which a function needs the keyword `groups`.
         weights: k_f [1/N²] and k_m [1/(N·m)²] of the distance `sqrt(k_f f² + k_m m²)`.
         power: 1 sums distances (the paper's text), 2 their squares (the paper's table).
         signed: gives attainable tasks a negative value: where every node is inside its set, minus the smallest margin

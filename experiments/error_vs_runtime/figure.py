@@ -11,15 +11,15 @@ if TYPE_CHECKING:
 
 HERE = Path(__file__).parent
 LINES = {
-    "exact": ("#009E73", "exact sets (default)", (9, -3)),
-    "edges": ("#D55E00", "edges of the pressure box,\nsampled", (10, 12)),
-    "nnls": ("#0072B2", "NNLS on\nsampled curves", (-10, -44)),
-    "qpth": ("#CC79A7", "qpth on\nsampled curves", (-30, -40)),
-    "SLSQP on edges": ("#555555", "SLSQP\n(as published)", (-34, 12)),
+    "exact": ("#009E73", "exact sets (default)", (0, "left", (11, -4))),
+    "edges": ("#D55E00", "edges of the pressure box, sampled", (0, "left", (-8, 22))),
+    "nnls": ("#0072B2", "NNLS on\nsampled curves", (-1, "right", (14, -36))),
+    "qpth": ("#CC79A7", "qpth on\nsampled curves", (-1, "left", (-18, -36))),
+    "SLSQP on edges": ("#555555", "SLSQP on edges", (0, "center", (0, 10))),
 }
-"""Colours of Okabe and Ito, words beside the marks, and where they stand: by how many points off the last mark."""
-FLOOR = 1e-16
-"""Smaller errors are drawn here: they are rounding."""
+"""Colours of Okabe and Ito, and words beside the marks: at which of them, and by how many points off."""
+FLOOR = 1e-14
+"""Where the axis ends: what is smaller is rounding."""
 
 
 def draw(rows: "Sequence[Row]") -> None:
@@ -34,27 +34,28 @@ def draw(rows: "Sequence[Row]") -> None:
         _panel(panel, [row for row in rows if row.space == space and row.metric == "absolute"])
         panel.set_title(f"In the {space}" if space == "plane" else "In space", loc="left", fontsize=12)
     panels[0].set_ylabel("error over the largest wrench\n(99th percentile)")
-    figure.supxlabel("processor time for one node's distance [µs]", fontsize=10)
+    figure.supxlabel(
+        "processor time for one node's distance [µs]; numbers at marks: samples of an edge or a curve", fontsize=10
+    )
     figure.savefig(HERE / "error_vs_runtime.png", dpi=120)
     plt.close(figure)
 
 
 def _panel(axes: Any, rows: "Sequence[Row]") -> None:
-    for method, (colour, label, off) in LINES.items():
+    for method, (colour, label, (place, side, off)) in LINES.items():
         own = [row for row in rows if row.method == method]
         if not own:
             continue
         x, y = [row.forward_us for row in own], [max(FLOOR, row.error_p99) for row in own]
         marker, size = ("*", 15) if method == "exact" else ("o", 6)
         axes.plot(x, y, color=colour, marker=marker, markersize=size)
-        axes.annotate(label, (x[-1], y[-1]), off, textcoords="offset points", color=colour, fontsize=9)
-        if len(own) > 1:
-            for row, at, height in zip(own, x, y, strict=True):
-                axes.annotate(
-                    str(row.samples), (at, height), (0, 6), textcoords="offset points", fontsize=7.5, ha="center"
-                )
-    axes.set(xscale="log", yscale="log", ylim=(FLOOR, 1), xlim=(0.2, 3e5))
-    axes.set_yticks(10.0 ** np.arange(-16, 1, 4))
+        style = {"textcoords": "offset points", "color": colour}
+        axes.annotate(label, (x[place], y[place]), off, ha=side, fontsize=10, **style)
+        aside = {"xytext": (0, 6), "ha": "center"} if method == "edges" else {"xytext": (6, -1), "ha": "left"}
+        for row, at, height in zip(own, x, y, strict=True) if len(own) > 1 else ():
+            axes.annotate(str(row.samples), (at, height), fontsize=8, **aside, **style)
+    axes.set(xscale="log", yscale="log", ylim=(FLOOR, 0.1), xlim=(0.5, 2e5))
+    axes.set_yticks(10.0 ** np.arange(-14, 0, 2))
     axes.grid(alpha=0.25)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
