@@ -10,6 +10,7 @@ from torcharm.actuators import want_gradients
 from torcharm.statics.cross_section import CrossSections, per_actuator
 from torcharm.wrench_sets.design_task_grid import DesignTaskGrid, RequiredWrench, map_chunks
 from torcharm.wrench_sets.distance import NearestPoints, evaluate_distance, find_nearest
+from torcharm.wrench_sets.rounding import without_rounding
 from torcharm.wrench_sets.vertex_sets import VertexSets
 
 METRICS = ("absolute", "relative")
@@ -136,6 +137,10 @@ def _segment(
 
         *values, excess = checkpoint(replay, use_reentrant=False) if again else replay()
         found = [(value, one.known(value)) for value, one in zip(values, nearest, strict=True)]
+    found = [
+        (without_rounding(value, sections, required, options.scale, relative=metric == "relative"), flag)
+        for metric, (value, flag) in zip(options.metrics, found, strict=True)
+    ]
     loads_here = required.external.shape[1]
     shape = (*excess.shape, loads_here)
     none = excess.new_zeros(*shape, 0, required.external.shape[-2])
