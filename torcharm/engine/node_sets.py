@@ -10,6 +10,7 @@ from torcharm.engine.curves import Curves, copy_curve, make_curves, most_pieces,
 from torcharm.engine.depth import Polytope, make_polytope, signed_distance_part
 from torcharm.engine.distance import Simplex, curve_support, make_simplex, nearest_part
 from torcharm.engine.forces import Models
+from torcharm.engine.sharpen import sharpen_part
 
 Array = np.ndarray[Any, Any]
 
@@ -171,7 +172,8 @@ def distance_kernel(dimension: int, signed: bool = False) -> Any:
     """The kernel for wrenches of so many components, which measures from the outside or, signed, from both sides."""
     ask = curve_support(dimension)
     nearest = nearest_part(dimension, ask)
-    signed_distance = signed_distance_part(dimension, ask)
+    sharpen = sharpen_part(dimension)
+    signed_distance = signed_distance_part(dimension, ask, sharpen)
 
     @kernel
     def distances(sections, required, relative, begin, end, room, answers):  # type: ignore[no-untyped-def]
@@ -192,6 +194,8 @@ def distance_kernel(dimension: int, signed: bool = False) -> Any:
                             distance, gap = signed_distance(curves, simplex, room.polytope, size)
                         else:
                             distance, gap, _ = nearest(curves, simplex, size)
+                            if distance > 0.0 and len(answers.normal) > 0:
+                                sharpen(curves, simplex)
                         if distance != 0.0:
                             remember(room.start, l, simplex.normal)
                         answers.distance[b, h, l, i] = distance
