@@ -6,13 +6,13 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 from torch.utils.checkpoint import checkpoint
 
 from torcharm.actuators import want_gradients
 from torcharm.statics.cross_section import CrossSections, cross_sections, per_actuator
 from torcharm.wrench_sets.design_task_grid import DesignTaskGrid, RequiredWrench, map_chunks
 from torcharm.wrench_sets.distance import NearestPoints, evaluate_distance, find_nearest
+from torcharm.wrench_sets.once import once
 from torcharm.wrench_sets.rounding import without_rounding
 from torcharm.wrench_sets.vertex_sets import VertexSets
 
@@ -156,7 +156,7 @@ def _segment(
     loads_here = required.external.shape[1]
     shape = (*excess.shape, loads_here)
     none = excess.new_zeros(*shape, 0, required.external.shape[-2])
-    distance = torch.stack([value for value, _ in found], -2) if found else none
+    distance = once(torch.stack([value for value, _ in found], -2)) if found else none
     converged = torch.stack([flag for _, flag in found], -2) if found else none.bool()
     return distance, converged, excess.unsqueeze(-1).expand(shape), lost.unsqueeze(-1).expand(shape)
 
@@ -171,14 +171,14 @@ class Replayed(torch.autograd.Function):
         return known
 
     @staticmethod
-    @once_differentiable
     def backward(ctx: Any, *wanted: Tensor) -> Any:
         """Gradients by the inputs, of values built anew."""
+        more = torch.is_grad_enabled()
         with torch.enable_grad():
             values = ctx.build()
         pairs = [(value, own) for value, own in zip(values, wanted, strict=True) if value.requires_grad]
         found, outer = [value for value, _ in pairs], [own for _, own in pairs]
-        return None, None, *torch.autograd.grad(found, ctx.inputs, outer, allow_unused=True)
+        return None, None, *torch.autograd.grad(found, ctx.inputs, outer, allow_unused=True, create_graph=more)
 
 
 def _nearest(
