@@ -12,6 +12,7 @@ import numpy as np
 
 from torcharm.engine.compilation import part
 from torcharm.engine.distance import TOUCHING, nearest_part
+from torcharm.engine.sharpen import FAR
 
 Array = np.ndarray[Any, Any]
 
@@ -262,7 +263,7 @@ def signed_distance_part(D: int, ask: Any, sharpen: Any) -> Any:
 
         From within, Newton's method may go on to where a plane is furthest, not nearest: then the face stays.
         """
-        sharpen(support, simplex)
+        sharpen(support, simplex, FAR * FAR)
         ask(support, simplex)
         reach = 0.0
         for c in range(D):

@@ -17,7 +17,7 @@ import numpy as np
 from torcharm.engine.compilation import kernel, part
 from torcharm.engine.distance import GAP, TOUCHING, curve_support, nearest_part
 from torcharm.engine.node_sets import aim, keep_answer, measure, write_node
-from torcharm.engine.sharpen import sharpen_part
+from torcharm.engine.sharpen import BEYOND, sharpen_part
 
 Array = np.ndarray[Any, Any]
 
@@ -136,18 +136,18 @@ def leave_part(D: int) -> Any:
         length = math.sqrt(along(ray.direction, ray.direction))
         for c in range(D):
             simplex.normal[c] = ray.direction[c] / length if length > 0.0 else 1.0
-        t, end, rate, slack, left, probing = 0.0, 0.0, length, 0.0, 0.0, False
+        t, end, rate, slack, left, gap, probing = 0.0, 0.0, length, 0.0, 0.0, 0.0, False
         for step in range(STEPS):
             size = extent + go_to(simplex, ray, t)
             distance = -math.inf  # at first only the plane across the ray is asked for
             if step > 0 or still:
-                distance, _, _ = nearest(curves, simplex, size)
+                distance, gap, _ = nearest(curves, simplex, size)
             beyond = ahead(curves, simplex, distance, size) if distance != 0.0 else 0.0
             if still:
                 return math.inf, 0.0, 0.0, UNBOUNDED if distance == 0.0 else MISSED
             if probing:
                 if distance > 0.0:
-                    sharpen(curves, simplex)
+                    sharpen(curves, simplex, BEYOND * max(gap, GAP * size) / distance)
                 return end, slack, left, FOUND
             end = t
             if distance == -math.inf:

@@ -22,7 +22,9 @@ STEPS = 5
 SMALL = 1e-11
 """A turn after which the points stay: along nearly straight curves they move by 1e5 times as much."""
 FAR = 0.1
-"""A turn that is no last improvement: the points are not those of the nearest face."""
+"""A turn that is no last improvement of a normal from within, where nothing else bounds it."""
+BEYOND = 32.0
+"""A turn's square is not above so many times the gap as a part of the distance: twice by how bounds meet, and room."""
 SAME = 1e-6
 """Pressures as near as this part of the limit, after they have gone to where their curves reach furthest, are one."""
 SINGULAR = 1e-13
@@ -128,8 +130,11 @@ def sharpen_part(D: int) -> Any:
         return True
 
     @part
-    def take_step(simplex, rows):  # type: ignore[no-untyped-def]
-        """Turn the normal and change the weights, unless that leads to another face; returns the turn's square."""
+    def take_step(simplex, rows, most):  # type: ignore[no-untyped-def]
+        """Turn the normal and change the weights, unless that leads to another face or turns it by more than `most`.
+
+        Returns the turn's square.
+        """
         s, square, change = simplex.system, 0.0, 0.0
         for c in range(D):
             square += s[c, rows] * s[c, rows]
@@ -143,7 +148,7 @@ def sharpen_part(D: int) -> Any:
                     return math.inf
                 change += s[row, rows]
                 row += 1
-        if not square < FAR * FAR or simplex.weight[first] - change < 0.0:
+        if not square <= most or simplex.weight[first] - change < 0.0:
             return math.inf
         row = D
         simplex.weight[first] -= change
@@ -161,8 +166,12 @@ def sharpen_part(D: int) -> Any:
         return square
 
     @part
-    def sharpen(curves, simplex):  # type: ignore[no-untyped-def]
-        """Sharpen the normal, the weights and the pressures of a simplex nearest to its target."""
+    def sharpen(curves, simplex, most):  # type: ignore[no-untyped-def]
+        """Sharpen the normal, the weights and the pressures of a simplex nearest to its target.
+
+        Args:
+            most: the largest square of a turn.
+        """
         for _ in range(STEPS):
             smooth, rows = follow_all(curves, simplex), D - 1
             for k in range(D):
@@ -172,7 +181,7 @@ def sharpen_part(D: int) -> Any:
             write_system(simplex, rows)
             if not solve(simplex.system, rows):
                 return
-            square = take_step(simplex, rows)
+            square = take_step(simplex, rows, most)
             if not square > SMALL * SMALL:
                 break
         follow_all(curves, simplex)
@@ -181,5 +190,5 @@ def sharpen_part(D: int) -> Any:
 
 
 @part
-def leave_as_it_is(support, simplex):  # type: ignore[no-untyped-def]
+def leave_as_it_is(support, simplex, most):  # type: ignore[no-untyped-def]
     """Of hulls of vertices: the normals of their faces are known to rounding."""
