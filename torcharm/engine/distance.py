@@ -59,10 +59,9 @@ class Simplex(NamedTuple):
 
 def make_simplex(actuators: int, dimension: int) -> Simplex:
     """Room for one problem."""
-    square, row = (dimension, dimension), (dimension,)
+    square, row, rows = (dimension, dimension), (dimension,), 2 * dimension - 1
     shapes = (row, row, row, (dimension, actuators), square, row, (actuators,), row, row, row, row, square)
-    shapes += ((2 * dimension - 1, 2 * dimension),)
-    return Simplex(*(np.zeros(shape) for shape in shapes))
+    return Simplex(*(np.zeros(shape) for shape in shapes), np.zeros((rows, rows + 1)))
 
 
 @part

@@ -142,8 +142,8 @@ def _segment(
         if not again:
             *values, excess = replay()
         elif options.vertices is None and not any_sampled(sections) and not want_gradients(arm.actuators, arm.radii):
-            inputs = (arm.radii, arm.length, arm.max_pressure, arm.out_of_plane, twists)
-            inputs += (required.external, required.unit_weight, required.mass)
+            ours = (arm.radii, arm.length, arm.max_pressure, arm.out_of_plane, twists)
+            inputs = (*ours, required.external, required.unit_weight, required.mass)
             known = (*(one.distance for one in nearest), excess)
             *values, excess = Replayed.apply(replay, known, *(x for x in inputs if x is not None and x.requires_grad))
         else:  # parameters inside of models are found only by a forward pass through them
