@@ -60,8 +60,9 @@ class Simplex(NamedTuple):
 def make_simplex(actuators: int, dimension: int) -> Simplex:
     """Room for one problem."""
     square, row, rows = (dimension, dimension), (dimension,), 2 * dimension - 1
-    shapes = (row, row, row, (dimension, actuators), square, row, (actuators,), row, row, row, row, square)
-    return Simplex(*(np.zeros(shape) for shape in shapes), np.zeros((rows, rows + 1)))
+    shapes: list[tuple[int, ...]] = [row, row, row, (dimension, actuators), square, row, (actuators,)]
+    shapes += [row, row, row, row, square, (rows, rows + 1)]
+    return Simplex(*(np.zeros(shape) for shape in shapes))
 
 
 @part
