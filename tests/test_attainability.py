@@ -1,6 +1,5 @@
 import math
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 import oracle
@@ -9,7 +8,7 @@ import torch
 from hull_cases import double, unchecked
 from hypothesis import given
 from hypothesis import strategies as st
-from torch.autograd import gradcheck, gradgradcheck
+from torch.autograd import gradcheck
 
 import torcharm as ta
 
@@ -37,7 +36,9 @@ def _one_thread():
     ],
 )
 def test_published_validation_of_the_bellows_arm(moment_scale, published):
-    task = ta.Task(ta.affine_curvature(-3.0, 3.0), ta.sample_loads(5, scale=(20.0, 20.0, moment_scale)))
+    task = ta.Task(
+        ta.affine_curvature(-3.0, 3.0), ta.sample_loads(5, scale=(20.0, 20.0, moment_scale)), wrench_at="start"
+    )
     result = ta.evaluate(ta.bellows_arm(), task, ("absolute",), hull="edges", samples=3)
     np.testing.assert_allclose(result.absolute, published, rtol=0, atol=1e-3)
 
@@ -60,8 +61,8 @@ class Case:
     base_pose: tuple[float, float, float]
 
     def evaluate(self, **options):
-        task = ta.Task(double(self.twists), double(self.loads), double(self.base_pose))
-        return ta.evaluate(self.arm, task, samples=self.samples, weights=self.weights, **options)
+        task = ta.Task(double(self.twists), double(self.loads), double(self.base_pose), wrench_at="start")
+        return ta.evaluate(self.arm, task, weights=self.weights, **options)
 
     def expect(self, kind):
         options = {"kind": kind, "samples": self.samples, "weights": self.weights, "base_pose": self.base_pose}
@@ -132,19 +133,23 @@ def random_case(seed):
 @pytest.mark.parametrize("seed", range(250))
 @unchecked()
 def test_evaluate_agrees_with_the_oracle(seed):
-    case = random_case(seed)
+    case, power = random_case(seed), 1 + (seed % 16 < 8)
+    exact = case.evaluate(power=power)
+    assert exact.converged.all()
     for kind in ("exact", "edges") if seed % 4 < 2 else ("exact",):
         expected = case.expect(kind)
-        options = {"rtol": 1e-9, "atol": 1e-12 * max(each.size for each in expected)}
-        signed, power = seed % 8 < 4, 1 + (seed % 16 < 8)
-        result = case.evaluate(hull=kind, signed=signed, power=power)
+        size = max(each.size for each in expected)
+        options = {"hull": "edges"} if kind == "edges" else {"distance": "scipy"}
+        result = case.evaluate(power=power, samples=case.samples, **options)
+        assert result.converged.all()
         for metric in ("absolute", "relative"):
-            per_node = np.array([getattr(each, metric) for each in expected])
-            totals = [oracle.total(nodes, metric, power=power, signed=signed) for nodes in per_node]
-            if not signed:
-                per_node = per_node.clip(min=0)
-            np.testing.assert_allclose(getattr(result, metric + "_per_node"), per_node, **options)
-            np.testing.assert_allclose(getattr(result, metric), totals, **options)
+            per_node = np.array([getattr(each, metric) for each in expected]).clip(min=0)
+            totals = [oracle.total(nodes, metric, power=power, signed=False) for nodes in per_node]
+            close = {"rtol": 1e-9, "atol": 2e-12 * size}
+            np.testing.assert_allclose(getattr(result, metric + "_per_node"), per_node, **close)
+            np.testing.assert_allclose(getattr(result, metric), totals, rtol=1e-9, atol=1e-10 * size**power)
+            # The oracle's sets lie within the sets themselves.
+            assert (getattr(exact, metric + "_per_node").numpy() <= per_node + 2e-12 * size).all()
 
 
 @unchecked()
@@ -174,9 +179,9 @@ def test_required_wrench_is_both_plain_statics_and_the_adjoints(seed):
 
 @pytest.mark.parametrize("seed", range(0, 60, 2))
 @unchecked()
-def test_edges_lie_within_the_exact_hull_of_the_same_samples(seed):
+def test_edges_lie_within_the_sets_themselves(seed):
     case = random_case(seed)
-    exact, edges = (case.evaluate(hull=kind, signed=True) for kind in ("exact", "edges"))
+    exact, edges = case.evaluate(), case.evaluate(hull="edges", samples=case.samples)
     for metric in ("absolute_per_node", "relative_per_node"):
         slack = getattr(edges, metric) - getattr(exact, metric)
         assert slack.min() >= -1e-12 * max(each.size for each in case.expect("exact"))
@@ -187,7 +192,8 @@ def test_edges_are_a_true_inner_approximation():
     arched = ta.PolynomialActuator(((0, 1, 4.0), (0, 2, -0.08)), (-0.5, 0.5), (0.0, 40.0), 40.0)
     arm = ta.ArmDesign([0.02] * 3, 0.5, [arched] * 3)
     task = ta.Task(ta.affine_curvature(0.0, 0.5, nodes=2), [[0.0, 200.0, 0.0]])
-    exact, edges = (ta.evaluate(arm, task, ("absolute",), hull=kind, samples=9) for kind in ("exact", "edges"))
+    exact = ta.evaluate(arm, task, ("absolute",))
+    edges = ta.evaluate(arm, task, ("absolute",), hull="edges", samples=9)
     assert edges.absolute > 1.1 * exact.absolute > 0
 
 
@@ -214,33 +220,10 @@ def test_any_pressure_reacts_within_the_exact_hull_grown_by_the_sampling_error(s
     assert torch.all(bound < 5.2 * (2 / (samples - 1)) ** 2)
 
 
-@pytest.mark.parametrize(
-    ("arm", "metric"),
-    [  # not the relative sets of muscles: at kinks between samples the error falls by halves
-        (ta.bellows_arm(), "absolute"),
-        (ta.bellows_arm(), "relative"),
-        (ta.antagonistic_arm(), "absolute"),
-    ],
-    ids=["bellows, absolute", "bellows, relative", "antagonistic, absolute"],
-)
-@unchecked()
-def test_error_falls_fourfold_with_each_doubling_of_the_intervals(arm, metric):
-    task = ta.Task(ta.affine_curvature(-3.0, 3.0), ta.sample_loads(100))
-
-    def values(samples):
-        return getattr(ta.evaluate(arm, task, (metric,), samples=samples), metric)
-
-    finest = values(257)
-    errors = [(values(intervals + 1) - finest).abs().sum().item() for intervals in (8, 16, 32)]
-    for coarse, fine in pairwise(errors):
-        assert 3.5 < coarse / fine < 4.5
-
-
-@every_kind
-def test_default_sampling(kind):
+def test_edges_have_the_papers_three_points():
     task = ta.Task(ta.affine_curvature(-3.0, 3.0), ta.sample_loads(5))
-    chosen = ta.evaluate(ta.antagonistic_arm(), task, hull=kind, samples={"exact": 9, "edges": 3}[kind])
-    assert torch.equal(ta.evaluate(ta.antagonistic_arm(), task, hull=kind).absolute, chosen.absolute)
+    chosen = ta.evaluate(ta.antagonistic_arm(), task, hull="edges", samples=3)
+    assert torch.equal(ta.evaluate(ta.antagonistic_arm(), task, hull="edges").absolute, chosen.absolute)
 
 
 # --- batches ---
@@ -299,9 +282,13 @@ def looped(arm, twists, loads, batch, **options):
     return results
 
 
-def assert_same(one, other):
+def assert_same(one, other, atol=1e-12):
     assert one.shape == other.shape
-    torch.testing.assert_close(one, other, rtol=1e-11, atol=1e-12)
+    torch.testing.assert_close(one, other, rtol=1e-11, atol=atol)
+
+
+PROMISED = 5e-10
+"""Distances are known to 1e-12 of their largest wrench, of these arms some 500 N: so far may two ways to one differ."""
 
 
 FIELDS = ("absolute", "relative", "absolute_per_node", "relative_per_node", "strain_excess", "in_range")
@@ -346,11 +333,12 @@ def test_results_do_not_depend_on_the_chunk_size(designs, twists, loads, batch, 
 def test_asking_for_gradients_leaves_the_values(designs, twists, loads, batch, kind, chunk_size):
     arm, _ = random_arms(*designs)
     tracked, _ = random_arms(*designs, grad=True)
-    plain = ta.evaluate(arm, ta.Task(twists, loads), hull=kind, signed=True)
-    result = ta.evaluate(tracked, ta.Task(twists, loads), hull=kind, signed=True, chunk_size=chunk_size)
+    signed = kind == "exact"
+    plain = ta.evaluate(arm, ta.Task(twists, loads), hull=kind, signed=signed)
+    result = ta.evaluate(tracked, ta.Task(twists, loads), hull=kind, signed=signed, chunk_size=chunk_size)
     assert result.absolute.requires_grad
     for field in FIELDS:
-        assert_same(getattr(result, field).detach(), getattr(plain, field))
+        assert_same(getattr(result, field).detach(), getattr(plain, field), PROMISED)
 
 
 @pytest.mark.parametrize("name", ["nothing", "pairs", "loads by shapes", "interleaved", "shared by stride"])
@@ -519,7 +507,6 @@ def test_an_actuator_without_pressure_or_force_changes_nothing(scene):
             lengths=torch.cat((scene.lengths, double([0.5]))),
             models=(*scene.models, idle),
         ),
-        samples=9,
     )
 
 
@@ -547,17 +534,16 @@ def attainable_scene():
     return ta.bellows_arm(), twists, double([-7.67, 87.22, -2.73])
 
 
-@every_kind
 @pytest.mark.parametrize("power", [1, 2])
-def test_an_attainable_task_has_minus_its_smallest_margin(kind, power):
+def test_an_attainable_task_has_minus_its_smallest_margin(power):
     arm, twists, load = attainable_scene()
-    result = ta.evaluate(arm, ta.Task(twists, load[None]), hull=kind, signed=True, power=power)
+    result = ta.evaluate(arm, ta.Task(twists, load[None]), signed=True, power=power)
     assert result.absolute_per_node.max() < 0
     assert result.absolute == -(result.absolute_per_node.abs().amin(-1) ** power)
     assert result.relative_per_node[0, 0] == 0
     assert result.relative_per_node[0, 1] < 0
     assert result.relative == -(result.relative_per_node[:, 1].abs() ** power)
-    unsigned = ta.evaluate(arm, ta.Task(twists, load[None]), hull=kind, power=power)
+    unsigned = ta.evaluate(arm, ta.Task(twists, load[None]), power=power)
     assert unsigned.absolute == 0
     assert unsigned.relative == 0
 
@@ -712,13 +698,6 @@ def test_gradcheck(kind, chunk_size):
     assert gradcheck(lambda *values: totals(*values, hull=kind, chunk_size=chunk_size), inputs)
 
 
-@pytest.mark.parametrize("chunk_size", [None, 1])
-@unchecked()
-def test_second_derivatives(chunk_size):
-    inputs, totals = smooth_scene()
-    assert gradgradcheck(lambda *values: totals(*values, chunk_size=chunk_size), inputs, fast_mode=True)
-
-
 def test_gradients_inside_are_zero_unless_signed():
     arm, twists, load = attainable_scene()
     radii, load = arm.radii.clone().requires_grad_(), load[None].requires_grad_()
@@ -784,7 +763,7 @@ def test_gradients_on_a_straight_arm_are_those_of_central_differences(length):
     task = ta.Task(ta.affine_curvature(0.0, 0.0, length=length, nodes=4), ta.sample_loads(20))
 
     def total(limits):
-        return ta.evaluate(ta.ArmDesign(radii, 0.5, models, limits), task, ("absolute",), samples=17).absolute
+        return ta.evaluate(ta.ArmDesign(radii, 0.5, models, limits), task, ("absolute",)).absolute
 
     limits, step = double([40.0, 80.0, 90.0, 45.0], grad=True), 1e-3
     total(limits).sum().backward()
@@ -801,7 +780,7 @@ def test_gradients_are_finite_on_degenerate_designs(seed, kind):
     leaves = [value.clone().requires_grad_() for value in (case.arm.radii, case.arm.length, case.arm.max_pressure)]
     arm = ta.ArmDesign(leaves[0], leaves[1], case.arm.actuators, leaves[2])
     twists, loads = double(case.twists, grad=True), double(case.loads, grad=True)
-    result = ta.evaluate(arm, ta.Task(twists, loads), hull=kind, samples=case.samples)
+    result = ta.evaluate(arm, ta.Task(twists, loads), hull=kind)
     total = (result.absolute + result.relative).sum()
     for gradient in torch.autograd.grad(total, (*leaves, twists, loads)):
         assert gradient.isfinite().all()
@@ -827,7 +806,7 @@ def test_float32_stays_float32_and_near_float64(kind):
     for dtype in (torch.float32, torch.float64):
         arm, _ = random_arms(6, dtype=dtype, grad=True)
         task = ta.Task(random_twists(5, 1), random_loads(40)).to(dtype)
-        results.append(ta.evaluate(arm, task, hull=kind, signed=True))
+        results.append(ta.evaluate(arm, task, hull=kind, signed=kind == "exact"))
     single, exact = results
     for field in ("absolute", "relative", "absolute_per_node", "relative_per_node", "strain_excess"):
         value = getattr(single, field)
@@ -874,7 +853,12 @@ def test_a_force_model_of_ones_own_mixes_with_the_librarys(kind):
     limits = (60.0, 50.0, 60.0)
     expected_arm = oracle.Arm((-0.05, 0.01, 0.04), (0.5,) * 3, limits, (twin, bellows, twin))
     twists, load = random_twists(nodes=3), random_loads(1)
-    result = ta.evaluate(arm, ta.Task(twists, load), hull=kind, samples=5)
+    options = {"hull": "edges"} if kind == "edges" else {"distance": "scipy"}
+    task = ta.Task(twists, load, wrench_at="start")
+    result = ta.evaluate(arm, task, samples=5, **options)
+    exact = ta.evaluate(arm, task)
+    assert (exact.absolute_per_node <= result.absolute_per_node + 1e-10).all()
+    assert (exact.relative_per_node <= result.relative_per_node + 1e-10).all()
     expected = oracle.node_distances(expected_arm, twists, load[0], kind=kind, samples=5)
     np.testing.assert_allclose(result.absolute_per_node[0], expected.absolute.clip(min=0), rtol=1e-9, atol=1e-10)
     np.testing.assert_allclose(result.relative_per_node[0], expected.relative.clip(min=0), rtol=1e-9, atol=1e-10)
@@ -907,10 +891,13 @@ def test_sixty_four_actuators():
     twins = (oracle.Actuator(oracle.bellows_force), oracle.Actuator(oracle.mckibben_force, reference=100.0)) * 32
     twists, load = random_twists(nodes=3), random_loads(1) * 40
     arm = ta.ArmDesign(double(radii), 0.5, models)
-    result = ta.evaluate(arm, ta.Task(twists, load), samples=4)
+    task = ta.Task(twists, load, wrench_at="start")
+    exact, result = ta.evaluate(arm, task), ta.evaluate(arm, task, distance="scipy", samples=4)
     expected = oracle.node_distances(
         oracle.Arm(tuple(radii), (0.5,) * 64, (50.0, 100.0) * 32, twins), twists, load[0], kind="exact", samples=4
     )
-    assert result.absolute > 0
+    assert exact.converged.all()
+    assert 0.9 * result.absolute < exact.absolute < result.absolute
+    assert (exact.relative_per_node <= result.relative_per_node + 1e-9).all()
     np.testing.assert_allclose(result.absolute_per_node[0], expected.absolute.clip(min=0), rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(result.relative_per_node[0], expected.relative.clip(min=0), rtol=1e-9, atol=1e-9)

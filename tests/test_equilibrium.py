@@ -9,8 +9,9 @@ from scipy.optimize import root
 
 import torcharm as ta
 from experiments.benchmark_search import reference
-from torcharm import mechanics, se2
-from torcharm.rod import BASE_POSE
+from torcharm import mechanics
+from torcharm.geometry import se2
+from torcharm.geometry.rod import BASE_POSE
 
 ARMS = {
     "antagonistic": (ta.antagonistic_arm(), reference.ANTAGONISTIC),
@@ -238,7 +239,7 @@ def test_mirrored_arms_take_mirrored_shapes():
 def test_turning_base_and_load_turns_the_arm():
     arm, pressure, load = ta.antagonistic_arm(), [20.0, 30.0, 10.0, 5.0], double([2.0, -3.0, 0.1])
     angle = 0.7
-    turned = torch.cat((se2.rotate(double(angle), load[:2]), load[2:]))
+    turned = torch.cat((se2.turned(double(angle), load[:2]), load[2:]))
     found = ta.solve_equilibrium(arm, pressure, load)
     other = ta.solve_equilibrium(arm, pressure, turned, base_pose=[0.3, -0.2, -math.pi / 2 + angle])
     torch.testing.assert_close(found.twists, other.twists, rtol=0, atol=1e-8)

@@ -53,6 +53,22 @@ def test_a_star_import_gives_the_public_names():
     assert sorted(names) == torcharm.__all__
 
 
+def test_dir_lists_all_public_names_and_modules():
+    listed = run("import torcharm; print(*dir(torcharm))")
+    assert {*torcharm.__all__, "plot", "study"} <= set(listed)
+
+
+@pytest.mark.parametrize("module", ["plot", "study"])
+def test_modules_load_when_they_are_first_used(loaded, module):
+    assert f"torcharm.{module}" not in loaded
+    assert run(f"import torcharm as ta; print(ta.{module}.__name__)") == [f"torcharm.{module}"]
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="module 'torcharm' has no attribute 'nothing'"):
+        _ = torcharm.nothing
+
+
 def test_the_package_says_that_it_is_typed():
     assert resources.files("torcharm").joinpath("py.typed").is_file()
 

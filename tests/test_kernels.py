@@ -15,7 +15,6 @@ from torcharm._continuation import Problem, can_compile, loaded, settle, unloade
 from torcharm.equilibrium import solved
 from torcharm.kernels.arms import arms_of
 from torcharm.kernels.box import box_step
-from torcharm.kernels.forces import muscle
 from torcharm.kernels.march import BY_LOAD, NONE, imbalance, look, moves, new_march, solve
 
 ODD = ta.PolynomialActuator(((0, 1, 2.0), (1, 0, -30.0), (2, 4, 1e-6)), (-0.5, 1.0), (0.0, 40.0), 40.0, 0.0, 1.5)
@@ -89,21 +88,6 @@ def test_what_is_no_number_stays_none():
     solve(arms, 0, z, problem.pressure[0].numpy(), 1.0, NONE, False, False, 0.0, 0.0, march)
     assert np.isnan(imbalance(arms, 0, force, moment))
     assert np.isnan(moves(arms, 0, march.change[1], march.turned[1]))
-
-
-def test_a_muscle_at_every_branch():
-    strain = torch.tensor(
-        [-0.6, -0.4, -0.303225592, -0.29, -0.274484489, -0.2, -0.1, -1e-3, 0.0, 1e-3, 0.05, 0.2]
-    ).double()
-    pressure = torch.tensor([0.0, 1e-31, 1e-3, 1.0, 20.0, 49.0, 100.0]).double()
-    grid = torch.cartesian_prod(strain, pressure)
-    model = ta.McKibben()
-    force, slope, rate = model.force_slopes(grid[:, 0], grid[:, 1])
-    for (x, p), *wanted in zip(grid.tolist(), force, slope, rate, strict=True):
-        found = muscle(x, p, float(np.log(max(p, 1e-30))))
-        np.testing.assert_allclose(
-            [-value for value in found], [float(value) for value in wanted], rtol=1e-12, atol=1e-12
-        )
 
 
 @settings(max_examples=200, deadline=None)
@@ -269,60 +253,3 @@ def test_actuators_at_one_offset_that_resist_no_bending_at_rest(model):
         plain, found = (ta.search_pressure(arm, task, starts=3, compiled=way) for way in (False, True))
         assert int(found.converged.sum()) >= int(plain.converged.sum()) - 2
         assert (found.cost <= 1.01 * plain.cost + 1e-9).all()
-
-
-def test_where_code_is_kept(tmp_path, monkeypatch):
-    from torcharm import _compiled
-
-    told, blocked = tmp_path / "told", tmp_path / "file"
-    blocked.write_text("")
-    for value, home, wanted in ((told, tmp_path, told), (blocked, tmp_path, None), (blocked, blocked, None)):
-        monkeypatch.setenv("NUMBA_CACHE_DIR", str(value))
-        monkeypatch.setenv("HOME", str(home))
-        _compiled._folder.cache_clear()
-        folder = _compiled._folder()
-        assert folder is not None  # beside the sources, if nowhere else
-        assert folder.endswith(f"torcharm-{_compiled._version()}")
-        assert wanted is None or folder.startswith(str(wanted))
-    with monkeypatch.context() as patch:  # nowhere to write
-        patch.setattr(_compiled.Path, "mkdir", refuse)
-        _compiled._folder.cache_clear()
-        assert _compiled._folder() is None
-        square = _compiled.jit(lambda x: x * x)
-        assert square(3.0) == 9.0
-    _compiled._folder.cache_clear()
-
-
-def refuse(*_, **__):
-    raise PermissionError("read-only")
-
-
-def test_without_numba_it_says_so(monkeypatch):
-    monkeypatch.setattr("torcharm._compiled.find_spec", lambda name: None)
-    for ask in (
-        lambda: ta.search_pressure(ARMS["bellows"], ta.Task(SHAPE, [0.0] * 3), compiled=True),
-        lambda: ta.solve_equilibrium(ARMS["bellows"], [0.0] * 4, [0.0] * 3, compiled=True),
-    ):
-        with pytest.raises(
-            ValueError, match=r"compiled: must be False without numba, which torcharm\[compiled\] brings"
-        ):
-            ask()
-
-
-def test_code_on_disk_is_of_these_sources(tmp_path, monkeypatch):
-    """A change of what a kernel calls, or of a constant, makes it another."""
-    from torcharm import _compiled
-
-    before = _compiled._version()
-    copy = tmp_path / "torcharm"
-    (copy / "kernels").mkdir(parents=True)
-    for path in ("_compiled.py", "kernels/march.py"):
-        (copy / path).write_bytes((_compiled.Path(_compiled.__file__).parent / path).read_bytes())
-    monkeypatch.setattr(_compiled, "__file__", str(copy / "_compiled.py"))
-    versions = [before]
-    for text in ("", "# changed"):
-        _compiled._version.cache_clear()
-        (copy / "kernels" / "march.py").write_text(text)
-        versions.append(_compiled._version())
-    _compiled._version.cache_clear()
-    assert len(set(versions)) == 3

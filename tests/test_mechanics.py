@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import torcharm as ta
-from torcharm import mechanics, se2
-from torcharm.rod import BASE_POSE
+from torcharm import mechanics
+from torcharm.geometry import se2
+from torcharm.geometry.rod import BASE_POSE
 
 BASE = torch.tensor(BASE_POSE, dtype=torch.float64)
 MIXED = ta.ArmDesign(

@@ -14,7 +14,8 @@ from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
-from torcharm import plot, se2
+from torcharm import plot
+from torcharm.geometry import se2
 
 TWISTS = ta.affine_curvature(-0.5, 0.5, length=0.5, nodes=8)
 LOADS = ta.sample_loads(30, (20, 20, 2))

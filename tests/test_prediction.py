@@ -8,11 +8,12 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize, root
 
 import torcharm as ta
-from torcharm import mechanics, se2
+from torcharm import mechanics
 from torcharm._box import optimality
 from torcharm._box_least_squares import Model, box_step, minimise
 from torcharm._response import Points, pose_errors, settle
-from torcharm.rod import BASE_POSE
+from torcharm.geometry import se2
+from torcharm.geometry.rod import BASE_POSE
 
 BASE = torch.tensor(BASE_POSE, dtype=torch.float64)
 ARMS = {"antagonistic": ta.antagonistic_arm(), "bellows": ta.bellows_arm(), "muscle": ta.mckibben_arm()}
@@ -263,7 +264,7 @@ def test_a_change_of_frame_changes_nothing(turn, x, y):
     loads = ta.sample_loads(3)
     plain = predict(arm, ta.Task(twists, loads))
     change = torch.tensor([x, y, turn], dtype=torch.float64)
-    moved = torch.cat((se2.rotate(change[2:], loads[:, :2]), loads[:, 2:]), -1)
+    moved = torch.cat((se2.turned(change[2:], loads[:, :2]), loads[:, 2:]), -1)
     seen = predict(arm, ta.Task(twists, moved, se2.compose(change, BASE)))
     usable = plain.converged & seen.converged
     torch.testing.assert_close(seen.error[usable], plain.error[usable], rtol=1e-5, atol=1e-9)

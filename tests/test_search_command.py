@@ -61,12 +61,6 @@ def test_search_by_machine_code_writes_the_same(study_file, tmp_path):
         assert other["converged"] == row["converged"]
 
 
-def test_search_by_machine_code_needs_numba(study_file, monkeypatch, capsys):
-    monkeypatch.setattr("torcharm._compiled.find_spec", lambda name: None)
-    said = mistake(monkeypatch, capsys, "search", study_file, "--compiled")
-    assert said.startswith("--compiled: must be False without numba, which torcharm[compiled] brings")
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [

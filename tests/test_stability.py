@@ -4,9 +4,9 @@ The scenes and the extended-precision reference are those of experiments/stabili
 """
 
 import importlib.util
+import math
 import sys
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +14,6 @@ import pytest
 import torch
 
 import torcharm as ta
-from torcharm.distance import qp
-from torcharm.distance.qp import FORMS
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # plain pytest does not look there
 
@@ -24,7 +22,7 @@ from experiments.stability import reference, run, scenes
 HAS_QPTH = importlib.util.find_spec("qpth") is not None
 needs_qpth = pytest.mark.skipif(not HAS_QPTH, reason="qpth is not installed")
 BACKENDS = {backend.name: backend for backend in run.backends()}
-SOLVERS = ("scipy", "qpth", "qpth, half-spaces")
+SOLVERS = ("scipy", "qpth")
 
 
 def each_scene(chosen):
@@ -40,37 +38,38 @@ def rows_of(scene, *names, derivatives=False):
 
 # --- every scene, every backend ---
 
+EXACT_ERROR = 1e-7
+"""Of a distance over max|H - w|: curves are cubic pieces, good to this."""
 SCENES = scenes.all_scenes()
 SOME = [scene for scene in SCENES if scene.name != "N = 2000"][::3]  # solvers take their time
 
 
 @each_scene(SCENES)
-def test_the_closed_form_is_right(scene):
-    for row in rows_of(scene, "closed form"):
-        assert row.converged, row
-        assert row.error <= 1e-13, row
+def test_exact_distances_are_right(scene):
+    """In the plane and turned out of it; of impossible shapes they are infinite and not converged."""
+    for row in rows_of(scene, "exact", "exact, in space"):
+        assert row.converged or math.isinf(row.reference), row
+        assert row.error <= EXACT_ERROR, row
 
 
 @each_scene(SOME)
 def test_solvers_are_right(scene):
     for row in rows_of(scene, *SOLVERS):
-        assert row.converged, row
-        assert row.error <= (1e-13 if row.backend == "scipy" else 1e-6), row
+        assert row.converged or math.isinf(row.reference), row
+        assert row.error <= (1e-12 if row.backend == "scipy" else 1e-6), row
 
 
 @each_scene(SCENES[1::2])
 def test_float32_is_right_to_its_rounding(scene):
-    for row in rows_of(scene, "closed form, float32"):
-        # the square of 1e29 N is beyond float32: a flag
-        overflows = scene.name == "radii of 1 m, κ = 3"
-        assert (not row.converged) if overflows else row.error <= 5e-6, row
+    for row in rows_of(scene, "exact, float32"):
+        assert row.error <= 5e-6, row
 
 
 @each_scene(SCENES[::6])
-def test_derivatives_of_the_closed_form_are_right(scene):
+def test_derivatives_of_exact_distances_are_right(scene):
     """Where they are defined; at a kink, between the one-sided ones."""
-    for row in rows_of(scene, "closed form", derivatives=True):
-        assert row.gradient_error is None or row.gradient_error <= (1e-11 if row.smooth else 1e-8), row
+    for row in rows_of(scene, "exact", "exact, in space", derivatives=True):
+        assert row.gradient_error is None or row.gradient_error <= 1e-6, row
 
 
 def test_strains_out_of_range_are_flagged():
@@ -91,7 +90,6 @@ def test_strains_out_of_range_are_flagged():
 
 FUZZED = 100_000
 DESIGNS, TASKS = 25, 40
-SAMPLE_COUNTS = (2, 5, None, 2, 3)
 MODELS = (ta.Bellows(), ta.McKibben(), ta.McKibben(force_scale=2.0))
 
 
@@ -170,8 +168,7 @@ def test_a_hundred_thousand_fuzzed_scenes_are_finite_or_flagged():
     seen, in_range, finite = 0, 0, 0
     for batch in range(FUZZED // (DESIGNS * TASKS)):
         arm, task = (tame if batch % 2 else wild)(rng, torch.float32 if batch % 8 >= 6 else torch.float64)
-        samples, signed = SAMPLE_COUNTS[batch % len(SAMPLE_COUNTS)], batch % 3 == 0
-        found = ta.evaluate(arm, task, samples=samples, signed=signed, power=1 + (batch // 2) % 2)
+        found = ta.evaluate(arm, task, signed=batch % 3 == 0, power=1 + (batch // 2) % 2)
         assert_finite_or_flagged(found)
         good = found.absolute.isfinite() & found.relative.isfinite()
         assert good[found.in_range].all()
@@ -202,15 +199,15 @@ def test_fuzzed_scenes_without_a_flag_are_right():
     checked = 0
     for _ in range(6):
         arm, task = tame(rng, torch.float64)
-        found = ta.evaluate(arm, task, samples=5)
-        for design, index in found.in_range.nonzero()[:10].tolist():
+        found = ta.evaluate(arm, task)
+        for design, index in found.in_range.nonzero()[:3].tolist():
             own = ta.Task(task.twists[index], task.tip_load[index])
             for metric in run.METRICS:
-                expected = reference.node_distances(arm[design], own, metric, 5)
+                expected = reference.node_distances(arm[design], own, metric, None)
                 value = getattr(found, f"{metric}_per_node")[design, index].numpy()
-                np.testing.assert_array_less(abs(value - expected.value), 1e-13 * expected.scale + 1e-300)
+                np.testing.assert_array_less(abs(value - expected.value), EXACT_ERROR * expected.scale + 1e-300)
             checked += 1
-    assert checked > 30
+    assert checked > 9
 
 
 # --- one bad element in a batch for qpth ---
@@ -257,12 +254,11 @@ def bad_designs():
 
 
 @needs_qpth
-@pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("name", bad_designs())
-def test_a_bad_element_leaves_the_others_of_a_qpth_batch_unharmed(name, form):
+def test_a_bad_element_leaves_the_others_of_a_qpth_batch_unharmed(name):
     good, bad = good_designs(), bad_designs()[name]
-    found = differentiated(batch_of(*zip(*good[:2], bad, *good[2:], strict=True)), form)
-    alone = differentiated(batch_of(*zip(*good, strict=True)), form)
+    found = differentiated(batch_of(*zip(*good[:2], bad, *good[2:], strict=True)))
+    alone = differentiated(batch_of(*zip(*good, strict=True)))
     others = [0, 1, 3, 4, 5]
     for metric in run.METRICS:
         torch.testing.assert_close(getattr(found[0], metric)[others], getattr(alone[0], metric), rtol=1e-6, atol=1e-6)
@@ -272,40 +268,18 @@ def test_a_bad_element_leaves_the_others_of_a_qpth_batch_unharmed(name, form):
     if name == "no number":
         assert not found[0].converged[2].any()
     else:
-        closed = ta.evaluate(batch_of(*zip(bad, strict=True)), BATCH_TASK, samples=3)
+        closed = ta.evaluate(batch_of(*zip(bad, strict=True)), BATCH_TASK, samples=3, distance="scipy")
         assert found[0].converged[2].all()
         torch.testing.assert_close(found[0].absolute[2:3], closed.absolute, rtol=1e-9, atol=0)
 
 
-def differentiated(arm, form):
+def differentiated(arm):
     """What qpth finds, and its gradient in the radii for each design."""
     radii = arm.radii.clone().requires_grad_()
     scaled = ta.ArmDesign(radii, arm.length, arm.actuators, arm.max_pressure)
-    found = ta.evaluate(scaled, BATCH_TASK, samples=3, distance=partial(ta.qp_distance, form=form))
+    found = ta.evaluate(scaled, BATCH_TASK, samples=3, distance="qpth")
     total = torch.where(found.converged, found.absolute, torch.zeros_like(found.absolute)).sum()
     return found, torch.autograd.grad(total, radii)[0]
-
-
-@needs_qpth
-def test_an_element_that_ends_its_batch_leaves_the_others_unharmed(monkeypatch):
-    """A solver that answers a whole batch with junk as soon as a hull of one point is in it."""
-    layer, spoiled = qp.require_qpth(), []
-
-    def fragile(*terms):
-        entries = terms[0].flatten(1)
-        if (entries.amax(1) - entries.amin(1) > 1e-3).all():
-            return layer(*terms)
-        spoiled.append(len(entries))
-        return torch.full_like(terms[1], 1.0 / terms[1].shape[-1])
-
-    monkeypatch.setattr(qp, "require_qpth", lambda: fragile)
-    arm = batch_of(*zip(*good_designs()[:2], bad_designs()["one point"], *good_designs()[2:], strict=True))
-    found = ta.evaluate(arm, BATCH_TASK, ("absolute",), samples=3, distance="qpth", residuals=True)
-    expected = ta.evaluate(arm, BATCH_TASK, ("absolute",), samples=3)
-    assert max(spoiled) > 1
-    assert found.converged.all()
-    torch.testing.assert_close(found.absolute, expected.absolute, rtol=1e-6, atol=0)
-    assert not found.residuals["absolute"].resolved[[0, 1, 3, 4, 5]].all()
 
 
 # --- float32 ---

@@ -10,7 +10,6 @@ import pytest
 import torch
 
 import torcharm as ta
-from torcharm.hulls import DEFAULT_SAMPLES
 from torcharm.study import (
     NamedArm,
     NamedTask,
@@ -25,6 +24,7 @@ from torcharm.study import (
     summarise,
     write_results,
 )
+from torcharm.wrench_sets.vertex_sets import EDGE_SAMPLES
 
 SHAPE = 'shape = { kind = "affine", slope = -3, intercept = 3 }'
 LOADS = "loads = [[1, 2, 0.1], [0, 0, 0]]"
@@ -92,14 +92,19 @@ def test_example_loads_and_some_of_its_tasks_are_attainable():
 
 def test_examples_commented_lines_are_the_defaults():
     text = example_text()
-    for key in ("max_pressure", "base_pose", "hull", "samples", "weights", "power", "signed", "distance"):
+    for key in ("max_pressure", "base_pose", "hull", "weights", "power", "signed", "distance"):
         assert f"\n# {key} = " in text
         text = text.replace(f"\n# {key} = ", f"\n{key} = ")
     plain, spelt_out = parse_study(example_text()), parse_study(text)
-    assert replace(spelt_out.settings, samples=None) == plain.settings == Settings()
-    assert spelt_out.settings.samples == DEFAULT_SAMPLES["exact"]
+    assert spelt_out.settings == plain.settings == Settings()
     torch.testing.assert_close(spelt_out.arms[0].design.max_pressure, plain.arms[0].design.max_pressure)
     torch.testing.assert_close(spelt_out.tasks[1].task.base_pose, plain.tasks[1].task.base_pose, atol=1e-4, rtol=0)
+
+
+def test_examples_edges_are_the_papers():
+    text = example_text().replace('\n# hull = "exact"', '\nhull = "edges"').replace("\n# samples = ", "\nsamples = ")
+    settings = parse_study(text).settings
+    assert (settings.hull, settings.samples) == ("edges", EDGE_SAMPLES)
 
 
 def test_examples_alternatives_load():
@@ -213,10 +218,11 @@ def test_settings():
     study = parse_study(
         study_text(
             evaluate='metrics = ["relative", "absolute", "relative"]\nhull = "edges"\nsamples = 4\n'
-            "weights = [2, 0.5]\npower = 2\nsigned = true\ndistance = 'closed_form'"
+            "weights = [2, 0.5]\npower = 2\ndistance = 'scipy'"
         )
     )
-    assert study.settings == Settings(("absolute", "relative"), "edges", 4, "closed_form", (2.0, 0.5), 2, True)
+    assert study.settings == Settings(("absolute", "relative"), "edges", 4, "scipy", (2.0, 0.5), 2)
+    assert parse_study(study_text(evaluate="signed = true")).settings == Settings(signed=True)
 
 
 def test_several_arms_and_tasks_are_evaluated_task_by_task():
@@ -572,9 +578,17 @@ BAD_STUDIES = {
     ),
     "one sample": (bad_settings("samples = 1"), "evaluate.samples: must be at least 2, got 1"),
     "too many samples": (
-        bad_settings("samples = 900000"),
+        bad_settings('hull = "edges"\nsamples = 900000'),
         "evaluate.samples: must make at most 5e+07",
         "900000 samples",
+    ),
+    "samples of exact sets": (
+        bad_settings("samples = 9"),
+        "evaluate.samples: must be left out for hull='exact' and distance='gjk', which is exact, got 9",
+    ),
+    "margins of vertices": (
+        bad_settings('hull = "edges"\nsigned = true'),
+        "evaluate.signed: must be False except for hull='exact' and distance='gjk', got True",
     ),
     "power": (bad_settings("power = 3"), "evaluate.power: must be at most 2, got 3"),
     "power is a truth": (bad_settings("power = true"), "evaluate.power: must be a whole number, got true"),
@@ -582,6 +596,10 @@ BAD_STUDIES = {
     "no weight": (bad_settings("weights = [1, 0]"), "evaluate.weights[2]: must be above 0, got 0"),
     "signed is a number": (bad_settings("signed = 1"), "evaluate.signed: must be true or false, got 1"),
     "unknown distance": (bad_settings('distance = "far"'), "evaluate.distance: must be one of", 'got "far"'),
+    "the closed form": (
+        bad_settings('distance = "closed_form"'),
+        'evaluate.distance: must be left out instead of "closed_form": distances are exact by "gjk"',
+    ),
     "unknown setting": (bad_settings("sample = 3"), "evaluate.sample: unknown key; did you mean samples?"),
     "edges of many": (
         study_text(

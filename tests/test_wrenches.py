@@ -17,8 +17,8 @@ from torcharm import (
     poses,
     reaction_wrench,
     required_wrench,
-    se2,
 )
+from torcharm.geometry import se2
 
 F64 = torch.float64
 
@@ -36,7 +36,7 @@ def carried_by_adjoint(twists, load, base):
     """-q_i with q_i = Ad^{-T}_{g_i⁻¹ g_tip} diag(R_tip, 1)ᵀ q_tip."""
     pose = poses(twists, base)
     tip = pose[-1]
-    at_tip = torch.cat((se2.rotate(-tip[2], load[:2]), load[2:]))
+    at_tip = torch.cat((se2.turned(-tip[2], load[:2]), load[2:]))
     rows = [torch.linalg.inv(se2.adjoint(se2.compose(se2.inverse(node), tip))).T @ at_tip for node in pose[:-1]]
     return -torch.stack(rows)
 
@@ -57,7 +57,7 @@ def test_the_load_does_the_work_that_the_wrenches_do(seed, nodes):
     parts = 400
     fine = twists.detach().repeat_interleave(parts, 0)
     tip = poses(fine, base)[-1]
-    at_tip = torch.cat((se2.rotate(-tip[2], load[:2]), load[2:]))
+    at_tip = torch.cat((se2.turned(-tip[2], load[:2]), load[2:]))
     carried = torch.cat((-required_wrench(fine, load, base), at_tip[None]))
     mean = ((carried[1:] + carried[:-1]) / 2).unflatten(0, (nodes, parts)).mean(1)
     # The trapezoidal rule errs by the square of the angle turned in a part, over 12.

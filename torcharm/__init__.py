@@ -2,7 +2,6 @@
 
 from typing import TYPE_CHECKING, Any
 
-from torcharm._node_distances import Residuals
 from torcharm.actuators import (
     Actuator,
     Bellows,
@@ -14,13 +13,13 @@ from torcharm.actuators import (
     PolynomialActuator,
     monotonicity,
 )
-from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
-from torcharm.attainability import Attainability, evaluate
-from torcharm.distance.closed_form import distance_to_hull
-from torcharm.hulls import WrenchHulls, wrench_hulls
-from torcharm.rod import poses
+from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm, ring
+from torcharm.arm_series import ArmSeries, RigidLink, series
+from torcharm.geometry.rod import poses
+from torcharm.load import ExternalLoad, PointLoad
+from torcharm.statics.cross_section import reaction_wrench
+from torcharm.statics.external_load import required_wrench
 from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
-from torcharm.wrenches import reaction_wrench, required_wrench
 
 if TYPE_CHECKING:
     from torcharm.actuators.alignment import Recording, align, estimate_offset, pool
@@ -29,11 +28,7 @@ if TYPE_CHECKING:
     from torcharm.actuators.model_file import load_actuator, save_actuator
     from torcharm.actuators.recordings import read_pressure, read_tester
     from torcharm.actuators.uncertainty import TensorPolynomial, coefficient_tensor, standard_deviation
-    from torcharm.capacity import LoadCapacity, load_capacity
-    from torcharm.distance.planar import planar_distance
-    from torcharm.distance.qp import qp_distance
-    from torcharm.distance.result import HullDistance, kkt_residuals
-    from torcharm.distance.scipy_solvers import nnls_distance, slsqp_distance
+    from torcharm.attainability import Attainability, evaluate
     from torcharm.equilibrium import Equilibrium, NotConvergedError, solve_equilibrium
     from torcharm.optimise import (
         Architectures,
@@ -50,6 +45,12 @@ if TYPE_CHECKING:
     from torcharm.prediction import PredictedError, predict_error
     from torcharm.pressure_fit import PressureFit, fit_pressure
     from torcharm.search import PressureSearch, search_pressure
+    from torcharm.wrench_sets.capacity import LoadCapacity, load_capacity
+    from torcharm.wrench_sets.hull_distance import HullDistance, kkt_residuals
+    from torcharm.wrench_sets.qp import qp_distance
+    from torcharm.wrench_sets.reference import nnls_distance, slsqp_distance
+    from torcharm.wrench_sets.vertices import distance_to_hull
+    from torcharm.wrench_sets.wrench_set import WrenchHulls, wrench_hulls
 
 __version__ = "0.1.0"
 
@@ -57,12 +58,14 @@ __all__ = [
     "Actuator",
     "Architectures",
     "ArmDesign",
+    "ArmSeries",
     "Attainability",
     "Bellows",
     "BendingFunction",
     "ConstantBending",
     "DesignSpace",
     "Equilibrium",
+    "ExternalLoad",
     "FitQuality",
     "FittedActuator",
     "GriddedActuator",
@@ -75,13 +78,14 @@ __all__ = [
     "Objective",
     "OptimisedDesign",
     "PlannedShape",
+    "PointLoad",
     "PolynomialActuator",
     "PoseCost",
     "PredictedError",
     "PressureFit",
     "PressureSearch",
     "Recording",
-    "Residuals",
+    "RigidLink",
     "Smoothness",
     "Task",
     "TensorPolynomial",
@@ -109,7 +113,6 @@ __all__ = [
     "optimise_architectures",
     "optimise_design",
     "plan_shape",
-    "planar_distance",
     "pool",
     "poses",
     "predict_error",
@@ -118,9 +121,11 @@ __all__ = [
     "read_pressure",
     "read_tester",
     "required_wrench",
+    "ring",
     "sample_loads",
     "save_actuator",
     "search_pressure",
+    "series",
     "slsqp_distance",
     "solve_equilibrium",
     "standard_deviation",
@@ -129,14 +134,17 @@ __all__ = [
 ]
 
 _LATER = {
+    "Attainability": "attainability",
+    "distance_to_hull": "wrench_sets.vertices",
+    "evaluate": "attainability",
     "Architectures": "optimise",
     "DesignSpace": "optimise",
     "Equilibrium": "equilibrium",
     "FitQuality": "actuators.characterisation",
     "FittedActuator": "actuators.characterisation",
     "GriddedActuator": "actuators.gridded",
-    "HullDistance": "distance.result",
-    "LoadCapacity": "capacity",
+    "HullDistance": "wrench_sets.hull_distance",
+    "LoadCapacity": "wrench_sets.capacity",
     "NotConvergedError": "equilibrium",
     "Objective": "optimise",
     "OptimisedDesign": "optimise",
@@ -148,6 +156,7 @@ _LATER = {
     "Recording": "actuators.alignment",
     "Smoothness": "planning",
     "TensorPolynomial": "actuators.uncertainty",
+    "WrenchHulls": "wrench_sets.wrench_set",
     "align": "actuators.alignment",
     "coefficient_tensor": "actuators.uncertainty",
     "estimate_offset": "actuators.alignment",
@@ -155,34 +164,43 @@ _LATER = {
     "fit_gridded_model": "actuators.gridded",
     "fit_pressure": "pressure_fit",
     "fit_recording": "actuators.characterisation",
-    "kkt_residuals": "distance.result",
+    "kkt_residuals": "wrench_sets.hull_distance",
     "load_actuator": "actuators.model_file",
-    "load_capacity": "capacity",
+    "load_capacity": "wrench_sets.capacity",
     "load_optimised": "optimise",
-    "nnls_distance": "distance.scipy_solvers",
+    "nnls_distance": "wrench_sets.reference",
     "optimise_architectures": "optimise",
     "optimise_design": "optimise",
     "plan_shape": "planning",
-    "planar_distance": "distance.planar",
     "pool": "actuators.alignment",
     "predict_error": "prediction",
-    "qp_distance": "distance.qp",
+    "qp_distance": "wrench_sets.qp",
     "read_pressure": "actuators.recordings",
     "read_tester": "actuators.recordings",
     "save_actuator": "actuators.model_file",
     "search_pressure": "search",
-    "slsqp_distance": "distance.scipy_solvers",
+    "slsqp_distance": "wrench_sets.reference",
     "solve_equilibrium": "equilibrium",
     "standard_deviation": "actuators.uncertainty",
     "verify_design": "optimise",
+    "wrench_hulls": "wrench_sets.wrench_set",
 }
+
+
+_MODULES = ("plot", "study")
 
 
 def __getattr__(name: str) -> Any:
     """What loads when it is first used."""
-    """Distance solvers and optimisers, which load when they are first used."""
-    if name not in _LATER:
+    if name not in _LATER and name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
+    if name in _MODULES:
+        return import_module(f"torcharm.{name}")
     return getattr(import_module(f"torcharm.{_LATER[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    """All public names, those included that load when they are first used."""
+    return sorted({*globals(), *__all__, *_MODULES})

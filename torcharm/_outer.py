@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from torcharm._inputs import refuse_transforms, shown
-from torcharm.arm import ArmDesign
-from torcharm.task import Task
+from torcharm.arm import ArmDesign, check_planar
+from torcharm.task import Task, check_plain
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,8 @@ def check_arm_and_task(arm: ArmDesign, task: Task) -> None:
     for name, value, kind in (("arm", arm, ArmDesign), ("task", task, Task)):
         if not isinstance(value, kind):
             raise ValueError(f"{name}: must be of type {kind.__name__}, got {shown(value)}")
+    check_planar(arm)
+    check_plain(task)
     ours, theirs = arm.radii, task.twists
     if ours.dtype != theirs.dtype or ours.device != theirs.device:
         raise ValueError(

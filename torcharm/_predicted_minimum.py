@@ -12,13 +12,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torcharm import mechanics, rod
+from torcharm import mechanics
 from torcharm._box import optimality
 from torcharm._box_least_squares import Model, minimise
 from torcharm._outer import Block
 from torcharm._response import LARGE_MOVE, Points, Rest, is_stable, look, pose_errors, settle, size
 from torcharm._wrench_fit import fit_wrenches
 from torcharm.arm import ArmDesign
+from torcharm.geometry import rod
 
 SCREENED = (3, 8, 64)
 """Pressures at which each task is looked at where the arm does not stay at half the limits; and again, of more."""

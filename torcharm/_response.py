@@ -16,8 +16,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torcharm import mechanics, rod
+from torcharm import mechanics
 from torcharm.arm import ArmDesign
+from torcharm.geometry import rod
 
 LARGE_MOVE = 1.0
 """Longest Newton step, as of `size`, and the longest move through which a load is carried to first order."""

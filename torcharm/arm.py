@@ -1,5 +1,7 @@
 """Arm designs: actuators in parallel, batched and immutable."""
 
+import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -14,78 +16,104 @@ from torcharm._inputs import (
     as_floating,
     broadcast_shapes,
     check_at_least,
+    check_count,
     check_finite,
     shown,
 )
 from torcharm.actuators import Actuator, Bellows, McKibben, check_actuator
 
-Index = int | slice | EllipsisType | Tensor
+Index = int | slice | EllipsisType | Tensor | None
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class ArmDesign:
     """M actuators in parallel: where they sit, how long they are, how hard they may be driven.
 
-    Any number of designs with the same kinds of actuators make one batch.
+    Any number of designs with the same kinds of actuators make one batch. An arm whose actuators lie in one plane
+    is planar; one with offsets out of it, be they zero, is spatial.
 
     Attributes:
-        radii: (*batch, M) offsets r_α across the arm [m], positive to the left of its heading.
+        radii: (*batch, M) offsets y across the arm [m], positive to the left of its heading.
         length: (*batch, M) neutral lengths l̂_α [m].
         actuators: M force models.
         max_pressure: (*batch, M) pressure limits [kPa]; the lower limit is 0.
+        out_of_plane: (*batch, M) offsets z out of the plane [m], or None for a planar arm.
+        mass: (*batch) mass of the arm [kg], spread evenly over its normalised arc.
+        torsion_stiffness: (*batch) stiffness C against torsion [N·m²], or None for an arm that does not twist.
+        diameter: (*batch, M) outer diameters of the actuators [m], or None where they are not known.
     """
 
     radii: Tensor
     length: Tensor
     actuators: tuple[Actuator, ...]
     max_pressure: Tensor
+    out_of_plane: Tensor | None
+    mass: Tensor
+    torsion_stiffness: Tensor | None
+    diameter: Tensor | None
 
     def __init__(
         self,
-        radii: TensorLike,
-        length: TensorLike,
-        actuators: Sequence[Actuator | str | Path],
+        radii: TensorLike | None = None,
+        length: TensorLike | None = None,
+        actuators: Actuator | str | Path | Sequence[Actuator | str | Path] | None = None,
         max_pressure: TensorLike | None = None,
+        offsets: TensorLike | None = None,
+        mass: TensorLike = 0.0,
+        torsion_stiffness: TensorLike | None = None,
+        diameter: TensorLike | None = None,
+        *,
+        out_of_plane: TensorLike | None = None,
     ) -> None:
         """Check and broadcast.
 
         Args:
-            radii: (..., M) [m].
+            radii: (..., M) [m]; a planar arm's only offsets.
             length: (..., M) one for each actuator, or (...) one for each design [m].
-            actuators: M force models, or paths of their files (a `Path`, or text that ends in .toml).
+            actuators: M force models or one for all, or paths of their files (a `Path`, or text that ends in .toml).
             max_pressure: (..., M) [kPa]; None takes the models' own.
+            offsets: (..., M, 2) a spatial arm's offsets (y, z) [m], in place of the radii; see `ring`.
+            mass: (...) mass of the whole arm, one for each design [kg].
+            torsion_stiffness: (...) one for each design [N·m²].
+            diameter: (..., M) or one for all [m].
+            out_of_plane: (..., M) the offsets z beside radii that are the offsets y [m]: the other way to
+                write `offsets`.
 
         Raises:
             ValueError: shapes do not fit, or a value is not finite, a length is not positive,
                 a limit is negative, or a file holds no force model.
         """
-        if not isinstance(actuators, Sequence) or isinstance(actuators, str):
-            raise ValueError(f"actuators: must be a list of force models, got {shown(actuators)}")
-        models = tuple(_from_file(model) for model in actuators)
-        if not models:
-            raise ValueError("actuators: must hold at least one force model, got none")
-        for index, model in enumerate(models):
-            check_actuator(f"actuators[{index}]", model)
+        if offsets is not None and (radii is not None or out_of_plane is not None):
+            raise ValueError("offsets: must stand alone, in place of radii and out_of_plane, got both")
+        given = {"radii": radii} if offsets is None else {"offsets": offsets}
+        for name, value in (*given.items(), ("length", length), ("actuators", actuators)):
+            if value is None:
+                raise ValueError(f"{name}: must be given, got None")
+        models = _models(actuators, **given)
         limits = [model.max_pressure for model in models] if max_pressure is None else max_pressure
-        radii_, length_, limit = as_floating(radii=radii, length=length, max_pressure=limits)
-        count = len(models)
-        _check_last("radii", radii_, count, ones=False)
-        _check_last("max_pressure", limit, count, ones=True)
-        length_ = _per_actuator(length_, radii_, count)
-        shape = broadcast_shapes(radii=radii_.shape, length=length_.shape, max_pressure=limit.shape)
-        for name, value in (("radii", radii_), ("length", length_), ("max_pressure", limit)):
-            check_finite(name, value)
-        check_at_least("length", length_, 0.0, strict=True, unit="m")
-        check_at_least("max_pressure", limit, 0.0, unit="kPa")
-        object.__setattr__(self, "radii", radii_.expand(shape))
-        object.__setattr__(self, "length", length_.expand(shape))
-        object.__setattr__(self, "actuators", models)
-        object.__setattr__(self, "max_pressure", limit.expand(shape))
+        given |= {"length": length, "max_pressure": limits, "mass": mass}
+        optional = {"out_of_plane": out_of_plane, "torsion_stiffness": torsion_stiffness, "diameter": diameter}
+        given |= {name: value for name, value in optional.items() if value is not None}
+        values = dict(zip(given, as_floating(**given), strict=True))
+        if "offsets" in values:
+            values["radii"], values["out_of_plane"] = values.pop("offsets").unbind(-1)
+        checked = _check_and_expand(values, len(models))
+        for name, value in {**dict.fromkeys(optional), **checked, "actuators": models}.items():
+            object.__setattr__(self, name, value)
 
     def with_values(self, radii: Tensor, length: Tensor, max_pressure: Tensor) -> "ArmDesign":
-        """Designs of the same actuators, from tensors (..., M) of one shape that are known to be sound: not checked."""
+        """Designs of the same actuators, from tensors (..., M) of one shape that are known to be sound: not checked.
+
+        What else there is stays, and must have that shape or broadcast to it.
+        """
         design = object.__new__(type(self))
         values = {"radii": radii, "length": length, "actuators": self.actuators, "max_pressure": max_pressure}
+        for name in ("out_of_plane", "diameter"):
+            value = getattr(self, name)
+            values[name] = None if value is None else value.expand(radii.shape).to(radii)
+        for name in ("mass", "torsion_stiffness"):
+            value = getattr(self, name)
+            values[name] = None if value is None else value.expand(radii.shape[:-1]).to(radii)
         for name, value in values.items():
             object.__setattr__(design, name, value)
         return design
@@ -100,9 +128,25 @@ class ArmDesign:
         """M."""
         return len(self.actuators)
 
+    @property
+    def dimension(self) -> int:
+        """2 for a planar arm, 3 for a spatial one."""
+        return 2 if self.out_of_plane is None else 3
+
+    @property
+    def offsets(self) -> Tensor:
+        """(*batch, M, 2) offsets (y, z) [m]; z is 0 for a planar arm."""
+        z = torch.zeros_like(self.radii) if self.out_of_plane is None else self.out_of_plane
+        return torch.stack((self.radii, z), -1)
+
+    def to(self, *args: Any, **kwargs: Any) -> "ArmDesign":
+        """The designs in another dtype or on another device, as `Tensor.to`; the force models stay as they are."""
+        return self._map(lambda value: value.to(*args, **kwargs))
+
     def flatten(self) -> "ArmDesign":
         """The same designs as a batch of one dimension."""
-        return self._map(lambda value: value.reshape(-1, self.actuator_count))
+        count = math.prod(self.batch_shape)
+        return self._map(lambda value: value.reshape(count, value.shape[-1]))
 
     def __getitem__(self, index: Index | tuple[Index, ...]) -> "ArmDesign":
         """The designs at an index into the batch, as a tensor of shape `batch_shape` is indexed."""
@@ -111,13 +155,98 @@ class ArmDesign:
         place = index if isinstance(index, tuple) else (index,)
         return self._map(lambda value: value[(*place, slice(None))])
 
+    def __repr__(self) -> str:
+        """Kinds and shapes, no numbers."""
+        kinds = Counter(type(model).__name__ for model in self.actuators)
+        models = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
+        where = "planar" if self.dimension == 2 else "spatial"
+        return f"ArmDesign({where}, {models}, batch {tuple(self.batch_shape)}, {self.radii.dtype})"
+
     def _map(self, change: Callable[[Tensor], Tensor]) -> "ArmDesign":
-        """The designs with every tensor changed alike; what was checked stays checked."""
+        """The designs with every tensor, as (*batch, M) or (*batch, 1), changed alike; what was checked stays so."""
         design = object.__new__(type(self))
         for field in fields(self):
             value = getattr(self, field.name)
-            object.__setattr__(design, field.name, change(value) if isinstance(value, Tensor) else value)
+            if isinstance(value, Tensor):
+                each_design = field.name in ("mass", "torsion_stiffness")
+                value = change(value.unsqueeze(-1)).squeeze(-1) if each_design else change(value)
+            object.__setattr__(design, field.name, value)
         return design
+
+
+def ring(radius: TensorLike, count: int, phase: TensorLike = 0.0) -> Tensor:
+    """Offsets (..., count, 2) of actuators evenly spaced on a circle: `(r cos φ, r sin φ)`, φ = phase + 2πk/count.
+
+    Args:
+        radius: (...) of the circle [m].
+        count: of actuators.
+        phase: (...) angle of the first from the arm's left (body y) towards body z [rad].
+
+    Raises:
+        ValueError: a value is not finite, a radius is negative, the count is no positive integer, or shapes do not
+            broadcast.
+    """
+    check_count("count", count, 1)
+    size, first = as_floating(radius=radius, phase=phase)
+    check_finite("radius", size)
+    check_finite("phase", first)
+    check_at_least("radius", size, 0.0, unit="m")
+    broadcast_shapes(radius=size.shape, phase=first.shape)
+    angle = first.unsqueeze(-1) + torch.arange(count, dtype=first.dtype, device=first.device) * (2 * math.pi / count)
+    return size[..., None, None] * torch.stack((angle.cos(), angle.sin()), -1)
+
+
+def check_planar(arm: Any) -> None:
+    """Raise unless the arm is a planar design, for what is not written for space yet."""
+    if not isinstance(arm, ArmDesign):
+        raise ValueError(f"arm: must be of type ArmDesign, got {shown(arm)}")
+    if arm.dimension == 3:
+        raise ValueError("arm: must be a planar ArmDesign (radii, no offsets out of the plane), got a spatial one")
+
+
+def _models(actuators: Any, **across: Any) -> tuple[Actuator, ...]:
+    """Force models from objects and paths; one that is no list serves every offset across the arm."""
+    (name,) = across
+    (places,) = as_floating(**across)
+    if name == "offsets" and (places.ndim < 2 or places.shape[-1] != 2):
+        raise ValueError(f"offsets: must have shape (..., M, 2), got {tuple(places.shape)}")
+    given = actuators
+    if isinstance(actuators, (Path, str)) or not isinstance(actuators, Sequence):
+        model = _from_file(actuators)
+        if not hasattr(model, "force"):
+            raise ValueError(f"actuators: must be a list of force models, or one for all, got {shown(actuators)}")
+        given = (model,) * (0 if places.ndim == 0 else places.shape[-2 if name == "offsets" else -1])
+    models = tuple(_from_file(model) for model in given)
+    if not models:
+        raise ValueError("actuators: must hold at least one force model, got none")
+    for index, model in enumerate(models):
+        check_actuator(f"actuators[{index}]" if given is actuators else "actuators", model)
+    return models
+
+
+def _check_and_expand(values: dict[str, Tensor], count: int) -> dict[str, Tensor]:
+    """The tensors of a design, checked, in the shape of the batch."""
+    _check_last("radii", values["radii"], count, ones=False)
+    for name in ("max_pressure", "out_of_plane", "diameter"):
+        if name in values and (name != "diameter" or values[name].ndim):
+            _check_last(name, values[name], count, ones=name != "out_of_plane")
+    values["length"] = _per_actuator(values["length"], values["radii"], count)
+    each_design = ("mass", "torsion_stiffness")
+    shapes = {
+        name: (*value.shape, 1) if name in each_design else value.shape
+        for name, value in values.items()
+        if value.ndim  # one number serves every batch
+    }
+    shape = broadcast_shapes(**shapes)
+    for name, value in values.items():
+        check_finite(name, value)
+    check_at_least("length", values["length"], 0.0, strict=True, unit="m")
+    check_at_least("max_pressure", values["max_pressure"], 0.0, unit="kPa")
+    check_at_least("mass", values["mass"], 0.0, unit="kg")
+    for name, unit in (("torsion_stiffness", "N·m²"), ("diameter", "m")):
+        if name in values:
+            check_at_least(name, values[name], 0.0, strict=True, unit=unit)
+    return {name: value.expand(shape[:-1] if name in each_design else shape) for name, value in values.items()}
 
 
 def _from_file(model: Any) -> Any:

@@ -12,8 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from torcharm import mechanics, rod
-from torcharm._compiled import check_compiled
+from torcharm import mechanics
 from torcharm._continuation import LOOKS, SETTLING_STEPS, Problem, can_compile, loaded, settle, unloaded
 from torcharm._inputs import (
     TensorLike,
@@ -26,12 +25,12 @@ from torcharm._inputs import (
     check_flag,
     check_tensor,
     refuse_transforms,
-    shown,
 )
 from torcharm._response import DEFINITE, has_lengths, is_stable
 from torcharm.actuators import want_gradients
-from torcharm.arm import ArmDesign
-from torcharm.rod import BASE_POSE
+from torcharm.arm import ArmDesign, check_planar
+from torcharm.geometry import rod
+from torcharm.geometry.rod import BASE_POSE
 from torcharm.wrenches import along
 
 BLOCK_ELEMENTS = 2_000_000
@@ -127,8 +126,7 @@ def solve_equilibrium(
         ValueError: an argument is none of those allowed, or shapes do not fit.
         NotConvergedError: see `raise_on_failure`.
     """
-    if not isinstance(arm, ArmDesign):
-        raise ValueError(f"arm: must be of type ArmDesign, got {shown(arm)}")
+    check_planar(arm)
     refuse_transforms("pressure, tip_load")
     check_count("nodes", nodes, 1)
     pressure, load, base, _ = as_floating(pressure=pressure, tip_load=tip_load, base_pose=base_pose, radii=arm.radii)
@@ -136,7 +134,7 @@ def solve_equilibrium(
     shear_stiffness = check_above_zero("shear_stiffness", shear_stiffness)
     tolerance = check_above_zero("tolerance", tolerance)
     check_flag("raise_on_failure", raise_on_failure)
-    check_compiled("compiled", compiled)
+    check_flag("compiled", compiled)
     if start is not None:
         check_tensor("start", start, nodes, 3)
         check_finite("start", start)

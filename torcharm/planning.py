@@ -13,12 +13,12 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torcharm import rod
 from torcharm._inputs import TensorLike, as_floating, check_count, check_finite, shown
-from torcharm.arm import ArmDesign
+from torcharm.arm import ArmDesign, check_planar
 from torcharm.attainability import Attainability, evaluate
+from torcharm.geometry import rod
+from torcharm.geometry.rod import BASE_POSE
 from torcharm.optimise.objective import Objective
-from torcharm.rod import BASE_POSE
 from torcharm.task import Task
 
 TIP_TOLERANCE = 1e-8
@@ -121,6 +121,7 @@ def plan_shape(
     """
     if not isinstance(arm, ArmDesign) or arm.batch_shape:
         raise ValueError(f"arm: must be one design, got {shown(arm)}")
+    check_planar(arm)
     if objective is not None and not isinstance(objective, (Objective, Smoothness)):
         raise ValueError(f"objective: must be an Objective or a Smoothness, got {shown(objective)}")
     check_count("nodes", nodes, 2)

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from torcharm import mechanics, rod
+from torcharm import mechanics
 from torcharm._continuation import Problem
 from torcharm._inputs import check_count, shown
 from torcharm._outer import Block, OuterProduct, check_arm_and_task, map_blocks, outer_product
@@ -25,6 +25,7 @@ from torcharm.actuators import want_gradients
 from torcharm.actuators.bending import active_moment, passive_moment
 from torcharm.arm import ArmDesign
 from torcharm.equilibrium import TOLERANCES, solved
+from torcharm.geometry import rod
 from torcharm.pose_cost import PoseCost
 from torcharm.task import Task
 from torcharm.wrenches import actuator_force, along

@@ -7,9 +7,8 @@ from math import prod
 import torch
 from torch import Tensor
 
-from torcharm import mechanics, rod
+from torcharm import mechanics
 from torcharm._branch_search import search_block
-from torcharm._compiled import check_compiled
 from torcharm._continuation import Problem, can_compile
 from torcharm._descent import Goal
 from torcharm._inputs import check_above_zero, check_choice, check_count, check_flag
@@ -17,6 +16,7 @@ from torcharm._outer import OuterProduct, check_arm_and_task, outer_product
 from torcharm._response import has_lengths
 from torcharm.arm import ArmDesign
 from torcharm.equilibrium import TOLERANCES, NotConvergedError, default_chunk, stays, strain_excess
+from torcharm.geometry import rod
 from torcharm.pose_cost import PoseCost
 from torcharm.task import Task
 
@@ -117,14 +117,13 @@ def search_pressure(
         raise_on_failure: makes it an error if any search does not converge.
         chunk_size: searches worked on at once (batched); None chooses. Bounds memory.
         compiled: whether the work is done by machine code: the same answers, six to twelve times as fast, in as many
-            threads as PyTorch takes. It needs numba (`torcharm[compiled]`), and half a minute to two at the very first
+            threads as PyTorch takes. It is compiled for half a minute to two at the very first
             search; later ones, of other processes, too, find the code on disk. For arms of `Bellows`,
             `PolynomialActuator` and `McKibben` whose bending stiffness is a number, without shear, in double precision
             on the CPU; others are searched as without it.
 
     Raises:
-        ValueError: an argument is none of those allowed, arm and task differ in dtype or device, or numba is needed and
-            not installed.
+        ValueError: an argument is none of those allowed, or arm and task differ in dtype or device.
         NotConvergedError: see `raise_on_failure`.
     """
     check_choice("method", method, METHODS)
@@ -135,7 +134,7 @@ def search_pressure(
     weight = PoseCost(node_weights, error_weights).weights(outer.nodes, outer.twists).sqrt()
     shear_stiffness = check_above_zero("shear_stiffness", shear_stiffness)
     check_flag("raise_on_failure", raise_on_failure)
-    check_compiled("compiled", compiled)
+    check_flag("compiled", compiled)
     if progress is not None:
         check_flag("progress", progress)
     if chunk_size is not None:

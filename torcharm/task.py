@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,65 +13,166 @@ from torcharm._inputs import (
     as_floating,
     broadcast_shapes,
     check_at_least,
+    check_choice,
     check_count,
     check_finite,
+    shown,
 )
-from torcharm.rod import BASE_POSE
+from torcharm.geometry.rod import check_segment_nodes, group_of, hanging
+from torcharm.load import ExternalLoad, check_tip
+
+WRENCH_AT = "start"
+"""Where an element's wrench is taken unless a task says otherwise. The paper's place, and for now the only one that the
+mechanics knows; "middle" is second order in the number of nodes."""
+
+WRENCH_PLACES = ("start", "middle")
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class Task:
-    """Centreline shapes and tip loads; their batch dimensions broadcast.
+    """Centreline shapes and the loads to hold them under; their batch dimensions broadcast.
 
     Attributes:
-        twists: (..., N, 3) rows `(l, γ, κ)` per unit of normalised arc [m, m, rad].
-        tip_load: (..., 3) `(f_x, f_y, m)` at the tip, in the world frame [N, N, N·m].
-        base_pose: (3,) pose of node 1 [m, m, rad].
+        twists: (..., N, 3) rows `(l, γ, κ)` in the plane, (..., N, 6) rows `(l, γ_y, γ_z, κ_x, κ_y, κ_z)` in space,
+            per unit of normalised arc of the own segment [m, rad], segment after segment.
+        base_pose: pose of node 1, (3,) [m, m, rad] or (4, 4).
+        load: all that loads the arm; its tip is the `tip_load`.
+        wrench_at: "start" or "middle", where on its element a node's wrench is taken.
+        segment_nodes: number of elements of each segment in series, or None for an arm of one segment.
     """
 
     twists: Tensor
-    tip_load: Tensor
     base_pose: Tensor
+    load: ExternalLoad
+    wrench_at: str
+    segment_nodes: tuple[int, ...] | None
 
-    def __init__(self, twists: TensorLike, tip_load: TensorLike, base_pose: TensorLike = BASE_POSE) -> None:
+    def __init__(
+        self,
+        twists: TensorLike,
+        tip_load: TensorLike | None = None,
+        base_pose: TensorLike | None = None,
+        load: ExternalLoad | None = None,
+        wrench_at: str = WRENCH_AT,
+        segment_nodes: Sequence[int] | None = None,
+    ) -> None:
         """Check, without expanding: a shape shared by many loads stays shared.
+
+        Args:
+            twists: (..., N, 3 or 6); the number of columns says whether the task is planar or spatial.
+            tip_load: (..., 3) or (..., 6) in the world frame [N, N·m]. Beside a load it is that load's tip.
+            base_pose: (3,) or (4, 4); None hangs the arm from the origin.
+            load: point loads and gravity, with or without a tip load.
+            wrench_at: "start" (the paper, first order in 1/N) or "middle" (second order).
+            segment_nodes: for arms in series, how many of the N rows belong to each segment.
 
         Raises:
             ValueError: shapes do not fit or a value is not finite.
         """
-        twists_, load, base = as_floating(twists=twists, tip_load=tip_load, base_pose=base_pose)
-        if twists_.ndim < 2 or twists_.shape[-1] != 3 or twists_.shape[-2] < 1:
-            raise ValueError(f"twists: must have shape (..., N, 3) with N at least 1, got {tuple(twists_.shape)}")
-        if load.ndim < 1 or load.shape[-1] != 3:
-            raise ValueError(f"tip_load: must have shape (..., 3), got {tuple(load.shape)}")
-        if base.shape != (3,):
-            raise ValueError(f"base_pose: must have shape (3,), got {tuple(base.shape)}")
-        for name, value in (("twists", twists_), ("tip_load", load), ("base_pose", base)):
+        if load is not None and not isinstance(load, ExternalLoad):
+            raise ValueError(f"load: must be an ExternalLoad, got {shown(load)}")
+        check_choice("wrench_at", wrench_at, WRENCH_PLACES)
+        given: dict[str, Any] = {"twists": twists}
+        if tip_load is not None or load is None:
+            given["tip_load"] = tip_load
+        if base_pose is not None:
+            given["base_pose"] = base_pose
+        others = {} if load is None else {f"load.{name}": value for name, value in load.tensors().items()}
+        values = dict(zip((*given, *others), as_floating(**given, **others), strict=True))
+        twists_ = values["twists"]
+        if twists_.ndim < 2 or twists_.shape[-1] not in (3, 6) or twists_.shape[-2] < 1:
+            raise ValueError(
+                "twists: must have shape (..., N, 3) in the plane or (..., N, 6) in space with N at least 1, "
+                f"got {tuple(twists_.shape)}"
+            )
+        columns = twists_.shape[-1]
+        base = hanging(twists_, columns) if base_pose is None else values["base_pose"]
+        pose_shape = group_of(columns).POSE_SHAPE
+        if base.shape != pose_shape:
+            raise ValueError(f"base_pose: must have shape {pose_shape}, got {tuple(base.shape)}")
+        for name, value in (("twists", twists_), ("base_pose", base)):
             check_finite(name, value)
-        broadcast_shapes(twists=twists_.shape[:-2], tip_load=load.shape[:-1])
+        whole = (load or ExternalLoad()).to(twists_)
+        if whole.columns not in (None, columns):
+            raise ValueError(f"load: must be of {columns} components as the twists are, got {whole.columns}")
+        tip = values.get("tip_load", whole.tip)
+        if tip is not None:
+            check_tip("tip_load", tip, (columns,))
+            broadcast_shapes(twists=twists_.shape[:-2], tip_load=tip.shape[:-1])
+        whole = whole.with_tip(tip)
+        broadcast_shapes(twists=twists_.shape[:-2], load=whole.batch_shape)
+        counts = None if segment_nodes is None else check_segment_nodes(segment_nodes, twists_.shape[-2])
+        check_segments(whole, 1 if counts is None else len(counts))
         object.__setattr__(self, "twists", twists_)
-        object.__setattr__(self, "tip_load", load)
         object.__setattr__(self, "base_pose", base)
+        object.__setattr__(self, "load", whole)
+        object.__setattr__(self, "wrench_at", wrench_at)
+        object.__setattr__(self, "segment_nodes", counts)
+
+    @property
+    def tip_load(self) -> Tensor:
+        """(..., 3) or (..., 6) wrench at the tip in the world frame [N, N·m]; zero where there is none."""
+        return self.twists.new_zeros(self.twists.shape[-1]) if self.load.tip is None else self.load.tip
 
     @property
     def batch_shape(self) -> torch.Size:
         """Shape of the batch of tasks; empty for one task."""
-        return torch.broadcast_shapes(self.twists.shape[:-2], self.tip_load.shape[:-1])
+        return torch.broadcast_shapes(self.twists.shape[:-2], self.load.batch_shape)
 
     @property
     def nodes(self) -> int:
-        """N, the number of segments; node i is the start of segment i."""
+        """N, the number of elements; node i is the start of element i."""
         return self.twists.shape[-2]
 
-    def to(self, *args: object, **kwargs: object) -> "Task":
+    @property
+    def dimension(self) -> int:
+        """2 for a planar task, 3 for a spatial one."""
+        return 2 if self.twists.shape[-1] == 3 else 3
+
+    def to(self, *args: Any, **kwargs: Any) -> "Task":
         """The task in another dtype or on another device, as `Tensor.to`."""
-        return self._map(lambda value: value.to(*args, **kwargs))  # type: ignore[call-overload]
+        return self._map(lambda value: value.to(*args, **kwargs))
+
+    def __repr__(self) -> str:
+        """Shapes, no numbers."""
+        extra = "" if self.segment_nodes is None else f", segment_nodes={self.segment_nodes}"
+        return (
+            f"Task(twists {tuple(self.twists.shape)}, {self.load!r}, wrench_at={self.wrench_at!r}{extra}, "
+            f"{self.twists.dtype})"
+        )
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> "Task":
         task = object.__new__(type(self))
         for field in fields(self):
-            object.__setattr__(task, field.name, change(getattr(self, field.name)))
+            value = getattr(self, field.name)
+            if isinstance(value, Tensor):
+                value = change(value)
+            elif isinstance(value, ExternalLoad):
+                value = value._map(change)
+            object.__setattr__(task, field.name, value)
         return task
+
+
+def check_segments(load: ExternalLoad, count: int) -> None:
+    """Raise unless every point load sits on a segment that is there."""
+    for index, point in enumerate(load.points):
+        if point.segment >= count:
+            raise ValueError(
+                f"points[{index}].segment: must be below {count}, the number of segments (see segment_nodes), "
+                f"got {point.segment}"
+            )
+
+
+def check_plain(task: "Task") -> None:
+    """Raise unless a task is planar with a tip load alone, for what is not written for more yet."""
+    if task.dimension == 3:
+        raise ValueError(f"task: must be planar, twists (..., N, 3), got {tuple(task.twists.shape)}")
+    if task.load.gravity or task.load.points:
+        raise ValueError("load: must be a tip load alone here, got gravity or point loads")
+    if task.wrench_at != "start":
+        raise ValueError(f"wrench_at: must be 'start' here, got {task.wrench_at!r}")
+    if task.segment_nodes is not None and len(task.segment_nodes) > 1:
+        raise ValueError(f"segment_nodes: must be one segment here, got {task.segment_nodes}")
 
 
 def affine_curvature(slope: TensorLike, intercept: TensorLike, length: TensorLike = 0.5, nodes: int = 10) -> Tensor:

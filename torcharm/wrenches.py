@@ -1,4 +1,4 @@
-"""Wrenches along the arm: what a task requires, and what pressures provide.
+"""What pressures provide at cross-sections of planar arms, for the mechanics.
 
 Planar hull wrenches are `(f_x, m)` in N and N·m, in the frame of their node. Shear is carried by
 the arm's shear stiffness and has no part in them.
@@ -7,11 +7,8 @@ the arm's shear stiffness and has no part in them.
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
-from torcharm import rod, se2
-from torcharm._inputs import as_floating, broadcast_shapes, check_at_least, check_finite, check_tensor
 from torcharm.actuators import Actuator, force_slopes
 from torcharm.actuators.bending import (
     active_moment,
@@ -21,43 +18,11 @@ from torcharm.actuators.bending import (
     reference_pressure,
 )
 from torcharm.actuators.inspection import same_model
-from torcharm.arm import ArmDesign
+from torcharm.geometry import rod
+from torcharm.statics.external_load import HULL
 
-PLANAR = (0, 2)
+PLANAR = HULL[3]
 """Components of a wrench `(f_x, f_y, m)` that a planar hull holds."""
-
-
-def required_wrench(
-    twists: Float[Tensor, "*#batch N 3"],
-    tip_load: Float[Tensor, "*#batch 3"],
-    base_pose: Float[Tensor, "*#batch 3"] | None = None,
-) -> Float[Tensor, "... N 3"]:
-    """The reaction `w_i = -q_i` that the task asks of each node, `(f_x, f_y, m)` in its frame.
-
-    Plain statics: the force F is `R_iᵀ F` in node i's frame, the moment about node i is
-    `m_tip + (p_tip - p_i) × F`. The same as carrying the load by `Ad^{-T}_{g_i⁻¹ g_tip}`.
-
-    Args:
-        twists: the task's shape [m, m, rad].
-        tip_load: `(f_x, f_y, m)` at the tip in the world frame [N, N, N·m].
-        base_pose: pose of node 1; None hangs the arm.
-
-    Raises:
-        ValueError: shapes do not fit.
-    """
-    pose = rod.poses(twists, base_pose)
-    check_tensor("tip_load", tip_load, 3)
-    broadcast_shapes(twists=pose.shape[:-2], tip_load=tip_load.shape[:-1])
-    node, tip = pose[..., :-1, :], pose[..., -1:, :]
-    force = tip_load[..., None, :2]
-    local = se2.rotate(-node[..., 2], force.expand(*_joint(node, force), 2))
-    arm = (tip - node)[..., :2]
-    moment = tip_load[..., None, 2] + arm[..., 0] * force[..., 1] - arm[..., 1] * force[..., 0]
-    return -torch.cat((local, moment.unsqueeze(-1)), -1)
-
-
-def _joint(node: Tensor, force: Tensor) -> torch.Size:
-    return torch.broadcast_shapes(node.shape[:-1], force.shape[:-1])
 
 
 def along(values: Sequence[float | Tensor], like: Tensor, dim: int) -> Tensor:
@@ -179,30 +144,3 @@ def _as_slice(members: list[int]) -> slice | list[int]:
     step = members[1] - members[0] if len(members) > 1 else 1
     evenly = slice(members[0], members[-1] + 1, step)
     return evenly if list(range(members[-1] + 1))[evenly] == members else members
-
-
-def reaction_wrench(
-    arm: ArmDesign, twists: Float[Tensor, "*#batch N 3"], pressure: Float[Tensor, "*#batch M"]
-) -> Float[Tensor, "... N 2"]:
-    """Reaction `(f_x, m)` [N, N·m] of each node to pressures [kPa], in the node's frame.
-
-    `f_x = Σ f_α(ε_α, p_α)` and `m = Σ (-r_α f_α + τ_α)`. The paper prints `+r`; virtual work
-    (`∂l_α/∂κ = -r_α`) asks for the minus.
-
-    Raises:
-        ValueError: a pressure is negative or not finite, or shapes do not fit.
-    """
-    check_tensor("twists", twists, "N", 3)
-    pressure, _ = as_floating(pressure=pressure, radii=arm.radii)
-    check_tensor("pressure", pressure, arm.actuator_count)
-    broadcast_shapes(twists=twists.shape[:-2], pressure=pressure.shape[:-1], radii=arm.batch_shape)
-    check_finite("pressure", pressure)
-    check_at_least("pressure", pressure, 0.0, unit="kPa")
-    length, _, curvature = twists.unsqueeze(-2).unbind(-1)
-    radii, neutral, pressure = arm.radii.unsqueeze(-2), arm.length.unsqueeze(-2), pressure.unsqueeze(-2)
-    strain, bending = actuator_state(arm.actuators, length, curvature, radii, neutral)
-    force = actuator_force(arm.actuators, strain, pressure)
-    share = pressure / along(reference_pressures(arm.actuators), pressure, -1)
-    moment = (bending * share - radii * force).sum(-1)
-    resting = resting_moment(arm.actuators, length, curvature, radii, neutral)
-    return torch.stack((force.sum(-1), moment if resting is None else moment + resting), -1)

@@ -1,15 +1,18 @@
-"""Time the evaluator: the validation study against scipy, a design sweep, and growth.
+"""Time the evaluator: the validation study against scipy, sweeps in the plane and in space, growth and memory.
 
-Prints tables and writes results.csv beside this file: one row a measurement.
+Times are CPU times of one thread. Prints tables and writes results.csv beside this file: one row a measurement.
 """
 
 import argparse
+import os
 import resource
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,30 +21,28 @@ import torch
 from rich.console import Console
 from rich.progress import track
 from scipy.optimize import minimize, nnls
+from torch import Tensor
 
 import torcharm as ta
 from experiments.rows import Measurement, measurements_table, write_rows
-from torcharm import hulls
-from torcharm.distance.closed_form import nearest_faces
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 HERE = Path(__file__).parent
 NODES = 10
 SHAPE = ta.affine_curvature(-3.0, 3.0, length=0.5, nodes=NODES)
+PLANE, SPACE = "plane", "space"
+METRICS = ("absolute", "relative")
+TIP_LOADS = {PLANE: [3.0, -2.0, 0.5], SPACE: [3.0, -2.0, 1.0, 0.2, -0.1, 0.5]}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a smoke run: small sizes, no file written")
-    parser.add_argument("--compile", action="store_true", help="also torch.compile (several minutes)")
-    parser.add_argument("--threads", type=int, default=2, help="threads for torch (default 2)")
     options = parser.parse_args()
-    torch.set_num_threads(options.threads)
+    torch.set_num_threads(1)
     console = Console()
     rows: list[Measurement] = []
-    for part in (machine, validation, sweep, stages, memory, compiled, growth):
-        if part is compiled and not options.compile:
-            continue
+    for part in (machine, compilation, validation, sweep, own_model, memory, growth):
         found = list(part(options.quick))
         console.print(measurements_table(found, 4))
         rows += found
@@ -51,14 +52,14 @@ def main() -> None:
 
 
 def seconds(work: Callable[[], object], repeats: int = 9) -> float:
-    """Median time of a warm call."""
+    """Median CPU time of a warm call."""
     work()
     work()
     times = []
     for _ in range(repeats):
-        start = time.perf_counter()
+        start = time.process_time()
         work()
-        times.append(time.perf_counter() - start)
+        times.append(time.process_time() - start)
     return statistics.median(times)
 
 
@@ -71,9 +72,41 @@ def machine(quick: bool) -> Iterator[Measurement]:
     out = torch.empty_like(a)
     big = seconds(lambda: torch.mul(a, b, out=out), 201) / len(a)
     small = seconds(lambda: a[:4] * 2.0, 2001)
-    part = f"this machine, {torch.get_num_threads()} thread(s)"
+    part = "this machine, one thread"
     yield Measurement(part, "product of 100,000 doubles", "time", big * 1e9, "ns an element")
     yield Measurement(part, "slice and product of 4", "time", small * 1e6, "µs")
+
+
+def compilation(quick: bool) -> Iterator[Measurement]:
+    """The first call of a process, torch already imported, with no compiled code on disk and with it."""
+    part = "first call: absolute and relative, one design, one load"
+    for dimension in (PLANE,) if quick else (PLANE, SPACE):
+        with tempfile.TemporaryDirectory() as folder:
+            for case in ("nothing compiled yet", "compiled by an earlier process"):
+                (spent,) = in_a_process(f"print_first_call('{dimension}')", NUMBA_CACHE_DIR=folder)
+                yield Measurement(part, f"{dimension}, {case}", "time", spent, "s")
+
+
+def in_a_process(call: str, **environment: str) -> list[float]:
+    """The numbers that a function of this module prints in a process of its own."""
+    code = "import torch; torch.set_num_threads(1)\n"
+    code += f"from experiments.benchmark_evaluate import run; run.{call}"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=HERE.parents[1],
+        env=os.environ | environment,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    return [float(word) for word in done.stdout.split()]
+
+
+def print_first_call(dimension: str) -> None:
+    arm, task = scene(dimension)
+    start = time.process_time()
+    ta.evaluate(arm, task)
+    print(time.process_time() - start)
 
 
 # ---- the validation study -------------------------------------------------------------
@@ -86,7 +119,7 @@ def validation(quick: bool) -> Iterator[Measurement]:
     task = ta.Task(SHAPE, ta.sample_loads(100))
     for case, settings in {"exact": {}, "edges, 3 points": {"hull": "edges", "samples": 3}}.items():
 
-        def ours(settings: dict[str, object] = settings) -> list[torch.Tensor | None]:
+        def ours(settings: dict[str, object] = settings) -> list[Tensor | None]:
             return [ta.evaluate(arm, task, ("absolute",), **settings).absolute_per_node for arm in arms]  # type: ignore[arg-type]
 
         spent = seconds(ours, 3 if quick else 51)
@@ -98,28 +131,22 @@ def validation(quick: bool) -> Iterator[Measurement]:
     elapsed, worst, worst_exact, solved = 0.0, 0.0, 0.0, 0
     for arm, answer in zip(arms, answers, strict=True):
         assert answer is not None
-        vertices = all_edge_samples(arm)
+        vertices = ta.wrench_hulls(arm, SHAPE, hull="edges", samples=3).vertices.numpy()
         wanted = ta.required_wrench(SHAPE, shorter.tip_load)[..., (0, 2)].numpy()
         for load, wrenches in enumerate(track(wanted, "SLSQP", transient=True)):
             for node, wrench in enumerate(wrenches):
-                start = time.perf_counter()
+                start = time.process_time()
                 distance = slsqp_distance(vertices[node], wrench)
-                elapsed += time.perf_counter() - start
+                elapsed += time.process_time() - start
                 worst = max(worst, abs(distance - answer[load, node].item()))
                 accurate = nnls_distance(vertices[node], wrench)
                 worst_exact = max(worst_exact, abs(accurate - answer[load, node].item()))
                 solved += 1
     baseline = elapsed * 2000 / solved
-    yield Measurement(part, f"scipy SLSQP, {solved} QPs of 48 weights", "time", baseline * 1e3, "ms")
+    yield Measurement(part, f"scipy SLSQP, {solved} QPs", "time", baseline * 1e3, "ms")
     yield Measurement(part, "scipy SLSQP / torcharm, the same hulls", "ratio", baseline / spent, "times")
     yield Measurement(part, "scipy SLSQP - torcharm, the same hulls", "largest difference", worst, "N")
     yield Measurement(part, "scipy nnls - torcharm, the same hulls", "largest difference", worst_exact, "N")
-
-
-def all_edge_samples(arm: ta.ArmDesign) -> Array:
-    """Reactions (N, 48, 2) to the paper's pressures: three on every edge of the pressure box."""
-    table = torch.tensor(hulls.edge_table(arm.actuator_count, 3)) / 2 * arm.max_pressure
-    return ta.reaction_wrench(arm, SHAPE, table).movedim(0, 1).numpy()
 
 
 def slsqp_distance(vertices: Array, wrench: Array) -> float:
@@ -149,109 +176,141 @@ def nnls_distance(vertices: Array, wrench: Array) -> float:
     return float(np.linalg.norm(weights @ gap) / weights.sum())
 
 
-# ---- a sweep over designs -------------------------------------------------------------
+# ---- sweeps over designs ----------------------------------------------------------------
 
 
-def sweep(quick: bool) -> Iterator[Measurement]:
-    """Time a design: 4 actuators × 10 nodes × 1 load × 3 samples a curve."""
-    for count in (1, 1000) if quick else (1, 1000, 10_000, 100_000):
-        parameters = random_parameters(count)
-        repeats = 3 if quick or count > 1000 else 21
-        forward = seconds(lambda p=parameters: sweep_total(p), repeats)  # type: ignore[misc]
-        both = seconds(lambda p=parameters: sweep_gradient(p), repeats)  # type: ignore[misc]
-        part = "design sweep: 4 actuators × 10 nodes × 1 load × 3 samples"
-        yield Measurement(part, f"{count:,} designs", "forward", forward / count * 1e6, "µs a design")
-        yield Measurement(part, f"{count:,} designs", "forward + backward", both / count * 1e6, "µs a design")
+def scene(
+    dimension: str,
+    designs: int = 1,
+    loads: int = 1,
+    nodes: int = NODES,
+    actuators: int = 4,
+    models: Sequence[ta.Actuator] | None = None,
+) -> tuple[ta.ArmDesign, ta.Task]:
+    """Random designs of bellows and muscles in turn, on a curved shape.
 
-
-def random_parameters(count: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Outer radii and lengths [m] around the paper's."""
+    In the plane offsets are drawn from ±80 mm; in space actuators stand on a ring of a drawn radius.
+    """
     generator = torch.Generator().manual_seed(0)
-    radius, length = torch.rand(2, count, generator=generator, dtype=torch.float64)
-    return 0.04 + 0.05 * radius, 0.45 + 0.1 * length
+    kinds = models or (ta.Bellows(), ta.McKibben())
+    own = [kinds[index % 2] for index in range(actuators)]
+    slope, start = (-3.0, 3.0) if dimension == PLANE else (-1.0, 1.5)
+    shape = ta.affine_curvature(slope, start, length=0.5, nodes=nodes)
+    load = torch.tensor(TIP_LOADS[dimension], dtype=torch.float64)
+    if loads > 1:
+        load = load * (0.5 + torch.rand(loads, 1, generator=generator, dtype=torch.float64))
+    if dimension == PLANE:
+        radii = 0.16 * torch.rand(designs, actuators, generator=generator, dtype=torch.float64) - 0.08
+        return ta.ArmDesign(radii, 0.5, own), ta.Task(shape, load)
+    radius = 0.03 + 0.03 * torch.rand(designs, 1, 1, generator=generator, dtype=torch.float64)
+    twists = torch.zeros(nodes, 6, dtype=torch.float64)
+    twists[:, 0], twists[:, 4], twists[:, 5] = shape[:, 0], 0.6 * shape[:, 2].flip(0), 0.8 * shape[:, 2]
+    offsets = radius * ta.ring(radius=1.0, count=actuators)
+    return ta.ArmDesign(offsets=offsets, length=0.5, actuators=own), ta.Task(twists, load)
 
 
-def sweep_total(parameters: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:
-    radius, length = parameters
-    arm = ta.antagonistic_arm(radius, 0.015, length)
-    found = ta.evaluate(arm, ta.Task(SHAPE, [3.0, -2.0, 0.5]), ("absolute",), samples=3).absolute
+def total(arm: ta.ArmDesign, task: ta.Task, metric: str) -> Tensor:
+    found: Tensor | None = getattr(ta.evaluate(arm, task, (metric,)), metric)
     assert found is not None
     return found
 
 
-def sweep_gradient(
-    parameters: tuple[torch.Tensor, torch.Tensor],
-    total: Callable[[tuple[torch.Tensor, torch.Tensor]], torch.Tensor] = sweep_total,
-) -> tuple[torch.Tensor, ...]:
-    leaves = tuple(parameter.requires_grad_() for parameter in map(torch.clone, parameters))
-    return torch.autograd.grad(total(leaves).sum(), leaves)  # type: ignore[arg-type]
+@dataclass(frozen=True)
+class Timed:
+    """Seconds of one evaluation."""
+
+    forward: float
+    both: float
 
 
-def stages(quick: bool) -> Iterator[Measurement]:
-    """Where the time of a forward pass goes, in one block of designs."""
-    count = 500 if quick else 2500
-    radius, length = random_parameters(count)
-    arm = ta.antagonistic_arm(radius, 0.015, length)
-    wanted = ta.required_wrench(SHAPE, torch.tensor([3.0, -2.0, 0.5], dtype=torch.float64))
-    x, y = (wanted[:, axis].repeat_interleave(count).unsqueeze(-1) for axis in (0, 2))
-    torch.empty(30_000_000, dtype=torch.uint8)
-    with torch.no_grad():
-        sections = hulls.cross_sections(arm, SHAPE[None])
-        curves = hulls.sample_curves(sections, 3)
-        polygons = hulls.build_hulls(curves, "exact", (1.0, 1.0)).polygons
-        steps: dict[str, Callable[[], object]] = {
-            "strains": lambda: hulls.cross_sections(arm, SHAPE[None]),
-            "forces along the curves": lambda: hulls.sample_curves(sections, 3),
-            "Minkowski sums": lambda: hulls.build_hulls(curves, "exact", (1.0, 1.0)),
-            "distances": lambda: nearest_faces(polygons, x, y, slots=False),
-        }
-        spent = {name: seconds(step, 21) / count * 1e6 for name, step in steps.items()}
-    part = f"where a forward pass spends its time: one block of {count:,} designs"
-    for name, value in spent.items():
-        yield Measurement(part, name, "time", value, "µs a design")
+def timed(arm: ta.ArmDesign, task: ta.Task, metric: str, repeats: int) -> Timed:
+    """Forward, and forward with gradients in all radii (in space: offsets) and lengths."""
+
+    def with_gradients() -> object:
+        leaves = [
+            None if value is None else value.detach().clone().requires_grad_()
+            for value in (arm.radii, arm.length, arm.out_of_plane)
+        ]
+        tracked = ta.ArmDesign(leaves[0], leaves[1], arm.actuators, arm.max_pressure, out_of_plane=leaves[2])
+        return torch.autograd.grad(total(tracked, task, metric).sum(), [leaf for leaf in leaves if leaf is not None])
+
+    return Timed(seconds(lambda: total(arm, task, metric), repeats), seconds(with_gradients, repeats))
+
+
+def sweep(quick: bool) -> Iterator[Measurement]:
+    """Time a design: 4 actuators × 10 nodes × 1 load, exact sets; of one design that is the time of a small call."""
+    part = "design sweep: exact sets, 4 actuators × 10 nodes × 1 load"
+    for dimension in (PLANE, SPACE):
+        for metric in METRICS:
+            for count in (1, 200) if quick else (1, 1000, 10_000, 100_000):
+                arm, task = scene(dimension, designs=count)
+                spent = timed(arm, task, metric, 3 if quick or count > 1000 else 21)
+                case = f"{dimension}, {metric}, {count:,} design(s)"
+                yield Measurement(part, case, "forward", spent.forward / count * 1e6, "µs a design")
+                yield Measurement(part, case, "forward + backward", spent.both / count * 1e6, "µs a design")
+
+
+# ---- a user's model -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class OwnBellows:
+    """The bellows' force as a user would write it, unknown to the engine."""
+
+    bending_stiffness: float = ta.Bellows().bending_stiffness  # type: ignore[assignment]
+    max_pressure: float = 50.0
+    strain_range: tuple[float, float] = ta.Bellows().strain_range
+    pressure_range: tuple[float, float] = ta.Bellows().pressure_range
+
+    def force(self, strain: Tensor, pressure: Tensor) -> Tensor:
+        return ta.Bellows().force(strain, pressure)
+
+
+def own_model(quick: bool) -> Iterator[Measurement]:
+    """A user's force model beside the shipped one that it copies."""
+    count = 200 if quick else 10_000
+    part = f"a user's torch model: {count:,} designs × 10 nodes × 1 load, absolute"
+    for dimension in (PLANE, SPACE):
+        spent, answers = {}, {}
+        known: dict[str, ta.Actuator] = {"shipped": ta.Bellows(), "user's": OwnBellows()}
+        for name, model in known.items():
+            arm, task = scene(dimension, designs=count, models=(model, model))
+            spent[name], answers[name] = timed(arm, task, "absolute", 3), total(arm, task, "absolute")
+            yield Measurement(part, f"{dimension}, {name}", "forward", spent[name].forward / count * 1e6, "µs a design")
+            both = spent[name].both / count * 1e6
+            yield Measurement(part, f"{dimension}, {name}", "forward + backward", both, "µs a design")
+        ratio = spent["user's"].forward / spent["shipped"].forward
+        yield Measurement(part, f"{dimension}, user's / shipped", "forward", ratio, "times")
+        difference = (answers["user's"] - answers["shipped"]).abs().max().item()
+        yield Measurement(part, f"{dimension}, user's - shipped", "largest difference", difference, "N")
+
+
+# ---- memory ---------------------------------------------------------------------------
 
 
 def memory(quick: bool) -> Iterator[Measurement]:
     """Peak memory of a process that evaluates many designs × 10 nodes × 1 load, torch included."""
-    for count in (10_000,) if quick else (1, 1_000_000):
-        code = f"from experiments.benchmark_evaluate import run; run.print_peak({count}, {torch.get_num_threads()})"
-        root = HERE.parents[1]
-        printed = subprocess.run([sys.executable, "-c", code], cwd=root, check=True, capture_output=True, text=True)
-        peak, elapsed = map(float, printed.stdout.split())
-        part = "memory: absolute and relative, exact hulls, default samples"
-        yield Measurement(part, f"{count:,} designs", "peak of the process", peak / 1024, "MiB")
-        yield Measurement(part, f"{count:,} designs", "time", elapsed, "s")
+    part = "memory: absolute and relative, exact sets"
+    for dimension in (PLANE, SPACE):
+        for count in (1, 2000) if quick else (1, 1_000_000):
+            for gradient in (False, True):
+                peak, elapsed = in_a_process(f"print_peak('{dimension}', {count}, {gradient})")
+                case = f"{dimension}, {count:,} design(s){', with gradients' if gradient else ''}"
+                yield Measurement(part, case, "peak of the process", peak / 1024, "MiB")
+                yield Measurement(part, case, "time", elapsed, "s")
 
 
-def print_peak(count: int, threads: int) -> None:
-    torch.set_num_threads(threads)
-    radius, length = random_parameters(count)
-    start = time.perf_counter()
-    ta.evaluate(ta.antagonistic_arm(radius, 0.015, length), ta.Task(SHAPE, [3.0, -2.0, 0.5]))
-    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.perf_counter() - start)
-
-
-def compiled(quick: bool) -> Iterator[Measurement]:
-    """The sweep through torch.compile, checked for equal results."""
-    count = 20_000
-    parameters = random_parameters(count)
-    fast = torch.compile(sweep_total)
-    part = f"torch.compile: the sweep at {count:,} designs"
-    start = time.perf_counter()
-    difference = (fast(parameters) - sweep_total(parameters)).abs().max().item()
-    yield Measurement(part, "forward", "compilation", time.perf_counter() - start, "s")
-    yield Measurement(part, "forward", "largest difference", difference, "N")
-    for name, total in (("eager", sweep_total), ("compiled", fast)):
-        spent = seconds(lambda t=total: t(parameters), 5)  # type: ignore[misc]
-        yield Measurement(part, f"forward, {name}", "time", spent / count * 1e6, "µs a design")
-    start = time.perf_counter()
-    pairs = zip(sweep_gradient(parameters, fast), sweep_gradient(parameters), strict=True)
-    difference = max((ours - theirs).abs().max().item() for ours, theirs in pairs)
-    yield Measurement(part, "forward + backward", "compilation", time.perf_counter() - start, "s")
-    yield Measurement(part, "forward + backward", "largest difference", difference, "N/m")
-    for name, total in (("eager", sweep_total), ("compiled", fast)):
-        spent = seconds(lambda t=total: sweep_gradient(parameters, t), 5)  # type: ignore[misc]
-        yield Measurement(part, f"forward + backward, {name}", "time", spent / count * 1e6, "µs a design")
+def print_peak(dimension: str, count: int, gradient: bool) -> None:
+    arm, task = scene(dimension, designs=count)
+    length = arm.length.clone().requires_grad_(gradient)
+    design = ta.ArmDesign(arm.radii, length, arm.actuators, arm.max_pressure, out_of_plane=arm.out_of_plane)
+    start = time.process_time()
+    found = ta.evaluate(design, task)
+    if gradient:
+        assert found.absolute is not None
+        assert found.relative is not None
+        (found.absolute.sum() + found.relative.sum()).backward()
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time() - start)
 
 
 # ---- growth ---------------------------------------------------------------------------
@@ -259,27 +318,20 @@ def compiled(quick: bool) -> Iterator[Measurement]:
 
 def growth(quick: bool) -> Iterator[Measurement]:
     """Time against designs, loads, nodes and actuators, one at a time, and the power it grows with."""
-    top = 2 if quick else 5
-    ladders: dict[str, tuple[list[int], Callable[[int], tuple[ta.ArmDesign, ta.Task]]]] = {
-        "designs": ([1000 * 2**k for k in range(top)], lambda n: scene(designs=n)),
-        "loads": ([10_000 * 2**k for k in range(top)], lambda n: scene(loads=n)),
-        "nodes": ([1000 * 2**k for k in range(top)], lambda n: scene(nodes=n)),
-        "actuators": ([4 * 2**k for k in range(top)], lambda n: scene(designs=500, actuators=n)),
+    top, scale = (2, 10) if quick else (5, 1)
+    ladders: dict[str, list[dict[str, int]]] = {
+        "designs": [{"designs": 1000 * 2**k // scale} for k in range(top)],
+        "loads": [{"loads": 1000 * 2**k // scale} for k in range(top)],
+        "nodes": [{"nodes": 1000 * 2**k // scale} for k in range(top)],
+        "actuators": [{"actuators": 4 * 2**k, "designs": 500 // scale} for k in range(top)],
     }
-    part = "growth: absolute, exact hulls of 3 samples"
-    for name, (sizes, build) in ladders.items():
-        spent = []
-        for size in sizes:
-            arm, task = build(size)
-            spent.append(seconds(lambda a=arm, t=task: ta.evaluate(a, t, ("absolute",), samples=3), 5))  # type: ignore[misc]
-            yield Measurement(part, f"{size:,} {name}", "time", spent[-1] * 1e3, "ms")
-        power = np.polyfit(np.log(sizes), np.log(spent), 1)[0]
-        yield Measurement(part, name, "power of growth (1 is linear)", float(power), "")
-
-
-def scene(designs: int = 1, loads: int = 1, nodes: int = NODES, actuators: int = 4) -> tuple[ta.ArmDesign, ta.Task]:
-    generator = torch.Generator().manual_seed(0)
-    radii = 0.16 * torch.rand(designs, actuators, generator=generator, dtype=torch.float64) - 0.08
-    kinds = [ta.Bellows() if index % 2 == 0 else ta.McKibben() for index in range(actuators)]
-    shape = ta.affine_curvature(-3.0, 3.0, length=0.5, nodes=nodes)
-    return ta.ArmDesign(radii, 0.5, kinds), ta.Task(shape, ta.sample_loads(loads))
+    for dimension in (PLANE, SPACE):
+        part = f"growth: absolute, exact sets, {dimension}"
+        for name, sizes in ladders.items():
+            spent = []
+            for size in sizes:
+                arm, task = scene(dimension, **size)  # type: ignore[arg-type]
+                spent.append(seconds(lambda a=arm, t=task: total(a, t, "absolute"), 5))  # type: ignore[misc]
+                yield Measurement(part, f"{size[name]:,} {name}", "time", spent[-1] * 1e3, "ms")
+            power = np.polyfit(np.log([size[name] for size in sizes]), np.log(spent), 1)[0]
+            yield Measurement(part, name, "power of growth (1 is linear)", float(power), "")

@@ -1,1 +1,1 @@
-"""What accuracy costs: ways to sample attainable sets, and solvers for distances to them."""
+"""What accuracy costs: exact attainable sets, sampled ones, and solvers for distances, in the plane and in space."""

@@ -10,7 +10,7 @@ from torch import Tensor
 
 import torcharm as ta
 from torcharm import mechanics
-from torcharm.distance.qp import require_qpth
+from torcharm.wrench_sets.qp import require_qpth
 
 SAMPLES = 5
 REGULARISATION = 1e-8

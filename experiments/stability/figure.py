@@ -11,12 +11,11 @@ from experiments.stability.run import Row
 LEAST = 1e-20
 """Where errors of nothing are drawn."""
 STYLES = {
-    "closed form": ("#000000", "o"),
+    "exact": ("#000000", "o"),
     "scipy": ("#0072B2", "s"),
     "qpth": ("#D55E00", "^"),
-    "qpth, half-spaces": ("#E69F00", "v"),
-    "closed form, float32": ("#009E73", "D"),
-    "closed form, whole curves": ("#CC79A7", "P"),
+    "exact, in space": ("#CC79A7", "P"),
+    "exact, float32": ("#009E73", "D"),
 }
 
 

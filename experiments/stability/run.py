@@ -28,8 +28,11 @@ from experiments.stability.scenes import ArmScene, HullScene, Scene, all_scenes
 HERE = Path(__file__).parent
 SAMPLES = 5
 METRICS = ("absolute", "relative")
-WHOLE_CURVES, DERIVATIVES = 100, 1000
-"""Above so many actuators × nodes the reference leaves out whole curves, and derivatives: they would take minutes."""
+TURN = 0.7
+"""By so much [rad] scenes are turned out of the plane: no axis of space is left in it."""
+WHOLE_CURVES, WHOLE_DERIVATIVES, DERIVATIVES = 100, 24, 1000
+"""Above so many actuators × nodes the reference leaves out whole curves, their derivatives, and derivatives of samples:
+they would take minutes."""
 
 
 @dataclass(frozen=True)
@@ -39,14 +42,16 @@ class Backend:
     Attributes:
         name: as in the tables.
         distance: as for `evaluate`.
-        samples: points on each curve; None to polish, against whole curves.
+        samples: points on each curve; None for the sets themselves, against whole curves.
         dtype: of the inputs.
+        in_space: whether the scene is turned out of the plane, by `TURN` about the base's axis; distances stay.
     """
 
     name: str
-    distance: str | Callable[[Tensor, Tensor], ta.HullDistance]
-    samples: int | None = SAMPLES
+    distance: str
+    samples: int | None = None
     dtype: torch.dtype = torch.float64
+    in_space: bool = False
 
     @property
     def key(self) -> tuple[int | None, torch.dtype]:
@@ -57,14 +62,13 @@ class Backend:
 def backends() -> list[Backend]:
     """Those that can be had; qpth has no release for Python 3.13 and later."""
     found = [
-        Backend("closed form", "closed_form"),
-        Backend("closed form, float32", "closed_form", dtype=torch.float32),
-        Backend("closed form, whole curves", "closed_form", samples=None),
-        Backend("scipy", "scipy"),
+        Backend("exact", "gjk"),
+        Backend("exact, in space", "gjk", in_space=True),
+        Backend("exact, float32", "gjk", dtype=torch.float32),
+        Backend("scipy", "scipy", SAMPLES),
     ]
     if importlib.util.find_spec("qpth") is not None:
-        found.append(Backend("qpth", "qpth"))
-        found.append(Backend("qpth, half-spaces", partial(ta.qp_distance, form="halfspaces")))
+        found.append(Backend("qpth", "qpth", SAMPLES))
     return found
 
 
@@ -75,11 +79,11 @@ class Row:
     Attributes:
         group, scene, backend, dtype, metric: what was asked.
         value, reference: the sum over nodes or points [N].
-        error: the largest of a node or point, at most 1; 1 if the answer is not finite or not converged.
+        error: the largest of a node or point, at most 1; 1 if the answer is not finite or not converged. Of an
+            impossible shape 0 if that is the answer.
         gradient_error: by how much the derivative of the sum is off, the worse of two directions, at most 1;
             None where it has none or the reference could not tell.
         finite, in_range, converged: what the library says; in_range is None for bare hulls.
-        resolved: the share of problems that an exact method had to answer.
         smooth: whether the sum has a derivative; at a kink its error is that from the one-sided ones. None
             where that is not known.
     """
@@ -96,7 +100,6 @@ class Row:
     finite: bool
     in_range: bool | None
     converged: bool
-    resolved: float
     smooth: bool | None
 
 
@@ -107,19 +110,18 @@ class Answer:
     Attributes:
         value: (N,) distances.
         slopes: derivatives of their sum along the scene's two directions.
-        in_range, converged, resolved: flags.
+        in_range, converged: flags.
     """
 
     value: Tensor
     slopes: tuple[float, float]
     in_range: bool | None
     converged: bool
-    resolved: float
 
 
 @dataclass(frozen=True)
 class Truth:
-    """The same from the reference; derivatives only if asked for, and not of whole curves."""
+    """The same from the reference; derivatives only if asked for. Distances of impossible shapes are infinite."""
 
     distances: Distances
     slopes: tuple[Derivative, Derivative] | None
@@ -167,9 +169,7 @@ def scene_rows(scene: Scene, chosen: Iterable[Backend] | None = None, *, derivat
 
 
 def applies(scene: Scene, backend: Backend) -> bool:
-    if isinstance(scene, HullScene):
-        return backend.samples is not None
-    return backend.samples is not None or section_count(scene) <= WHOLE_CURVES
+    return isinstance(scene, HullScene) or backend.samples is not None or section_count(scene) <= WHOLE_CURVES
 
 
 def section_count(scene: ArmScene) -> int:
@@ -181,6 +181,8 @@ def section_count(scene: ArmScene) -> int:
 def as_row(scene: Scene, backend: Backend, metric: str, answer: Answer, truth: Truth) -> Row:
     value = answer.value.detach().double().numpy()
     finite = bool(np.isfinite(value).all())
+    if np.isinf(truth.distances.value).all():
+        return _impossible_row(scene, backend, metric, answer)
     scale, off = truth.distances.scale, abs(value - truth.distances.value)
     error = float(np.where(off == 0, 0, off / np.where(scale > 0, scale, 1)).max())
     largest = float(scale.max())
@@ -202,8 +204,27 @@ def as_row(scene: Scene, backend: Backend, metric: str, answer: Answer, truth: T
         finite=finite,
         in_range=answer.in_range,
         converged=answer.converged,
-        resolved=answer.resolved,
         smooth=None if truth.slopes is None else all(slope.smooth and slope.settled for slope in slopes),
+    )
+
+
+def _impossible_row(scene: Scene, backend: Backend, metric: str, answer: Answer) -> Row:
+    """Of a shape that leaves an actuator no length: right is an infinite distance everywhere that is not converged."""
+    right = bool(answer.value.isinf().all()) and not answer.converged
+    return Row(
+        group=scene.group,
+        scene=scene.name,
+        backend=backend.name,
+        dtype=str(backend.dtype).removeprefix("torch."),
+        metric=metric,
+        value=float(answer.value.detach().sum()),
+        reference=math.inf,
+        error=0.0 if right else 1.0,
+        gradient_error=None,
+        finite=bool(answer.value.isfinite().all()),
+        in_range=answer.in_range,
+        converged=answer.converged,
+        smooth=None,
     )
 
 
@@ -222,26 +243,49 @@ def arm_answers(scene: ArmScene, backend: Backend) -> dict[str, Answer]:
     arm, task = arm_inputs(scene, backend.dtype)
     factors = torch.ones(2, dtype=backend.dtype, requires_grad=True)
     scaled = ta.ArmDesign(arm.radii * factors[0], arm.length * factors[1], arm.actuators, arm.max_pressure)
-    whole = backend.samples is None
-    found = ta.evaluate(
-        scaled, task, samples=backend.samples or 3, distance=backend.distance, polish=whole, residuals=True
-    )
-    assert found.residuals is not None
+    if backend.in_space:
+        scaled, task = turned_out_of_plane(scaled, task)
+    found = ta.evaluate(scaled, task, samples=backend.samples, distance=backend.distance)
     answers = {}
     for metric in METRICS:
         total, per_node = getattr(found, metric), getattr(found, f"{metric}_per_node")
         (gradient,) = torch.autograd.grad(total, factors, retain_graph=True)
-        resolved = found.residuals[metric].resolved.double().mean().item()
         slopes = (gradient[0].item(), gradient[1].item())
-        answers[metric] = Answer(per_node, slopes, bool(found.in_range), bool(found.converged), resolved)
+        answers[metric] = Answer(per_node, slopes, bool(found.in_range), bool(found.converged))
     return answers
+
+
+def turned_out_of_plane(arm: ta.ArmDesign, task: ta.Task) -> tuple[ta.ArmDesign, ta.Task]:
+    """The same arm and shape in space, the arm's own axes turned by `TURN` against the plane in which it bends."""
+    c, s = math.cos(TURN), math.sin(TURN)
+    offsets = torch.stack((c * arm.radii, s * arm.radii), -1)
+    length, shear, bend = task.twists.unbind(-1)
+    twists = torch.stack((length, c * shear, s * shear, torch.zeros_like(bend), -s * bend, c * bend), -1)
+    force_x, force_y, moment = task.tip_load.unbind(-1)
+    nothing = torch.zeros_like(moment)
+    load = torch.stack((force_x, force_y, nothing, nothing, nothing, moment), -1)
+    x, y, heading = task.base_pose.tolist()
+    ahead, aside = math.cos(heading), math.sin(heading)
+    base = [
+        [ahead, -c * aside, -s * aside, x],
+        [aside, c * ahead, s * ahead, y],
+        [0.0, -s, c, 0.0],
+        [0.0, 0.0, 0.0, 1.0],
+    ]
+    spatial = ta.ArmDesign(offsets=offsets, length=arm.length, actuators=arm.actuators, max_pressure=arm.max_pressure)
+    return spatial, ta.Task(twists, load, twists.new_tensor(base), wrench_at=task.wrench_at)
 
 
 def truths(scene: Scene, backend: Backend, derivatives: bool) -> dict[str, Truth]:
     if isinstance(scene, HullScene):
         return {"distance": hull_truth(*hull_inputs(scene, backend.dtype), derivatives)}
     arm, task = arm_inputs(scene, backend.dtype)
-    derivatives = derivatives and backend.samples is not None and section_count(scene) <= DERIVATIVES
+    if any((reference.sections(arm, task, False).strain <= -1).ravel()):
+        never = Distances(np.full(task.nodes, np.inf, Real), np.ones(task.nodes, Real))
+        return {metric: Truth(never, None) for metric in METRICS}
+    derivatives = derivatives and section_count(scene) <= (
+        WHOLE_DERIVATIVES if backend.samples is None else DERIVATIVES
+    )
     return {metric: arm_truth(arm, task, metric, backend.samples, derivatives) for metric in METRICS}
 
 
@@ -276,26 +320,23 @@ def hull_answers(scene: HullScene, backend: Backend) -> dict[str, Answer]:
     move = torch.zeros(2, dtype=backend.dtype, requires_grad=True)
     where = point + move[0] * moving(vertices)
     hull = vertices * (1 + move[1])
-    if backend.distance == "closed_form":
+    if backend.in_space:
+        where, hull = (
+            torch.stack((x, math.cos(TURN) * y, math.sin(TURN) * y), -1) for x, y in (where.unbind(-1), hull.unbind(-1))
+        )
+    if backend.distance == "gjk":
         value = ta.distance_to_hull(where, hull)
-        converged, resolved = True, 0.0
+        converged = bool(value.isfinite().all())
     else:
-        found = solver(backend)(where, hull)
+        found = {"qpth": ta.qp_distance, "scipy": ta.nnls_distance}[backend.distance](where, hull)
         value, converged = found.value, bool(found.converged.all())
-        resolved = found.resolved.double().mean().item()
     (gradient,) = torch.autograd.grad(value.sum(), move)
-    return {"distance": Answer(value, (gradient[0].item(), gradient[1].item()), None, converged, resolved)}
+    return {"distance": Answer(value, (gradient[0].item(), gradient[1].item()), None, converged)}
 
 
 def moving(vertices: Tensor) -> Tensor:
     """(P, 2) a direction along which to move points, as long as the numbers are large."""
     return vertices.abs().amax() * vertices.new_tensor([0.6, 0.8])
-
-
-def solver(backend: Backend) -> Callable[[Tensor, Tensor], ta.HullDistance]:
-    if not isinstance(backend.distance, str):
-        return backend.distance
-    return {"qpth": ta.qp_distance, "scipy": ta.nnls_distance}[backend.distance]
 
 
 def hull_truth(point: Tensor, vertices: Tensor, derivatives: bool) -> Truth:

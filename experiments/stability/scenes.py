@@ -54,6 +54,7 @@ def all_scenes() -> list[Scene]:
         curvatures,
         bends,
         vanishing_lengths,
+        impossible,
         radii,
         actuator_counts,
         limits,
@@ -129,6 +130,18 @@ def vanishing_lengths() -> Iterator[Scene]:
     for name, part in {"a length of 5e-6": 1e-5, "a length of 5e-4": 1e-3, "a length of 0.05": 0.1}.items():
         yield arm_scene(group, name, radii=radii, slope=0.0, start=8.0 * (1 - part), along=0.5)
     yield arm_scene(group, "5e-4 on the way", radii=radii, slope=3.992, start=4.0, along=0.5, nodes=5)
+
+
+def impossible() -> Iterator[Scene]:
+    for name, curvature in {"a length of 0": 8.0, "a length of -0.5 m": 16.0}.items():
+        yield arm_scene(
+            "no actuator length",
+            name,
+            radii=(-0.0625, -0.015625, 0.015625, 0.0625),
+            slope=0.0,
+            start=curvature,
+            along=0.5,
+        )
 
 
 def strains() -> Iterator[Scene]:

@@ -5,7 +5,6 @@ Prints a line for each and a table; writes optimisations.csv beside this file.
 """
 
 import argparse
-import importlib.util
 import random
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -23,7 +22,6 @@ HERE = Path(__file__).parent
 COUNT, QUICK = 60, 4
 ITERATIONS, NODES = 10, 6
 SHARE, LENGTH = 0.2, 0.01
-COMPILED = importlib.util.find_spec("numba") is not None
 
 
 @dataclass(frozen=True)
@@ -62,7 +60,7 @@ def draw(seed: int) -> tuple[ta.ArmDesign, ta.Task]:
     return ta.ArmDesign(radii, 0.5, models), ta.Task(ta.affine_curvature(slope, intercept, length, NODES), load)
 
 
-def rows(seeds: Sequence[int], compiled: bool = COMPILED) -> Iterator[Row]:
+def rows(seeds: Sequence[int], compiled: bool = True) -> Iterator[Row]:
     """Optimise each and search its best design.
 
     Args:

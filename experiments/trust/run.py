@@ -4,7 +4,6 @@ Prints tables; writes results.csv, one row for each claim that was looked at, be
 """
 
 import argparse
-import importlib.util
 import math
 from collections import Counter
 from collections.abc import Iterator
@@ -29,7 +28,6 @@ NODES = 6
 BELOW, WITHIN = 1e-3, 1e-2
 """Predictions below the first [m] are searched; the search confirms them if it comes within the second."""
 KINDS = ta.Bellows, ta.McKibben
-COMPILED = importlib.util.find_spec("numba") is not None
 
 
 @dataclass(frozen=True)
@@ -129,7 +127,7 @@ def predictions(total: int, console: Console) -> Iterator[Row]:
         searched = torch.full_like(claimed, math.nan)
         if wanted:
             again = ta.Task(task.twists[wanted], task.tip_load[wanted])
-            searched[wanted] = ta.search_pressure(arm, again, compiled=COMPILED).cost.clamp(min=0).sqrt()
+            searched[wanted] = ta.search_pressure(arm, again, compiled=True).cost.clamp(min=0).sqrt()
         for index, values in enumerate(zip(claimed.tolist(), searched.tolist(), strict=True)):
             confirmed = index not in wanted or abs(values[0] - values[1]) <= WITHIN
             yield Row("prediction", seed, kinds, sources[index], *values, flags[index], confirmed)
@@ -162,7 +160,7 @@ def snapped(total: int) -> Iterator[Row]:
         generator = torch.Generator().manual_seed(10_000 + seed)
         arm, kinds = draw_arm(generator, 1 + seed % 4)
         pressure = arm.max_pressure * uniform(generator, 0.0, 1.0, LOADED, arm.actuator_count)
-        loads, compiled = draw_loads(generator, LOADED), COMPILED and seed // 4 % 2 == 1
+        loads, compiled = draw_loads(generator, LOADED), seed // 4 % 2 == 1
         found = ta.solve_equilibrium(arm, pressure, loads, NODES, compiled=compiled)
         at_rest = (found.residual <= 1e-10) & ~found.continued
         for index in at_rest.nonzero().flatten().tolist()[:left]:
@@ -223,7 +221,7 @@ def unconfirmed_table(rows: list[Row]) -> Table:
         task, _ = draw_tasks(generator, arm)
         task = ta.Task(task.twists[index], task.tip_load[index])
         found = ta.predict_error(arm, task)
-        search = ta.search_pressure(arm, task, compiled=COMPILED)
+        search = ta.search_pressure(arm, task, compiled=True)
         loaded = ta.solve_equilibrium(arm, found.pressure, task.tip_load, NODES)
         gap = (loaded.poses - ta.poses(task.twists))[:, :2].norm(dim=-1).max()
         gap = gap if bool(loaded.continued & loaded.stable) else gap * math.nan

@@ -31,7 +31,7 @@ def _judged(problem: Problem, points: torch.Tensor) -> tuple[torch.Tensor, torch
     [
         {},
         {"relative_weight": 0.3, "power": 2},
-        {"margin": False, "hull": "edges", "samples": 3, "weights": (2.0, 0.5)},
+        {"margin": False, "weights": (2.0, 0.5)},
         {"over": "cvar", "tail": 0.4, "size_weight": 3.0},
     ],
 )

@@ -6,13 +6,11 @@ from torcharm.actuators.monotonicity import Monotonicity, monotonicity
 from torcharm.actuators.polynomial import Bellows, PolynomialActuator
 from torcharm.actuators.protocol import (
     Actuator,
-    PressureLaw,
     check_actuator,
     force_slopes,
     is_linear_in_pressure,
     pressure_degree,
     pressure_knots,
-    pressure_law,
     want_gradients,
 )
 
@@ -26,13 +24,11 @@ __all__ = [
     "McKibben",
     "Monotonicity",
     "PolynomialActuator",
-    "PressureLaw",
     "check_actuator",
     "force_slopes",
     "is_linear_in_pressure",
     "monotonicity",
     "pressure_degree",
     "pressure_knots",
-    "pressure_law",
     "want_gradients",
 ]

@@ -9,7 +9,7 @@ from torcharm._inputs import plain_number
 from torcharm._select import select
 from torcharm.actuators.bending import Bending, Number
 from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS
-from torcharm.actuators.protocol import PressureLaw, check_numbers
+from torcharm.actuators.protocol import check_numbers
 
 _A1, _A2 = 1.038555666, 0.511454549
 _B1, _B2, _B3 = 1.963398204, -3.169979385, 4.231857967
@@ -156,26 +156,6 @@ class McKibben:
             rate = torch.where(extended, gain * (1 + exponent * (pressure > _TRACE)) * power, rate)
         scale = -plain_number(self.force_scale)
         return force.mul_(scale), slope.mul_(scale), rate.mul_(scale) if by_pressure else None
-
-    def pressure_law(self, strain: Tensor) -> PressureLaw:
-        """The same force as a function of pressure. Below ε_lim the model jumps at Z, where the law ends."""
-        extended = strain >= 0
-        extends = extended.to(strain.dtype)
-        compression, threshold = _compression(strain), _threshold(strain)
-        rise_rate, rise_from = _rise(strain, compression, threshold)
-        pull_rate = _A1 * (_A2 + strain).square()
-        gain = extends * (_B1 * (_B2 * strain + _SLACK).square())
-        never = strain.new_tensor(_NEVER)
-        scale = (1 - extends) * -self.force_scale
-        ladder = strain.new_tensor(plain_number(self.max_pressure))
-        return PressureLaw(
-            (select(extended, _extension(strain), compression) * -self.force_scale,),
-            torch.stack((select(extended, ladder / 64, rise_from), select(extended, ladder / 8, threshold))),
-            torch.stack((rise_rate * scale, (pull_rate - rise_rate) * scale)),
-            gain * -self.force_scale,
-            1 + _B3 * extends * strain,
-            select(strain >= _STRAIN_LIM, never, threshold),
-        )
 
     def pressure_knots(self, strain: Tensor) -> Tensor:
         """Pressures (2, *strain.shape) [kPa] of the kinks in contraction: the onset of recovery, and Z.

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torcharm._inputs import plain_number, refuse_graphs, shown
 from torcharm.actuators.bending import Bending, Number
-from torcharm.actuators.protocol import PressureLaw, check_numbers
+from torcharm.actuators.protocol import check_numbers
 
 PAPER_BENDING_STIFFNESS = -1.0 / 3.5
 """K [N·m²]; the paper estimated one value for bellows and muscles alike."""
@@ -79,11 +79,6 @@ class PolynomialActuator:
         last = max([0, *(i for i, j, c in self.coefficients if j > 0 and c != 0)])
         row = (slope[: last + 1] @ powers[:-1].flatten(1)).unflatten(1, pressure.shape).unbind(0)
         return force, by_strain, _horner_slope(row, strain, False)[0]
-
-    def pressure_law(self, strain: Tensor) -> PressureLaw | None:
-        """The same force as a function of pressure, up to a cubic."""
-        rows = self._rows(plain_number(self.force_scale))
-        return PressureLaw(tuple(_horner(row, strain) for row in rows)) if self.pressure_degree <= 3 else None
 
     def _rows(self, scale: float) -> list[list[float]]:
         """`rows[j][i] = c_ij` times a scale: for each power of pressure a polynomial in strain."""

@@ -1,7 +1,6 @@
 """What torcharm asks of a force model, and the questions it asks on the model's behalf."""
 
 import math
-from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import torch
@@ -19,25 +18,6 @@ PROBED_CURVATURES = (-10.0, -1.0, 0.0, 1.0, 10.0)
 """Material curvatures [rad/m], for bending moments."""
 
 
-@dataclass(frozen=True)
-class PressureLaw:
-    """Forces, at given strains, as functions of pressure [kPa]: `Σ c_j p^j + Σ s_k max(0, p - t_k) + g p^x`.
-
-    Attributes:
-        coefficients: up to four c_j, each of the strains' shape (*) [N]; up to two beside a power.
-        kinks, slopes: t_k [kPa] and s_k [N/kPa], (k, *); None without kinks.
-        gain, exponent: g and x > 1, (*); None without a power.
-        until: pressure (*) up to which the law holds; None: wherever the model does.
-    """
-
-    coefficients: tuple[Tensor, ...]
-    kinks: Tensor | None = None
-    slopes: Tensor | None = None
-    gain: Tensor | None = None
-    exponent: Tensor | None = None
-    until: Tensor | None = None
-
-
 @runtime_checkable
 class Actuator(Protocol):
     """A fluid-driven actuator: its axial force, and what is needed to trust it.
@@ -48,12 +28,11 @@ class Actuator(Protocol):
     one another, equal or not. Numbers may be tensors, and results are differentiable in them, in parameters
     of modules and in whatever else force and bending moments are computed from.
 
-    Three more members are optional, and let torcharm be exact where it would else be accurate. They count where they
+    Two more members are optional, and let torcharm be exact where it would else be accurate. They count where they
     were written for the force: a subclass that overrides `force` has none of its parent's, unless it writes its own.
     `pressure_knots(strain)` returns pressures (k, *strain.shape) [kPa], in any order, at which the force has
-    a kink. `pressure_degree = 3` says that between them it is a polynomial in pressure of that degree;
-    at degree 1 without knots two samples stand for the whole curve. `pressure_law(strain)` writes the force out
-    as a function of pressure, a `PressureLaw`; polishing is then fast, and as exact as numbers are.
+    a kink. `pressure_degree = 3` says that between them it is a polynomial in pressure of that degree:
+    up to 3 one cubic piece stands for the whole curve, and at degree 1 two samples.
     """
 
     @property
@@ -147,14 +126,6 @@ def is_linear_in_pressure(actuator: Actuator) -> bool:
     """Whether the model says that its force is affine in pressure."""
     degree = pressure_degree(actuator)
     return degree is not None and degree <= 1 and not written_out(actuator, "pressure_knots")
-
-
-def pressure_law(actuator: Actuator, strain: Tensor) -> PressureLaw | None:
-    """The force as a function of pressure, if the model writes it so."""
-    if not written_out(actuator, "pressure_law"):
-        return None
-    law: PressureLaw | None = actuator.pressure_law(strain)  # type: ignore[attr-defined]
-    return law
 
 
 def force_slopes(

@@ -39,13 +39,12 @@ def search(
     ] = None,
     weights: Annotated[str, typer.Option(help="Of the nodes: ramp, uniform, tip.")] = "ramp",
     compiled: Annotated[
-        bool, typer.Option("--compiled", help="Run machine code, by numba: ten times as fast, after a first minute.")
+        bool, typer.Option("--compiled", help="Run machine code: ten times as fast, after a first minute.")
     ] = False,
 ) -> None:
     """Search the pressure that brings every arm closest to every task, through its forward mechanics."""
     with mistakes():
         check_outputs(study, out, None)
-        from torcharm._compiled import check_compiled
         from torcharm._inputs import check_choice
         from torcharm.pose_cost import NODE_WEIGHTS
         from torcharm.search import METHODS
@@ -55,7 +54,6 @@ def search(
         check_choice("--weights", weights, NODE_WEIGHTS)
         if starts is not None and starts < 1:
             raise ValueError(f"--starts: must be at least 1, got {starts}")
-        check_compiled("--compiled", compiled)
         plan = paper_study() if study is None else load_study(study)
         console = open_console()
         kept = _Rows(out, _header(max(arm.design.actuator_count for arm in plan.arms)))

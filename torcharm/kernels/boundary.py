@@ -6,7 +6,7 @@ import numpy as np
 
 from torcharm import _boundary
 from torcharm._arrays import Array
-from torcharm._compiled import jit
+from torcharm.engine.compilation import jit
 from torcharm.kernels.arms import Arms
 from torcharm.kernels.copies import put, put_all
 from torcharm.kernels.march import BY_LOAD, look, new_march, solve

@@ -4,7 +4,7 @@ import numpy as np
 
 from torcharm import _box
 from torcharm._arrays import Array
-from torcharm._compiled import inlined
+from torcharm.engine.compilation import inlined
 
 _SWEEPS = _box.SWEEPS
 

@@ -1,7 +1,7 @@
 """Copies by loops: numba's own bring code that words an error of shapes, which takes long to compile."""
 
 from torcharm._arrays import Array
-from torcharm._compiled import inlined
+from torcharm.engine.compilation import inlined
 
 
 @inlined

@@ -6,7 +6,7 @@ import numpy as np
 
 from torcharm import _box, _descent, _tracing
 from torcharm._arrays import Array
-from torcharm._compiled import jit
+from torcharm.engine.compilation import jit
 from torcharm.kernels.arms import Arms
 from torcharm.kernels.box import box_step
 from torcharm.kernels.copies import put, put_all

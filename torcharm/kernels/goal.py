@@ -4,7 +4,7 @@ import math
 from typing import NamedTuple
 
 from torcharm._arrays import Array
-from torcharm._compiled import inlined
+from torcharm.engine.compilation import inlined
 from torcharm.kernels.march import March
 
 

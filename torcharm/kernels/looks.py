@@ -3,7 +3,7 @@
 import numpy as np
 
 from torcharm._arrays import Array
-from torcharm._compiled import jit
+from torcharm.engine.compilation import jit
 from torcharm.kernels.arms import Arms
 from torcharm.kernels.copies import put_all
 from torcharm.kernels.goal import Goal, cost_of, model

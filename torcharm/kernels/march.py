@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from torcharm._arrays import Array
-from torcharm._compiled import inlined, jit
+from torcharm.engine.compilation import inlined, jit
+from torcharm.engine.forces import muscle
 from torcharm.kernels.arms import MUSCLE, Arms
-from torcharm.kernels.forces import muscle
 
 NONE, BY_LOAD, BY_FILLING = 0, 1, 2
 """The tangent that is wanted: none, by the share of the load, or by that of all pressures."""

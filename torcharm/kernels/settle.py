@@ -3,7 +3,7 @@
 import math
 
 from torcharm._arrays import Array
-from torcharm._compiled import inlined, jit
+from torcharm.engine.compilation import inlined, jit
 from torcharm.kernels.arms import Arms
 from torcharm.kernels.march import NONE, March, imbalance, look, moves, new_march, solve
 

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torcharm import se2
+from torcharm.geometry import se2
 
 
 class Kinematics(NamedTuple):

@@ -6,10 +6,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torcharm import rod
 from torcharm.actuators import Actuator
 from torcharm.actuators.bending import active_moment, bending_model, is_bent, passive_moment
 from torcharm.arm import ArmDesign
+from torcharm.geometry import rod
 from torcharm.mechanics.kinematics import rows_of
 from torcharm.wrenches import (
     actuator_force,

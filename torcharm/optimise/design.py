@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torcharm._inputs import check_choice, check_count, check_number, shown
-from torcharm.arm import ArmDesign
+from torcharm.arm import ArmDesign, check_planar
 from torcharm.attainability import evaluate
 from torcharm.optimise.baselines import SCIPY_METHODS, run_scipy
 from torcharm.optimise.checkpoint import Checkpoint, Identity
@@ -21,7 +21,7 @@ from torcharm.optimise.result import History, OptimisedDesign
 from torcharm.optimise.running import Callback, Log, descend
 from torcharm.optimise.space import DesignSpace, given_values
 from torcharm.optimise.stationarity import stationarity
-from torcharm.task import Task
+from torcharm.task import Task, check_plain
 
 BATCHED_METHODS = ("bfgs", "adam")
 TRIALS = 16
@@ -149,6 +149,9 @@ def check_tasks(
             raise ValueError(f"{name}: must be of type {kind.__name__}, got {shown(value)}")
     if not tasks or any(0 in one.batch_shape for one in tasks):
         raise ValueError("task: must hold at least one task, got none")
+    check_planar(arm)
+    for one in tasks:
+        check_plain(one)
     return tasks
 
 
@@ -297,9 +300,7 @@ def metric_values(arm: ArmDesign, problem: Problem) -> dict[str, Tensor]:
     """Unsigned metrics of one design, each (T,) over all tasks, and whether they converged."""
     objective = problem.objective
     metrics = tuple(dict.fromkeys(("absolute", "relative", *objective.metrics)))
-    options: dict[str, Any] = {
-        name: getattr(objective, name) for name in ("hull", "samples", "weights", "power", "chunk_size")
-    }
+    options: dict[str, Any] = {name: getattr(objective, name) for name in ("weights", "power", "chunk_size")}
     with torch.no_grad():
         results = [evaluate(arm, task, metrics, **options) for task in problem.tasks]
     return {

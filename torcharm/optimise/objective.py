@@ -3,18 +3,18 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import ceil
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torcharm._inputs import check_choice, check_count, shown
-from torcharm._sampled_distances import Sampling
 from torcharm.arm import ArmDesign
-from torcharm.attainability import Attainability, evaluate, scale_of
-from torcharm.hulls import KINDS, sample_count
+from torcharm.attainability import Attainability, check_power, evaluate, scale_of
 from torcharm.optimise.feasible import Polytope
 from torcharm.optimise.scene import Scene
 from torcharm.task import Task
+from torcharm.wrench_sets.node_distances import SetOptions
 
 METRICS = ("unattainability", "predicted_error")
 AGGREGATES = ("mean", "worst", "cvar", "count")
@@ -37,9 +37,9 @@ class Objective:
         tail: the share of tasks in "cvar".
         threshold: up to which a task counts as done in "count".
         margin: whether to go on once every task is attainable, by the (negative) margins; None does
-            wherever the closed form is used and `metric` knows margins.
+            wherever `metric` knows margins.
         size_weight: added per metre of the arm's width and of its mean neutral length.
-        hull, samples, distance, weights, power, chunk_size: as in `torcharm.evaluate`.
+        weights, power, chunk_size: as in `torcharm.evaluate`, whose exact sets and distances are used.
 
     Raises:
         ValueError: an argument is none of those allowed.
@@ -52,9 +52,6 @@ class Objective:
     threshold: float = 0.0
     margin: bool | None = None
     size_weight: float = 0.0
-    hull: str = "exact"
-    samples: int | None = None
-    distance: str = "closed_form"
     weights: tuple[float, float] = (1.0, 1.0)
     power: int = 1
     chunk_size: int | None = None
@@ -62,16 +59,17 @@ class Objective:
     def __post_init__(self) -> None:
         check_choice("metric", self.metric, METRICS)
         check_choice("over", self.over, AGGREGATES)
-        check_choice("hull", self.hull, KINDS)
         for name in ("relative_weight", "threshold", "size_weight"):
             value = getattr(self, name)
             if not (isinstance(value, (int, float)) and 0 <= value < float("inf")):
                 raise ValueError(f"{name}: must be a number of at least 0, got {shown(value)}")
         if not (isinstance(self.tail, (int, float)) and 0 < self.tail <= 1):
             raise ValueError(f"tail: must be above 0 and at most 1, got {shown(self.tail)}")
-        able = self.metric == "unattainability" and self.distance == "closed_form"
+        scale_of(self.weights)
+        check_power(self.power)
+        able = self.metric == "unattainability"
         if self.margin and not able:
-            raise ValueError("margin: True needs metric='unattainability' and distance='closed_form'")
+            raise ValueError(f"margin: True needs metric='unattainability', got {self.metric!r}")
         if self.chunk_size is not None:
             check_count("chunk_size", self.chunk_size, 1)
         object.__setattr__(self, "margin", able if self.margin is None else self.margin)
@@ -84,27 +82,23 @@ class Objective:
         return ("absolute", "relative") if self.relative_weight else ("absolute",)
 
     def scene(self, arm: ArmDesign, task: Task) -> Scene | None:
-        """Tasks prepared for designs like `arm`, where the metrics are distances to sampled sets; else None."""
-        if self.metric != "unattainability" or self.distance != "closed_form":
+        """Tasks prepared for designs like `arm`, where the metrics are distances to attainable sets; else None."""
+        if self.metric != "unattainability":
             return None
-        samples = sample_count(arm, self.hull, self.samples)
-        sampling = Sampling(self.metrics, self.hull, samples, scale_of(self.weights), bool(self.margin))
-        return Scene.of(
-            arm, task, sampling, (1.0, self.relative_weight)[: len(self.metrics)], self.power, self.chunk_size
-        )
+        options = SetOptions(self.metrics, scale_of(self.weights), bool(self.margin))
+        factors = (1.0, self.relative_weight)[: len(self.metrics)]
+        return Scene.of(arm, task, options, factors, self.power, self.chunk_size)
 
     def results(self, arm: ArmDesign, tasks: Sequence[Task]) -> list[Attainability]:
         """What `torcharm.evaluate` finds, of the metrics needed, for each batch of tasks."""
-        options = {
-            name: getattr(self, name) for name in ("hull", "samples", "distance", "weights", "power", "chunk_size")
-        }
+        options: dict[str, Any] = {"weights": self.weights, "power": self.power, "chunk_size": self.chunk_size}
         return [evaluate(arm, task, self.metrics, signed=bool(self.margin), **options) for task in tasks]
 
     def of_result(self, result: Attainability) -> Tensor:
         """One value a task, of the shape of the result's metrics.
 
-        NaN where a distance did not converge; infinite where a predicted error is not that of a stable equilibrium, or
-        its pressures did not converge.
+        NaN where a distance did not converge; infinite where an actuator has no length, or where a predicted error is
+        not that of a stable equilibrium, or its pressures did not converge.
         """
         if self.metric == "predicted_error":
             assert result.prediction is not None
@@ -116,7 +110,7 @@ class Objective:
         if self.relative_weight:
             assert result.relative is not None
             value = value + self.relative_weight * result.relative
-        return torch.where(result.converged, value, value.new_full((), torch.nan))
+        return torch.where(result.converged | result.impossible, value, value.new_full((), torch.nan))
 
     def per_task(self, arm: ArmDesign, tasks: Sequence[Task]) -> Tensor:
         """Values (*design batch, T) of all T tasks."""

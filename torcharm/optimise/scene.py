@@ -1,78 +1,59 @@
 """Tasks prepared for many designs: what no design changes is worked out once, and only what an objective needs."""
 
-from dataclasses import dataclass, replace
-from functools import cached_property
-from math import prod
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from torcharm._outer import Block, OuterProduct, map_blocks, outer_product
-from torcharm._sampled_distances import Required, Sampling, required_by_metric, sampled_distances
 from torcharm.arm import ArmDesign
-from torcharm.attainability import block_size, over_nodes
+from torcharm.attainability import over_nodes
 from torcharm.task import Task
+from torcharm.wrench_sets.design_task_grid import DesignTaskGrid, design_task_grid
+from torcharm.wrench_sets.node_distances import SetOptions, default_chunk, node_distances
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A batch of T tasks, and the sampled attainable sets of designs that are to do them.
+    """A batch of T tasks for designs of the same actuators, and how their attainable sets are measured.
 
     Attributes:
-        outer: the tasks, beside any design.
-        required: wrenches that the tasks ask for.
-        sampling: of the metrics.
+        grid: the tasks, beside any design.
+        options: of the metrics.
         factors: for each metric, its part in a task's value.
         power: of distances.
         chunk_size: as in `torcharm.evaluate`.
     """
 
-    outer: OuterProduct
-    required: Required
-    sampling: Sampling
+    grid: DesignTaskGrid
+    options: SetOptions
     factors: tuple[float, ...]
     power: int
     chunk_size: int | None
 
     @classmethod
     def of(
-        cls, arm: ArmDesign, task: Task, sampling: Sampling, factors: tuple[float, ...], power: int, chunk: int | None
+        cls, arm: ArmDesign, task: Task, options: SetOptions, factors: tuple[float, ...], power: int, chunk: int | None
     ) -> "Scene":
         """Prepare tasks for designs like `arm`."""
-        outer = outer_product(arm, task)
         with torch.no_grad():
-            required = required_by_metric(outer, sampling.metrics, sampling.scale)
-        return cls(outer, required, sampling, factors, power, chunk)
-
-    @cached_property
-    def chunk(self) -> int:
-        """(design, shape, load) triples worked on at once."""
-        return self.chunk_size or block_size(self.outer, self.sampling.hull, self.sampling.samples)
+            return cls(design_task_grid(arm, task), options, factors, power, chunk)
 
     @property
     def designs_at_once(self) -> int:
-        """Designs that make one block, at least one."""
-        _, shapes, loads = self.outer.sizes
-        return max(1, self.chunk // max(1, shapes * loads))
+        """Designs that make one chunk, at least one."""
+        _, shapes, loads = self.grid.sizes
+        return max(1, (self.chunk_size or default_chunk(self.grid)) // max(1, shapes * loads))
 
     def values(self, arm: ArmDesign) -> Tensor:
-        """The sum of unattainabilities (D, T) of designs, of batch shape (D,); not a number where one is none."""
-        outer = replace(self.outer, arm=arm, design_batch=tuple(arm.batch_shape))
-        recompute = prod(outer.sizes) > self.chunk
+        """The sum of unattainabilities (D, T) of designs, of batch shape (D,).
 
-        def work(block: Block) -> tuple[Tensor, ...]:
-            found = sampled_distances(block, self.required, self.sampling, recompute=recompute, excess=False)
-            return (self._total(found.lengths, found.sections.shape),)
-
-        return map_blocks(outer, self.chunk, work)[0].flatten(1)
-
-    def _total(self, lengths: tuple[Tensor, ...], shape: tuple[int, int, int]) -> Tensor:
-        """(d, p, l) from distances (B, l) by metric."""
-        total: Tensor | None = None
-        for metric, factor, length in zip(self.sampling.metrics, self.factors, lengths, strict=True):
-            by_node = length.unflatten(0, shape)
-            own = over_nodes(by_node, metric, self.power, signed=self.sampling.signed, dim=1)
-            own = own if factor == 1.0 else factor * own
-            total = own if total is None else total + own
-        assert total is not None
-        return total.movedim(1, 0)
+        Infinite where an actuator has no length, and not a number where a distance is not known as exactly as promised.
+        """
+        found = node_distances(self.grid.with_designs(arm), self.options, self.chunk_size)
+        parts = []
+        for index, (metric, factor) in enumerate(zip(self.options.metrics, self.factors, strict=True)):
+            own = over_nodes(found.distance[..., index, :], metric, self.power, signed=self.options.signed)
+            parts.append(own if factor == 1.0 else factor * own)
+        total = parts[0] if len(parts) == 1 else torch.stack(parts).sum(0)
+        sound = (found.converged & found.distance.isfinite()).flatten(-2).all(-1) | found.impossible
+        return torch.where(sound, total, total.new_full((), torch.nan)).flatten(1)

@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm import rod
-from torcharm.arm import ArmDesign
-from torcharm.task import Task
+from torcharm.arm import ArmDesign, check_planar
+from torcharm.geometry import rod
+from torcharm.task import Task, check_plain
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -36,7 +36,8 @@ def fine_poses(task: Task) -> Array:
 
 
 def one_design(field: str, arm: ArmDesign) -> ArmDesign:
-    """The only design of a batch."""
+    """The only design of a batch, which must be planar."""
+    check_planar(arm)
     if prod(arm.batch_shape) != 1:
         raise ValueError(f"{field}: must be one design, as arm[0] of a batch, got batch shape {tuple(arm.batch_shape)}")
     return arm.flatten()[0]
@@ -44,6 +45,7 @@ def one_design(field: str, arm: ArmDesign) -> ArmDesign:
 
 def first_shape(task: Task) -> tuple[Task, Mask, int]:
     """The task's first shape with the loads on it, which of the flattened tasks these are, and how many shapes."""
+    check_plain(task)
     if 0 in task.batch_shape:
         raise ValueError(f"task: must hold at least one shape and load, got batch shape {tuple(task.batch_shape)}")
     twists = task.twists.detach().expand(*task.batch_shape, -1, -1).reshape(-1, task.nodes, 3)

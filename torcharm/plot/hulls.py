@@ -13,7 +13,6 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-u
 
 from torcharm.arm import ArmDesign
 from torcharm.attainability import evaluate
-from torcharm.hulls import wrench_hulls
 from torcharm.plot._common import (
     ARM_COLOURS,
     ATTAINABLE,
@@ -26,8 +25,9 @@ from torcharm.plot._common import (
     one_design,
     one_shape,
 )
+from torcharm.statics.external_load import HULL, required_wrench
 from torcharm.task import Task
-from torcharm.wrenches import PLANAR, required_wrench
+from torcharm.wrench_sets.wrench_set import wrench_hulls
 
 
 def hulls_along_arm(
@@ -114,7 +114,7 @@ def make_scene(arm: ArmDesign, task: Task, relative: bool, hull: str, samples: i
     metric = "relative" if relative else "absolute"
     distance = getattr(evaluate(arm, task, (metric,), hull=hull, samples=samples), f"{metric}_per_node")
     vertices = wrench_hulls(arm, task.twists, relative=relative, hull=hull, samples=samples).vertices
-    required = required_wrench(task.twists, task.tip_load, task.base_pose)[..., PLANAR]
+    required = required_wrench(task.twists, task.tip_load, task.base_pose)[..., HULL[3]]
     labels = (r"force $f_x$ [N]", r"moment $m$ [N·m]")
     if relative:
         required = required - required[..., :1, :]

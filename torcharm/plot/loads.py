@@ -13,8 +13,8 @@ from torch import Tensor
 from torcharm._inputs import TensorLike, as_floating, check_count
 from torcharm.arm import ArmDesign
 from torcharm.attainability import evaluate
+from torcharm.geometry.rod import BASE_POSE
 from torcharm.plot._common import Array, array, axes_or_new, one_design
-from torcharm.rod import BASE_POSE
 from torcharm.task import Task
 
 BANDS = 24
@@ -127,7 +127,6 @@ def attainable_load_map(
     metric: str = "absolute",
     base_pose: TensorLike | None = None,
     weights: tuple[float, float] = (1.0, 1.0),
-    samples: int | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """Which tip forces one design bears at one shape: its signed unattainability, and the line where that is 0.
@@ -138,7 +137,7 @@ def attainable_load_map(
         arm: one design.
         twists: (N, 3) one shape [m, m, rad].
         loads: (R, C, 3) as for `load_map`; None takes `load_grid()`.
-        metric, weights, samples: as for `evaluate`.
+        metric, weights: as for `evaluate`.
         base_pose: (3,) pose of node 1; None hangs the arm.
         ax: 2-D axes to draw in; None makes some.
 
@@ -152,7 +151,7 @@ def attainable_load_map(
         raise ValueError(f"twists: must hold one shape, (N, 3), got {tuple(twists.shape)}")
     task = Task(shape[0].to(design.radii), places, BASE_POSE if base_pose is None else base_pose)
     with torch.no_grad():
-        found = evaluate(design, task, (metric,), signed=True, weights=weights, samples=samples)
+        found = evaluate(design, task, (metric,), signed=True, weights=weights)
     value = getattr(found, metric)
     unit = "N" if tuple(weights) == (1.0, 1.0) else "weighted"
     label = f"limit of what it bears: {int((value <= 0).sum())} of {value.numel()} within"

@@ -3,10 +3,10 @@
 from dataclasses import dataclass, field
 
 from torcharm.arm import ArmDesign
-from torcharm.attainability import METRICS
 from torcharm.optimise import DesignSpace, Objective
 from torcharm.planning import Smoothness
 from torcharm.task import Task
+from torcharm.wrench_sets.node_distances import METRICS
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Settings:
     metrics: tuple[str, ...] = METRICS
     hull: str = "exact"
     samples: int | None = None
-    distance: str = "closed_form"
+    distance: str = "gjk"
     weights: tuple[float, float] = (1.0, 1.0)
     power: int = 1
     signed: bool = False

@@ -22,9 +22,8 @@ from torcharm.actuators import (
 )
 from torcharm.actuators.model_file import load_actuator
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
-from torcharm.attainability import CHOICES
+from torcharm.attainability import CHOICES, check_measure
 from torcharm.files import read_file
-from torcharm.hulls import sample_count, slot_count
 from torcharm.optimise import DesignSpace, Objective
 from torcharm.planning import Smoothness
 from torcharm.study.data import NamedArm, NamedPlan, NamedTask, Optimisation, Settings, Study
@@ -46,6 +45,7 @@ from torcharm.study.tables import (
     TwistTask,
 )
 from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
+from torcharm.wrench_sets.vertex_sets import CURVE_SAMPLES, EDGE_SAMPLES
 
 MOST_VALUES = 50_000_000
 """Numbers that one tensor of a study may hold (400 MB); past it, a key was struck once too often."""
@@ -248,13 +248,18 @@ def _plan(table: PlanTable) -> NamedPlan:
 
 
 def _check_size(arm: NamedArm, task: NamedTask, settings: Settings) -> None:
-    """Refuse hulls that cannot be made of this many actuators, or that no memory holds."""
+    """Refuse options that do not go together, hulls of too many actuators, and those that no memory holds."""
+    check_measure(arm.design, settings.hull, settings.samples, settings.distance, settings.signed)
     actuators, nodes = arm.design.actuator_count, task.task.nodes
-    count = sample_count(arm.design, settings.hull, settings.samples)
-    slots = slot_count(actuators, settings.hull, count)
-    if settings.hull == "exact":
-        slots = max(slots, actuators * count**2)  # every pair of samples of a curve with inflections
-    _check_values("samples", slots * nodes, f"{count} samples, {actuators} actuators, {nodes} nodes")
+    if settings.hull == "edges":
+        count = settings.samples or EDGE_SAMPLES
+        vertices = 2**actuators + actuators * 2 ** (actuators - 1) * (count - 2)
+    elif settings.distance != "gjk":
+        count = settings.samples or CURVE_SAMPLES
+        vertices = actuators * count
+    else:
+        return
+    _check_values("samples", vertices * nodes, f"{count} samples, {actuators} actuators, {nodes} nodes")
 
 
 def _check_values(name: str, count: int, given: str) -> None:

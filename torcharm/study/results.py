@@ -9,9 +9,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm.attainability import METRICS, PREDICTED, Attainability, evaluate
+from torcharm.attainability import PREDICTED, Attainability, evaluate
 from torcharm.files import atomic_write, plain_cell
 from torcharm.study.data import NamedArm, NamedTask, Settings, Study
+from torcharm.wrench_sets.node_distances import METRICS
 
 TOLERABLE = 1e-3
 """A predicted shape error [m] that counts as none."""

@@ -5,14 +5,12 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag
 
-from torcharm.attainability import CHOICES, METRICS
-from torcharm.distance import DISTANCES
-from torcharm.hulls import KINDS
+from torcharm.attainability import CHOICES
+from torcharm.geometry.rod import BASE_POSE
 from torcharm.optimise import METHODS, Objective
 from torcharm.optimise.objective import AGGREGATES
 from torcharm.optimise.objective import METRICS as OBJECTIVES
 from torcharm.optimise.space import FIELDS, TIES
-from torcharm.rod import BASE_POSE
 from torcharm.study.data import Settings
 from torcharm.study.fields import (
     Lengths,
@@ -31,7 +29,10 @@ from torcharm.study.fields import (
     filled,
     kind_among,
     one_of,
+    refuse,
 )
+from torcharm.wrench_sets.node_distances import METRICS
+from torcharm.wrench_sets.vertex_sets import DISTANCES, HULLS
 
 
 class BendingTable(Table):
@@ -197,15 +198,21 @@ TaskTable = Annotated[
 ]
 
 
+def _no_closed_form(value: Any) -> Any:
+    if value == "closed_form":
+        raise refuse('must be left out instead of "closed_form": distances are exact by "gjk", the default')
+    return value
+
+
 class EvaluateTable(Table):
     """How to evaluate."""
 
     metrics: Annotated[
         list[Annotated[str, one_of(CHOICES)]], filled(f"a list of metrics, such as {json.dumps(METRICS)}")
     ] = list(METRICS)
-    hull: Annotated[str, one_of(KINDS)] = Settings.hull
+    hull: Annotated[str, one_of(HULLS)] = Settings.hull
     samples: Annotated[int, Field(ge=2, le=1_000_000)] | None = Settings.samples
-    distance: Annotated[str, one_of(DISTANCES)] = Settings.distance
+    distance: Annotated[str, one_of(DISTANCES), BeforeValidator(_no_closed_form)] = Settings.distance
     weights: Annotated[list[Positive], entries("k_f", "k_m")] = list(Settings.weights)
     power: Annotated[int, Field(ge=1, le=2)] = Settings.power
     signed: bool = Settings.signed

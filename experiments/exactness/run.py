@@ -1,0 +1,171 @@
+"""Compare the library's distances from attainable sets with another algorithm's, on 100,000 random problems each.
+
+Writes results.csv (one row a dimension and family of sets) beside this file.
+"""
+
+import argparse
+import os
+from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from torch import Tensor
+
+from experiments.exactness.models import PAIRS
+from experiments.exactness.problems import FAMILIES, Problems, make
+from experiments.exactness.reference import Array, distances, largest_numbers, margin
+from experiments.rows import write_rows
+from torcharm.wrench_sets.distance import NearestPoints, evaluate_distance, find_nearest
+
+HERE = Path(__file__).parent
+PROBLEMS, QUICK_PROBLEMS = 100_000, 160
+"""In each dimension."""
+TOGETHER, QUICK_TOGETHER = 500, 20
+"""Problems with the same force models, which are made and solved at once."""
+MOST_ACTUATORS = 12
+MARGINS = 3
+"""Of so many problems together, those inside, margins are compared too."""
+PROMISE = 1e-6
+"""The error, as a part of max|H - w|, up to which an answer that is not flagged is right."""
+ROUNDINGS = 64 * float(np.finfo(float).eps)
+"""The error, as a part of the numbers that are added, that rounding excuses."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """What became of the problems of one family in one dimension; errors are parts of max|H - w|."""
+
+    dimension: int
+    family: str
+    problems: int
+    outside: int
+    flagged: int
+    wrong: int
+    worst: float
+    bounds_apart: float
+    gradients_not_finite: int
+    margins: int
+    worst_margin: float
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="a smoke run: few problems, no file written")
+    parser.add_argument("--problems", type=int, help=f"in each dimension; {PROBLEMS}")
+    options = parser.parse_args()
+    count = options.problems or (QUICK_PROBLEMS if options.quick else PROBLEMS)
+    together = QUICK_TOGETHER if options.quick else TOGETHER
+    jobs = [(dimension, seed, together) for seed in range(-(-count // together)) for dimension in (2, 3)]
+    rows = joined(results(jobs, serial=options.quick))
+    console = Console(width=140)
+    console.print(table(rows))
+    if not options.quick:
+        write_rows(HERE / "results.csv", rows)
+    if any(row.wrong or row.gradients_not_finite for row in rows):
+        raise SystemExit("an answer that was not flagged is wrong")
+
+
+def results(jobs: list[tuple[int, int, int]], *, serial: bool) -> Iterable[Row]:
+    if serial:
+        return [compare(job) for job in jobs]
+    with ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
+        return list(track(pool.map(compare, jobs), total=len(jobs)))
+
+
+def compare(job: tuple[int, int, int]) -> Row:
+    """Make problems of one kind, and let both answer."""
+    torch.set_num_threads(1)
+    dimension, seed, count = job
+    generator = np.random.default_rng((dimension, seed))
+    # half of all are ordinary; every family has its turn
+    family = FAMILIES[0] if seed % 2 else FAMILIES[1 + seed // 2 % (len(FAMILIES) - 1)]
+    names = tuple(generator.choice(list(PAIRS), size=generator.integers(1, MOST_ACTUATORS + 1)).tolist())
+    problems = make(family, dimension, count, generator, names)
+    found, value, lost = answers(problems)
+    with np.errstate(all="ignore"):
+        low, high, size = distances(problems.sets)
+        excused = ROUNDINGS / PROMISE * largest_numbers(problems.sets)
+    certified = found.known(torch.from_numpy(value).view(-1, 1, 1, 1))[:, 0, 0, -1].numpy()
+    scale = np.maximum(size, excused) + np.finfo(float).tiny
+    error = np.where(certified, np.maximum(np.maximum(low - value, value - high), 0.0) / scale, 0.0)
+    depth = margins(problems, certified & (high <= 1e-9 * size), size)
+    return Row(
+        dimension,
+        family,
+        count,
+        int((low > 0).sum()),
+        int((~certified).sum()),
+        int((~(error <= PROMISE)).sum()),
+        float(np.nanmax(error)),
+        float(((high - low) / scale).max()),
+        int((lost & certified).sum()),
+        len(depth),
+        max(depth, default=0.0),
+    )
+
+
+def answers(problems: Problems) -> tuple[NearestPoints, Array, Array]:
+    """What the library finds; the distances (B,), by torch, and whether a gradient is not finite (B,)."""
+    sections, relative = problems.sections, problems.relative
+    found = find_nearest(sections, problems.required, (1.0, 1.0), relative=relative, signed=False, points=True)
+    inputs = [value.requires_grad_() for value in (sections.strain, sections.lever, sections.bending, sections.limit)]
+    value = evaluate_distance(sections, problems.required, (1.0, 1.0), found, relative=relative)[:, 0, 0, -1]
+    gradients = torch.autograd.grad(value.sum(), inputs)
+    for tensor in inputs:
+        tensor.requires_grad_(False)
+    lost = torch.stack([~gradient.flatten(1).isfinite().all(1) for gradient in gradients]).any(0)
+    return found, value.detach().numpy(), lost.numpy()
+
+
+def margins(problems: Problems, inside: Array, size: Array) -> list[float]:
+    """Errors of some margins, as parts of max|H - w|."""
+    chosen = np.flatnonzero(inside)[:MARGINS]
+    if not len(chosen):
+        return []
+    found = find_nearest(
+        problems.sections, problems.required, (1.0, 1.0), relative=problems.relative, signed=True, points=True
+    )
+    value: Tensor = evaluate_distance(
+        problems.sections, problems.required, (1.0, 1.0), found, relative=problems.relative
+    )[:, 0, 0, -1]
+    errors = []
+    for b in chosen:
+        if found.certified[b, 0, 0, -1] and size[b] > 0:
+            low, high = margin(problems.sets.those(np.array([b])), float(size[b]))
+            errors.append(max(low + float(value[b]), -float(value[b]) - high, 0.0) / float(size[b]))
+    return errors
+
+
+def joined(rows: Iterable[Row]) -> list[Row]:
+    """One row a dimension and family."""
+    groups: dict[tuple[int, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row.dimension, row.family), []).append(row)
+    found = []
+    for (dimension, family), group in sorted(groups.items(), key=lambda pair: (pair[0][0], FAMILIES.index(pair[0][1]))):
+        total = {
+            name: sum(getattr(row, name) for row in group)
+            for name in ("problems", "outside", "flagged", "wrong", "gradients_not_finite", "margins")
+        }
+        most = {name: max(getattr(row, name) for row in group) for name in ("worst", "bounds_apart", "worst_margin")}
+        found.append(Row(dimension, family, **total, **most))
+    return found
+
+
+def table(rows: list[Row]) -> Table:
+    headings = ("dimension", "sets", "problems", "outside", "flagged", "wrong", "worst error", "reference's gap")
+    shown = Table(box=None, title="Distances, errors as parts of max|H - w|", title_justify="left")
+    for heading in (*headings, "lost gradients", "margins", "worst"):
+        shown.add_column(heading, justify="left" if heading == "sets" else "right")
+    for r in rows:
+        numbers = (r.problems, r.outside, r.flagged, r.wrong, f"{r.worst:.1e}", f"{r.bounds_apart:.1e}")
+        more = (r.gradients_not_finite, r.margins, f"{r.worst_margin:.1e}")
+        shown.add_row(*map(str, (r.dimension, r.family, *numbers, *more)))
+    return shown

@@ -1,0 +1,198 @@
+"""The house: in which order data flows through the rooms of the package, and that nothing flows back.
+
+A room is a module or package right below `torcharm`. A module imports only from its own room and from rooms before
+it, and no modules import each other in a circle. Imports count wherever they stand, within functions too.
+"""
+
+import ast
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+import torcharm
+
+ROOT = Path(torcharm.__file__).parent
+
+ROOMS = (
+    "files",
+    "geometry",
+    "actuators",
+    "arm",
+    "arm_series",
+    "load",
+    "task",
+    "statics",
+    "engine",
+    "wrench_sets",
+    "equilibrium",
+    "pressure",
+    "attainability",
+    "design",
+    "characterise",
+    "study",
+    "sweep",
+    "plot",
+    "cli",
+)
+
+# What the first edition left: its modules may import what they like, and only rooms from attainability on may
+# import them. Entries are removed with what they name, and none is added.
+OLD = {
+    "_arrays.py",
+    "_beginnings.py",
+    "_boundary.py",
+    "_box.py",
+    "_box_least_squares.py",
+    "_branch_search.py",
+    "_continuation.py",
+    "_descent.py",
+    "_inputs.py",
+    "_outer.py",
+    "_predicted_minimum.py",
+    "_reaching.py",
+    "_response.py",
+    "_rounds.py",
+    "_search_scipy.py",
+    "_select.py",
+    "_tracing.py",
+    "_underway.py",
+    "_wrench_fit.py",
+    "equilibrium.py",
+    "kernels/",
+    "mechanics/",
+    "optimise/",
+    "planning.py",
+    "pose_cost.py",
+    "prediction.py",
+    "pressure_fit.py",
+    "search.py",
+    "wrenches.py",
+}
+LENGTH_OF_OLD = 41  # as the list began; it shrinks with the list
+
+# Old modules that every room may still import: the checks of arguments, and a choice between branches.
+FOUNDATIONS = {"_inputs", "_select"}
+FIRST_THAT_MAY_IMPORT_OLD = "attainability"
+
+LONGEST_FILE = 400
+
+
+@cache
+def modules():
+    """Paths of all modules, by their dotted names."""
+    found = {}
+    for path in sorted(ROOT.rglob("*.py")):
+        parts = path.relative_to(ROOT.parent).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+@cache
+def imports_of(module):
+    """The modules of the package that a module imports, by their dotted names."""
+    found = set()
+    for node in ast.walk(ast.parse(modules()[module].read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names if alias.name.split(".")[0] == "torcharm"}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{module}: relative import in line {node.lineno}"
+            if (node.module or "").split(".")[0] == "torcharm":
+                for alias in node.names:
+                    full = f"{node.module}.{alias.name}"
+                    found.add(full if full in modules() else node.module)
+    return found - {module}
+
+
+def room_of(module):
+    """The part right below torcharm, or "" for the package itself."""
+    return [*module.split("."), ""][1]
+
+
+def is_old(room):
+    return f"{room}.py" in OLD or f"{room}/" in OLD
+
+
+def new_modules():
+    return [module for module in modules() if room_of(module) and not is_old(room_of(module))]
+
+
+def faults(module, imported):
+    """What is wrong with one import, or nothing."""
+    own, other = room_of(module), room_of(imported)
+    if own == other or other in FOUNDATIONS:
+        return []
+    if not other:  # the package itself holds the version, and is otherwise for its users
+        return [] if own in ("actuators", "cli") else [f"{module} imports the package itself"]
+    if is_old(other):
+        late = ROOMS.index(own) >= ROOMS.index(FIRST_THAT_MAY_IMPORT_OLD)
+        return [] if late else [f"{module} imports {imported}, which is to go"]
+    return [] if ROOMS.index(other) < ROOMS.index(own) else [f"{module} imports {imported}, which comes later"]
+
+
+def circles(graph):
+    """Groups of modules that import each other, by Tarjan's algorithm."""
+    index, low, stack, found = {}, {}, [], []
+
+    def visit(node):
+        index[node] = low[node] = len(index)
+        stack.append(node)
+        for other in sorted(graph.get(node, ())):
+            if other not in index:
+                visit(other)
+                low[node] = min(low[node], low[other])
+            elif other in stack:
+                low[node] = min(low[node], index[other])
+        if low[node] == index[node]:
+            cut = stack.index(node)
+            if len(stack) - cut > 1:
+                found.append(sorted(stack[cut:]))
+            del stack[cut:]
+
+    for node in sorted(graph):
+        if node not in index:
+            visit(node)
+    return found
+
+
+def test_everything_at_the_root_is_a_room_or_still_listed_as_old():
+    entries = {
+        f"{path.name}/" if path.is_dir() else path.name
+        for path in ROOT.iterdir()
+        if path.suffix == ".py" or (path / "__init__.py").is_file()
+    }
+    rooms = {f"{room}{end}" for room in ROOMS for end in (".py", "/")}
+    assert entries - rooms - OLD == {"__init__.py"}
+
+
+def test_what_is_gone_is_not_listed_as_old():
+    assert [entry for entry in sorted(OLD) if not (ROOT / entry).exists()] == []
+    assert len(OLD) <= LENGTH_OF_OLD
+
+
+@pytest.mark.parametrize("room", [room for room in ROOMS if any(room_of(name) == room for name in modules())])
+def test_a_room_imports_only_from_rooms_before_it(room):
+    own = [module for module in new_modules() if room_of(module) == room]
+    assert [fault for module in own for other in sorted(imports_of(module)) for fault in faults(module, other)] == []
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    names = set(new_modules())
+    assert circles({name: imports_of(name) & names for name in names}) == []
+
+
+def test_the_test_sees_circles_and_arrows_back():
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == [["b", "c"]]
+    assert circles({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
+    assert faults("torcharm.geometry.rod", "torcharm.task")
+    assert faults("torcharm.statics.external_load", "torcharm.mechanics.load")
+    assert faults("torcharm.geometry.rod", "torcharm")
+    assert not faults("torcharm.statics.external_load", "torcharm.geometry.rod")
+    assert "torcharm.geometry.se2" in imports_of("torcharm.geometry.rod")
+
+
+@pytest.mark.parametrize("room", [room for room in ROOMS if any(room_of(name) == room for name in modules())])
+def test_no_file_is_too_long_to_be_read_at_once(room):
+    own = [modules()[module] for module in new_modules() if room_of(module) == room]
+    lengths = {path.name: len(path.read_text(encoding="utf-8").splitlines()) for path in own}
+    assert {name: length for name, length in lengths.items() if length > LONGEST_FILE} == {}

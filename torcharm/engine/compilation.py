@@ -1,0 +1,88 @@
+"""Loops as machine code, by numba."""
+
+import os
+from collections.abc import Callable
+from functools import cache
+from hashlib import sha256
+from inspect import unwrap
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import Any, TypeVar
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def jit(function: F) -> F:
+    """Compiled at the first call, and kept on disk, anew where that is damaged; dividing by zero is no error."""
+    return _compiled(function, cache=True)
+
+
+def jit_part(function: F) -> F:
+    """The same of what compiled functions call: kept with these, and not to be called from Python."""
+    return _compiled(function, cache=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+
+
+def inlined(function: F) -> F:
+    """The same, as a part of compiled functions: where a call takes as long as what it does."""
+    return _compiled(function, cache=True, forceinline=True)
+
+
+def kernel(function: F) -> F:
+    """Compiled at the first call, and kept on disk. It holds no references to arrays, which saves half of the time.
+
+    So it cannot make arrays: room to work in is an argument.
+    """
+    return _compiled(function, cache=True, _nrt=False)
+
+
+def part(function: F) -> F:
+    """A part of kernels, compiled into each place that calls it."""
+    return _compiled(
+        function, cache=False, _nrt=False, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True
+    )
+
+
+def _compiled(function: F, **options: bool) -> F:
+    import numba
+
+    from torcharm.engine.code_cache import guard
+
+    config: Any = numba.config
+    # numba takes code from disk unless the function's own file has changed; that of what it calls may have
+    chosen, folder = config.CACHE_DIR, _folder()
+    every: dict[str, Any] = {"nogil": True, "error_model": "numpy", **options}
+    every["cache"] = every["cache"] and folder is not None
+    try:
+        config.CACHE_DIR = folder or chosen
+        compiled: F = numba.njit(**every)(unwrap(function))  # what checks signatures in tests cannot be compiled
+        if every["cache"]:
+            guard(compiled)
+        return compiled
+    finally:
+        config.CACHE_DIR = chosen
+
+
+@cache
+def _folder() -> str | None:
+    """Where code of these sources is kept: where numba is told to, beside them, or with the user's; None: nowhere."""
+    told = os.environ.get("NUMBA_CACHE_DIR")
+    for place in (told, Path(__file__).parents[1] / "__pycache__", Path("~/.cache/torcharm").expanduser()):
+        if not place:
+            continue
+        folder = Path(place) / f"torcharm-{_version()}"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with TemporaryFile(dir=folder):
+                return str(folder)
+        except OSError:
+            continue
+    return None
+
+
+@cache
+def _version() -> str:
+    """Of the package's sources."""
+    digest = sha256()
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]

@@ -1,0 +1,366 @@
+"""The distance of a wrench from an attainable set, `d(w) = max_{|n|=1} n·w - h(n)`, in D dimensions.
+
+The set is the convex hull of a sum of pressure curves, `Conv Σ_α {f_α(p) u_α + p t_α}`. It is never built: only its
+support function is asked for, `h(n) = Σ_α max_p (n·u_α) f_α(p) + (n·t_α) p`, which needs two numbers a curve. The
+method is that of Gilbert, Johnson and Keerthi (1988), Frank-Wolfe's with all corrections (Montaut et al. 2022): of at
+most D points of the set keep the simplex nearest to w, ask for the point of the set that lies furthest towards w, and
+go on from the nearest of the simplex's faces that hold it. Where the boundary is smooth that bisects angles; so there
+normals come from Newton's method instead, as long as they raise the lower bound. Every normal n gives a lower bound
+n·w - h(n), the simplex an upper one: the answer comes with the gap between them.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from torcharm.engine.compilation import part
+from torcharm.engine.curves import furthest
+
+Array = np.ndarray[Any, Any]
+
+GAP = 1e-13
+"""The gap, as a part of the problem's size, at which the distance is known: what rounding leaves."""
+ITERATIONS = 100
+"""Points of the set that are asked for at most: 3 to 8 are usual, 25 the most that was seen."""
+TOUCHING = 16 * float(np.finfo(np.float64).eps)
+"""A distance of less than this part of the problem's size is rounding, and 0."""
+
+
+class Simplex(NamedTuple):
+    """A point, the simplex of the set's points nearest to it, and room to work in.
+
+    Attributes:
+        target: (D,) the point w.
+        normal: (D,) a direction to begin with; then the unit normal from the set to the point.
+        weight: (D,) of the points whose mix is nearest; 0 where one is not needed.
+        pressure: (D, M) the pressures of these points.
+        corner: (D, D) these points, seen from w.
+        point, fresh: (D,), (M,) the set's point that was last asked for, seen from w, and its pressures.
+        nearest, face, trial, back: (D,) room.
+        turn: (D, D) how the set's point moves as the normal turns.
+        system: (2D - 1, 2D) equations that sharpen the answer.
+    """
+
+    target: Array
+    normal: Array
+    weight: Array
+    pressure: Array
+    corner: Array
+    point: Array
+    fresh: Array
+    nearest: Array
+    face: Array
+    trial: Array
+    back: Array
+    turn: Array
+    system: Array
+
+
+def make_simplex(actuators: int, dimension: int) -> Simplex:
+    """Room for one problem."""
+    square, row, rows = (dimension, dimension), (dimension,), 2 * dimension - 1
+    shapes: list[tuple[int, ...]] = [row, row, row, (dimension, actuators), square, row, (actuators,)]
+    shapes += [row, row, row, row, square, (rows, rows + 1)]
+    return Simplex(*(np.zeros(shape) for shape in shapes))
+
+
+@part
+def determinant(a, b, c):  # type: ignore[no-untyped-def]
+    """Of three vectors of space."""
+    x, y, z = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
+    return a[0] * x + a[1] * y + a[2] * z
+
+
+@part
+def add_turn(turn, curves, a, slope, by):  # type: ignore[no-untyped-def]
+    """Add how an actuator's point moves as the normal turns: along its tangent v, by `v v·δn` times `by`."""
+    D = len(turn)
+    for c in range(D):
+        v = slope * curves.lever[a, c] + (curves.bending[a, c - 1] if c > 0 else 0.0)
+        for e in range(D):
+            turn[c, e] += v * (slope * curves.lever[a, e] + (curves.bending[a, e - 1] if e > 0 else 0.0)) * by
+
+
+def curve_support(D: int) -> Any:
+    """`ask` for sums of curves in D components, 2 (plane) or 3 (space): loops of known length are unrolled."""
+
+    @part
+    def ask(curves, simplex):  # type: ignore[no-untyped-def]
+        """Find the set's point furthest along the normal, seen from w, and how it moves as the normal turns.
+
+        An actuator at a smooth place of its curve moves the point along its tangent v, by `v v·δn / -g''`. Returns how
+        many there are.
+        """
+        n, point, turn = simplex.normal, simplex.point, simplex.turn
+        for c in range(D):
+            point[c] = -simplex.target[c]
+            for e in range(D):
+                turn[c, e] = 0.0
+        smooth = 0
+        for a in range(len(simplex.fresh)):
+            by_force, by_pressure = n[0] * curves.lever[a, 0], 0.0
+            for c in range(1, D):
+                by_force += n[c] * curves.lever[a, c]
+                by_pressure += n[c] * curves.bending[a, c - 1]
+            p, f, fall = furthest(curves, a, by_force, by_pressure)
+            simplex.fresh[a] = p
+            point[0] += f * curves.lever[a, 0]
+            for c in range(1, D):
+                point[c] += f * curves.lever[a, c] + p * curves.bending[a, c - 1]
+            if fall > 0.0:
+                smooth += 1
+                add_turn(turn, curves, a, -by_pressure / by_force, 1.0 / fall)
+        return smooth
+
+    return ask
+
+
+def turn_part(D: int) -> Any:
+    """`turn_normal` for wrenches of D components."""
+
+    @part
+    def turn_normal(simplex, ahead, smooth):  # type: ignore[no-untyped-def]
+        """Turn the normal to where Newton's method expects the nearest point of a smooth boundary.
+
+        The nearest point y has `w - y = ρ n`. As y turns with n by H, `(H + ρ) δn = w - y - ρ n`. Where one actuator
+        alone moves the point, in space, H knows only its own direction, and the normal is turned in that one only.
+        """
+        n, H, y = simplex.normal, simplex.turn, simplex.point
+        if D == 2:
+            a, b, c = H[0, 0] + ahead, H[1, 0], H[1, 1] + ahead
+            g, h = -y[0] - ahead * n[0], -y[1] - ahead * n[1]
+            det = a * c - b * b
+            n[0] += (c * g - b * h) / det
+            n[1] += (a * h - b * g) / det
+        elif smooth == 1:
+            k = 0
+            for c in range(1, D):
+                k = c if H[c, c] > H[k, k] else k
+            along, square, trace = 0.0, 0.0, 0.0
+            for c in range(D):
+                along += H[k, c] * (-y[c] - ahead * n[c])
+                square += H[k, c] * H[k, c]
+                trace += H[c, c]
+            for c in range(D):
+                n[c] += along / (square * (trace + ahead)) * H[k, c]
+        else:
+            a, b, c = H[0, 0] + ahead, H[1, 0], H[2, 0]
+            d, e, f = H[1, 1] + ahead, H[2, 1], H[2, 2] + ahead
+            g, h, k = -y[0] - ahead * n[0], -y[1] - ahead * n[1], -y[2] - ahead * n[2]
+            r, s, t, u = d * f - e * e, c * e - b * f, b * e - c * d, b * c - a * e
+            det = a * r + b * s + c * t
+            n[0] += (r * g + s * h + t * k) / det
+            n[1] += (s * g + (a * f - c * c) * h + u * k) / det
+            n[2] += (t * g + u * h + (a * d - b * b) * k) / det
+        length = 0.0
+        for c in range(D):
+            length += n[c] * n[c]
+        length = math.sqrt(length)
+        for c in range(D):
+            n[c] /= length
+
+    return turn_normal
+
+
+def nearest_part(D: int, ask: Any) -> Any:
+    """`nearest` for sets in D components whose support is asked for by `ask`."""
+
+    turn_normal = turn_part(D)
+
+    @part
+    def ahead_of(simplex):  # type: ignore[no-untyped-def]
+        """How far w lies beyond the supporting plane that was last asked for: a lower bound of its distance."""
+        ahead = 0.0
+        for c in range(D):
+            ahead -= simplex.normal[c] * simplex.point[c]
+        return ahead
+
+    @part
+    def surrounded(simplex):  # type: ignore[no-untyped-def]
+        """Whether w is strictly inside the simplex of the D corners and the new point."""
+        s, y = simplex.point, simplex.corner
+        if D == 2:
+            a = s[0] * y[0, 1] - s[1] * y[0, 0]
+            b = y[0, 0] * y[1, 1] - y[0, 1] * y[1, 0]
+            c = y[1, 0] * s[1] - y[1, 1] * s[0]
+            return (a > 0 and b > 0 and c > 0) or (a < 0 and b < 0 and c < 0)
+        a, b, c = determinant(s, y[0], y[1]), determinant(s, y[1], y[2]), determinant(s, y[2], y[0])
+        d = determinant(y[0], y[2], y[1])
+        return (a > 0 and b > 0 and c > 0 and d > 0) or (a < 0 and b < 0 and c < 0 and d < 0)
+
+    @part
+    def nearest_face(simplex):  # type: ignore[no-untyped-def]
+        """Find the face nearest to w of those that hold the new point: its nearest point, and the corners' weights.
+
+        Faces are measured by orthogonal components, not by normal equations, which fail on thin sets. Returns the new
+        point's weight and the squared distance.
+        """
+        s, y, face, x, trial = simplex.point, simplex.corner, simplex.face, simplex.nearest, simplex.trial
+        best, own = 0.0, 1.0
+        for c in range(D):
+            x[c] = s[c]
+            best += s[c] * s[c]
+            face[c] = 0.0
+        for i in range(D):
+            along, length, square = 0.0, 0.0, 0.0
+            for c in range(D):
+                e = y[i, c] - s[c]
+                along -= e * s[c]
+                length += e * e
+            if 0.0 < along < length:
+                t = along / length
+                for c in range(D):
+                    trial[c] = s[c] + t * (y[i, c] - s[c])
+                    square += trial[c] * trial[c]
+                if square < best:
+                    best, own = square, 1.0 - t
+                    for c in range(D):
+                        face[c] = 0.0
+                        x[c] = trial[c]
+                    face[i] = t
+        if D == 3:
+            for k in range(3):
+                i, j = (k + 1) % 3, (k + 2) % 3
+                ee, ef, ff, along = 0.0, 0.0, 0.0, 0.0
+                for c in range(D):
+                    ee += (y[i, c] - s[c]) ** 2
+                    ef += (y[i, c] - s[c]) * (y[j, c] - s[c])
+                shear = ef / ee if ee > 0.0 else 0.0
+                for c in range(D):
+                    f = y[j, c] - s[c] - shear * (y[i, c] - s[c])
+                    ff += f * f
+                    along -= f * s[c]
+                if not (ee > 0.0 and 0.0 < along < ff):
+                    continue
+                v = along / ff
+                u = 0.0
+                for c in range(D):
+                    u -= (s[c] + v * (y[j, c] - s[c])) * (y[i, c] - s[c]) / ee
+                if u > 0.0 and u + v < 1.0:
+                    square = 0.0
+                    for c in range(D):
+                        trial[c] = s[c] + u * (y[i, c] - s[c]) + v * (y[j, c] - s[c])
+                        square += trial[c] * trial[c]
+                    if square < best:
+                        best, own = square, 1.0 - u - v
+                        face[i], face[j], face[k] = u, v, 0.0
+                        for c in range(D):
+                            x[c] = trial[c]
+        return own, best
+
+    @part
+    def take(simplex, own):  # type: ignore[no-untyped-def]
+        """Let the new point take the place of the corner of least weight."""
+        slot = 0
+        for i in range(D):
+            simplex.weight[i] = simplex.face[i]
+            if simplex.weight[i] < simplex.weight[slot]:
+                slot = i
+        simplex.weight[slot] = own
+        for c in range(D):
+            simplex.corner[slot, c] = simplex.point[c]
+        for a in range(len(simplex.fresh)):
+            simplex.pressure[slot, a] = simplex.fresh[a]
+
+    @part
+    def begin(simplex):  # type: ignore[no-untyped-def]
+        """Let all corners be the first point; returns its squared distance."""
+        square = 0.0
+        for i in range(D):
+            simplex.weight[i] = 1.0 if i == 0 else 0.0
+            simplex.nearest[i] = simplex.point[i]
+            square += simplex.point[i] * simplex.point[i]
+            for c in range(D):
+                simplex.corner[i, c] = simplex.point[c]
+            for a in range(len(simplex.fresh)):
+                simplex.pressure[i, a] = simplex.fresh[a]
+        return square
+
+    @part
+    def write_back(simplex, length):  # type: ignore[no-untyped-def]
+        """Write the direction from the simplex to w: across its corners, if they are further apart than w is from them.
+
+        A difference of wrenches has lost as many digits as it is small.
+        """
+        y, back = simplex.corner, simplex.back
+        full = True
+        for c in range(D):
+            back[c] = -simplex.nearest[c] / length
+            full = full and simplex.weight[c] > 0.0
+        if not full:
+            return
+        if D == 2:
+            a, b = y[0, 1] - y[1, 1], y[1, 0] - y[0, 0]
+            across = math.sqrt(a * a + b * b)
+            if across > length:
+                back[0], back[1] = a / across, b / across
+        else:
+            e0, e1, e2 = y[1, 0] - y[0, 0], y[1, 1] - y[0, 1], y[1, 2] - y[0, 2]
+            f0, f1, f2 = y[2, 0] - y[0, 0], y[2, 1] - y[0, 1], y[2, 2] - y[0, 2]
+            a, b, c = e1 * f2 - e2 * f1, e2 * f0 - e0 * f2, e0 * f1 - e1 * f0
+            across = math.sqrt(a * a + b * b + c * c)
+            broad = math.sqrt(max(e0 * e0 + e1 * e1 + e2 * e2, f0 * f0 + f1 * f1 + f2 * f2))
+            if across > length * broad:
+                back[0], back[1], back[2] = a / across, b / across, c / across
+        along = 0.0
+        for c in range(D):
+            along += back[c] * y[0, c]
+        if along > 0.0:
+            for c in range(D):
+                back[c] = -back[c]
+
+    @part
+    def nearest(support, simplex, size):  # type: ignore[no-untyped-def]
+        """The distance of the simplex's target from the set, the gap that is left, and whether it is strictly inside.
+
+        Args:
+            support: the curves or vertices that make the set.
+            size: of the problem, the most that the numbers in it can add up to.
+        """
+        low, length, square, newton = 0.0, 0.0, 0.0, False
+        for iteration in range(ITERATIONS):
+            smooth = ask(support, simplex)
+            ahead, better = 0.0, False
+            if iteration == 0:
+                square = begin(simplex)
+            else:
+                ahead = ahead_of(simplex)
+                better = ahead > low
+                low = max(low, ahead)
+                if length - low <= GAP * size:
+                    break
+                if surrounded(simplex):
+                    return 0.0, 0.0, True
+                own, now = nearest_face(simplex)
+                if now < square:
+                    take(simplex, own)
+                    square = now
+                elif newton:  # a step too far: ask along the simplex's own normal before giving up
+                    newton = False
+                    for c in range(D):
+                        simplex.normal[c] = simplex.back[c]
+                    continue
+                else:
+                    break
+            length = math.sqrt(square)
+            if length <= TOUCHING * size:
+                return 0.0, 0.0, False
+            write_back(simplex, length)
+            if low > 0.0 and length - low <= GAP * size:
+                break
+            newton = smooth > 0 and ahead > 0.0 and (better or not newton)
+            if newton:
+                turn_normal(simplex, ahead, smooth)
+            else:
+                for c in range(D):
+                    simplex.normal[c] = simplex.back[c]
+            ahead = 0.0  # of this one nothing is known yet
+        if low <= 0.0 and length < math.inf:  # no plane is known to separate them
+            return 0.0, length, False
+        if ahead < low or ahead <= 0.0:  # another normal gave the bound: the simplex's own goes with its points
+            for c in range(D):
+                simplex.normal[c] = simplex.back[c]
+        return length, max(length - low, 0.0), False
+
+    return nearest

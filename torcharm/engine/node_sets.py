@@ -1,0 +1,246 @@
+"""Distances of required wrenches from attainable sets, for batches of designs, shapes, nodes and loads."""
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from torcharm.engine.compilation import kernel, part
+from torcharm.engine.curves import Curves, copy_curve, make_curves, most_pieces, sides, write_curve, write_difference
+from torcharm.engine.depth import Polytope, make_polytope, signed_distance_part
+from torcharm.engine.distance import GAP, Simplex, curve_support, make_simplex, nearest_part
+from torcharm.engine.forces import Models
+from torcharm.engine.sharpen import BEYOND, sharpen_part
+
+Array = np.ndarray[Any, Any]
+
+
+class Sections(NamedTuple):
+    """The actuators at the cross-sections of B designs on P shapes of N nodes.
+
+    Attributes:
+        limit: (B, M) pressure limits [kPa].
+        strain: (B, P, N, M).
+        lever: (B, M, D) the wrench of a force of 1 N.
+        bending: (B, P, N, M, D - 1) the moments of a pressure of 1 kPa.
+        constant: (B, P, N, D - 1) the moments at no pressure.
+        sampled: (B, P, N, S, K, 6) pieces of the models that the engine does not know, as of `write_curve`.
+        sample: (M,) which of the S each actuator is.
+        unit_weight: (G, P, N, D) the wrench that 1 kg of each of G parts asks of a node.
+        mass: (B, G) of the parts [kg].
+    """
+
+    limit: Array
+    strain: Array
+    lever: Array
+    bending: Array
+    constant: Array
+    sampled: Array
+    sample: Array
+    unit_weight: Array
+    mass: Array
+
+
+class Room(NamedTuple):
+    """Room to work in, for one thread.
+
+    Attributes:
+        own, first, change: curves of a node, of the first node, and their difference.
+        simplex, polytope: of one problem.
+        middle: (D,) the set's middle.
+        start: (L, D) the last node's normals, to begin the next node's with.
+    """
+
+    own: Curves
+    first: Curves
+    change: Curves
+    simplex: Simplex
+    polytope: Polytope
+    middle: Array
+    start: Array
+
+
+class Answers(NamedTuple):
+    """What is found, for B designs, P shapes, L loads and N nodes.
+
+    Attributes:
+        distance: (B, P, L, N), negative inside if that was asked for.
+        gap: (B, P, L, N) by how much of the problem's size it may be too long.
+        normal: (B, P, L, N, D) unit normals; empty if not asked for, like what follows.
+        weight: (B, P, L, N, D) of the points whose mix is nearest.
+        pressure: (B, P, L, N, D, M) of these points [kPa].
+        size: (B, P, L, N) of the problem, the most that the numbers in it can add up to.
+    """
+
+    distance: Array
+    gap: Array
+    normal: Array
+    weight: Array
+    pressure: Array
+    size: Array
+
+
+def make_room(models: Models, dimension: int, loads: int, sampled: int) -> Room:
+    """Room for sets of wrenches of so many components."""
+    actuators, pieces = len(models.kind), most_pieces(models, sampled)
+    return Room(
+        make_curves(models, dimension, pieces),
+        make_curves(models, dimension, pieces),
+        make_curves(models, dimension, 2 * pieces, terms=2),
+        make_simplex(actuators, dimension),
+        make_polytope(actuators, dimension),
+        np.zeros(dimension),
+        np.zeros((loads, dimension)),
+    )
+
+
+@part
+def write_node(sections, room, b, h, i, relative):  # type: ignore[no-untyped-def]
+    """Write the curves of node i of shape h of design b, less those of the first node if `relative`."""
+    own = room.own
+    for a in range(len(own.pieces)):
+        for c in range(sections.bending.shape[4]):
+            own.bending[a, c] = sections.bending[b, h, i, a, c]
+            own.lever[a, c] = sections.lever[b, a, c]
+        own.lever[a, sections.bending.shape[4]] = sections.lever[b, a, sections.bending.shape[4]]
+        pieces = sections.sampled[b, h, i, sections.sample[a]]
+        write_curve(own, a, sections.strain[b, h, i, a], sections.limit[b, a], pieces)
+        if relative:
+            if i == 0:
+                copy_curve(room.first, a, own)
+            write_difference(room.change, a, own, room.first)
+            room.change.side[a] = sides(room.change, a)
+        else:
+            own.side[a] = sides(own, a)
+
+
+@part
+def measure(curves, middle):  # type: ignore[no-untyped-def]
+    """Write the middle of the sum of the curves' ends; returns the most that their numbers can add up to."""
+    extent = 0.0
+    for c in range(len(middle)):
+        middle[c] = 0.0
+    for a in range(len(curves.pieces)):
+        last, most = curves.pieces[a], 0.0
+        for k in range(last):
+            for j in range(4):
+                most = max(most, abs(curves.control[a, k, j]))
+        centre, p = 0.5 * (curves.control[a, 0, 0] + curves.control[a, last - 1, 3]), curves.edge[a, last]
+        for c in range(len(middle)):
+            middle[c] += centre * curves.lever[a, c]
+            extent += most * abs(curves.lever[a, c])
+            if c > 0:
+                middle[c] += 0.5 * p * curves.bending[a, c - 1]
+                extent += p * abs(curves.bending[a, c - 1])
+    return extent
+
+
+@part
+def aim(sections, required, room, b, h, l, i, relative):  # type: ignore[no-untyped-def]
+    """Write the wrench asked of a node, less what no pressure changes; returns the sum of its components' sizes."""
+    target, size = room.simplex.target, 0.0
+    for c in range(len(target)):
+        target[c] = required[h, l, i, c]
+        if relative:
+            target[c] -= required[h, l, 0, c]
+        for g in range(sections.mass.shape[1]):
+            target[c] += sections.mass[b, g] * sections.unit_weight[g, h, i, c]
+            if relative:
+                target[c] -= sections.mass[b, g] * sections.unit_weight[g, h, 0, c]
+        if c > 0:
+            target[c] -= sections.constant[b, h, i, c - 1]
+            if relative:
+                target[c] += sections.constant[b, h, 0, c - 1]
+        size += abs(target[c])
+    return size
+
+
+@part
+def keep_answer(answers, simplex, at):  # type: ignore[no-untyped-def]
+    """Write the normal, the weights and the pressures of an answer, if they are asked for."""
+    b, h, l, i = at
+    if len(answers.normal) > 0:
+        for c in range(len(simplex.normal)):
+            answers.normal[b, h, l, i, c] = simplex.normal[c]
+            answers.weight[b, h, l, i, c] = simplex.weight[c]
+            for a in range(len(simplex.fresh)):
+                answers.pressure[b, h, l, i, c, a] = simplex.pressure[c, a]
+
+
+@cache
+def distance_kernel(dimension: int, signed: bool = False) -> Any:
+    """The kernel for wrenches of so many components, which measures from the outside or, signed, from both sides."""
+    ask = curve_support(dimension)
+    nearest = nearest_part(dimension, ask)
+    sharpen = sharpen_part(dimension)
+    signed_distance = signed_distance_part(dimension, ask, sharpen)
+
+    @part
+    def measure_again(curves, simplex, distance, gap, size):  # type: ignore[no-untyped-def]
+        """The distance along a sharper normal, and the gap that is left."""
+        ahead, low = 0.0, 0.0
+        for c in range(dimension):
+            for k in range(dimension):
+                ahead -= simplex.weight[k] * simplex.corner[k, c] * simplex.normal[c]
+        if gap > GAP * size:
+            ask(curves, simplex)
+            for c in range(dimension):
+                low -= simplex.normal[c] * simplex.point[c]
+            gap = min(gap, max(ahead - low, 0.0))
+        return (ahead, gap) if abs(ahead - distance) <= gap + GAP * size else (distance, gap)
+
+    @kernel
+    def distances(sections, required, relative, begin, end, room, answers):  # type: ignore[no-untyped-def]
+        """Of designs from `begin` to `end`; required wrenches (P, L, N, D)."""
+        curves = room.change if relative else room.own
+        simplex = room.simplex
+        for b in range(begin, end):
+            for h in range(required.shape[0]):
+                for l in range(required.shape[1]):
+                    forget(room.start, l)
+                for i in range(required.shape[2]):
+                    write_node(sections, room, b, h, i, relative)
+                    extent = measure(curves, room.middle)
+                    for l in range(required.shape[1]):
+                        size = extent + aim(sections, required, room, b, h, l, i, relative)
+                        begin_with(room, l)
+                        if signed:
+                            distance, gap = signed_distance(curves, simplex, room.polytope, size)
+                        else:
+                            distance, gap, _ = nearest(curves, simplex, size)
+                            if distance > 0.0 and (len(answers.normal) > 0 or gap > GAP * size):
+                                sharpen(curves, simplex, BEYOND * max(gap, GAP * size) / distance)
+                                distance, gap = measure_again(curves, simplex, distance, gap, size)
+                        if distance != 0.0:
+                            remember(room.start, l, simplex.normal)
+                        answers.distance[b, h, l, i] = distance
+                        answers.gap[b, h, l, i] = gap / size if size > 0.0 else gap
+                        keep_answer(answers, simplex, (b, h, l, i))
+                        if len(answers.size) > 0:
+                            answers.size[b, h, l, i] = size
+
+    return distances
+
+
+@part
+def forget(start, l):  # type: ignore[no-untyped-def]
+    """No normal is known to begin with."""
+    for c in range(start.shape[1]):
+        start[l, c] = 0.0
+
+
+@part
+def remember(start, l, normal):  # type: ignore[no-untyped-def]
+    """The next node's normal is likely to be like this one's."""
+    for c in range(start.shape[1]):
+        start[l, c] = normal[c]
+
+
+@part
+def begin_with(room, l):  # type: ignore[no-untyped-def]
+    """Write a direction to begin with: the last node's normal, or else that from the set's middle."""
+    known, simplex = False, room.simplex
+    for c in range(len(simplex.normal)):
+        known = known or room.start[l, c] != 0.0
+    for c in range(len(simplex.normal)):
+        simplex.normal[c] = room.start[l, c] if known else simplex.target[c] - room.middle[c]

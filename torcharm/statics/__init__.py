@@ -1,0 +1,1 @@
+"""Statics of an arm: the wrenches that loads ask of its nodes."""

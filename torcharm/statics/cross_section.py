@@ -1,0 +1,171 @@
+"""Cross-sections: from the backbone's strains to what actuators do there. The only place that sums over actuators.
+
+At a node actuator α provides, at pressure p, the wrench `f_α(ε_α, p) u_α + p t_α` and a constant moment, in the
+components that pressures can change: `(f_x, m)` in the plane, `(f_x, m_y, m_z)` in space. Its lever is
+`u = (1, -r)` or `(1, z, -y)`; t comes from its bending stiffness. The paper prints `+r`; virtual work
+(`∂l_α/∂κ = -r_α`) asks for the minus.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torcharm._inputs import as_floating, broadcast_shapes, check_at_least, check_finite, check_tensor
+from torcharm.actuators import Actuator
+from torcharm.actuators.bending import (
+    active_moment,
+    linear_stiffness,
+    passive_moment,
+    reference_pressure,
+)
+from torcharm.actuators.inspection import same_model
+from torcharm.arm import ArmDesign
+from torcharm.geometry.rod import material_curvature, offset_length, strain
+
+STRAIGHT = 1e-8
+"""A curvature [rad/m] below which the direction of bending in space is of no matter: it keeps its length from 0."""
+
+
+@dataclass(frozen=True, eq=False)
+class CrossSections:
+    """M actuators at the nodes of shapes; D components are those of hull wrenches, 2 or 3.
+
+    Attributes:
+        actuators: M force models.
+        strain: (..., N, M) ε.
+        lever: (..., 1, M, D) u, the wrench of a force of 1 N [-, m].
+        bending: (..., N, M, D-1) t, the moments of a pressure of 1 kPa [N·m/kPa].
+        constant: (..., N, D-1) the moments that no pressure changes, of all actuators [N·m]; None is none.
+        limit: (..., 1, M) pressure limits [kPa].
+    """
+
+    actuators: tuple[Actuator, ...]
+    strain: Tensor
+    lever: Tensor
+    bending: Tensor
+    constant: Tensor | None
+    limit: Tensor
+
+    def reaction(self, pressure: Tensor) -> Tensor:
+        """The wrenches (..., N, D) that pressures (..., N or 1, M) [kPa] provide."""
+        force = actuator_force(self.actuators, self.strain, pressure)
+        wrench = (force.unsqueeze(-1) * self.lever).sum(-2)
+        moment = (pressure.unsqueeze(-1) * self.bending).sum(-2)
+        if self.constant is not None:
+            moment = moment + self.constant
+        return torch.cat((wrench[..., :1].expand(*moment.shape[:-1], 1), wrench[..., 1:] + moment), -1)
+
+
+def cross_sections(arm: ArmDesign, twists: Tensor) -> CrossSections:
+    """The sections of designs (*#batch) on shapes (*#batch, N, 3 or 6)."""
+    y, neutral = arm.radii.unsqueeze(-2), arm.length.unsqueeze(-2)
+    length, one = twists[..., :1], torch.ones_like(y)
+    if twists.shape[-1] == 3:
+        own_length = offset_length(length, twists[..., 2:], y)
+        lever, turn = torch.stack((one, -y), -1), twists[..., 2:]
+    else:
+        z = torch.zeros_like(y) if arm.out_of_plane is None else arm.out_of_plane.unsqueeze(-2)
+        own_length = offset_length(length, twists[..., 5:], y, twists[..., 4:5], z)
+        lever, turn = torch.stack((one, z, -y), -1), twists[..., 4:]
+    curvature = torch.stack([material_curvature(k, own_length, neutral) for k in turn.split(1, -1)], -1)
+    bending, constant = _bending(arm.actuators, curvature)
+    own_strain = strain(own_length, neutral)
+    return CrossSections(arm.actuators, own_strain, lever, bending, constant, arm.max_pressure.unsqueeze(-2))
+
+
+def _bending(actuators: tuple[Actuator, ...], curvature: Tensor) -> tuple[Tensor, Tensor | None]:
+    """Moments a kPa (..., M, D-1), and those that no pressure changes (..., D-1), at material curvatures."""
+    reference = [reference_pressure(model.bending_stiffness, model.max_pressure) for model in actuators]
+    linear = [linear_stiffness(model.bending_stiffness) for model in actuators]
+    if None not in linear:
+        rate = per_actuator([k / p for k, p in zip(linear, reference, strict=True) if k is not None], curvature)
+        active = rate.unsqueeze(-1) * curvature
+    else:
+        moments = [
+            _along(curvature[..., a, :], partial(active_moment, model.bending_stiffness))
+            for a, model in enumerate(actuators)
+        ]
+        active = torch.stack([m / p for m, p in zip(moments, reference, strict=True) if m is not None], -2)
+    constant = None
+    for a, model in enumerate(actuators):
+        moment = _along(curvature[..., a, :], partial(passive_moment, model.bending_stiffness))
+        if moment is not None:
+            constant = moment if constant is None else constant + moment
+    return active, constant
+
+
+def _along(curvature: Tensor, law: Callable[[Tensor], Tensor | None]) -> Tensor | None:
+    """The moments (..., D-1) of a law of one curvature. In space it is the same for all directions of bending."""
+    planar = curvature.shape[-1] == 1
+    size = curvature.squeeze(-1) if planar else (curvature.square().sum(-1) + STRAIGHT**2).sqrt()
+    moment = law(size)
+    if moment is None:
+        return None
+    return moment.unsqueeze(-1) if planar else (moment / size).unsqueeze(-1) * curvature
+
+
+def per_actuator(values: Sequence[float | Tensor], like: Tensor) -> Tensor:
+    """Numbers, some of which may be tensors with graphs, as one row."""
+    if any(isinstance(value, Tensor) for value in values):
+        return torch.stack([torch.as_tensor(value, dtype=like.dtype, device=like.device).squeeze() for value in values])
+    return like.new_tensor(values)
+
+
+def actuator_force(actuators: tuple[Actuator, ...], own_strain: Tensor, pressure: Tensor) -> Tensor:
+    """Axial forces (..., M) [N]. Models that are the same are asked together: the cost follows the number of kinds."""
+    shape = torch.broadcast_shapes(own_strain.shape, pressure.shape)
+    groups = group_alike(actuators)
+    if len(groups) == 1:
+        return actuators[0].force(own_strain, pressure).expand(shape)
+    parts = [model.force(own_strain[..., members], pressure[..., members]) for model, members in groups]
+    force = parts[0].new_empty(shape)
+    for (_, members), part in zip(groups, parts, strict=True):
+        force[..., members] = part
+    return force
+
+
+def group_alike(actuators: tuple[Actuator, ...]) -> list[tuple[Actuator, slice | list[int]]]:
+    """Each kind of model, and where it sits: as a slice, which costs no copy, if evenly spaced."""
+    groups: list[tuple[Actuator, list[int]]] = []
+    for index, model in enumerate(actuators):
+        for known, members in groups:
+            if same_model(known, model):
+                members.append(index)
+                break
+        else:
+            groups.append((model, [index]))
+    return [(model, _as_slice(members)) for model, members in groups]
+
+
+def _as_slice(members: list[int]) -> slice | list[int]:
+    step = members[1] - members[0] if len(members) > 1 else 1
+    evenly = slice(members[0], members[-1] + 1, step)
+    return evenly if list(range(members[-1] + 1))[evenly] == members else members
+
+
+def reaction_wrench(
+    arm: ArmDesign, twists: Float[Tensor, "*#batch N K"], pressure: Float[Tensor, "*#batch M"]
+) -> Float[Tensor, "... N D"]:
+    """Reaction of each node to pressures [kPa], in the node's frame: `(f_x, m)` or, in space, `(f_x, m_y, m_z)`.
+
+    `f_x = Σ f_α(ε_α, p_α)`, `m = Σ (-r_α f_α + τ_α)`; in space `m_y = Σ (z_α f_α + τ_α,y)` and
+    `m_z = Σ (-y_α f_α + τ_α,z)` [N, N·m].
+
+    Args:
+        twists: (..., N, 3) or (..., N, 6) [m, rad].
+        pressure: (..., M) one for each actuator [kPa].
+
+    Raises:
+        ValueError: a pressure is negative or not finite, or shapes do not fit.
+    """
+    check_tensor("twists", twists, "N", 3 if arm.dimension == 2 else 6)
+    pressure, _ = as_floating(pressure=pressure, radii=arm.radii)
+    check_tensor("pressure", pressure, arm.actuator_count)
+    broadcast_shapes(twists=twists.shape[:-2], pressure=pressure.shape[:-1], radii=arm.batch_shape)
+    check_finite("pressure", pressure)
+    check_at_least("pressure", pressure, 0.0, unit="kPa")
+    return cross_sections(arm, twists).reaction(pressure.unsqueeze(-2))

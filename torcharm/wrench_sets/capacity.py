@@ -1,0 +1,237 @@
+"""How much of a payload a design can bear at a shape: where a growing payload leaves the attainable sets.
+
+The wrench that a node requires is linear in the payload: `t` times the payload requires the weight's wrench and `t`
+times the payload's. It moves along a line, and a convex set cuts an interval of factors out of that line. An arm bears
+the factors that lie in the intervals of all its nodes.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.utils.checkpoint import checkpoint
+
+from torcharm._inputs import check_choice, check_count
+from torcharm.arm import ArmDesign
+from torcharm.arm_series import ArmSeries
+from torcharm.load import ExternalLoad, PointLoad
+from torcharm.statics.cross_section import CrossSections
+from torcharm.task import Task
+from torcharm.wrench_sets.design_task_grid import (
+    DesignTaskGrid,
+    check_arm_and_task,
+    design_task_grid,
+    limits_in_range,
+    map_chunks,
+)
+from torcharm.wrench_sets.node_distances import (
+    METRICS,
+    any_sampled,
+    default_chunk,
+    possible_sections,
+    strain_excess,
+    wants_gradient,
+)
+from torcharm.wrench_sets.rays import evaluate_ends, find_ends
+
+
+@dataclass(frozen=True, eq=False)
+class LoadCapacity:
+    """What `load_capacity` found. Shapes are (*design batch, *task batch), with N nodes added per node.
+
+    Factors multiply the task's payload: its tip load and the wrenches of its point loads. Where no factor serves, they
+    are NaN; a bound that there is not is infinite.
+
+    Attributes:
+        factor: the largest factor of at least 0 that the sets of all nodes allow.
+        t_min, t_max: the least and the largest factor, of either sign, that they allow. An arm may need a load:
+            then `t_min` is above 0.
+        t_min_per_node, t_max_per_node: the same for each node alone.
+        limiting_node: the node, from 1 (base) to N, that sets `factor`; 0 where none does.
+        attainable: whether there is a factor of at least 0.
+        attainable_unloaded: whether factor 0 is allowed.
+        unbounded: whether `factor` is infinite, as that of a payload that asks nothing of any set.
+        in_range: whether every strain and every pressure limit lies in the range of its force model.
+        impossible: whether the shape leaves an actuator no length, or less, at some node; no factor serves there.
+        converged: whether every node's answer is known to rounding.
+    """
+
+    factor: Tensor
+    t_min: Tensor
+    t_max: Tensor
+    t_min_per_node: Tensor
+    t_max_per_node: Tensor
+    limiting_node: Tensor
+    attainable: Tensor
+    attainable_unloaded: Tensor
+    unbounded: Tensor
+    in_range: Tensor
+    impossible: Tensor
+    converged: Tensor
+
+    @property
+    def factor_per_node(self) -> Tensor:
+        """(..., N) the largest factor of at least 0 that each node's set allows; NaN where there is none."""
+        return torch.where(self.t_max_per_node >= 0, self.t_max_per_node, torch.nan)
+
+
+def load_capacity(
+    arm: ArmDesign | ArmSeries, task: Task, metric: str = "absolute", *, chunk_size: int | None = None
+) -> LoadCapacity:
+    """The largest factor by which every task's payload can grow, at its shape, for every design.
+
+    The payload is the tip load and the wrenches of point loads. What gravity pulls on, the arm's own mass, links and
+    point masses, weighs the same at every factor.
+
+    Along the outward normal n where the line `w_0 + t w` leaves a node's set, `t = (h(n) - n·w_0)/(n·w)`, with h the
+    set's support function. Sets are those of `evaluate`, exact for any force model. Differentiable once with respect
+    to radii, offsets, lengths, pressure limits, masses, twists, loads and whatever force models hold, by the same
+    formula with the normal held; where a corner or two nodes limit alike there is a kink, and the gradient is a
+    one-sided one.
+
+    As all that sets say, the factor is an upper bound: every node's requirement can be met below it, each by a
+    pressure of its own.
+
+    Args:
+        arm: designs, of any batch shape; or segments in series.
+        task: tasks, of any batch shape, of the arm's dimension. Loads that share a shape share its sets.
+        metric: "absolute", or "relative" for differences from the first node of the same segment.
+        chunk_size: (design, shape, load) triples worked on at once; None chooses. Bounds memory.
+
+    Raises:
+        ValueError: an argument is none of those allowed, or arm and task do not fit.
+    """
+    check_choice("metric", metric, METRICS)
+    if chunk_size is not None:
+        check_count("chunk_size", chunk_size, 1)
+    check_arm_and_task(arm, task)
+    weight, payload = _weight_and_payload(task)
+    grid = design_task_grid(arm, weight)
+    direction = design_task_grid(arm, payload).required.external
+    ends = _per_node(grid, direction, metric == "relative", chunk_size)
+    low, high, slack, converged, excess, impossible = (grid.unflatten(part) for part in ends)
+    return _over_nodes(low, high, slack, converged, excess, impossible, limits_in_range(grid))
+
+
+def _weight_and_payload(task: Task) -> tuple[Task, Task]:
+    """The task under what gravity pulls on alone, and under its other loads alone, both of the whole batch."""
+    load = task.load
+    nothing = task.twists.new_zeros(task.twists.shape[-1]).expand(*task.batch_shape, -1)
+    weights = tuple(
+        PointLoad(
+            None if point.wrench is None else torch.zeros_like(point.wrench),
+            point.segment,
+            point.at,
+            point.frame,
+            point.mass,
+        )
+        for point in load.points
+    )
+    wrenches = tuple(
+        PointLoad(point.wrench, point.segment, point.at, point.frame)
+        for point in load.points
+        if point.wrench is not None
+    )
+    tip = nothing if load.tip is None else nothing + load.tip
+    return (
+        _with_load(task, ExternalLoad(nothing, load.gravity, weights)),
+        _with_load(task, ExternalLoad(tip, points=wrenches)),
+    )
+
+
+def _with_load(task: Task, load: ExternalLoad) -> Task:
+    return Task(task.twists, None, task.base_pose, load, task.wrench_at, task.segment_nodes)
+
+
+def _over_nodes(
+    low: Tensor, high: Tensor, slack: Tensor, converged: Tensor, excess: Tensor, impossible: Tensor, limits: Tensor
+) -> LoadCapacity:
+    """Intersect the nodes' intervals (..., N), known to within `slack`; one that is empty has `low > high`."""
+    least, latest = low.max(-1)
+    most, limiting = high.min(-1)
+    either = torch.stack((latest, limiting), -1)
+    possible = (low <= high).all(-1) & (least - most <= slack.gather(-1, either).sum(-1)) & ~impossible
+    least = torch.minimum(least, most)
+    serves = possible & (most >= 0)
+    factor = torch.where(serves, most, torch.nan)
+    unbounded = factor == torch.inf
+    own = (low <= high) & ~impossible.unsqueeze(-1)
+    return LoadCapacity(
+        factor=factor,
+        t_min=torch.where(possible, least, torch.nan),
+        t_max=torch.where(possible, most, torch.nan),
+        t_min_per_node=torch.where(own, low, torch.nan),
+        t_max_per_node=torch.where(own, high, torch.nan),
+        limiting_node=torch.where(serves & ~unbounded, limiting + 1, 0),
+        attainable=serves,
+        attainable_unloaded=possible & (least <= 0) & (most >= 0),
+        unbounded=unbounded,
+        in_range=(excess <= 16 * torch.finfo(excess.dtype).eps) & limits & ~impossible,
+        impossible=impossible,
+        converged=converged.all(-1) & ~impossible,
+    )
+
+
+def _per_node(grid: DesignTaskGrid, direction: Tensor, relative: bool, chunk_size: int | None) -> tuple[Tensor, ...]:
+    """Ends of the nodes' intervals (B, P, L, N), how well they are known, and whether they converged; then (B, P, L)
+    the strain excess, and whether the shape is impossible."""
+    if 0 in grid.sizes:
+        real = grid.twists.new_zeros(*grid.sizes, grid.twists.shape[-2])
+        flag = torch.zeros_like(real, dtype=torch.bool)
+        return real, real, real, ~flag, real[..., 0], flag[..., 0]
+    designs, shapes, loads = grid.sizes
+    size = chunk_size or default_chunk(grid)
+    again = designs * shapes * loads > size
+
+    def work(*place: slice) -> tuple[Tensor, ...]:
+        parts = [
+            _segment(grid, s, place, direction[place[1], place[2], grid.nodes[s]], relative, again)
+            for s in range(len(grid.segments))
+        ]
+        *nodes, excess, lost = zip(*parts, strict=True)
+        return *(torch.cat(part, -1) for part in nodes), torch.stack(excess).amax(0), torch.stack(lost).any(0)
+
+    return map_chunks(grid, size, work)
+
+
+def _segment(
+    grid: DesignTaskGrid, segment: int, place: tuple[slice, ...], direction: Tensor, relative: bool, again: bool
+) -> tuple[Tensor, ...]:
+    """The columns of `_per_node` of the nodes of one segment.
+
+    Args:
+        again: whether a graph is built when it is needed instead of kept.
+    """
+    designs, shapes, loads = place
+    start = grid.required.part(designs, shapes, loads, grid.nodes[segment])
+
+    def prepare() -> tuple[CrossSections, Tensor, Tensor]:
+        sections = grid.sections(segment, designs, shapes)
+        return *possible_sections(sections), strain_excess(sections)
+
+    with torch.no_grad():
+        sections, lost, excess = prepare()
+    followed = wants_gradient(grid, segment) or (torch.is_grad_enabled() and direction.requires_grad)
+    points = followed or any_sampled(sections)
+    ends = find_ends(sections, start, direction, relative=relative, points=points)
+
+    def replay() -> tuple[Tensor, Tensor]:
+        own, _, beyond = prepare()
+        return evaluate_ends(own, start, direction, ends, relative=relative), beyond
+
+    factor = ends.factor
+    if followed:
+        factor, excess = checkpoint(replay, use_reentrant=False) if again else replay()
+    elif points:
+        factor = evaluate_ends(sections, start, direction, ends, relative=relative)
+    low, high = _met_in_one_point(factor[:, 0], factor[:, 1], ends.slack.sum(1))
+    shape = (*excess.shape, direction.shape[1])
+    columns = (low, high, ends.slack.amax(1), ends.certified.all(1))
+    return *columns, excess.unsqueeze(-1).expand(shape), lost.unsqueeze(-1).expand(shape)
+
+
+def _met_in_one_point(low: Tensor, high: Tensor, slack: Tensor) -> tuple[Tensor, Tensor]:
+    """The ends of intervals, those that rounding has turned round, as of sets without area, as one point."""
+    turned = (low > high) & (low - high <= slack) & low.isfinite() & high.isfinite()
+    middle = torch.where(turned, 0.5 * (low + high), 0.0)
+    return torch.where(turned, middle, low), torch.where(turned, middle, high)

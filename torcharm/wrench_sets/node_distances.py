@@ -1,0 +1,249 @@
+"""Distances of a grid of designs and tasks: chunk by chunk, with a graph where gradients are wanted."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.utils.checkpoint import checkpoint
+
+from torcharm.actuators import want_gradients
+from torcharm.statics.cross_section import CrossSections, cross_sections, per_actuator
+from torcharm.wrench_sets.design_task_grid import DesignTaskGrid, RequiredWrench, map_chunks
+from torcharm.wrench_sets.distance import NearestPoints, evaluate_distance, find_nearest
+from torcharm.wrench_sets.once import once
+from torcharm.wrench_sets.rounding import without_rounding
+from torcharm.wrench_sets.vertex_sets import VertexSets
+
+METRICS = ("absolute", "relative")
+"""Of wrenches, by attainable sets."""
+CHUNK_ELEMENTS = 200_000
+"""Numbers in a chunk's largest tensor, one for each actuator, node and point: 1.6 MB, which caches hold."""
+VERTEX_CHUNK_NUMBERS = 2_000_000
+"""The same where sets are given by vertices: what is worked out of these at once must be worth a call."""
+
+
+@dataclass(frozen=True)
+class SetOptions:
+    """Which distances to measure, and how.
+
+    Attributes:
+        metrics: of "absolute" and "relative".
+        scale: factors on force and moment.
+        signed: whether inside counts as negative.
+        vertices: of which vertices sets are made, and who measures them; None measures the sets themselves.
+    """
+
+    metrics: tuple[str, ...]
+    scale: tuple[float, float]
+    signed: bool = False
+    vertices: VertexSets | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class NodeDistances:
+    """What `node_distances` found, for B designs, P shapes, L loads and K metrics.
+
+    Attributes:
+        distance: (B, P, L, K, N); infinite where the shape is impossible.
+        converged: (B, P, L, K, N) whether they are as exact as promised.
+        strain_excess: (B, P, L) the largest strain beyond its actuator's characterised range.
+        impossible: (B, P, L) whether the shape leaves an actuator no length.
+    """
+
+    distance: Tensor
+    converged: Tensor
+    strain_excess: Tensor
+    impossible: Tensor
+
+
+def node_distances(grid: DesignTaskGrid, options: SetOptions, chunk_size: int | None = None) -> NodeDistances:
+    """The distances of all nodes' required wrenches from what pressures can provide there.
+
+    Args:
+        grid: designs and tasks.
+        options: what to measure.
+        chunk_size: (design, shape, load) triples worked on at once; None chooses. Bounds memory.
+    """
+    if 0 in grid.sizes:
+        real = grid.twists.new_zeros(*grid.sizes, len(options.metrics), grid.twists.shape[-2])
+        flag = torch.zeros_like(real, dtype=torch.bool)
+        return NodeDistances(real, ~flag, real.new_zeros(grid.sizes), flag.new_zeros(grid.sizes))
+    size = chunk_size or default_chunk(grid, options.vertices)
+    again = len(grid.segments[0].radii) * grid.sizes[1] * grid.sizes[2] > size
+
+    def work(designs: slice, shapes: slice, loads: slice) -> tuple[Tensor, ...]:
+        parts = [_segment(grid, s, (designs, shapes, loads), options, again) for s in range(len(grid.segments))]
+        distance, converged, excess, lost = zip(*parts, strict=True)
+        impossible = torch.stack(lost).any(0)
+        whole = torch.cat(distance, -1)
+        if bool(impossible.any()):
+            whole = torch.where(impossible[..., None, None], torch.inf, whole)
+        return whole, torch.cat(converged, -1), torch.stack(excess).amax(0), impossible
+
+    return NodeDistances(*map_chunks(grid, size, work))
+
+
+def default_chunk(grid: DesignTaskGrid, vertices: VertexSets | None = None) -> int:
+    """(design, shape, load) triples worked on at once."""
+    components = grid.required.external.shape[-1]
+    actuators = max(segment.actuator_count for segment in grid.segments)
+    if vertices is not None:
+        numbers = vertices.count(actuators) * max(actuators, components) * grid.twists.shape[-2]
+        return max(1, VERTEX_CHUNK_NUMBERS // numbers)
+    return max(1, CHUNK_ELEMENTS // (components * actuators * grid.twists.shape[-2]))
+
+
+def _segment(
+    grid: DesignTaskGrid, segment: int, place: tuple[slice, slice, slice], options: SetOptions, again: bool
+) -> tuple[Tensor, ...]:
+    """The columns of `NodeDistances`, (b, p, l, ...), of the nodes of one segment.
+
+    Args:
+        again: whether a graph is built when it is needed instead of kept.
+    """
+    designs, shapes, _ = place
+    required = grid.required.part(*place, grid.nodes[segment])
+    arm, twists = grid.segments[segment][designs, None], grid.twists[shapes, grid.nodes[segment]]
+
+    def prepare() -> tuple[CrossSections, Tensor, Tensor]:
+        sections = cross_sections(arm, twists)
+        return *possible_sections(sections), strain_excess(sections)
+
+    if not wants_gradient(grid, segment):
+        with torch.no_grad():
+            sections, lost, excess = prepare()
+            found = [_measure(sections, required, options, metric == "relative") for metric in options.metrics]
+    elif options.vertices is not None and not options.vertices.by_engine:
+        sections, lost, excess = prepare()
+        found = [
+            options.vertices.solve(sections, required, options.scale, relative=metric == "relative")
+            for metric in options.metrics
+        ]
+    else:
+        with torch.no_grad():
+            sections, lost, excess = prepare()
+            nearest = [
+                _nearest(sections, required, options, relative=metric == "relative", points=True)
+                for metric in options.metrics
+            ]
+
+        def replay() -> tuple[Tensor, ...]:
+            sections, _, excess = prepare()
+            values = [
+                evaluate_distance(
+                    sections, required, options.scale, _held(options, sections, one), relative=metric == "relative"
+                )
+                for metric, one in zip(options.metrics, nearest, strict=True)
+            ]
+            return *values, excess
+
+        if not again:
+            *values, excess = replay()
+        elif options.vertices is None and not any_sampled(sections) and not want_gradients(arm.actuators, arm.radii):
+            ours = (arm.radii, arm.length, arm.max_pressure, arm.out_of_plane, twists)
+            inputs = (*ours, required.external, required.unit_weight, required.mass)
+            known = (*(one.distance for one in nearest), excess)
+            *values, excess = Replayed.apply(replay, known, *(x for x in inputs if x is not None and x.requires_grad))
+        else:  # parameters inside of models are found only by a forward pass through them
+            *values, excess = checkpoint(replay, use_reentrant=False)
+        found = [(value, one.known(value)) for value, one in zip(values, nearest, strict=True)]
+    found = [
+        (without_rounding(value, sections, required, options.scale, relative=metric == "relative"), flag)
+        for metric, (value, flag) in zip(options.metrics, found, strict=True)
+    ]
+    loads_here = required.external.shape[1]
+    shape = (*excess.shape, loads_here)
+    none = excess.new_zeros(*shape, 0, required.external.shape[-2])
+    distance = once(torch.stack([value for value, _ in found], -2)) if found else none
+    converged = torch.stack([flag for _, flag in found], -2) if found else none.bool()
+    return distance, converged, excess.unsqueeze(-1).expand(shape), lost.unsqueeze(-1).expand(shape)
+
+
+class Replayed(torch.autograd.Function):
+    """Values that the engine has found, as functions of tensors whose graph is built when a gradient is asked for."""
+
+    @staticmethod
+    def forward(ctx: Any, build: Callable[[], tuple[Tensor, ...]], known: tuple[Tensor, ...], *inputs: Tensor) -> Any:
+        """The known values; `build` makes them anew from the inputs, with a graph."""
+        ctx.build, ctx.inputs = build, inputs
+        return known
+
+    @staticmethod
+    def backward(ctx: Any, *wanted: Tensor) -> Any:
+        """Gradients by the inputs, of values built anew."""
+        more = torch.is_grad_enabled()
+        with torch.enable_grad():
+            values = ctx.build()
+        pairs = [(value, own) for value, own in zip(values, wanted, strict=True) if value.requires_grad]
+        found, outer = [value for value, _ in pairs], [own for _, own in pairs]
+        return None, None, *torch.autograd.grad(found, ctx.inputs, outer, allow_unused=True, create_graph=more)
+
+
+def _nearest(
+    sections: CrossSections, required: RequiredWrench, options: SetOptions, *, relative: bool, points: bool
+) -> NearestPoints:
+    """What the engine finds, of the sets themselves or of their vertices."""
+    if options.vertices is not None:
+        return options.vertices.find_nearest(sections, required, options.scale, relative=relative)
+    return find_nearest(sections, required, options.scale, relative=relative, signed=options.signed, points=points)
+
+
+def _held(options: SetOptions, sections: CrossSections, nearest: NearestPoints) -> NearestPoints:
+    """The same points, whose pressures move with limits if they are those of vertices."""
+    return nearest if options.vertices is None else options.vertices.tied_to_limits(nearest, sections)
+
+
+def _measure(
+    sections: CrossSections, required: RequiredWrench, options: SetOptions, relative: bool
+) -> tuple[Tensor, Tensor]:
+    """Distances (b, p, l, N) and whether they converged, without a graph."""
+    if options.vertices is not None and not options.vertices.by_engine:
+        return options.vertices.solve(sections, required, options.scale, relative=relative)
+    sampled = options.vertices is None and any_sampled(sections)
+    found = _nearest(sections, required, options, relative=relative, points=sampled)
+    if not sampled:
+        return found.distance, found.certified
+    value = evaluate_distance(sections, required, options.scale, found, relative=relative)
+    return value, found.known(value)
+
+
+def any_sampled(sections: CrossSections) -> bool:
+    """Whether the engine knows one of the force models by samples only."""
+    from torcharm.engine.forces import SAMPLED, models_of
+
+    return bool((models_of(sections.actuators).kind == SAMPLED).any())
+
+
+def wants_gradient(grid: DesignTaskGrid, segment: int) -> bool:
+    """Whether anything that distances depend on asks for its gradient."""
+    arm, required = grid.segments[segment], grid.required
+    inputs = (arm.radii, arm.length, arm.max_pressure, arm.out_of_plane, grid.twists)
+    loads = (required.external, required.unit_weight, required.mass)
+    wanted = any(value is not None and value.requires_grad for value in (*inputs, *loads))
+    return torch.is_grad_enabled() and (wanted or want_gradients(arm.actuators, arm.radii))
+
+
+def possible_sections(sections: CrossSections) -> tuple[CrossSections, Tensor]:
+    """The sections with those of impossible shapes made harmless, and which (b, p) these are."""
+    lost = (sections.strain.detach() <= -1).flatten(-2).any(-1)
+    if not bool(lost.any()):
+        return sections, lost
+    mask = lost[..., None, None]
+    constant = sections.constant
+    return replace(
+        sections,
+        strain=torch.where(mask, 0.0, sections.strain),
+        bending=torch.where(mask.unsqueeze(-1), 0.0, sections.bending),
+        constant=None if constant is None else torch.where(mask, 0.0, constant),
+    ), lost
+
+
+def strain_excess(sections: CrossSections) -> Tensor:
+    """(b, p) the largest strain beyond its actuator's characterised range, 0 if none is."""
+    low, high = (
+        per_actuator([model.strain_range[end] for model in sections.actuators], sections.strain) for end in (0, 1)
+    )
+    beyond = torch.maximum(sections.strain - high, low - sections.strain)
+    return beyond.flatten(-2).amax(-1).clamp(min=0)

@@ -1,0 +1,100 @@
+"""Where rays `start + t direction` of required wrenches enter and leave attainable sets: found by the engine, evaluated
+once more by torch for gradients.
+
+A ray ends where it meets the set's supporting plane with the normal n there, `t = (h(n) - n·start) / (n·direction)`. By
+the envelope theorem its gradient by everything is that of this expression with n, and the weights and pressures of the
+set's points that make up h(n), held.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torcharm.engine.distance import TOUCHING
+from torcharm.engine.node_sets import make_room
+from torcharm.engine.ray import Ends, make_ray, ray_kernel
+from torcharm.statics.cross_section import CrossSections
+from torcharm.wrench_sets.design_task_grid import RequiredWrench
+from torcharm.wrench_sets.distance import CERTIFIED, as_array, beyond_planes, engine_sections, spread
+from torcharm.wrench_sets.once import once
+
+
+@dataclass(frozen=True, eq=False)
+class RayEnds:
+    """Where the rays of B designs, P shapes, L loads and N nodes enter (first) and leave (second) the sets; no graph.
+
+    Attributes:
+        factor: (B, 2, P, L, N) t; entry above exit if the ray misses the set, infinite if it stays within.
+        slack: (B, 2, P, L, N) how far off rounding may put t.
+        certified: (B, 2, P, L, N) whether t is known to rounding.
+        normal: (B, 2, P, L, N, C) outward unit normals; None if not asked for, like what follows.
+        weight: (B, 2, P, L, N, C) of the points whose mix is where the ray ends.
+        pressure: (B, 2, P, L, N, C, M) of these points [kPa].
+    """
+
+    factor: Tensor
+    slack: Tensor
+    certified: Tensor
+    normal: Tensor | None
+    weight: Tensor | None
+    pressure: Tensor | None
+
+
+@torch.no_grad()
+def find_ends(
+    sections: CrossSections, start: RequiredWrench, direction: Tensor, *, relative: bool, points: bool
+) -> RayEnds:
+    """Ask the engine for the ends of rays, in float64 on the CPU.
+
+    Args:
+        sections: of B designs on P shapes, (B, P) in all.
+        start: the wrenches at t = 0.
+        direction: (P, L, N, C) what the wrenches change by as t grows by 1.
+        relative: whether all are differences from the first node.
+        points: whether to tell normals, weights and pressures.
+    """
+    models, data = engine_sections(sections, start, (1.0, 1.0))
+    components, actuators = data.lever.shape[-1], data.lever.shape[-2]
+    begin, change = as_array(start.external), as_array(direction)
+    designs = len(data.limit)
+    shape = (2 * designs, *change.shape[:3])
+    more = [np.empty((*shape, components)), np.empty((*shape, components)), np.empty((*shape, components, actuators))]
+    more = more if points else [np.empty((0,) * part.ndim) for part in more]
+    ends = Ends(np.empty(shape), np.empty(shape), np.empty(shape), *more)
+    kernel, still = ray_kernel(components), _still(change, relative)
+
+    def work(first: int, last: int) -> None:
+        room = make_room(models, components, change.shape[1], data.sampled.shape[-2])
+        kernel(data, begin, change, still, relative, first, last, room, make_ray(components), ends)
+
+    spread(designs, work)
+    found = [torch.from_numpy(part).to(sections.strain).unflatten(0, (-1, 2)) for part in ends if part.size or points]
+    factor, slack, gap = found[:3]
+    return RayEnds(factor, slack, gap <= CERTIFIED, *(found[3:] if points else (None, None, None)))
+
+
+def _still(direction: np.ndarray, relative: bool) -> np.ndarray:  # type: ignore[type-arg]
+    """Which directions (P, L, N) are nothing, or nothing but rounding of what the load asks of other nodes."""
+    largest = np.abs(direction).sum(-1).max(-1, keepdims=True)
+    own = direction - direction[..., :1, :] if relative else direction
+    return np.ascontiguousarray(np.abs(own).sum(-1) <= TOUCHING * largest)
+
+
+def evaluate_ends(
+    sections: CrossSections, start: RequiredWrench, direction: Tensor, ends: RayEnds, *, relative: bool
+) -> Tensor:
+    """The factors (B, 2, P, L, N) as functions of what sections, starts and directions depend on, where finite."""
+    assert ends.normal is not None
+    assert ends.weight is not None
+    assert ends.pressure is not None
+    real = ends.factor.isfinite()
+    change = direction - direction[..., :1, :] if relative else direction
+    found = []
+    for side in (0, 1):
+        normal = torch.where(real[:, side, ..., None], ends.normal[:, side], 0.0)
+        beyond = beyond_planes(sections, start, normal, ends.weight[:, side], ends.pressure[:, side], relative=relative)
+        rate = (normal * change).sum(-1)
+        found.append(-beyond / torch.where(rate == 0, torch.ones_like(rate), rate))
+    return once(torch.where(real, torch.stack(found, 1), ends.factor))
