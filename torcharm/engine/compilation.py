@@ -35,6 +35,11 @@ def kernel(function: F) -> F:
     return _compiled(function, cache=True, _nrt=False)
 
 
+def routine(function: F) -> F:
+    """A large part of kernels, compiled once and called: for what is long, or stands in several places."""
+    return _compiled(function, cache=False, _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+
+
 def part(function: F) -> F:
     """A part of kernels, compiled into each place that calls it."""
     return _compiled(
