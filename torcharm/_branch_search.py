@@ -19,7 +19,7 @@ from torcharm._continuation import SETTLING_STEPS, Problem, resting
 from torcharm._descent import Goal, Searches, Setting, descend
 from torcharm._reaching import COARSE_SHAPE, SAME_SHAPE, Block, Reached, lowest
 from torcharm._rounds import GAIN, Lost, Others, State, work
-from torcharm.equilibrium import solved
+from torcharm._continuation import solved
 from torcharm.mechanics import pick, put
 
 DESCENT_LOOKS, ONLY_LOOKS = 20, 200

@@ -15,6 +15,9 @@ from torch import Tensor
 from torcharm import mechanics
 from torcharm._tracing import FIRST_SHARE, Course, Scale, trace
 from torcharm.arm import ArmDesign
+from torcharm.geometry import rod
+from torcharm.wrenches import along
+from torcharm._response import DEFINITE, has_lengths, is_stable
 
 if TYPE_CHECKING:
     from torcharm.kernels.fleet import Fleet
@@ -25,6 +28,12 @@ FIRST_FILLING = 0.3
 """Of the pressure, taken by the first step."""
 SETTLING_STEPS = 60
 """To rest, at most: of 450 arms that came to rest one took more than 40, and none more than 50."""
+BLOCK_ELEMENTS = 2_000_000
+"""Entries of the stiffness matrices of one block (16 MB)."""
+WARM_DAMPING = 1e-3
+"""Of the first step from a warm start: next to Newton's."""
+TOLERANCES = {torch.float64: 1e-10, torch.float32: 1e-4}
+"""Of the load scale."""
 
 
 @dataclass(frozen=True)
@@ -231,3 +240,92 @@ def _mobility(problem: Problem, found: mechanics.Balance) -> Tensor:
     """(B, C): a stiffness to measure damping by, the largest of the sections' own in each component."""
     own = found.stiffness.diagonal(dim1=-3, dim2=-1).diagonal(dim1=-3, dim2=-2)  # (B, N, C)
     return own.abs().amax(-2).clamp(min=1e-9)
+
+
+def default_chunk(nodes: int, components: int) -> int:
+    """Elements of a block."""
+    return max(1, BLOCK_ELEMENTS // (nodes * components) ** 2)
+
+
+class Solved(NamedTuple):
+    """Equilibria (B, C, N), and the other fields of `Equilibrium`, (B,)."""
+
+    unknowns: Tensor
+    residual: Tensor
+    converged: Tensor
+    stable: Tensor
+    continued: Tensor
+    strain_excess: Tensor
+    in_range: Tensor
+
+
+def solved(
+    problem: Problem, nodes: int, start: Tensor | None = None, looks: int = LOOKS, settling: int = SETTLING_STEPS
+) -> Solved:
+    """The equilibria of a problem without graph: a warm start, then continuation, then letting go.
+
+    Args:
+        problem: B of them.
+        nodes: N.
+        start: (B, N, 3) twists of a warm start.
+        looks: evaluations of the balance along a path, at most.
+        settling: steps of letting go, at most.
+    """
+    shape = (len(problem.pressure), problem.components, nodes)
+    unknowns = problem.pressure.new_zeros(shape)
+    continued = torch.ones(shape[0], dtype=torch.bool, device=unknowns.device)
+    left = continued.nonzero().squeeze(-1)
+    if start is not None:
+        guess = mechanics.to_unknowns(start, shear=problem.components == 3)
+        warm = settle(problem, guess, WARM_DAMPING)
+        unknowns, continued = warm.unknowns, ~warm.arrived
+        left = continued.nonzero().squeeze(-1)
+    if len(left):
+        part = problem if len(left) == shape[0] else problem[left]
+        rest = unloaded(part, looks)
+        path = loaded(part, rest.unknowns.expand(-1, -1, nodes).contiguous(), looks)
+        unknowns[left], continued[left] = path.unknowns, rest.arrived & path.arrived
+        snapped = left[~path.arrived]
+        if len(snapped):
+            unknowns[snapped] = settle(problem[snapped], unknowns[snapped], steps=settling).unknowns
+    residual = problem.imbalance(problem.residual(unknowns))
+    converged = (residual <= problem.tolerance) & has_lengths(problem.arm, unknowns)  # false for a NaN
+    stable = converged & stays(problem, unknowns)
+    return Solved(unknowns, residual, converged, stable, continued & converged, *strain_excess(problem, unknowns))
+
+
+def stays(problem: Problem, unknowns: Tensor) -> Tensor:
+    """(B,) whether arms at equilibria (B, C, N) stay there when they are disturbed: all eigenvalues of J have a real
+    part below 0, by more than rounding. Where its symmetric part is negative definite, they have."""
+    stiffness = problem.balance(unknowns).stiffness.flatten(3).flatten(1, 2)
+    stable = is_stable(stiffness)
+    rest = (~stable & stiffness.isfinite().flatten(1).all(-1)).nonzero().squeeze(-1)
+    if len(rest):
+        values = torch.linalg.eigvals(stiffness[rest])
+        rounding = DEFINITE * torch.finfo(stiffness.dtype).eps * values.abs().amax(-1)
+        stable[rest] = values.real.amax(-1) < -rounding
+    return stable
+
+
+def detached(problem: Problem) -> Problem:
+    """The problem without its graph."""
+    return replace(
+        problem,
+        arm=problem.arm._map(torch.Tensor.detach),
+        pressure=problem.pressure.detach(),
+        tip_load=problem.tip_load.detach(),
+        base_pose=problem.base_pose.detach(),
+    )
+
+
+def strain_excess(problem: Problem, unknowns: Tensor) -> tuple[Tensor, Tensor]:
+    """The largest strain beyond its range, and whether strains and pressures are within theirs."""
+    models = problem.arm.actuators
+    length, curvature = unknowns[:, :1], unknowns[:, -1:]
+    radii, neutral = problem.arm.radii.unsqueeze(-1), problem.arm.length.unsqueeze(-1)
+    strain = rod.strain(rod.offset_length(length, curvature, radii), neutral)
+    low, high = (along([model.strain_range[end] for model in models], strain, -2) for end in (0, 1))
+    excess = torch.maximum(low - strain, strain - high).clamp(min=0).amax((-1, -2))
+    least, most = (along([model.pressure_range[end] for model in models], excess, -1) for end in (0, 1))
+    within = ((problem.pressure >= least) & (problem.pressure <= most)).all(-1)
+    return excess, (excess <= 16 * torch.finfo(excess.dtype).eps) & within

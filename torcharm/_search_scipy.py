@@ -10,7 +10,8 @@ from torcharm._box import optimality, spread_points
 from torcharm._continuation import Problem, loaded, settle, unloaded
 from torcharm._descent import Goal
 from torcharm._inputs import check_choice
-from torcharm.equilibrium import WARM_DAMPING, solve_equilibrium
+from torcharm._continuation import WARM_DAMPING
+from torcharm.equilibrium import solve_equilibrium
 
 SCIPY_METHODS = ("L-BFGS-B", "SLSQP", "TNC", "trust-constr", "Nelder-Mead", "Powell", "COBYLA")
 NOTHING = 1e3
@@ -73,7 +74,6 @@ def _search(problem: Problem, goal: Goal, nodes: int, places: Tensor, method: st
             nodes,
             base_pose=problem.base_pose,
             shear_stiffness=problem.shear_stiffness,
-            compiled=problem.compiled,
         )
         reached = mechanics.to_unknowns(true.twists, shear=problem.components == 3).movedim(0, -1)
         confirmed = torch.where(true.stable, goal.cost(reached, problem.base_pose.mT), float("inf"))

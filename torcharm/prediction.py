@@ -24,7 +24,7 @@ from torcharm._response import has_lengths, size
 from torcharm.actuators import want_gradients
 from torcharm.actuators.bending import active_moment, passive_moment
 from torcharm.arm import ArmDesign
-from torcharm.equilibrium import TOLERANCES, solved
+from torcharm._continuation import TOLERANCES, solved
 from torcharm.geometry import rod
 from torcharm.pose_cost import PoseCost
 from torcharm.task import Task

@@ -15,7 +15,8 @@ from torcharm._inputs import check_above_zero, check_choice, check_count, check_
 from torcharm._outer import OuterProduct, check_arm_and_task, outer_product
 from torcharm._response import has_lengths
 from torcharm.arm import ArmDesign
-from torcharm.equilibrium import TOLERANCES, NotConvergedError, default_chunk, stays, strain_excess
+from torcharm._continuation import TOLERANCES, default_chunk, stays, strain_excess
+from torcharm.equilibrium import NotConvergedError
 from torcharm.geometry import rod
 from torcharm.pose_cost import PoseCost
 from torcharm.task import Task

@@ -18,17 +18,14 @@ from torcharm.actuators import Actuator
 from torcharm.actuators.bending import ConstantBending, bending_model, linear_stiffness, reference_pressure
 from torcharm.actuators.inspection import follows
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries, RigidLink
+from torcharm.arm_series import ArmSeries
 from torcharm.engine.forces import Models, models_of
+from torcharm.statics.balance import RIGID, segments_of, unknown_columns
 
 Array = NDArray[Any]
 
 POSE_NUMBERS = {2: 4, 3: 12}
 """P for an arm in the plane and in space."""
-
-RIGID = 1e30
-"""Stiffness against torsion [N·m²] of a segment that does not twist: by it no load of this world twists a segment by
-what rounding leaves of a number, and its products stay finite."""
 
 
 class Arms(NamedTuple):
@@ -101,20 +98,6 @@ def pose_rows(pose: Tensor) -> Tensor:
     if pose.shape[-2:] == (4, 4):
         return torch.cat((pose[..., :3, :3].flatten(-2), pose[..., :3, 3]), -1)
     return torch.cat((pose[..., 2:].cos(), pose[..., 2:].sin(), pose[..., :2]), -1)
-
-
-def segments_of(arm: ArmDesign | ArmSeries) -> tuple[tuple[ArmDesign, ...], tuple[RigidLink | None, ...]]:
-    """The segments of an arm, and the link or None behind each."""
-    return (arm.segments, arm.links) if isinstance(arm, ArmSeries) else ((arm,), (None,))
-
-
-def unknown_columns(arm: ArmDesign | ArmSeries, shear_stiffness: float | None) -> tuple[int, ...]:
-    """The columns of a twist in which an arm gives way."""
-    sheared = shear_stiffness is not None
-    if arm.dimension == 2:
-        return (0, 1, 2) if sheared else (0, 2)
-    twisted = any(segment.torsion_stiffness is not None for segment in segments_of(arm)[0])
-    return (0, *((1, 2) if sheared else ()), *((3,) if twisted else ()), 4, 5)
 
 
 def arms_of(

@@ -9,9 +9,10 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries, RigidLink
-from torcharm.engine.arms import Array, Loads, numbers, pose_rows, segments_of
+from torcharm.engine.arms import Array, Loads, numbers, pose_rows
 from torcharm.geometry import se2, se3
 from torcharm.load import GRAVITY, ExternalLoad, PointLoad
+from torcharm.statics.balance import segments_of
 
 _ON_A_NODE = 1e-9
 """How near to a node, in elements, a load counts as sitting on it: above what rounding makes of a place such as

@@ -31,14 +31,13 @@ from torcharm.engine.carried_load import (
     make_share,
     make_spot,
 )
-from torcharm.engine.compilation import kernel, part, routine
+from torcharm.engine.compilation import part, routine
 from torcharm.engine.elements import write_lever, write_link, write_motion
 from torcharm.engine.sections import (
     Drive,
     Sections,
     make_drive,
     make_sections,
-    set_pressure,
     write_rates,
     write_section,
 )
@@ -197,9 +196,7 @@ def write_balance(arms, loads, room, b, twist, factor, linear_shift, angular_shi
                 q -= 1
             _write_residual(arms, room, i, factor, inside)
             _write_slopes(arms, room, i, first_row, loads.middle, inside)
-            for c in range(len(arms.unknown)):
-                linear = arms.unknown[c] < first_angular(arms)
-                room.factor[i, c, c] -= linear_shift if linear else angular_shift
+            _shift(arms, room, i, linear_shift, angular_shift)
             _factor(arms, room, i)
             _eliminate(arms, room, i, first_row)
             if inside:
@@ -210,6 +207,22 @@ def write_balance(arms, loads, room, b, twist, factor, linear_shift, angular_shi
 def first_angular(arms):  # type: ignore[no-untyped-def]
     """The first column of a twist that turns."""
     return 2 if len(arms.column) == 3 else 3
+
+
+@part
+def _shift(arms, room, i, linear_shift, angular_shift):  # type: ignore[no-untyped-def]
+    for c in range(len(arms.unknown)):
+        room.factor[i, c, c] -= linear_shift if arms.unknown[c] < first_angular(arms) else angular_shift
+
+
+@part
+def factor_section(arms, room, i, linear_shift, angular_shift):  # type: ignore[no-untyped-def]
+    """Factor the slope of one section's reaction, less a shift on its diagonal: all there is of J without load."""
+    for c in range(len(arms.unknown)):
+        for e in range(len(arms.unknown)):
+            room.factor[i, c, e] = room.sections.slope[i, c, e]
+    _shift(arms, room, i, linear_shift, angular_shift)
+    _factor(arms, room, i)
 
 
 @part
@@ -378,49 +391,3 @@ def solve(arms, loads, room, change, x):  # type: ignore[no-untyped-def]
             for c in range(columns):
                 moved += room.move[i, k, c] * change[x, i, c]
             total[k] = moved
-
-
-@kernel
-def balances(arms, loads, pressures, twists, factor, room, residual, pivots):  # type: ignore[no-untyped-def]
-    """The residuals of B arms at given shapes.
-
-    Args:
-        pressures: (B, M) [kPa].
-        twists: (B, N, K).
-        factor: λ on all loads.
-        residual: (B, N, C) is written [N, N·m].
-        pivots: (B, 2) is written: numbers of positive pivots of J, and of zero ones.
-    """
-    for b in range(len(pressures)):
-        set_pressure(arms, room.drive, pressures, b, 1.0)
-        write_shape(arms, loads, room, b, twists[b], False)
-        write_balance(arms, loads, room, b, twists[b], factor, 0.0, 0.0)
-        for i in range(residual.shape[1]):
-            for c in range(residual.shape[2]):
-                residual[b, i, c] = room.residual[i, c]
-        pivots[b, 0], pivots[b, 1] = room.pivots[0], room.pivots[1]
-
-
-@kernel
-def solve_all(arms, loads, pressures, twists, factor, room, right):  # type: ignore[no-untyped-def]
-    """Replace right-hand sides (B, X, N, C) by J⁻¹ times them, at shapes as of `balances`."""
-    for b in range(len(pressures)):
-        set_pressure(arms, room.drive, pressures, b, 1.0)
-        write_shape(arms, loads, room, b, twists[b], False)
-        write_balance(arms, loads, room, b, twists[b], factor, 0.0, 0.0)
-        for x in range(right.shape[1]):
-            solve(arms, loads, room, right[b], x)
-
-
-@kernel
-def rates(arms, loads, pressures, twists, factor, room, by_pressure, by_load):  # type: ignore[no-untyped-def]
-    """Write ∂R/∂p (B, M, N, C) [N, N·m by kPa] and ∂R/∂λ (B, N, C), at shapes as of `balances`."""
-    for b in range(len(pressures)):
-        set_pressure(arms, room.drive, pressures, b, 1.0)
-        write_shape(arms, loads, room, b, twists[b], True)
-        write_balance(arms, loads, room, b, twists[b], factor, 0.0, 0.0)
-        for i in range(by_load.shape[1]):
-            for c in range(by_load.shape[2]):
-                by_load[b, i, c] = room.carried[i, c]
-                for a in range(by_pressure.shape[1]):
-                    by_pressure[b, a, i, c] = room.sections.rate[i, c, a]
