@@ -41,7 +41,7 @@ if TYPE_CHECKING:
         verify_design,
     )
     from torcharm.planning import PlannedShape, Smoothness, plan_shape
-    from torcharm.pose_cost import PoseCost
+    from torcharm.pressure.pose_cost import PoseCost
     from torcharm.prediction import PredictedError, predict_error
     from torcharm.pressure_fit import PressureFit, fit_pressure
     from torcharm.search import PressureSearch, search_pressure
@@ -149,7 +149,7 @@ _LATER = {
     "Objective": "optimise",
     "OptimisedDesign": "optimise",
     "PlannedShape": "planning",
-    "PoseCost": "pose_cost",
+    "PoseCost": "pressure.pose_cost",
     "PredictedError": "prediction",
     "PressureFit": "pressure_fit",
     "PressureSearch": "search",

@@ -10,7 +10,7 @@ from torch import Tensor
 from torcharm._inputs import check_choice, check_count, check_flag, shown
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
-from torcharm.pose_cost import PoseCost
+from torcharm.pressure.pose_cost import PoseCost
 from torcharm.task import Task
 from torcharm.wrench_sets.design_task_grid import design_task_grid, limits_in_range
 from torcharm.wrench_sets.node_distances import METRICS, SetOptions, node_distances

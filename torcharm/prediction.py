@@ -26,7 +26,7 @@ from torcharm.actuators.bending import active_moment, passive_moment
 from torcharm.arm import ArmDesign
 from torcharm._continuation import TOLERANCES, solved
 from torcharm.geometry import rod
-from torcharm.pose_cost import PoseCost
+from torcharm.pressure.pose_cost import PoseCost
 from torcharm.task import Task
 from torcharm.wrenches import actuator_force, along
 

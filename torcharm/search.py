@@ -18,7 +18,7 @@ from torcharm.arm import ArmDesign
 from torcharm._continuation import TOLERANCES, default_chunk, stays, strain_excess
 from torcharm.equilibrium import NotConvergedError
 from torcharm.geometry import rod
-from torcharm.pose_cost import PoseCost
+from torcharm.pressure.pose_cost import PoseCost
 from torcharm.task import Task
 
 METHODS = ("batched", "scipy")

@@ -46,7 +46,7 @@ def search(
     with mistakes():
         check_outputs(study, out, None)
         from torcharm._inputs import check_choice
-        from torcharm.pose_cost import NODE_WEIGHTS
+        from torcharm.pressure.pose_cost import NODE_WEIGHTS
         from torcharm.search import METHODS
         from torcharm.study import load_study, paper_study
 

@@ -61,8 +61,8 @@ def largest_curvature(curvature):  # type: ignore[no-untyped-def]
 
 
 @part
-def _factor(box):  # type: ignore[no-untyped-def]
-    """Factor the model on the free variables; whether it is positive definite there."""
+def factor_free(box):  # type: ignore[no-untyped-def]
+    """Factor the damped model on the free variables; whether it is positive definite there."""
     for m in range(len(box.step)):
         for k in range(m + 1):
             total = box.matrix[m, k]
@@ -80,8 +80,8 @@ def _factor(box):  # type: ignore[no-untyped-def]
 
 
 @part
-def _solve(box):  # type: ignore[no-untyped-def]
-    """Replace `right` by the solution on the free variables."""
+def solve_free(box):  # type: ignore[no-untyped-def]
+    """Replace `right` by the solution on the free variables, as factored; 0 for the others."""
     count = len(box.step)
     for m in range(count):
         total = 0.0 if box.held[m] else box.right[m]
@@ -131,16 +131,16 @@ def write_box_step(box, gradient, curvature, extra, use_extra, place, damping): 
                 if use_extra:
                     box.matrix[m, k] += extra[m, k]
             box.matrix[m, m] += shift
-        if _factor(box):
+        if factor_free(box):
             break
         shift = max(10.0 * shift, FIRST_SHIFT * scale)
     for _ in range(4 * count + 4):  # the method ends by itself: rounding might have it go in circles
         _write_slope(box, gradient)
         for m in range(count):
             box.right[m] = -box.slope[m]
-        if not _factor(box):
+        if not factor_free(box):
             break
-        _solve(box)
+        solve_free(box)
         length, blocking = 1.0, -1
         for m in range(count):
             if box.held[m]:

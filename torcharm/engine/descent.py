@@ -170,7 +170,7 @@ def descend(problem, work, b, here, there, free, steps, evaluations, worth, gain
         if ended != RUNNING:
             if points.known[here, LAST_MOVE] <= CLOSEST:
                 break
-            if not _refine(problem, work, b, here, there, free):
+            if not _refine(problem, work, b, here, free):
                 break
             before, taken = points.known[here, HALF_COST], 0
             continue
@@ -194,15 +194,15 @@ def descend(problem, work, b, here, there, free, steps, evaluations, worth, gain
             damping, growth, taken = damping * max(easier, 0.1), 2.0, taken + 1
         else:
             damping, growth = damping * growth, 2.0 * growth
-            if points.known[here, LAST_MOVE] > CLOSEST and not _refine(problem, work, b, here, there, free):
+            if points.known[here, LAST_MOVE] > CLOSEST and not _refine(problem, work, b, here, free):
                 break
     if points.known[here, LAST_MOVE] > CLOSEST:
-        _refine(problem, work, b, here, there, free)
+        _refine(problem, work, b, here, free)
     return here, ended
 
 
 @routine
-def _refine(problem, work, b, here, there, free):  # type: ignore[no-untyped-def]
+def _refine(problem, work, b, here, free):  # type: ignore[no-untyped-def]
     """Solve the equilibrium of a slot closely; whether it is still one. If not, the slot's value is infinite."""
     copy_twists(work.path.trial, work.points.twists[here])
     found = evaluate_point(problem, work, b, here, CLOSEST, FIRST_EVALUATIONS)

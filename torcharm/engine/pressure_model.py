@@ -15,7 +15,7 @@ from torcharm.engine.arms import Arms, Loads
 from torcharm.engine.box_step import BoxStep, make_box_step
 from torcharm.engine.compilation import part, routine
 from torcharm.engine.continuation import Path, Scale, make_path, move_size
-from torcharm.engine.newton_step import Room, make_room, solve, write_balance, write_shape
+from torcharm.engine.newton_step import Room, first_angular, make_room, solve, write_balance, write_shape
 from torcharm.engine.pose_error import Errors, Goal, make_errors, write_errors
 from torcharm.engine.sections import set_pressure, write_rates
 
@@ -176,7 +176,7 @@ def write_newton(problem, work, b):  # type: ignore[no-untyped-def]
         for c in range(room.residual.shape[1]):
             one = room.residual[i, c]
             path.change[0, i, c] = -one
-            if arms.unknown[c] >= len(arms.column) // 2 + len(arms.column) % 2:
+            if arms.unknown[c] >= first_angular(arms):
                 one /= reach
             total += one * one
     solve(arms, loads, room, path.change, 0)

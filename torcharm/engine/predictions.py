@@ -1,0 +1,199 @@
+"""The pressures at which arms that are put down at a shape come closest to it.
+
+From half the limits, or the most promising of other pressures where there is no stable equilibrium near the shape, the cost is
+followed to a minimum, through stable equilibria wherever there are any. Where the error may vanish, pressures that
+hold the very shape are looked for as well.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+from numpy.typing import NDArray
+
+from torcharm.engine.compilation import kernel, part, routine
+from torcharm.engine.continuation import CONTINUED, find_equilibrium, move_size
+from torcharm.engine.descent import CLOSE, FIRST_EVALUATIONS, FLOOR, NO_START, descend, error_slope
+from torcharm.engine.pressure_model import (
+    HALF_COST,
+    STABLE,
+    copy_point,
+    copy_twists,
+    evaluate_point,
+    take_place,
+    write_newton,
+    write_point,
+)
+from torcharm.engine.wrench_fit import fit_wrenches, write_carried
+
+Array = NDArray[Any]
+
+SCREENED = (3, 8, 64)
+"""Pressures at which an arm is tried that does not stay near the shape at half the limits; and again, of more."""
+STEPS, EVALUATIONS = 60, 6
+"""Of a descent: steps, and evaluations of the balance at each; more were not seen to lead on."""
+WORTH, GAIN = 1e-5, 1e-13
+"""Shares of the value: what a few steps of a descent must save, and what a step must promise: at a kink of a force model
+there is no more to be had, however long one tries."""
+MAY_HOLD, ALMOST_HOLDS = 5e-2, 5e-3
+"""Errors over the arm's length below which some pressure may hold the very shape, and where it is looked for with patience."""
+FITS, PATIENT_FITS = 2, 24
+"""Pressures from which it is looked for."""
+FIT_STEPS, PATIENT_FIT_STEPS = 15, 40
+"""Steps of each."""
+FIT_GAIN, PATIENT_FIT_GAIN = 1e-2, 1e-4
+"""Share of the squared distance that a step must promise: all of it where the shape can be held."""
+
+SAME_SHAPE = 1e-2
+"""Difference of two shapes, as of `move_size`, that counts as none: other equilibria are much further away."""
+
+
+class Predictions(NamedTuple):
+    """What B descents found.
+
+    Attributes:
+        place: (B, M) normalised pressures.
+        twists: (B, N, K) of the equilibria.
+        half_cost: (B,) [m²], infinite where there is no equilibrium.
+        slope: (B,) the largest slope of the error by a pressure [m].
+        ended: (B,) how, as of `descent`.
+        stable: (B,) whether the equilibria are stable, by the pivots of J.
+        reached: (B,) whether continuation from zero load leads there.
+    """
+
+    place: Array
+    twists: Array
+    half_cost: Array
+    slope: Array
+    ended: Array
+    stable: Array
+    reached: Array
+
+
+@part
+def _better(points, a, b):  # type: ignore[no-untyped-def]
+    """Whether the point of one slot is to be preferred to that of another: stable ones first."""
+    first, second = points.known[a, STABLE], points.known[b, STABLE]
+    if first != second:
+        return first > second
+    return points.known[a, HALF_COST] < points.known[b, HALF_COST]
+
+
+@part
+def _start(problem, work, b, shape, draws):  # type: ignore[no-untyped-def]
+    """Write the first slot: at half the limits, or where the arm comes to rest nearest to the shape."""
+    points = work.points
+    for m in range(points.place.shape[1]):
+        points.place[0, m] = 0.5
+    copy_twists(work.path.trial, shape)
+    evaluate_point(problem, work, b, 0, CLOSE, FIRST_EVALUATIONS)
+    if points.known[0, STABLE] > 0.0:
+        return
+    tried = 0
+    for screened in SCREENED:
+        while tried < screened:
+            for m in range(points.place.shape[1]):
+                points.place[1, m] = draws[tried, m]
+            copy_twists(work.path.trial, shape)
+            evaluate_point(problem, work, b, 1, CLOSE, FIRST_EVALUATIONS)
+            if _better(points, 1, 0):
+                copy_point(points, 0, 1)
+            tried += 1
+        if points.known[0, STABLE] > 0.0:
+            return
+
+
+@part
+def _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, best):  # type: ignore[no-untyped-def]
+    """Write the third slot: of pressures whose reactions come closest to what the shape requires, the best, at an equilibrium.
+
+    Pressures are compared by the cost after one Newton step from the shape. Returns whether any promises
+    less than the best slot's.
+    """
+    points, path = work.points, work.path
+    least, found = points.known[best, HALF_COST], False
+    for s in range(-1, starts):
+        for m in range(points.place.shape[1]):
+            fit.place[0, m] = points.place[best, m] if s < 0 else draws[first + s, m]
+        write_carried(problem, work, b, shape)
+        fit_wrenches(problem, work, fit, b, shape, steps, gain)
+        for m in range(points.place.shape[1]):
+            points.place[3, m] = fit.place[0, m]
+        copy_twists(path.trial, shape)
+        take_place(problem, work, b, 3)
+        write_newton(problem, work, b)
+        write_point(problem, work, b, 3, move_size(problem.arms, problem.scale, path, b, 0, True))
+        if points.known[3, STABLE] > 0.0 and points.known[3, HALF_COST] < least:
+            least, found = points.known[3, HALF_COST], True
+            for m in range(points.place.shape[1]):
+                points.place[2, m] = points.place[3, m]
+    if found:
+        copy_twists(path.trial, shape)
+        evaluate_point(problem, work, b, 2, CLOSE, FIRST_EVALUATIONS)
+    return found
+
+
+@part
+def _near(problem, work, b, at, share):  # type: ignore[no-untyped-def]
+    """Whether the error of a slot all but vanishes, and is more than rounding."""
+    error = math.sqrt(2.0 * work.points.known[at, HALF_COST]) / problem.scale.length[b]
+    return FLOOR < error < share
+
+
+@routine
+def _predict(problem, work, fit, b, shape, draws):  # type: ignore[no-untyped-def]
+    """The slot of the best point that is found, and how its descent ended."""
+    points = work.points
+    _start(problem, work, b, shape, draws)
+    free = not points.known[0, STABLE] > 0.0
+    best, ended = descend(problem, work, b, 0, 1, free, STEPS, EVALUATIONS, WORTH, GAIN)
+    for turn in range(2):
+        share, first, starts, steps, gain = MAY_HOLD, 0, FITS, FIT_STEPS, FIT_GAIN
+        if turn == 1:
+            share, first, starts, steps, gain = ALMOST_HOLDS, FITS, PATIENT_FITS, PATIENT_FIT_STEPS, PATIENT_FIT_GAIN
+        if not _near(problem, work, b, best, share):
+            continue
+        if not _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, best):
+            continue
+        other, how = descend(problem, work, b, 2, 3, free, STEPS, EVALUATIONS, WORTH, GAIN)
+        if _better(points, other, best):
+            copy_point(points, best, other)
+            ended = how
+    return best, ended
+
+
+@routine
+def _is_reached(problem, work, b, at, start, tolerance):  # type: ignore[no-untyped-def]
+    """Whether continuation from zero load leads to the equilibrium of a slot."""
+    path, twists = work.path, work.points.twists
+    take_place(problem, work, b, at)
+    given = problem.arms, problem.loads, problem.scale, work.pressure, start
+    if find_equilibrium(*given, work.room, path, b, tolerance) != CONTINUED:
+        return False
+    for i in range(path.change.shape[1]):
+        for c in range(path.change.shape[2]):
+            u = problem.arms.unknown[c]
+            path.change[0, i, c] = path.trial[i, u] - twists[at, i, u]
+    return move_size(problem.arms, problem.scale, path, b, 0, True) <= SAME_SHAPE
+
+
+@kernel
+def predict_all(problem, shape, draws, start, tolerance, first, last, work, fit, out):  # type: ignore[no-untyped-def]
+    """Predict for the arms from one to another, without the last.
+
+    Args:
+        shape: (B, N, K) twists of the shapes to hold.
+        draws: (Q, M) normalised pressures, spread over the box: as many as the last of SCREENED.
+        start, tolerance: of continuation, as of `find_equilibrium`.
+        out: is written.
+    """
+    points = work.points
+    for b in range(first, last):
+        best, ended = _predict(problem, work, fit, b, shape[b], draws)
+        for m in range(points.place.shape[1]):
+            out.place[b, m] = points.place[best, m]
+        copy_twists(out.twists[b], points.twists[best])
+        out.half_cost[b], out.stable[b] = points.known[best, HALF_COST], points.known[best, STABLE]
+        out.ended[b], out.slope[b], out.reached[b] = ended, math.inf, False
+        if ended != NO_START and math.isfinite(out.half_cost[b]):
+            out.slope[b] = error_slope(problem, work, b, best)
+            out.reached[b] = points.known[best, STABLE] > 0.0 and _is_reached(problem, work, b, best, start, tolerance)
