@@ -51,11 +51,14 @@ def _compiled(function: F, **options: bool) -> F:
     import numba
 
     from torcharm.engine.code_cache import guard
+    from torcharm.engine.code_parts import PartCompiler
 
     config: Any = numba.config
     # numba takes code from disk unless the function's own file has changed; that of what it calls may have
     chosen, folder = config.CACHE_DIR, _folder()
     every: dict[str, Any] = {"nogil": True, "error_model": "numpy", **options}
+    if every.get("no_cpython_wrapper"):  # what only compiled functions call
+        every["pipeline_class"] = PartCompiler
     every["cache"] = every["cache"] and folder is not None
     try:
         config.CACHE_DIR = folder or chosen

@@ -35,8 +35,13 @@ CLOSE, CLOSEST, SHARP = 1e-2, 1e-6, 0.1
 costs that are compared are known better than they differ."""
 LONGEST_MOVE = 0.7
 """Of a step along the tangent, as of `move_size`: from further away Newton's method need not come back to the branch."""
-FIRST_EVALUATIONS = 12
-"""Of the balance at an equilibrium without one nearby, before it is given up."""
+STEPS = 60
+"""Of a descent, at most: more were not seen to lead on."""
+WORTH = 1e-5
+"""Share of the value that PATIENCE steps must save to go on: at a kink of a force model there is no more to be had, however
+long one tries."""
+ROUNDING = 1e-12
+"""Of half the cost: a smaller decrease is lost in what is left of the equilibria, and the slope tells which of two points is better."""
 FLOOR = 1e-10
 """Of an error over the arm's length: below, rounding decides, and it counts as none."""
 OPTIMAL = 1e-7
@@ -128,16 +133,12 @@ def _update_secant(work, here, there):  # type: ignore[no-untyped-def]
 
 
 @routine
-def descend(problem, work, b, here, there, free, steps, evaluations, worth, gain):  # type: ignore[no-untyped-def]
+def descend(problem, work, b, here, there, free):  # type: ignore[no-untyped-def]
     """Follow the cost of arm b down from the point of a slot.
 
     Args:
         here: slot of the point, as of `evaluate_point`, and another one to try steps in.
         free: whether to go through equilibria that are not stable, as there are no others.
-        steps: at most.
-        evaluations: of the balance at an equilibrium, at most.
-        worth: share of the value that PATIENCE steps must save to go on.
-        gain: share of the value that a step must promise.
 
     Returns:
         The slot of the best point, with its equilibrium closely solved, and how the descent ended.
@@ -151,7 +152,7 @@ def descend(problem, work, b, here, there, free, steps, evaluations, worth, gain
             work.extra[m, k] = 0.0
     augmented, growth, taken, before = False, 2.0, 0, points.known[here, HALF_COST]
     damping, ended = FIRST_DAMPING * largest_curvature(points.curvature[here]), RUNNING
-    for _ in range(steps):
+    for _ in range(STEPS):
         scale, value = largest_curvature(points.curvature[here]), points.known[here, HALF_COST]
         promised = write_box_step(
             box, points.gradient[here], points.curvature[here], work.extra, augmented, points.place[here], damping
@@ -161,10 +162,10 @@ def descend(problem, work, b, here, there, free, steps, evaluations, worth, gain
             ended = OPTIMUM
         elif damping > LARGEST_DAMPING * scale:
             ended = HELD_UP
-        elif not promised > gain * value:
+        elif not promised > 0.0:
             ended = NO_GAIN
         elif taken == PATIENCE:
-            if value > (1.0 - worth) * before:
+            if value > (1.0 - WORTH) * before:
                 ended = NO_GAIN
             taken, before = 0, value
         if ended != RUNNING:
@@ -179,7 +180,7 @@ def descend(problem, work, b, here, there, free, steps, evaluations, worth, gain
         for m in range(count):
             change = max(change, abs(box.step[m]))
         close = min(max(SHARP * change, CLOSEST), CLOSE)
-        found = evaluate_point(problem, work, b, there, close, evaluations)
+        found = evaluate_point(problem, work, b, there, close)
         found = found and (free or points.known[there, STABLE] > 0.0)
         if not found:
             damping = max(damping * growth, BLIND_DAMPING * scale)
@@ -188,6 +189,9 @@ def descend(problem, work, b, here, there, free, steps, evaluations, worth, gain
         augmented = _foretold(work, here, there)
         _update_secant(work, here, there)
         quality = (value - points.known[there, HALF_COST]) / max(promised, 1e-300)
+        if promised <= ROUNDING * value and abs(value - points.known[there, HALF_COST]) <= ROUNDING * value:
+            calmer = error_slope(problem, work, b, there) < 0.5 * error_slope(problem, work, b, here)
+            quality = 1.0 if calmer else 0.0
         if quality > LEAST_GAIN:
             here, there = there, here
             easier = 1.0 - (2.0 * min(max(quality, -1.0), 2.0) - 1.0) ** 3
@@ -205,7 +209,7 @@ def descend(problem, work, b, here, there, free, steps, evaluations, worth, gain
 def _refine(problem, work, b, here, free):  # type: ignore[no-untyped-def]
     """Solve the equilibrium of a slot closely; whether it is still one. If not, the slot's value is infinite."""
     copy_twists(work.path.trial, work.points.twists[here])
-    found = evaluate_point(problem, work, b, here, CLOSEST, FIRST_EVALUATIONS)
+    found = evaluate_point(problem, work, b, here, CLOSEST)
     if not (found and (free or work.points.known[here, STABLE] > 0.0)):
         work.points.known[here, HALF_COST] = math.inf
         return False

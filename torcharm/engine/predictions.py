@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from torcharm.engine.compilation import kernel, part, routine
 from torcharm.engine.continuation import CONTINUED, find_equilibrium, move_size
-from torcharm.engine.descent import CLOSE, FIRST_EVALUATIONS, FLOOR, NO_START, descend, error_slope
+from torcharm.engine.descent import CLOSE, FLOOR, NO_START, descend, error_slope
 from torcharm.engine.pressure_model import (
     HALF_COST,
     STABLE,
@@ -29,11 +29,6 @@ Array = NDArray[Any]
 
 SCREENED = (3, 8, 64)
 """Pressures at which an arm is tried that does not stay near the shape at half the limits; and again, of more."""
-STEPS, EVALUATIONS = 60, 6
-"""Of a descent: steps, and evaluations of the balance at each; more were not seen to lead on."""
-WORTH, GAIN = 1e-5, 1e-13
-"""Shares of the value: what a few steps of a descent must save, and what a step must promise: at a kink of a force model
-there is no more to be had, however long one tries."""
 MAY_HOLD, ALMOST_HOLDS = 5e-2, 5e-3
 """Errors over the arm's length below which some pressure may hold the very shape, and where it is looked for with patience."""
 FITS, PATIENT_FITS = 2, 24
@@ -81,30 +76,26 @@ def _better(points, a, b):  # type: ignore[no-untyped-def]
 @part
 def _start(problem, work, b, shape, draws):  # type: ignore[no-untyped-def]
     """Write the first slot: at half the limits, or where the arm comes to rest nearest to the shape."""
-    points = work.points
-    for m in range(points.place.shape[1]):
-        points.place[0, m] = 0.5
-    copy_twists(work.path.trial, shape)
-    evaluate_point(problem, work, b, 0, CLOSE, FIRST_EVALUATIONS)
-    if points.known[0, STABLE] > 0.0:
-        return
-    tried = 0
+    points, tried = work.points, -1
     for screened in SCREENED:
         while tried < screened:
+            at = min(tried + 1, 1)
             for m in range(points.place.shape[1]):
-                points.place[1, m] = draws[tried, m]
+                points.place[at, m] = 0.5 if tried < 0 else draws[tried, m]
             copy_twists(work.path.trial, shape)
-            evaluate_point(problem, work, b, 1, CLOSE, FIRST_EVALUATIONS)
-            if _better(points, 1, 0):
+            evaluate_point(problem, work, b, at, CLOSE)
+            if at == 1 and _better(points, 1, 0):
                 copy_point(points, 0, 1)
             tried += 1
+            if tried == 0 and points.known[0, STABLE] > 0.0:
+                return
         if points.known[0, STABLE] > 0.0:
             return
 
 
 @part
-def _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, best):  # type: ignore[no-untyped-def]
-    """Write the third slot: of pressures whose reactions come closest to what the shape requires, the best, at an equilibrium.
+def _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, best, to):  # type: ignore[no-untyped-def]
+    """Write a slot: of pressures whose reactions come closest to what the shape requires, the best, at an equilibrium.
 
     Pressures are compared by the cost after one Newton step from the shape. Returns whether any promises
     less than the best slot's.
@@ -116,19 +107,20 @@ def _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, be
             fit.place[0, m] = points.place[best, m] if s < 0 else draws[first + s, m]
         write_carried(problem, work, b, shape)
         fit_wrenches(problem, work, fit, b, shape, steps, gain)
+        at = to + 1
         for m in range(points.place.shape[1]):
-            points.place[3, m] = fit.place[0, m]
+            points.place[at, m] = fit.place[0, m]
         copy_twists(path.trial, shape)
-        take_place(problem, work, b, 3)
+        take_place(problem, work, b, at)
         write_newton(problem, work, b)
-        write_point(problem, work, b, 3, move_size(problem.arms, problem.scale, path, b, 0, True))
-        if points.known[3, STABLE] > 0.0 and points.known[3, HALF_COST] < least:
-            least, found = points.known[3, HALF_COST], True
+        write_point(problem, work, b, at, move_size(problem.arms, problem.scale, path, b, 0, True))
+        if points.known[at, STABLE] > 0.0 and points.known[at, HALF_COST] < least:
+            least, found = points.known[at, HALF_COST], True
             for m in range(points.place.shape[1]):
-                points.place[2, m] = points.place[3, m]
+                points.place[to, m] = points.place[at, m]
     if found:
         copy_twists(path.trial, shape)
-        evaluate_point(problem, work, b, 2, CLOSE, FIRST_EVALUATIONS)
+        evaluate_point(problem, work, b, to, CLOSE)
     return found
 
 
@@ -142,20 +134,30 @@ def _near(problem, work, b, at, share):  # type: ignore[no-untyped-def]
 @routine
 def _predict(problem, work, fit, b, shape, draws):  # type: ignore[no-untyped-def]
     """The slot of the best point that is found, and how its descent ended."""
-    points = work.points
-    _start(problem, work, b, shape, draws)
-    free = not points.known[0, STABLE] > 0.0
-    best, ended = descend(problem, work, b, 0, 1, free, STEPS, EVALUATIONS, WORTH, GAIN)
-    for turn in range(2):
+    points, best, ended, free = work.points, 0, NO_START, False
+    for turn in range(3):
+        here = 0 if turn == 0 else 2
         share, first, starts, steps, gain = MAY_HOLD, 0, FITS, FIT_STEPS, FIT_GAIN
-        if turn == 1:
-            share, first, starts, steps, gain = ALMOST_HOLDS, FITS, PATIENT_FITS, PATIENT_FIT_STEPS, PATIENT_FIT_GAIN
-        if not _near(problem, work, b, best, share):
-            continue
-        if not _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, best):
-            continue
-        other, how = descend(problem, work, b, 2, 3, free, STEPS, EVALUATIONS, WORTH, GAIN)
-        if _better(points, other, best):
+        if turn == 0:
+            _start(problem, work, b, shape, draws)
+            free = not points.known[0, STABLE] > 0.0
+        else:
+            if turn == 2:
+                share, first, starts, steps, gain = (
+                    ALMOST_HOLDS,
+                    FITS,
+                    PATIENT_FITS,
+                    PATIENT_FIT_STEPS,
+                    PATIENT_FIT_GAIN,
+                )
+            if not _near(problem, work, b, best, share):
+                continue
+            if not _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, best, here):
+                continue
+        other, how = descend(problem, work, b, here, here + 1, free)
+        if turn == 0:
+            best, ended = other, how
+        elif _better(points, other, best):
             copy_point(points, best, other)
             ended = how
     return best, ended

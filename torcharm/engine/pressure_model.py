@@ -25,6 +25,8 @@ LARGE_MOVE = 1.0
 """Longest Newton step, as of `move_size`: about a radian, or a third of the length."""
 SUFFICIENT = 1e-4
 """Share of the decrease of the imbalance that a Newton step promises; a step that saves less is halved."""
+EVALUATIONS = 12
+"""Of the balance at one equilibrium, at most: Newton's method from nearby takes one to four, from a shape that is no equilibrium a dozen."""
 SLOTS = 4
 """Points that are kept: where a descent is, where it tries to go, the best and another."""
 HALF_COST, LAST_MOVE, STABLE = range(3)
@@ -184,16 +186,16 @@ def write_newton(problem, work, b):  # type: ignore[no-untyped-def]
 
 
 @routine
-def approach(problem, work, b, close, most):  # type: ignore[no-untyped-def]
+def approach(problem, work, b, close):  # type: ignore[no-untyped-def]
     """Newton's method for the balance from the path's trial, at pressures that are set.
 
     A step no larger than `close` is the last, and is not taken: it stands as the first change. Steps are at most
     LARGE_MOVE long, and halved where the imbalance does not fall. Returns the size of the last step; infinite where that is
-    not reached within so many evaluations.
+    not reached.
     """
     arms, path = problem.arms, work.path
     last, factor, step = math.inf, 1.0, 0.0
-    for _ in range(most):
+    for _ in range(EVALUATIONS):
         norm = write_newton(problem, work, b)
         size = move_size(arms, problem.scale, path, b, 0, True)
         if not math.isfinite(size):
@@ -259,10 +261,10 @@ def write_point(problem, work, b, at, size):  # type: ignore[no-untyped-def]
 
 
 @routine
-def evaluate_point(problem, work, b, at, close, most):  # type: ignore[no-untyped-def]
+def evaluate_point(problem, work, b, at, close):  # type: ignore[no-untyped-def]
     """Write the model of a slot at its place, at the equilibrium near the path's trial; whether that is found."""
     take_place(problem, work, b, at)
-    size = approach(problem, work, b, close, most)
+    size = approach(problem, work, b, close)
     if not math.isfinite(size):
         work.points.known[at, HALF_COST], work.points.known[at, STABLE] = math.inf, 0.0
         return False

@@ -160,9 +160,7 @@ def fit_wrenches(problem, work, fit, b, twist, steps, gain):  # type: ignore[no-
     damping = START_DAMPING
     for _ in range(steps):
         scale = largest_curvature(fit.normal)
-        promised = write_box_step(
-            work.box, fit.gradient, fit.normal, fit.nothing, False, fit.place[0], damping * scale
-        )
+        promised = write_box_step(work.box, fit.gradient, fit.normal, fit.nothing, False, fit.place[0], damping * scale)
         if not math.isfinite(value):
             return value, False
         if 2.0 * promised <= gain * value + NOTHING or damping > MOST_DAMPING:
