@@ -356,38 +356,38 @@ def _eliminate(arms, room, i, first_row):  # type: ignore[no-untyped-def]
 
 
 @routine
-def solve(arms, loads, room, change, x):  # type: ignore[no-untyped-def]
-    """Replace right-hand side x of `change` (X, N, C) by `J⁻¹` times it; J as factored by `write_balance`."""
-    size, columns, nodes = len(arms.column), len(arms.unknown), change.shape[1]
+def solve(arms, loads, room, change):  # type: ignore[no-untyped-def]
+    """Replace a right-hand side (N, C) by `J⁻¹` times it; J as factored by `write_balance`."""
+    size, columns, nodes = len(arms.column), len(arms.unknown), change.shape[0]
     first_row, matrix, total = first_loaded_row(arms, loads), room.factor, room.sum
     for r in range(size):
         total[r] = 0.0
     for i in range(nodes - 1, -1, -1):
         for c in range(columns):
-            right = change[x, i, c]
+            right = change[i, c]
             for r in range(first_row, size):
                 right -= room.lever[i, r, c] * total[r]
             for e in range(c):
-                right -= matrix[i, c, e] * change[x, i, e]
-            change[x, i, c] = right
+                right -= matrix[i, c, e] * change[i, e]
+            change[i, c] = right
         for c in range(columns - 1, -1, -1):
-            right = change[x, i, c]
+            right = change[i, c]
             for e in range(c + 1, columns):
-                right -= matrix[i, c, e] * change[x, i, e]
+                right -= matrix[i, c, e] * change[i, e]
             right *= matrix[i, c, c]
-            change[x, i, c] = right
+            change[i, c] = right
             for r in range(first_row, size):
                 total[r] += room.pull[i, r, c] * right
     for r in range(size):
         total[r] = 0.0
     for i in range(nodes):
         for c in range(columns):
-            right = change[x, i, c]
+            right = change[i, c]
             for k in range(size):
                 right -= room.feed[i, c, k] * total[k]
-            change[x, i, c] = right
+            change[i, c] = right
         for k in range(size):
             moved = total[k]
             for c in range(columns):
-                moved += room.move[i, k, c] * change[x, i, c]
+                moved += room.move[i, k, c] * change[i, c]
             total[k] = moved
