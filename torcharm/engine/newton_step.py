@@ -31,7 +31,7 @@ from torcharm.engine.carried_load import (
     make_share,
     make_spot,
 )
-from torcharm.engine.compilation import part, routine
+from torcharm.engine.compilation import part, spliced
 from torcharm.engine.elements import write_lever, write_link, write_motion
 from torcharm.engine.sections import (
     Drive,
@@ -120,7 +120,7 @@ def make_room(arms: Arms) -> Room:
     )
 
 
-@routine
+@spliced
 def write_shape(arms, loads, room, b, twist, slopes):  # type: ignore[no-untyped-def]
     """Write poses and motions, and the sections' reactions at their pressures, for twists (N, K).
 
@@ -157,7 +157,7 @@ def first_loaded_row(arms, loads):  # type: ignore[no-untyped-def]
     return 2 if len(arms.column) == 3 else 3
 
 
-@routine
+@spliced
 def write_balance(arms, loads, room, b, twist, factor, linear_shift, angular_shift):  # type: ignore[no-untyped-def]
     """Write the residual, and factor its slope J less a shift on its diagonal, where `write_shape` was before.
 
@@ -355,7 +355,7 @@ def _eliminate(arms, room, i, first_row):  # type: ignore[no-untyped-def]
             room.spread[r, k] = total
 
 
-@routine
+@spliced
 def solve(arms, loads, room, change):  # type: ignore[no-untyped-def]
     """Replace a right-hand side (N, C) by `J⁻¹` times it; J as factored by `write_balance`."""
     size, columns, nodes = len(arms.column), len(arms.unknown), change.shape[0]
