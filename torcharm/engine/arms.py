@@ -5,6 +5,7 @@ of its unknown ones. Poses are rows of P numbers with the base's position as ori
 `(cos, sin, x, y)` in the plane, the nine entries of the rotation, row by row, and the position in space.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -112,7 +113,7 @@ def arms_of(
         shear_stiffness: k [N/m] of each actuator, in the sense of `-k Σ γ`; None is rigid.
     """
     segments, links = segments_of(arm)
-    count = int(np.prod(batch, dtype=int))
+    count = math.prod(batch)
     every = [model for segment in segments for model in segment.actuators]
 
     def rows(values: list[Tensor]) -> Array:
@@ -166,4 +167,4 @@ def _bending(actuators: Sequence[Actuator]) -> tuple[Array, Array]:
 def _flat(value: Tensor, batch: tuple[int, ...], data: int) -> Array:
     """A tensor (*#batch, ...) as (B, ...), of so many dimensions of data."""
     tail = value.shape[value.ndim - data :]
-    return numbers(value.expand(*batch, *tail).reshape(-1, *tail))
+    return numbers(value.expand(*batch, *tail).reshape(math.prod(batch), *tail))

@@ -58,12 +58,12 @@ class _Implicit(torch.autograd.Function):
         problem: Problem = ctx.problem
         wanted = (gradient != 0).flatten(-2).any(-1)
         right = gradient[..., problem.unknown]
-        answer = torch.zeros_like(right).reshape(problem.count, -1)
-        right, flat = right.reshape(problem.count, -1), numbers(twists.reshape(-1, *twists.shape[-2:]))
+        right = right.reshape(problem.count, right.shape[-2] * right.shape[-1])
+        answer, flat = torch.zeros_like(right), numbers(twists.reshape(problem.count, *twists.shape[-2:]))
         rows = np.flatnonzero((wanted & converged).reshape(-1).numpy())
         for index in np.split(rows, range(AT_ONCE, len(rows), AT_ONCE)):
             inverse = torch.from_numpy(problem.packed.inverse(flat, index))
             answer[index] = -(inverse.mT @ right[index].unsqueeze(-1)).squeeze(-1)
-        answer = answer.reshape(*gradient.shape[:-1], -1)
+        answer = answer.reshape(*gradient.shape[:-1], len(problem.unknown))
         lost = torch.where(wanted & ~converged, float("nan"), 0.0).to(answer)
         return answer + lost[..., None, None], None, None, None

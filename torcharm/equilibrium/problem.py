@@ -83,7 +83,7 @@ class Problem:
         loads = loads_of(
             self.arm, self.load, self.base_pose, self.batch, self.nodes, middle=self.wrench_at == "middle"
         )
-        pressure = self.pressure.expand(*self.batch, -1).reshape(self.count, -1)
+        pressure = self.pressure.expand(*self.batch, -1).reshape(self.count, self.arm.actuator_count)
         return Packed(arms, loads, _scale(arms, loads), numbers(pressure))
 
 

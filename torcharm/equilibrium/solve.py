@@ -200,7 +200,7 @@ def solved(problem: Problem, start: Tensor | None = None, tolerance: float = TOL
     """The equilibria of a problem, in its dtype; arguments as of `solve_equilibrium`."""
     given, problem = problem.pressure, problem.double()
     size = (sum(problem.nodes), 3 if problem.arm.dimension == 2 else 6)
-    warm = np.zeros((0, *size)) if start is None else numbers(start.expand(*problem.batch, *size).reshape(-1, *size))
+    warm = np.zeros((0, *size)) if start is None else numbers(start.expand(*problem.batch, *size).reshape(problem.count, *size))
     packed = problem.packed
     found = packed.find(warm, tolerance)
     twists = torch.from_numpy(found.twists).reshape(*problem.batch, *size)
