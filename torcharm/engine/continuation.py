@@ -140,7 +140,7 @@ def write_step(arms, loads, room, path, b, factor, linear_shift, angular_shift):
         write_balance(arms, loads, room, b, path.trial, factor, linear_shift, angular_shift)
     else:
         room.pivots[0] = room.pivots[1] = 0
-        room.sections.stiffness[0] = 0.0
+        room.sections.stiffness[0] = room.sections.stiffness[1] = 0.0
         for segment in range(len(arms.first_node) - 1):
             i = arms.first_node[segment]
             write_section(arms, room.drive, room.sections, b, segment, i, path.trial)
@@ -193,18 +193,19 @@ def write_tangent(arms, loads, room, path, pressures, b):  # type: ignore[no-unt
 
 @spliced
 def imbalance(arms, scale, room, path, b):  # type: ignore[no-untyped-def]
-    """The largest residual: forces, and moments over the arm's length, over the load scale. NaN if one is."""
+    """The largest residual: of forces over the load scale, of moments over that times the length. NaN if one is."""
     most = 0.0
+    force_scale = max(scale.load[b], STIFF_STRAIN * room.sections.stiffness[0])
+    moment_scale = max(scale.load[b] * scale.length[b], STIFF_STRAIN * room.sections.stiffness[1])
     for segment in range(len(arms.first_node) - 1):
         first, last = elements_under_way(arms, path, segment)
         for i in range(first, last):
             for c in range(len(arms.unknown)):
                 size = abs(room.residual[i, c])
-                if arms.unknown[c] >= first_angular(arms):
-                    size /= scale.length[b]
+                size /= force_scale if arms.unknown[c] < first_angular(arms) else moment_scale
                 if not size <= most:  # takes a NaN, and keeps it
                     most = size
-    return most / max(scale.load[b], STIFF_STRAIN * room.sections.stiffness[0])
+    return most
 
 
 @part

@@ -129,7 +129,7 @@ def write_shape(arms, loads, room, b, twist, slopes):  # type: ignore[no-untyped
     """
     for k in range(loads.base.shape[1]):
         room.node[0, k] = loads.base[b, k]
-    room.sections.stiffness[0] = 0.0
+    room.sections.stiffness[0] = room.sections.stiffness[1] = 0.0
     for segment in range(len(arms.first_node) - 1):
         first, last = arms.first_node[segment], arms.first_node[segment + 1]
         share = 1.0 / (last - first)

@@ -45,7 +45,7 @@ class Sections(NamedTuple):
         reaction: (N, C) [N, N·m].
         slope: (N, C, C) by the element's own unknowns.
         rate: (N, C, M) by pressures; zero for the actuators of other segments.
-        stiffness: (1,) the largest sum over a section's actuators of |∂f/∂ε| [N].
+        stiffness: (2,) the largest sums over a section's actuators of |∂f/∂ε| [N], and of that times the offset [N·m].
     """
 
     reaction: Array
@@ -63,7 +63,7 @@ def make_drive(arms: Arms) -> Drive:
 def make_sections(arms: Arms) -> Sections:
     """Room for the sections of one arm."""
     nodes, size, count = arms.first_node[-1], len(arms.unknown), len(arms.models.kind)
-    return Sections(np.zeros((nodes, size)), np.zeros((nodes, size, size)), np.zeros((nodes, size, count)), np.zeros(1))
+    return Sections(np.zeros((nodes, size)), np.zeros((nodes, size, size)), np.zeros((nodes, size, count)), np.zeros(2))
 
 
 @part
@@ -131,13 +131,14 @@ def write_section(arms, drive, sections, b, segment, i, twist):  # type: ignore[
 @part
 def _planar_section(arms, drive, sections, b, segment, i, twist):  # type: ignore[no-untyped-def]
     length, curvature = twist[i, 0], twist[i, 2]
-    force = moment = f_l = f_k = m_l = m_k = stiff = 0.0
+    force = moment = f_l = f_k = m_l = m_k = stiff = stiff_moment = 0.0
     for a in range(arms.first_actuator[segment], arms.first_actuator[segment + 1]):
         r, neutral = arms.y[b, a], arms.neutral[b, a]
         own = length - r * curvature
         shrunk = 1.0 / neutral
         f, slope = axial_force(arms, drive, a, (own - neutral) * shrunk)
         stiff += abs(slope)
+        stiff_moment += abs(r * slope)
         slope *= shrunk
         force += f
         moment -= r * f
@@ -159,13 +160,14 @@ def _planar_section(arms, drive, sections, b, segment, i, twist):  # type: ignor
         sections.reaction[i, 1] = -arms.shear[segment] * twist[i, 1]
         sections.slope[i, 1, 1] = -arms.shear[segment]
     sections.stiffness[0] = max(sections.stiffness[0], stiff)
+    sections.stiffness[1] = max(sections.stiffness[1], stiff_moment)
 
 
 @part
 def _spatial_section(arms, drive, sections, b, segment, i, twist):  # type: ignore[no-untyped-def]
     size = len(arms.unknown)
     length, k_x, k_y, k_z = twist[i, 0], twist[i, 3], twist[i, 4], twist[i, 5]
-    force = m_y = m_z = stiff = 0.0
+    force = m_y = m_z = stiff = stiff_moment = 0.0
     ll = ly = lz = yy = yz = zz = 0.0  # slopes of forces by l, κ_y and κ_z
     bent_y = bent_z = by_l = by_y = by_z = 0.0  # Σ k/l_α, and Σ k/l_α² u
     tilt = tilt_l = tilt_y = tilt_z = 0.0  # Σ f ρ²/l_α and its slopes
@@ -175,6 +177,7 @@ def _spatial_section(arms, drive, sections, b, segment, i, twist):  # type: igno
         shrunk = 1.0 / neutral
         f, slope = axial_force(arms, drive, a, (own - neutral) * shrunk)
         stiff += abs(slope)
+        stiff_moment += (abs(y) + abs(z)) * abs(slope)
         slope *= shrunk
         force += f
         m_y += z * f
@@ -217,6 +220,7 @@ def _spatial_section(arms, drive, sections, b, segment, i, twist):  # type: igno
             reaction[i, c] = -arms.shear[segment] * twist[i, c]
             out[i, c, c] = -arms.shear[segment]
     sections.stiffness[0] = max(sections.stiffness[0], stiff)
+    sections.stiffness[1] = max(sections.stiffness[1], stiff_moment)
 
 
 @part

@@ -66,7 +66,7 @@ class Equilibrium:
         base_pose: (*batch, 3) or (*batch, 4, 4).
         residual: (*batch) largest imbalance of an element: force over the load scale, or moment over the load scale
             times the arm's mean length. The load scale is the larger of all forces and of all moments over that
-            length, at least 1 N, and at least the force of a strain of 1e-4.
+            length, at least 1 N; and what actuators answer to a strain of 1e-4, where that is more.
         converged: (*batch) whether the residual is within the tolerance, with every length above 0: the
             centreline's and the actuators'. A folded arm is no equilibrium.
         stable: (*batch) whether it converged and the arm stays there: whether all eigenvalues of `J = ∂R/∂z`, of the
