@@ -113,7 +113,9 @@ def test_small_loads_move_the_tip_by_the_linear_compliance():
     arm, pressure = ta.antagonistic_arm(), double([20.0, 30.0, 20.0, 25.0])
     rest = ta.solve_equilibrium(arm, pressure, [0.0, 0.0, 0.0]).twists
     none, unit = torch.zeros(3, dtype=torch.float64), torch.eye(3, dtype=torch.float64)
-    by_twist, by_load = torch.autograd.functional.jacobian(lambda *at: balance(arm, at[0], pressure, at[1]), (rest, none))
+    by_twist, by_load = torch.autograd.functional.jacobian(
+        lambda *at: balance(arm, at[0], pressure, at[1]), (rest, none)
+    )
     by_twist = by_twist[..., ::2].flatten(2).flatten(0, 1)
     by_tip = torch.autograd.functional.jacobian(lambda twists: rod.poses(twists)[-1], rest)[..., ::2].flatten(1)
     compliance = -by_tip @ torch.linalg.solve(by_twist, by_load.flatten(0, 1))

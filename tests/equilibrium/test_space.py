@@ -159,19 +159,12 @@ def test_moment_torsion_and_force_wind_a_helix(stiffness):
         tip = se3.turn_wrench(end, torch.cat((force, moment)).unsqueeze(0))[0]
         found = ta.solve_equilibrium(arm, [0.0], tip, nodes, wrench_at="middle")
         errors.append(float((found.poses[-1, :3, 3] - end[:3, 3]).norm()))
-    if stiffness == 2.0:
-        assert max(errors) < 1e-8
-        torch.testing.assert_close(found.twists[:, 3:], kappa.expand(40, 3), rtol=0, atol=1e-6)
-    else:
-        assert errors[1] < 1e-4
-        assert errors[0] / errors[1] == pytest.approx(4, rel=0.1)
+    assert max(errors) < 1e-8  # exact: the strains are even, and so is the balance
 
 
 @pytest.mark.parametrize("wrench_at", ["start", "middle"])
 def test_an_arm_hanging_under_its_weight_stretches_by_the_weight_below(wrench_at):
-    found = ta.solve_equilibrium(
-        spring_arm(mass=3.0), [0.0] * 4, ta.ExternalLoad(gravity=True), 5, wrench_at=wrench_at
-    )
+    found = ta.solve_equilibrium(spring_arm(mass=3.0), [0.0] * 4, ta.ExternalLoad(gravity=True), 5, wrench_at=wrench_at)
     below = (5 - torch.arange(5, dtype=F64) - (0.5 if wrench_at == "middle" else 0.0)) / 5
     expected = 0.5 * (1 + 9.81 * 3.0 * below / 1600)
     torch.testing.assert_close(found.twists[:, 0], expected, rtol=0, atol=1e-11)
@@ -213,9 +206,7 @@ def test_dead_and_following_forces_agree_for_small_loads_and_differ_for_large_on
 
 @pytest.mark.parametrize(("wrench_at", "order"), [("start", 1), ("middle", 2)])
 def test_refinement_converges_at_its_order(wrench_at, order):
-    arm = ta.ArmDesign(
-        offsets=ta.ring(0.05, 4, 0.3), length=0.4, actuators=[ta.Bellows(), ta.McKibben()] * 2, mass=0.3
-    )
+    arm = ta.ArmDesign(offsets=ta.ring(0.05, 4, 0.3), length=0.4, actuators=[ta.Bellows(), ta.McKibben()] * 2, mass=0.3)
     load = ta.ExternalLoad([1.0, -2.0, 1.5, 0.02, 0.0, 0.05], True, [ta.PointLoad([0.0, 0.5, 0, 0, 0, 0], at=0.43)])
     pressure, tips = [20.0, 30.0, 15.0, 25.0], []
     for nodes in (10, 20, 40, 80, 640):
@@ -245,7 +236,9 @@ def test_gradients_by_finite_differences():
     ]
 
     def twists(pressure, tip, offsets, length, mass, torsion, link):
-        lower = ta.ArmDesign(offsets=offsets, length=0.3, actuators=first.actuators, mass=mass, torsion_stiffness=torsion)
+        lower = ta.ArmDesign(
+            offsets=offsets, length=0.3, actuators=first.actuators, mass=mass, torsion_stiffness=torsion
+        )
         upper = ta.ArmDesign(offsets=second.offsets, length=length, actuators=second.actuators, torsion_stiffness=0.2)
         whole = ta.series([lower, ta.RigidLink(pose=se3.exp(link), mass=0.1), upper])
         load = ta.ExternalLoad(tip, True, [ta.PointLoad([0.0, 0.4, 0.1, 0.02, 0.0, 0.0], at=0.37, frame="body")])
@@ -253,9 +246,7 @@ def test_gradients_by_finite_differences():
         assert found.converged
         return found.twists
 
-    assert torch.autograd.gradcheck(
-        twists, [leaf.requires_grad_() for leaf in leaves], eps=1e-5, atol=1e-6, rtol=1e-5
-    )
+    assert torch.autograd.gradcheck(twists, [leaf.requires_grad_() for leaf in leaves], eps=1e-5, atol=1e-6, rtol=1e-5)
 
 
 def test_a_stiff_spring_converges():

@@ -106,12 +106,14 @@ class Found(NamedTuple):
         residual: (B,) the largest imbalance of an element: forces, and moments over the length, over the load scale.
         reached: (B,) CONTINUED, SNAPPED, WARM or FAILED.
         pivots: (B, 2) numbers of positive pivots of J, and of zero ones.
+        scale: (B, 2) by which imbalances of forces [N] and of moments [N·m] are measured.
     """
 
     twists: Array
     residual: Array
     reached: Array
     pivots: Array
+    scale: Array
 
 
 def make_path(arms: Arms) -> Path:
@@ -192,11 +194,17 @@ def write_tangent(arms, loads, room, path, pressures, b):  # type: ignore[no-unt
 
 
 @spliced
+def _scales(scale, room, b):  # type: ignore[no-untyped-def]
+    """By what imbalances of forces and of moments are measured."""
+    force = max(scale.load[b], STIFF_STRAIN * room.sections.stiffness[0])
+    return force, max(scale.load[b] * scale.length[b], STIFF_STRAIN * room.sections.stiffness[1])
+
+
+@spliced
 def imbalance(arms, scale, room, path, b):  # type: ignore[no-untyped-def]
     """The largest residual: of forces over the load scale, of moments over that times the length. NaN if one is."""
     most = 0.0
-    force_scale = max(scale.load[b], STIFF_STRAIN * room.sections.stiffness[0])
-    moment_scale = max(scale.load[b] * scale.length[b], STIFF_STRAIN * room.sections.stiffness[1])
+    force_scale, moment_scale = _scales(scale, room, b)
     for segment in range(len(arms.first_node) - 1):
         first, last = elements_under_way(arms, path, segment)
         for i in range(first, last):
@@ -448,4 +456,5 @@ def find_equilibria(arms, loads, scale, pressures, start, tolerance, first, last
         write_step(arms, loads, room, path, b, 1.0, 0.0, 0.0)
         found.residual[b] = imbalance(arms, scale, room, path, b)
         found.pivots[b, 0], found.pivots[b, 1] = room.pivots[0], room.pivots[1]
+        found.scale[b, 0], found.scale[b, 1] = _scales(scale, room, b)
         _copy_twists(found.twists[b], path.trial)

@@ -33,6 +33,7 @@ from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.engine.arms import numbers
 from torcharm.engine.continuation import CONTINUED
+from torcharm.equilibrium.correction import corrected
 from torcharm.equilibrium.gradient import with_gradients
 from torcharm.equilibrium.problem import Problem
 from torcharm.equilibrium.stability import buckles_in_torsion, lengths_positive, stays, strain_excess
@@ -200,9 +201,15 @@ def solved(problem: Problem, start: Tensor | None = None, tolerance: float = TOL
     """The equilibria of a problem, in its dtype; arguments as of `solve_equilibrium`."""
     given, problem = problem.pressure, problem.double()
     size = (sum(problem.nodes), 3 if problem.arm.dimension == 2 else 6)
-    warm = np.zeros((0, *size)) if start is None else numbers(start.expand(*problem.batch, *size).reshape(problem.count, *size))
+    warm = (
+        np.zeros((0, *size))
+        if start is None
+        else numbers(start.expand(*problem.batch, *size).reshape(problem.count, *size))
+    )
     packed = problem.packed
     found = packed.find(warm, tolerance)
+    if not packed.arms.tables.is_empty:
+        found = corrected(problem, found, tolerance)
     twists = torch.from_numpy(found.twists).reshape(*problem.batch, *size)
     with torch.no_grad():
         possible = lengths_positive(problem, twists).expand(problem.batch)
