@@ -15,11 +15,10 @@ from torch import Tensor
 
 from torcharm._beginnings import begin
 from torcharm._box import optimality
-from torcharm._continuation import SETTLING_STEPS, Problem, resting
+from torcharm._continuation import SETTLING_STEPS, Problem, resting, solved
 from torcharm._descent import Goal, Searches, Setting, descend
 from torcharm._reaching import COARSE_SHAPE, SAME_SHAPE, Block, Reached, lowest
 from torcharm._rounds import GAIN, Lost, Others, State, work
-from torcharm._continuation import solved
 from torcharm.mechanics import pick, put
 
 DESCENT_LOOKS, ONLY_LOOKS = 20, 200

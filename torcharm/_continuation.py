@@ -13,11 +13,11 @@ import torch
 from torch import Tensor
 
 from torcharm import mechanics
+from torcharm._response import DEFINITE, has_lengths, is_stable
 from torcharm._tracing import FIRST_SHARE, Course, Scale, trace
 from torcharm.arm import ArmDesign
 from torcharm.geometry import rod
 from torcharm.wrenches import along
-from torcharm._response import DEFINITE, has_lengths, is_stable
 
 if TYPE_CHECKING:
     from torcharm.kernels.fleet import Fleet

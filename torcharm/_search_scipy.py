@@ -7,10 +7,9 @@ from torch import Tensor
 
 from torcharm import mechanics
 from torcharm._box import optimality, spread_points
-from torcharm._continuation import Problem, loaded, settle, unloaded
+from torcharm._continuation import WARM_DAMPING, Problem, loaded, settle, unloaded
 from torcharm._descent import Goal
 from torcharm._inputs import check_choice
-from torcharm._continuation import WARM_DAMPING
 from torcharm.equilibrium import solve_equilibrium
 
 SCIPY_METHODS = ("L-BFGS-B", "SLSQP", "TNC", "trust-constr", "Nelder-Mead", "Powell", "COBYLA")

@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from torcharm import mechanics
-from torcharm._continuation import Problem
+from torcharm._continuation import TOLERANCES, Problem, solved
 from torcharm._inputs import check_count, shown
 from torcharm._outer import Block, OuterProduct, check_arm_and_task, map_blocks, outer_product
 from torcharm._predicted_minimum import FLOORS, SCREENED, Found, Tasks, minimum_over_pressures
@@ -24,7 +24,6 @@ from torcharm._response import has_lengths, size
 from torcharm.actuators import want_gradients
 from torcharm.actuators.bending import active_moment, passive_moment
 from torcharm.arm import ArmDesign
-from torcharm._continuation import TOLERANCES, solved
 from torcharm.geometry import rod
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.task import Task

@@ -8,11 +8,10 @@ from torch import Tensor
 
 from torcharm import mechanics
 from torcharm._box import spread_points
-from torcharm._continuation import Problem
+from torcharm._continuation import Problem, default_chunk
 from torcharm._inputs import as_floating, check_at_least, check_count, check_finite
 from torcharm._wrench_fit import fit_wrenches
 from torcharm.arm import ArmDesign
-from torcharm._continuation import default_chunk
 from torcharm.search import checked_outer, flat_problem
 from torcharm.task import Task
 

@@ -9,13 +9,12 @@ from torch import Tensor
 
 from torcharm import mechanics
 from torcharm._branch_search import search_block
-from torcharm._continuation import Problem, can_compile
+from torcharm._continuation import TOLERANCES, Problem, can_compile, default_chunk, stays, strain_excess
 from torcharm._descent import Goal
 from torcharm._inputs import check_above_zero, check_choice, check_count, check_flag
 from torcharm._outer import OuterProduct, check_arm_and_task, outer_product
 from torcharm._response import has_lengths
 from torcharm.arm import ArmDesign
-from torcharm._continuation import TOLERANCES, default_chunk, stays, strain_excess
 from torcharm.equilibrium import NotConvergedError
 from torcharm.geometry import rod
 from torcharm.pressure.pose_cost import PoseCost

@@ -5,6 +5,7 @@ of its unknown ones. Poses are rows of P numbers with the base's position as ori
 `(cos, sin, x, y)` in the plane, the nine entries of the rotation, row by row, and the position in space.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -15,11 +16,12 @@ from torch import Tensor
 
 from torcharm._inputs import plain_number
 from torcharm.actuators import Actuator
-from torcharm.actuators.bending import ConstantBending, bending_model, linear_stiffness, reference_pressure
+from torcharm.actuators.bending import LinearBending, bending_model, linear_stiffness, reference_pressure
 from torcharm.actuators.inspection import follows
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.engine.forces import Models, models_of
+from torcharm.engine.tables import Tables, is_sampled, tables_of
 from torcharm.statics.balance import RIGID, segments_of, unknown_columns
 
 Array = NDArray[Any]
@@ -35,6 +37,7 @@ class Arms(NamedTuple):
         column: (K) the columns of a twist. Its length and the next one's are known when kernels are compiled.
         unknown: (C) those that are unknown, in ascending order; the arm is rigid in the others.
         models: the actuators' force models.
+        tables: those of them, and of their bending laws, that are sampled.
         active: (M,) bending stiffness a kilopascal [N·m²/kPa].
         passive: (M,) bending stiffness at any pressure [N·m²].
         y, z: (B, M) offsets [m]; z is 0 in the plane.
@@ -49,6 +52,7 @@ class Arms(NamedTuple):
     column: tuple[int, ...]
     unknown: tuple[int, ...]
     models: Models
+    tables: Tables
     active: Array
     passive: Array
     y: Array
@@ -101,7 +105,11 @@ def pose_rows(pose: Tensor) -> Tensor:
 
 
 def arms_of(
-    arm: ArmDesign | ArmSeries, batch: tuple[int, ...], nodes: Sequence[int], shear_stiffness: float | None = None
+    arm: ArmDesign | ArmSeries,
+    batch: tuple[int, ...],
+    nodes: Sequence[int],
+    shear_stiffness: float | None = None,
+    highest: Array | None = None,
 ) -> Arms:
     """The arms of a batch, expanded and flattened.
 
@@ -110,10 +118,16 @@ def arms_of(
         batch: shape of the B arms.
         nodes: number of elements of each segment.
         shear_stiffness: k [N/m] of each actuator, in the sense of `-k Σ γ`; None is rigid.
+        highest: (M,) highest pressures in use [kPa], up to which models are sampled; None takes the arms' limits.
     """
     segments, links = segments_of(arm)
-    count = int(np.prod(batch, dtype=int))
+    count = math.prod(batch)
     every = [model for segment in segments for model in segment.actuators]
+    models = models_of(every)
+    if highest is None:
+        highest = np.concatenate(
+            [numbers(segment.max_pressure).reshape(-1, segment.actuator_count).max(0) for segment in segments]
+        )
 
     def rows(values: list[Tensor]) -> Array:
         return np.concatenate([_flat(value, batch, 1) for value in values], -1)
@@ -137,7 +151,8 @@ def arms_of(
     return Arms(
         tuple(range(3 if arm.dimension == 2 else 6)),
         unknown_columns(arm, shear_stiffness),
-        models_of(every),
+        models,
+        tables_of(every, models, highest),
         *_bending(every),
         y,
         z,
@@ -154,11 +169,15 @@ def _bending(actuators: Sequence[Actuator]) -> tuple[Array, Array]:
     """Bending stiffness (M,) a kilopascal, and at any pressure."""
     active, passive = np.zeros(len(actuators)), np.zeros(len(actuators))
     for index, model in enumerate(actuators):
+        if is_sampled(model):
+            continue
         linear = linear_stiffness(model.bending_stiffness)
         if linear is not None:
             pressure = reference_pressure(model.bending_stiffness, model.max_pressure)
             active[index] = plain_number(linear) / plain_number(pressure)
-        if follows(bending_model(model.bending_stiffness), ConstantBending, "passive"):
+        if bending_model(model.bending_stiffness) is not None and not follows(
+            model.bending_stiffness, LinearBending, "passive"
+        ):
             passive[index] = plain_number(model.bending_stiffness.stiffness)  # type: ignore[union-attr]
     return active, passive
 
@@ -166,4 +185,4 @@ def _bending(actuators: Sequence[Actuator]) -> tuple[Array, Array]:
 def _flat(value: Tensor, batch: tuple[int, ...], data: int) -> Array:
     """A tensor (*#batch, ...) as (B, ...), of so many dimensions of data."""
     tail = value.shape[value.ndim - data :]
-    return numbers(value.expand(*batch, *tail).reshape(-1, *tail))
+    return numbers(value.expand(*batch, *tail).reshape(math.prod(batch), *tail))

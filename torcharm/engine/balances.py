@@ -42,7 +42,7 @@ def solve_rows(arms, loads, pressures, twists, rows, room, right):  # type: igno
         write_shape(arms, loads, room, b, twists[b], False)
         write_balance(arms, loads, room, b, twists[b], 1.0, 0.0, 0.0)
         for x in range(right.shape[1]):
-            solve(arms, loads, room, right[at], x)
+            solve(arms, loads, room, right[at, x])
 
 
 @kernel

@@ -40,8 +40,9 @@ class Spot(NamedTuple):
         place: (D,) where it is taken to act [m].
         slide: (D, C) motion of that place by the element's unknowns.
         turn: (A, C) how the body turns there; A is 1 in the plane, 3 in space.
-        load: (2, D) force and moment along the world's axes.
+        load: (2, 3) force and moment along the world's axes.
         change: (K,) of a wrench.
+        follows: (1,) whether it turns with the body.
     """
 
     pose: Array
@@ -51,6 +52,7 @@ class Spot(NamedTuple):
     turn: Array
     load: Array
     change: Array
+    follows: Array
 
 
 def make_share(arms: Arms) -> Share:
@@ -71,6 +73,7 @@ def make_spot(arms: Arms) -> Spot:
         np.zeros((size - dimension, columns)),
         np.zeros((2, 3)),
         np.zeros(size),
+        np.zeros(1, dtype=np.bool_),
     )
 
 
@@ -86,13 +89,13 @@ def clear_share(share):  # type: ignore[no-untyped-def]
 
 
 @part
-def _write_change(arms, spot, x, y, z, turn_x, turn_y, turn_z, follows):  # type: ignore[no-untyped-def]
+def _write_change(arms, spot, x, y, z, turn_x, turn_y, turn_z):  # type: ignore[no-untyped-def]
     """Write the change of a load's wrench where its place moves by (x, y, z) and its body turns."""
     load, place, change = spot.load, spot.place, spot.change
     if len(arms.column) == 3:
         change[0] = change[1] = 0.0
         change[2] = x * load[0, 1] - y * load[0, 0]
-        if follows:
+        if spot.follows[0]:
             change[0], change[1] = -turn_z * load[0, 1], turn_z * load[0, 0]
             change[2] += place[0] * change[1] - place[1] * change[0]
         return
@@ -100,7 +103,7 @@ def _write_change(arms, spot, x, y, z, turn_x, turn_y, turn_z, follows):  # type
     change[3] = y * load[0, 2] - z * load[0, 1]
     change[4] = z * load[0, 0] - x * load[0, 2]
     change[5] = x * load[0, 1] - y * load[0, 0]
-    if follows:
+    if spot.follows[0]:
         change[0] = turn_y * load[0, 2] - turn_z * load[0, 1]
         change[1] = turn_z * load[0, 0] - turn_x * load[0, 2]
         change[2] = turn_x * load[0, 1] - turn_y * load[0, 0]
@@ -110,8 +113,8 @@ def _write_change(arms, spot, x, y, z, turn_x, turn_y, turn_z, follows):  # type
 
 
 @routine
-def _add(arms, spot, share, scale, portion, own, follows):  # type: ignore[no-untyped-def]
-    """Add a portion of a load: its wrench as it is, its changes times a scale; `own` adds those by the own twist."""
+def _add(arms, spot, share, scale, portion):  # type: ignore[no-untyped-def]
+    """Add a portion of a load: its wrench as it is, and its changes times a scale."""
     load, place, size = spot.load, spot.place, len(arms.column)
     factor = scale * portion
     if size == 3:
@@ -120,7 +123,7 @@ def _add(arms, spot, share, scale, portion, own, follows):  # type: ignore[no-un
         share.wrench[2] += portion * (load[1, 2] + place[0] * load[0, 1] - place[1] * load[0, 0])
         for c in range(3):
             x, y = (-place[1], place[0]) if c == 2 else (1.0 if c == 0 else 0.0, 1.0 if c == 1 else 0.0)
-            _write_change(arms, spot, x, y, 0.0, 0.0, 0.0, 1.0 if c == 2 else 0.0, follows)
+            _write_change(arms, spot, x, y, 0.0, 0.0, 0.0, 1.0 if c == 2 else 0.0)
             for r in range(3):
                 share.by_start[r, c] += factor * spot.change[r]
     else:
@@ -132,27 +135,27 @@ def _add(arms, spot, share, scale, portion, own, follows):  # type: ignore[no-un
         for c in range(6):
             e_x, e_y, e_z = 1.0 if c % 3 == 0 else 0.0, 1.0 if c % 3 == 1 else 0.0, 1.0 if c % 3 == 2 else 0.0
             if c < 3:
-                _write_change(arms, spot, e_x, e_y, e_z, 0.0, 0.0, 0.0, follows)
+                _write_change(arms, spot, e_x, e_y, e_z, 0.0, 0.0, 0.0)
             else:
                 x, y = e_y * place[2] - e_z * place[1], e_z * place[0] - e_x * place[2]
-                _write_change(arms, spot, x, y, e_x * place[1] - e_y * place[0], e_x, e_y, e_z, follows)
+                _write_change(arms, spot, x, y, e_x * place[1] - e_y * place[0], e_x, e_y, e_z)
             for r in range(6):
                 share.by_start[r, c] += factor * spot.change[r]
-    if own:
-        for c in range(len(arms.unknown)):
-            if size == 3:
-                _write_change(arms, spot, spot.slide[0, c], spot.slide[1, c], 0.0, 0.0, 0.0, spot.turn[0, c], follows)
-            else:
-                t_x, t_y, t_z = spot.turn[0, c], spot.turn[1, c], spot.turn[2, c]
-                s_x, s_y, s_z = spot.slide[0, c], spot.slide[1, c], spot.slide[2, c]
-                _write_change(arms, spot, s_x, s_y, s_z, t_x, t_y, t_z, follows)
-            for r in range(size):
-                share.by_own[r, c] += factor * spot.change[r]
+    for c in range(len(arms.unknown)):
+        if size == 3:
+            _write_change(arms, spot, spot.slide[0, c], spot.slide[1, c], 0.0, 0.0, 0.0, spot.turn[0, c])
+        else:
+            t_x, t_y, t_z = spot.turn[0, c], spot.turn[1, c], spot.turn[2, c]
+            s_x, s_y, s_z = spot.slide[0, c], spot.slide[1, c], spot.slide[2, c]
+            _write_change(arms, spot, s_x, s_y, s_z, t_x, t_y, t_z)
+        for r in range(size):
+            share.by_own[r, c] += factor * spot.change[r]
 
 
 @part
 def _take_load(arms, loads, spot, b, q, pose, i):  # type: ignore[no-untyped-def]
     """Write force and moment of a load at a pose, and its place."""
+    spot.follows[0] = loads.follows[q]
     wrench, offset = loads.wrench, loads.offset
     if len(arms.column) == 3:
         f_x, f_y = wrench[b, q, 0], wrench[b, q, 1]
@@ -176,11 +179,22 @@ def _take_load(arms, loads, spot, b, q, pose, i):  # type: ignore[no-untyped-def
             spot.load[0, k], spot.load[1, k] = wrench[b, q, k], wrench[b, q, 3 + k]
 
 
+@part
+def _clear_motion(arms, spot):  # type: ignore[no-untyped-def]
+    """The place moves, and its body turns, with the start of the element alone."""
+    for c in range(len(arms.unknown)):
+        for d in range(len(spot.place)):
+            spot.slide[d, c] = 0.0
+        for d in range(spot.turn.shape[0]):
+            spot.turn[d, c] = 0.0
+
+
 @routine
 def add_load_at_end(arms, loads, spot, share, b, q, pose, i, scale):  # type: ignore[no-untyped-def]
-    """Add a load that moves with the end of an element, the pose of row i."""
+    """Add a load that moves with the end of an element, the pose of row i, to what lies beyond that end."""
     _take_load(arms, loads, spot, b, q, pose, i)
-    _add(arms, spot, share, scale, 1.0, False, loads.follows[q])
+    _clear_motion(arms, spot)
+    _add(arms, spot, share, scale, 1.0)
 
 
 @part
@@ -205,44 +219,41 @@ def add_load_inside(arms, loads, room, b, q, i, twist, part_of_arc, scale):  # t
     about the origin, φ of the load at the place `p - p_{φ/2} + p_frame`.
     """
     spot, fraction = room.spot, loads.fraction[q]
-    size, dimension = len(arms.column), len(spot.place)
-    write_motion(arms, room.node, i, spot.pose, 0, spot.move, 0, twist, fraction * part_of_arc)
-    _take_load(arms, loads, spot, b, q, spot.pose, 0)
-    for c in range(len(arms.unknown)):
-        for d in range(dimension):
-            spot.slide[d, c] = 0.0
-        for d in range(size - dimension):
-            spot.turn[d, c] = spot.move[0, dimension + d, c]
-    _slide_of(arms, spot.slide, spot.move, 0, spot.place, 1.0)
-    _add(arms, spot, room.beyond, scale, 1.0, True, loads.follows[q])
-    if not loads.middle:
-        _add(arms, spot, room.section, scale, 1.0, True, loads.follows[q])
-        return
-    write_motion(arms, room.node, i, spot.pose, 1, spot.move, 1, twist, 0.5 * fraction * part_of_arc)
+    dimension = len(spot.place)
     first = spot.pose.shape[1] - dimension
-    _slide_of(arms, spot.slide, spot.move, 1, spot.pose[1, first:], -1.0)
+    _clear_motion(arms, spot)
+    for m in range(2 if loads.middle else 1):
+        share = fraction * part_of_arc if m == 0 else 0.5 * fraction * part_of_arc
+        write_motion(arms, room.node, i, spot.pose, m, spot.move, m, twist, share)
+        _slide_of(arms, spot.slide, spot.move, m, spot.pose[m, first:], 1.0 - 2.0 * m)
+        if m == 0:
+            _take_load(arms, loads, spot, b, q, spot.pose, m)
+            for c in range(len(arms.unknown)):
+                for d in range(spot.turn.shape[0]):
+                    spot.turn[d, c] = spot.move[m, dimension + d, c]
+            _add(arms, spot, room.beyond, scale, 1.0)
+    if not loads.middle:
+        _add(arms, spot, room.section, scale, 1.0)
+        return
     _slide_of(arms, spot.slide, room.half_move, i, room.frame[i, first:], 1.0)
     for d in range(dimension):
         spot.place[d] += room.frame[i, first + d] - spot.pose[1, first + d]
-    _add(arms, spot, room.section, scale, fraction, True, loads.follows[q])
+    _add(arms, spot, room.section, scale, fraction)
 
 
 @routine
 def add_own_weight(arms, loads, room, b, segment, i, twist, part_of_arc, scale):  # type: ignore[no-untyped-def]
     """Add an element's weight at its centroid, of which its section carries all, or at "middle" the outer half."""
-    spot, weight = room.spot, loads.weight[b, segment]
-    size, dimension = len(arms.column), len(spot.place)
+    spot = room.spot
     for k in range(3):
         spot.load[0, k] = spot.load[1, k] = 0.0
-    for c in range(len(arms.unknown)):
-        for d in range(size - dimension):
-            spot.turn[d, c] = 0.0
-    spot.load[0, 1] = -weight
+    spot.load[0, 1], spot.follows[0] = -loads.weight[b, segment], False
+    _clear_motion(arms, spot)
     write_centroid(arms, room.node, i, spot.place, spot.slide, twist, part_of_arc)
-    _add(arms, spot, room.beyond, scale, 1.0, True, False)
+    _add(arms, spot, room.beyond, scale, 1.0)
     if not loads.middle:
-        _add(arms, spot, room.section, scale, 1.0, True, False)
+        _add(arms, spot, room.section, scale, 1.0)
         return
     write_centroid(arms, room.frame, i, spot.place, spot.slide, twist, 0.5 * part_of_arc)
     _slide_of(arms, spot.slide, room.half_move, i, spot.place, 1.0)
-    _add(arms, spot, room.section, scale, 0.5, True, False)
+    _add(arms, spot, room.section, scale, 0.5)

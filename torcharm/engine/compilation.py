@@ -40,6 +40,11 @@ def routine(function: F) -> F:
     return _compiled(function, cache=False, _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
+def spliced(function: F) -> F:
+    """A part of kernels whose source is put where it is called, and compiled with that: saves compiling it alone."""
+    return _compiled(function, cache=False, _nrt=False, inline="always")
+
+
 def part(function: F) -> F:
     """A part of kernels, compiled into each place that calls it."""
     return _compiled(
@@ -47,7 +52,7 @@ def part(function: F) -> F:
     )
 
 
-def _compiled(function: F, **options: bool) -> F:
+def _compiled(function: F, **options: Any) -> F:
     import numba
 
     from torcharm.engine.code_cache import guard

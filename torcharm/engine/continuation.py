@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torcharm.engine.arms import Arms
-from torcharm.engine.compilation import kernel, part, routine
+from torcharm.engine.compilation import kernel, part, routine, spliced
 from torcharm.engine.newton_step import factor_section, first_angular, solve, write_balance, write_shape
 from torcharm.engine.sections import set_pressure, write_rates, write_section
 from torcharm.statics.balance import RIGID
@@ -52,10 +52,13 @@ goes to the equilibrium that it would roll into."""
 WARM_DAMPING = 1e-3
 """The same from a warm start: next to Newton's step."""
 UPHILL = 1.5
-"""Times the last imbalance: a pseudo-transient step that led to more was too long."""
+"""Times the last imbalance: a pseudo-transient step that led to more was too long, and the next one is damped more."""
 STIFF_STRAIN = 1e-4
 """The strain whose force counts as load, where it is more than the loads themselves: so that a tolerance of 1e-10 of
 the load is never below the rounding of a strain, 1e-16, times the stiffness."""
+
+STIFFEST = 1e-9 * RIGID
+"""Stiffness [N·m] that is not an arm's own but stands for a direction in which it is rigid."""
 
 CONTINUED, SNAPPED, WARM, FAILED = range(4)
 """How an equilibrium was reached: along one branch; from its end, by a snap; from a warm start; or not."""
@@ -81,14 +84,18 @@ class Path(NamedTuple):
     Attributes:
         trial, base: (N, K) twists of an attempt, and of the last equilibrium.
         tangent, bend: (N, C) change of the unknowns by the factor there, and half its slope.
-        change: (2, N, C) a Newton step, and the tangent.
+        newton: (N, C) Newton's step.
+        ahead: (N, C) the tangent at the trial.
+        loaded: (1,) whether the load acts; without it one element stands for each segment.
     """
 
     trial: Array
     base: Array
     tangent: Array
     bend: Array
-    change: Array
+    newton: Array
+    ahead: Array
+    loaded: Array
 
 
 class Found(NamedTuple):
@@ -99,41 +106,43 @@ class Found(NamedTuple):
         residual: (B,) the largest imbalance of an element: forces, and moments over the length, over the load scale.
         reached: (B,) CONTINUED, SNAPPED, WARM or FAILED.
         pivots: (B, 2) numbers of positive pivots of J, and of zero ones.
+        scale: (B, 2) by which imbalances of forces [N] and of moments [N·m] are measured.
     """
 
     twists: Array
     residual: Array
     reached: Array
     pivots: Array
+    scale: Array
 
 
 def make_path(arms: Arms) -> Path:
     """Room for one arm's path."""
     nodes, size, columns = arms.first_node[-1], len(arms.column), len(arms.unknown)
-    return Path(*np.zeros((2, nodes, size)), *np.zeros((2, nodes, columns)), np.zeros((2, nodes, columns)))
+    return Path(*np.zeros((2, nodes, size)), *np.zeros((4, nodes, columns)), np.zeros(1, dtype=np.bool_))
 
 
-@part
-def elements_under_way(arms, segment, loaded):  # type: ignore[no-untyped-def]
+@spliced
+def elements_under_way(arms, path, segment):  # type: ignore[no-untyped-def]
     """The first of a segment's elements, and the one after its last; without load one stands for all."""
     first = arms.first_node[segment]
-    return first, arms.first_node[segment + 1] if loaded else first + 1
+    return first, arms.first_node[segment + 1] if path.loaded[0] else first + 1
 
 
 @routine
-def write_step(arms, loads, room, path, b, factor, loaded, linear_shift, angular_shift):  # type: ignore[no-untyped-def]
+def write_step(arms, loads, room, path, b, factor, linear_shift, angular_shift):  # type: ignore[no-untyped-def]
     """Write the residual and Newton's step at the trial, with a shift on the diagonal of J.
 
     Args:
         factor: λ on the loads; without load on nothing: the pressures must be set.
         linear_shift, angular_shift: as of `write_balance`.
     """
-    if loaded:
+    if path.loaded[0]:
         write_shape(arms, loads, room, b, path.trial, False)
         write_balance(arms, loads, room, b, path.trial, factor, linear_shift, angular_shift)
     else:
         room.pivots[0] = room.pivots[1] = 0
-        room.sections.stiffness[0] = 0.0
+        room.sections.stiffness[0] = room.sections.stiffness[1] = 0.0
         for segment in range(len(arms.first_node) - 1):
             i = arms.first_node[segment]
             write_section(arms, room.drive, room.sections, b, segment, i, path.trial)
@@ -141,76 +150,83 @@ def write_step(arms, loads, room, path, b, factor, loaded, linear_shift, angular
                 room.residual[i, c] = room.sections.reaction[i, c]
             factor_section(arms, room, i, linear_shift, angular_shift)
     for segment in range(len(arms.first_node) - 1):
-        first, last = elements_under_way(arms, segment, loaded)
+        first, last = elements_under_way(arms, path, segment)
         for i in range(first, last):
             for c in range(len(arms.unknown)):
-                path.change[0, i, c] = -room.residual[i, c]
-    _solve(arms, loads, room, path, 0, loaded)
+                path.newton[i, c] = -room.residual[i, c]
+    _solve(arms, loads, room, path, path.newton)
 
 
-@part
-def _solve(arms, loads, room, path, x, loaded):  # type: ignore[no-untyped-def]
-    if loaded:
-        solve(arms, loads, room, path.change, x)
+@spliced
+def _solve(arms, loads, room, path, change):  # type: ignore[no-untyped-def]
+    if path.loaded[0]:
+        solve(arms, loads, room, change)
         return
     matrix, columns = room.factor, len(arms.unknown)
     for segment in range(len(arms.first_node) - 1):
         i = arms.first_node[segment]
         for c in range(columns):
             for e in range(c):
-                path.change[x, i, c] -= matrix[i, c, e] * path.change[x, i, e]
+                change[i, c] -= matrix[i, c, e] * change[i, e]
         for c in range(columns - 1, -1, -1):
             for e in range(c + 1, columns):
-                path.change[x, i, c] -= matrix[i, c, e] * path.change[x, i, e]
-            path.change[x, i, c] *= matrix[i, c, c]
+                change[i, c] -= matrix[i, c, e] * change[i, e]
+            change[i, c] *= matrix[i, c, c]
 
 
 @routine
-def write_tangent(arms, loads, room, path, pressures, b, loaded):  # type: ignore[no-untyped-def]
+def write_tangent(arms, loads, room, path, pressures, b):  # type: ignore[no-untyped-def]
     """Write the change of the unknowns by the factor on the load, or without load on the pressure."""
     for segment in range(len(arms.first_node) - 1):
-        first, last = elements_under_way(arms, segment, loaded)
-        if not loaded:
+        first, last = elements_under_way(arms, path, segment)
+        if not path.loaded[0]:
             write_rates(arms, room.drive, room.sections, b, segment, first, path.trial)
         for i in range(first, last):
             for c in range(len(arms.unknown)):
                 rate = 0.0
-                if loaded:
+                if path.loaded[0]:
                     rate = room.carried[i, c]
                 else:
                     for a in range(arms.first_actuator[segment], arms.first_actuator[segment + 1]):
                         rate += room.sections.rate[i, c, a] * pressures[b, a]
-                path.change[1, i, c] = -rate
-    _solve(arms, loads, room, path, 1, loaded)
+                path.ahead[i, c] = -rate
+    _solve(arms, loads, room, path, path.ahead)
 
 
-@part
-def imbalance(arms, scale, room, b, loaded):  # type: ignore[no-untyped-def]
-    """The largest residual: forces, and moments over the arm's length, over the load scale. NaN if one is."""
+@spliced
+def _scales(scale, room, b):  # type: ignore[no-untyped-def]
+    """By what imbalances of forces and of moments are measured."""
+    force = max(scale.load[b], STIFF_STRAIN * room.sections.stiffness[0])
+    return force, max(scale.load[b] * scale.length[b], STIFF_STRAIN * room.sections.stiffness[1])
+
+
+@spliced
+def imbalance(arms, scale, room, path, b):  # type: ignore[no-untyped-def]
+    """The largest residual: of forces over the load scale, of moments over that times the length. NaN if one is."""
     most = 0.0
+    force_scale, moment_scale = _scales(scale, room, b)
     for segment in range(len(arms.first_node) - 1):
-        first, last = elements_under_way(arms, segment, loaded)
+        first, last = elements_under_way(arms, path, segment)
         for i in range(first, last):
             for c in range(len(arms.unknown)):
                 size = abs(room.residual[i, c])
-                if arms.unknown[c] >= first_angular(arms):
-                    size /= scale.length[b]
+                size /= force_scale if arms.unknown[c] < first_angular(arms) else moment_scale
                 if not size <= most:  # takes a NaN, and keeps it
                     most = size
-    return most / max(scale.load[b], STIFF_STRAIN * room.sections.stiffness[0])
+    return most
 
 
 @part
-def move_size(arms, scale, path, b, x, loaded):  # type: ignore[no-untyped-def]
+def move_size(arms, scale, path, b, change):  # type: ignore[no-untyped-def]
     """The size of a change of the unknowns: headings along the arm [rad], or three times the strains."""
     turn_x = turn_y = turn_z = heading = stretch = bend = 0.0
-    angular, change = first_angular(arms), path.change
+    angular = first_angular(arms)
     for segment in range(len(arms.first_node) - 1):
-        first, last = elements_under_way(arms, segment, loaded)
+        first, last = elements_under_way(arms, path, segment)
         share = 1.0 / (last - first)
         for i in range(first, last):
             for c in range(len(arms.unknown)):
-                value = change[x, i, c]
+                value = change[i, c]
                 if arms.unknown[c] < angular:
                     stretch = max(stretch, abs(value))
                     continue
@@ -226,17 +242,17 @@ def move_size(arms, scale, path, b, x, loaded):  # type: ignore[no-untyped-def]
     return size if math.isfinite(stretch + bend + turn_x + turn_y + turn_z) else math.nan
 
 
-@part
-def _move(arms, path, factor, loaded):  # type: ignore[no-untyped-def]
+@spliced
+def _move(arms, path, factor):  # type: ignore[no-untyped-def]
     """Add a factor times Newton's step to the trial."""
     for segment in range(len(arms.first_node) - 1):
-        first, last = elements_under_way(arms, segment, loaded)
+        first, last = elements_under_way(arms, path, segment)
         for i in range(first, last):
             for c in range(len(arms.unknown)):
-                path.trial[i, arms.unknown[c]] += factor * path.change[0, i, c]
+                path.trial[i, arms.unknown[c]] += factor * path.newton[i, c]
 
 
-@part
+@spliced
 def _branch(loads, room):  # type: ignore[no-untyped-def]
     """What stays the same along a branch: the number of unstable directions; with following loads, whether it is odd."""
     for q in range(len(loads.follows)):
@@ -245,7 +261,7 @@ def _branch(loads, room):  # type: ignore[no-untyped-def]
     return room.pivots[0]
 
 
-@part
+@spliced
 def _copy_twists(out, given):  # type: ignore[no-untyped-def]
     for i in range(out.shape[0]):
         for c in range(out.shape[1]):
@@ -253,53 +269,54 @@ def _copy_twists(out, given):  # type: ignore[no-untyped-def]
 
 
 @routine
-def follow(arms, loads, scale, pressures, room, path, b, loaded, tolerance):  # type: ignore[no-untyped-def]
+def follow(arms, loads, scale, pressures, room, path, b, tolerance):  # type: ignore[no-untyped-def]
     """Follow the branch of the trial from nothing to all of the load, or of the pressure; returns whether it arrives.
 
     The trial takes the last equilibrium on the branch. With load, the pressures must be set.
     """
-    columns, ease = len(arms.unknown), 1.0 if loaded else UNLOADED
+    columns, loaded = len(arms.unknown), path.loaded[0]
+    ease = 1.0 if loaded else UNLOADED
     at, aim, step, branch, started = 0.0, 0.0, FIRST_LOAD_STEP if loaded else FIRST_PRESSURE_STEP, 0, False
     corrections, first_size, ratio, moved = 0, 0.0, 0.0, 0.0
     _copy_twists(path.base, path.trial)
     for _ in range(MOST_EVALUATIONS):
         if not loaded:
             set_pressure(arms, room.drive, pressures, b, aim)
-        write_step(arms, loads, room, path, b, aim, loaded, 0.0, 0.0)
-        size = move_size(arms, scale, path, b, 0, loaded)
+        write_step(arms, loads, room, path, b, aim, 0.0, 0.0)
+        size = move_size(arms, scale, path, b, path.newton)
         if corrections == 0:
             first_size = size
         elif corrections == 1:
             ratio = size / max(first_size, 1e-300)
         there = size <= ease * SMALL_MOVE
         if aim >= 1.0:
-            there = imbalance(arms, scale, room, b, loaded) <= tolerance
+            there = imbalance(arms, scale, room, path, b) <= tolerance
         if not there:
             moved += size
         trusted = ratio < CONTRACTION or moved < ease * SMALL_MOVE
         same = not started or _branch(loads, room) == branch
         if there and trusted and same and math.isfinite(size):
-            _move(arms, path, 1.0, loaded)
+            _move(arms, path, 1.0)
             _copy_twists(path.base, path.trial)
             if aim >= 1.0:
                 return True
-            write_tangent(arms, loads, room, path, pressures, b, loaded)
+            write_tangent(arms, loads, room, path, pressures, b)
             taken, started_before = aim - at if started else step, started
             half = 0.5 / max(taken, 1e-12)
             for i in range(path.tangent.shape[0]):
                 for c in range(columns):
-                    new = path.change[1, i, c]
+                    new = path.ahead[i, c]
                     path.bend[i, c] = (new - path.tangent[i, c]) * half if started else 0.0
                     path.tangent[i, c] = new
             at, branch, started = aim, _branch(loads, room), True
             stretch = min(max((ease * AIMED_MOVE / max(first_size, 1e-12)) ** (1 / 3), 0.3), 4.0)
             step = taken * stretch if started_before else taken
-            speed = move_size(arms, scale, path, b, 1, loaded)
+            speed = move_size(arms, scale, path, b, path.ahead)
             if not math.isfinite(speed):
                 break
             step = min(step, LARGEST_MOVE / max(speed, 1e-12))
         elif not there and trusted and moved < LARGEST_MOVE and corrections < CORRECTIONS:
-            _move(arms, path, 1.0, loaded)
+            _move(arms, path, 1.0)
             corrections += 1
             continue
         else:
@@ -319,52 +336,52 @@ def follow(arms, loads, scale, pressures, room, path, b, loaded, tolerance):  # 
     return False
 
 
-@part
-def _own_stiffness(arms, room, loaded, angular):  # type: ignore[no-untyped-def]
-    """The largest slope of a section's reaction by its own unknown, of linear or of angular components."""
-    most, size = 1e-9, room.sections.slope
+@spliced
+def _own_stiffness(arms, room, path):  # type: ignore[no-untyped-def]
+    """The largest slopes of sections' reactions by their own unknowns, of linear and of angular components."""
+    linear = angular = 1e-9
     for segment in range(len(arms.first_node) - 1):
-        first, last = elements_under_way(arms, segment, loaded)
+        first, last = elements_under_way(arms, path, segment)
         for i in range(first, last):
             for c in range(len(arms.unknown)):
-                if (arms.unknown[c] >= first_angular(arms)) == angular and abs(size[i, c, c]) < 1e-9 * RIGID:
-                    most = max(most, abs(size[i, c, c]))
-    return most
+                size = abs(room.sections.slope[i, c, c])
+                if arms.unknown[c] < first_angular(arms):
+                    linear = max(linear, size)
+                elif size < STIFFEST:
+                    angular = max(angular, size)
+    return linear, angular
 
 
 @routine
-def come_to_rest(arms, loads, scale, room, path, b, loaded, damping, tolerance):  # type: ignore[no-untyped-def]
+def come_to_rest(arms, loads, scale, room, path, b, damping, tolerance):  # type: ignore[no-untyped-def]
     """Follow the trial by pseudo-transient continuation under all of the load; returns whether it comes to rest.
 
     The pressures must be set. A step is held to half of a move of size 1.
     """
-    amount, last = 2.5 * damping, math.inf
-    factor = 1.0 if loaded else 0.0
-    write_step(arms, loads, room, path, b, factor, loaded, 0.0, 0.0)
-    for _ in range(TRANSIENT_STEPS):
-        miss = imbalance(arms, scale, room, b, loaded)
+    amount, last, linear, angular, turned_back = damping, math.inf, 0.0, 0.0, True
+    factor = 1.0 if path.loaded[0] else 0.0
+    for _ in range(2 * TRANSIENT_STEPS):
+        write_step(arms, loads, room, path, b, factor, amount * linear, amount * angular)
+        miss = imbalance(arms, scale, room, path, b)
         if miss <= tolerance:
-            _move(arms, path, 1.0, loaded)
+            _move(arms, path, 1.0)
             return True
-        if not math.isfinite(miss):
+        size = move_size(arms, scale, path, b, path.newton)
+        if not (math.isfinite(miss) and math.isfinite(size)):
             return False
-        amount = min(max(amount * 4.0 if miss > UPHILL * last else amount * 0.4, 1e-12), 1e6)
-        linear, angular = _own_stiffness(arms, room, loaded, False), _own_stiffness(arms, room, loaded, True)
-        write_step(arms, loads, room, path, b, factor, loaded, amount * linear, amount * angular)
-        size = move_size(arms, scale, path, b, 0, loaded)
-        if not math.isfinite(size):
-            return False
-        if size > 0.5:
-            amount *= 2.0
-        _move(arms, path, min(0.5 / max(size, 1e-12), 1.0), loaded)
-        last = miss
-        write_step(arms, loads, room, path, b, factor, loaded, 0.0, 0.0)
+        first, uphill = linear == 0.0, miss > UPHILL * last
+        linear, angular = _own_stiffness(arms, room, path)
+        if first or (uphill and not turned_back):  # the same step again, with more damping
+            amount, turned_back = amount * (1.0 if first else 10.0), not first
+            continue
+        amount, turned_back, last = min(max(amount * (0.8 if size > 0.5 else 0.4), 1e-12), 1e6), False, miss
+        _move(arms, path, min(0.5 / max(size, 1e-12), 1.0))
     return False
 
 
-@routine
-def rest_unloaded(arms, loads, scale, pressures, room, path, b, tolerance):  # type: ignore[no-untyped-def]
-    """Continue the arm without load from no pressure to all of it; returns whether along one branch, or at all."""
+@spliced
+def _begin(arms, room, path, pressures, b):  # type: ignore[no-untyped-def]
+    """Begin with straight segments of their mean neutral lengths, without pressure or load."""
     for segment in range(len(arms.first_node) - 1):
         first, total = arms.first_node[segment], 0.0
         for c in range(len(arms.column)):
@@ -373,40 +390,55 @@ def rest_unloaded(arms, loads, scale, pressures, room, path, b, tolerance):  # t
             total += arms.neutral[b, a]
         path.trial[first, 0] = total / (arms.first_actuator[segment + 1] - arms.first_actuator[segment])
     set_pressure(arms, room.drive, pressures, b, 0.0)
-    write_step(arms, loads, room, path, b, 0.0, False, 0.0, 0.0)
-    rests = imbalance(arms, scale, room, b, False) <= tolerance
-    if not rests:
-        rests = come_to_rest(arms, loads, scale, room, path, b, False, TRANSIENT_DAMPING, tolerance)
-    along = follow(arms, loads, scale, pressures, room, path, b, False, tolerance) and rests
-    set_pressure(arms, room.drive, pressures, b, 1.0)
-    if not along:  # where a force model jumps, say
-        come_to_rest(arms, loads, scale, room, path, b, False, TRANSIENT_DAMPING, tolerance)
+    path.loaded[0] = False
+
+
+@spliced
+def _take_load(arms, path):  # type: ignore[no-untyped-def]
+    """From one element a segment to all of them, for the load."""
     for segment in range(len(arms.first_node) - 1):
         first, last = arms.first_node[segment], arms.first_node[segment + 1]
         for i in range(first + 1, last):
             for c in range(len(arms.column)):
                 path.trial[i, c] = path.trial[first, c]
-    return along
+    path.loaded[0] = True
 
 
-@routine
+@spliced
 def find_equilibrium(arms, loads, scale, pressures, start, room, path, b, tolerance):  # type: ignore[no-untyped-def]
     """Write the equilibrium of arm b as the trial; returns how it was reached.
+
+    A warm start goes first, then rest without pressure, then the pressure, then the load. What cannot be followed comes
+    to rest where it should have arrived.
 
     Args:
         start: (B, N, K) twists of warm starts; of no arms where there are none.
     """
-    if len(start):
-        set_pressure(arms, room.drive, pressures, b, 1.0)
-        _copy_twists(path.trial, start[b])
-        if come_to_rest(arms, loads, scale, room, path, b, True, WARM_DAMPING, tolerance):
+    along, arrived = True, False
+    for stage in range(0 if len(start) else 1, 4):
+        if stage == 0:
+            set_pressure(arms, room.drive, pressures, b, 1.0)
+            _copy_twists(path.trial, start[b])
+            path.loaded[0] = True
+        elif stage == 1:
+            _begin(arms, room, path, pressures, b)
+        else:
+            arrived = follow(arms, loads, scale, pressures, room, path, b, tolerance)
+            along = along and arrived
+        if stage == 2:
+            set_pressure(arms, room.drive, pressures, b, 1.0)
+        if stage < 2 or not arrived:
+            damping = WARM_DAMPING if stage == 0 else TRANSIENT_DAMPING
+            arrived = come_to_rest(arms, loads, scale, room, path, b, damping, tolerance)
+        if stage == 0 and arrived:
             return WARM
-    along = rest_unloaded(arms, loads, scale, pressures, room, path, b, tolerance)
-    if follow(arms, loads, scale, pressures, room, path, b, True, tolerance):
-        return CONTINUED if along else SNAPPED
-    if come_to_rest(arms, loads, scale, room, path, b, True, TRANSIENT_DAMPING, tolerance):
-        return SNAPPED
-    return FAILED
+        if stage == 1:
+            along = arrived
+        elif stage == 2:
+            _take_load(arms, path)
+    if not arrived:
+        return FAILED
+    return CONTINUED if along else SNAPPED
 
 
 @kernel
@@ -421,7 +453,8 @@ def find_equilibria(arms, loads, scale, pressures, start, tolerance, first, last
     """
     for b in range(first, last):
         found.reached[b] = find_equilibrium(arms, loads, scale, pressures, start, room, path, b, tolerance)
-        write_step(arms, loads, room, path, b, 1.0, True, 0.0, 0.0)
-        found.residual[b] = imbalance(arms, scale, room, b, True)
+        write_step(arms, loads, room, path, b, 1.0, 0.0, 0.0)
+        found.residual[b] = imbalance(arms, scale, room, path, b)
         found.pivots[b, 0], found.pivots[b, 1] = room.pivots[0], room.pivots[1]
+        found.scale[b, 0], found.scale[b, 1] = _scales(scale, room, b)
         _copy_twists(found.twists[b], path.trial)

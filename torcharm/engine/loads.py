@@ -45,7 +45,7 @@ def loads_of(
             if link is not None and bool((link.mass != 0).any()):
                 places.append(_link(link, sum(nodes[: index + 1]) - 1, size))
     places.sort(key=lambda place: (place.element, place.fraction))
-    count, dimension = int(np.prod(batch, dtype=int)), arm.dimension
+    count, dimension = math.prod(batch), arm.dimension
     wrench, offset = np.zeros((count, len(places), size)), np.zeros((count, len(places), dimension))
     for q, place in enumerate(places):
         wrench[:, q] = _flat(place.wrench, batch)
@@ -114,4 +114,4 @@ def _weight(mass: Tensor, size: int) -> Tensor:
 
 def _flat(value: Tensor, batch: tuple[int, ...]) -> Array:
     """A tensor (*#batch, K) as (B, K)."""
-    return numbers(value.expand(*batch, value.shape[-1]).reshape(-1, value.shape[-1]))
+    return numbers(value.expand(*batch, value.shape[-1]).reshape(math.prod(batch), value.shape[-1]))

@@ -31,7 +31,7 @@ from torcharm.engine.carried_load import (
     make_share,
     make_spot,
 )
-from torcharm.engine.compilation import part, routine
+from torcharm.engine.compilation import part, spliced
 from torcharm.engine.elements import write_lever, write_link, write_motion
 from torcharm.engine.sections import (
     Drive,
@@ -120,7 +120,7 @@ def make_room(arms: Arms) -> Room:
     )
 
 
-@routine
+@spliced
 def write_shape(arms, loads, room, b, twist, slopes):  # type: ignore[no-untyped-def]
     """Write poses and motions, and the sections' reactions at their pressures, for twists (N, K).
 
@@ -129,7 +129,7 @@ def write_shape(arms, loads, room, b, twist, slopes):  # type: ignore[no-untyped
     """
     for k in range(loads.base.shape[1]):
         room.node[0, k] = loads.base[b, k]
-    room.sections.stiffness[0] = 0.0
+    room.sections.stiffness[0] = room.sections.stiffness[1] = 0.0
     for segment in range(len(arms.first_node) - 1):
         first, last = arms.first_node[segment], arms.first_node[segment + 1]
         share = 1.0 / (last - first)
@@ -157,7 +157,7 @@ def first_loaded_row(arms, loads):  # type: ignore[no-untyped-def]
     return 2 if len(arms.column) == 3 else 3
 
 
-@routine
+@spliced
 def write_balance(arms, loads, room, b, twist, factor, linear_shift, angular_shift):  # type: ignore[no-untyped-def]
     """Write the residual, and factor its slope J less a shift on its diagonal, where `write_shape` was before.
 
@@ -355,39 +355,39 @@ def _eliminate(arms, room, i, first_row):  # type: ignore[no-untyped-def]
             room.spread[r, k] = total
 
 
-@routine
-def solve(arms, loads, room, change, x):  # type: ignore[no-untyped-def]
-    """Replace right-hand side x of `change` (X, N, C) by `J⁻¹` times it; J as factored by `write_balance`."""
-    size, columns, nodes = len(arms.column), len(arms.unknown), change.shape[1]
+@spliced
+def solve(arms, loads, room, change):  # type: ignore[no-untyped-def]
+    """Replace a right-hand side (N, C) by `J⁻¹` times it; J as factored by `write_balance`."""
+    size, columns, nodes = len(arms.column), len(arms.unknown), change.shape[0]
     first_row, matrix, total = first_loaded_row(arms, loads), room.factor, room.sum
     for r in range(size):
         total[r] = 0.0
     for i in range(nodes - 1, -1, -1):
         for c in range(columns):
-            right = change[x, i, c]
+            right = change[i, c]
             for r in range(first_row, size):
                 right -= room.lever[i, r, c] * total[r]
             for e in range(c):
-                right -= matrix[i, c, e] * change[x, i, e]
-            change[x, i, c] = right
+                right -= matrix[i, c, e] * change[i, e]
+            change[i, c] = right
         for c in range(columns - 1, -1, -1):
-            right = change[x, i, c]
+            right = change[i, c]
             for e in range(c + 1, columns):
-                right -= matrix[i, c, e] * change[x, i, e]
+                right -= matrix[i, c, e] * change[i, e]
             right *= matrix[i, c, c]
-            change[x, i, c] = right
+            change[i, c] = right
             for r in range(first_row, size):
                 total[r] += room.pull[i, r, c] * right
     for r in range(size):
         total[r] = 0.0
     for i in range(nodes):
         for c in range(columns):
-            right = change[x, i, c]
+            right = change[i, c]
             for k in range(size):
                 right -= room.feed[i, c, k] * total[k]
-            change[x, i, c] = right
+            change[i, c] = right
         for k in range(size):
             moved = total[k]
             for c in range(columns):
-                moved += room.move[i, k, c] * change[x, i, c]
+                moved += room.move[i, k, c] * change[i, c]
             total[k] = moved

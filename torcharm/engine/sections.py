@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torcharm.engine.arms import Arms
-from torcharm.engine.compilation import part
-from torcharm.engine.forces import _TRACE, POLYNOMIAL, muscle
+from torcharm.engine.compilation import part, routine
+from torcharm.engine.forces import _TRACE, MUSCLE, POLYNOMIAL, muscle
+from torcharm.engine.tables import BENDING_CELLS, CURVIEST
+from torcharm.statics.cross_section import STRAIGHT
 
 Array = NDArray[Any]
 
@@ -29,6 +31,7 @@ class Drive(NamedTuple):
         row_slope: (M, I) the same, differentiated by pressure [N/kPa].
         pressure, log_pressure: (M,) of pressures [kPa].
         bending: (M,) bending stiffness [N·m²].
+        level: (M, E, 4) of sampled models, at the strains of their grids: f, its slope by strain, and both by pressure.
     """
 
     row: Array
@@ -36,6 +39,7 @@ class Drive(NamedTuple):
     pressure: Array
     log_pressure: Array
     bending: Array
+    level: Array
 
 
 class Sections(NamedTuple):
@@ -45,7 +49,7 @@ class Sections(NamedTuple):
         reaction: (N, C) [N, N·m].
         slope: (N, C, C) by the element's own unknowns.
         rate: (N, C, M) by pressures; zero for the actuators of other segments.
-        stiffness: (1,) the largest sum over a section's actuators of |∂f/∂ε| [N].
+        stiffness: (2,) the largest sums over a section's actuators of |∂f/∂ε| [N], and of that times the offset [N·m].
     """
 
     reaction: Array
@@ -57,13 +61,14 @@ class Sections(NamedTuple):
 def make_drive(arms: Arms) -> Drive:
     """Room for the actuators of one arm."""
     count, powers = len(arms.models.kind), arms.models.table.shape[2]
-    return Drive(np.zeros((count, powers)), np.zeros((count, powers)), *np.zeros((3, count)))
+    level = np.zeros((count if (arms.tables.force >= 0).any() else 0, arms.tables.strain.shape[1], 4))
+    return Drive(np.zeros((count, powers)), np.zeros((count, powers)), *np.zeros((3, count)), level)
 
 
 def make_sections(arms: Arms) -> Sections:
     """Room for the sections of one arm."""
     nodes, size, count = arms.first_node[-1], len(arms.unknown), len(arms.models.kind)
-    return Sections(np.zeros((nodes, size)), np.zeros((nodes, size, size)), np.zeros((nodes, size, count)), np.zeros(1))
+    return Sections(np.zeros((nodes, size)), np.zeros((nodes, size, size)), np.zeros((nodes, size, count)), np.zeros(2))
 
 
 @part
@@ -81,8 +86,74 @@ def set_pressure(arms, drive, pressures, b, factor):  # type: ignore[no-untyped-
                     slope = slope * p + total
                     total = total * p + table[a, j, i]
                 drive.row[a, i], drive.row_slope[a, i] = total, slope
-        else:
+        elif arms.models.kind[a] == MUSCLE:
             drive.log_pressure[a] = math.log(max(p, _TRACE))
+        else:
+            _set_level(arms.tables, drive.level, a, p)
+
+
+@part
+def _cell(knots, s, value):  # type: ignore[no-untyped-def]
+    """The cell of row s of a grid that holds a value, or is nearest to it, by bisection."""
+    low, high = 0, knots.shape[1] - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if knots[s, middle] <= value and knots[s, middle] < knots[s, knots.shape[1] - 1]:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@part
+def _between(x, width, f0, d0, f1, d1):  # type: ignore[no-untyped-def]
+    """Value and slope at x of the cubic with values and slopes at 0 and at a width; beyond both, of its tangents."""
+    if x <= 0.0:
+        return f0 + d0 * x, d0
+    if x >= width:
+        return f1 + d1 * (x - width), d1
+    rise = (f1 - f0) / width
+    c = (3.0 * rise - 2.0 * d0 - d1) / width
+    d = (d0 + d1 - 2.0 * rise) / (width * width)
+    return f0 + x * (d0 + x * (c + x * d)), d0 + x * (2.0 * c + 3.0 * x * d)
+
+
+@routine
+def _set_level(tables, level, a, p):  # type: ignore[no-untyped-def]
+    """Write a sampled model's values at its strains at one pressure."""
+    s = tables.force[a]
+    j = _cell(tables.pressure, s, p)
+    x, width = p - tables.pressure[s, j], tables.pressure[s, j + 1] - tables.pressure[s, j]
+    value = tables.value
+    for e in range(tables.strain.shape[1]):
+        for k in range(2):
+            f, slope = _between(
+                x, width, value[s, e, j, k], value[s, e, j, 2 + k], value[s, e, j + 1, k], value[s, e, j + 1, 2 + k]
+            )
+            level[a, e, k], level[a, e, 2 + k] = f, slope
+
+
+@part
+def _at_level(tables, level, a, strain, k):  # type: ignore[no-untyped-def]
+    """Columns k and k + 1 of `level` between its strains."""
+    s = tables.force[a]
+    e = _cell(tables.strain, s, strain)
+    x, width = strain - tables.strain[s, e], tables.strain[s, e + 1] - tables.strain[s, e]
+    return _between(x, width, level[a, e, k], level[a, e, k + 1], level[a, e + 1, k], level[a, e + 1, k + 1])
+
+
+@part
+def bending_moment(tables, a, curvature, rest, pressure):  # type: ignore[no-untyped-def]
+    """`rest τ_0 + pressure τ_1` of a sampled bending law at a material curvature, and its slope."""
+    cells = BENDING_CELLS / (2.0 * CURVIEST)
+    at = (curvature + CURVIEST) * cells
+    j = int(min(max(at, 0.0), BENDING_CELLS - 1.0)) if at == at else 0
+    x, width, value, t = curvature + CURVIEST - j / cells, 1.0 / cells, tables.moment, tables.bent[a]
+    f0 = rest * value[t, j, 0] + pressure * value[t, j, 2]
+    d0 = rest * value[t, j, 1] + pressure * value[t, j, 3]
+    f1 = rest * value[t, j + 1, 0] + pressure * value[t, j + 1, 2]
+    d1 = rest * value[t, j + 1, 1] + pressure * value[t, j + 1, 3]
+    return _between(x, width, f0, d0, f1, d1)
 
 
 @part
@@ -94,6 +165,8 @@ def axial_force(arms, drive, a, strain):  # type: ignore[no-untyped-def]
             slope = slope * strain + total
             total = total * strain + drive.row[a, i]
         return total, slope
+    if arms.models.kind[a] != MUSCLE:
+        return _at_level(arms.tables, drive.level, a, strain, 0)
     pull, slope, _ = muscle(strain, drive.pressure[a], drive.log_pressure[a])
     return -arms.models.scale[a] * pull, -arms.models.scale[a] * slope
 
@@ -106,6 +179,9 @@ def axial_force_rate(arms, drive, a, strain):  # type: ignore[no-untyped-def]
         for i in range(drive.row.shape[1] - 1, -1, -1):
             total = total * strain + drive.row_slope[a, i]
         return total
+    if arms.models.kind[a] != MUSCLE:
+        rate, _ = _at_level(arms.tables, drive.level, a, strain, 2)
+        return rate
     _, _, rate = muscle(strain, drive.pressure[a], drive.log_pressure[a])
     return -arms.models.scale[a] * rate
 
@@ -131,13 +207,14 @@ def write_section(arms, drive, sections, b, segment, i, twist):  # type: ignore[
 @part
 def _planar_section(arms, drive, sections, b, segment, i, twist):  # type: ignore[no-untyped-def]
     length, curvature = twist[i, 0], twist[i, 2]
-    force = moment = f_l = f_k = m_l = m_k = stiff = 0.0
+    force = moment = f_l = f_k = m_l = m_k = stiff = stiff_moment = 0.0
     for a in range(arms.first_actuator[segment], arms.first_actuator[segment + 1]):
         r, neutral = arms.y[b, a], arms.neutral[b, a]
         own = length - r * curvature
         shrunk = 1.0 / neutral
         f, slope = axial_force(arms, drive, a, (own - neutral) * shrunk)
         stiff += abs(slope)
+        stiff_moment += abs(r * slope)
         slope *= shrunk
         force += f
         moment -= r * f
@@ -150,6 +227,12 @@ def _planar_section(arms, drive, sections, b, segment, i, twist):  # type: ignor
         turned = free * bent * curvature / safe
         m_l -= turned
         m_k += bent + r * turned
+        if arms.tables.bent[a] >= 0:
+            tau, tau_slope = bending_moment(arms.tables, a, curvature / safe, 1.0, drive.pressure[a])
+            moment += tau
+            turned = free * tau_slope * curvature / (safe * safe)
+            m_l -= turned
+            m_k += tau_slope / safe + r * turned
     m_l += f_k
     last = len(arms.unknown) - 1
     sections.reaction[i, 0], sections.reaction[i, last] = force, moment
@@ -159,15 +242,17 @@ def _planar_section(arms, drive, sections, b, segment, i, twist):  # type: ignor
         sections.reaction[i, 1] = -arms.shear[segment] * twist[i, 1]
         sections.slope[i, 1, 1] = -arms.shear[segment]
     sections.stiffness[0] = max(sections.stiffness[0], stiff)
+    sections.stiffness[1] = max(sections.stiffness[1], stiff_moment)
 
 
 @part
 def _spatial_section(arms, drive, sections, b, segment, i, twist):  # type: ignore[no-untyped-def]
     size = len(arms.unknown)
     length, k_x, k_y, k_z = twist[i, 0], twist[i, 3], twist[i, 4], twist[i, 5]
-    force = m_y = m_z = stiff = 0.0
+    force = m_y = m_z = stiff = stiff_moment = 0.0
     ll = ly = lz = yy = yz = zz = 0.0  # slopes of forces by l, κ_y and κ_z
-    bent_y = bent_z = by_l = by_y = by_z = 0.0  # Σ k/l_α, and Σ k/l_α² u
+    bent = by_l = by_y = by_z = 0.0  # Σ k/l_α, and Σ k/l_α² u
+    bend_y = bend_z = bend_yl = bend_zl = bend_yy = bend_yz = bend_zy = bend_zz = 0.0  # of sampled bending laws
     tilt = tilt_l = tilt_y = tilt_z = 0.0  # Σ f ρ²/l_α and its slopes
     for a in range(arms.first_actuator[segment], arms.first_actuator[segment + 1]):
         y, z, neutral = arms.y[b, a], arms.z[b, a], arms.neutral[b, a]
@@ -175,6 +260,7 @@ def _spatial_section(arms, drive, sections, b, segment, i, twist):  # type: igno
         shrunk = 1.0 / neutral
         f, slope = axial_force(arms, drive, a, (own - neutral) * shrunk)
         stiff += abs(slope)
+        stiff_moment += (abs(y) + abs(z)) * abs(slope)
         slope *= shrunk
         force += f
         m_y += z * f
@@ -186,9 +272,9 @@ def _spatial_section(arms, drive, sections, b, segment, i, twist):  # type: igno
         yz -= y * z * slope
         zz += y * y * slope
         safe, free = held(own, neutral)
-        bent = drive.bending[a] / safe
-        bent_y += bent
-        turned = free * bent / safe
+        own_bent = drive.bending[a] / safe
+        bent += own_bent
+        turned = free * own_bent / safe
         by_l += turned
         by_y += z * turned
         by_z -= y * turned
@@ -198,13 +284,32 @@ def _spatial_section(arms, drive, sections, b, segment, i, twist):  # type: igno
         tilt_l += change
         tilt_y += z * change
         tilt_z -= y * change
-    bent_z = bent_y
+        if arms.tables.bent[a] >= 0:
+            # τ = T(|k|) k/|k|, isotropic; beside the secant T/|k| the slope along k has what T' differs by from it
+            c_y, c_z = k_y / safe, k_z / safe
+            square = c_y * c_y + c_z * c_z + STRAIGHT * STRAIGHT
+            curve = math.sqrt(square)
+            tau, tau_slope = bending_moment(arms.tables, a, curve, 1.0, drive.pressure[a])
+            secant = tau / curve
+            along, shorter = (tau_slope - secant) / square, free * (c_y * c_y + c_z * c_z)
+            bend_y += secant * c_y
+            bend_z += secant * c_z
+            by_length = (along * shorter + free * secant) / safe
+            t_y, t_z = along * c_y / safe, along * c_z / safe
+            bend_yl -= by_length * c_y
+            bend_zl -= by_length * c_z
+            bend_yy += secant / safe + t_y * c_y - z * by_length * c_y
+            bend_yz += t_y * c_z + y * by_length * c_y
+            bend_zy += t_z * c_y - z * by_length * c_z
+            bend_zz += secant / safe + t_z * c_z + y * by_length * c_z
     y_at, z_at = size - 2, size - 1
     reaction, out = sections.reaction, sections.slope
-    reaction[i, 0], reaction[i, y_at], reaction[i, z_at] = force, m_y + bent_y * k_y, m_z + bent_z * k_z
+    reaction[i, 0] = force
+    reaction[i, y_at], reaction[i, z_at] = m_y + bent * k_y + bend_y, m_z + bent * k_z + bend_z
     out[i, 0, 0], out[i, 0, y_at], out[i, 0, z_at] = ll, ly, lz
-    out[i, y_at, 0], out[i, y_at, y_at], out[i, y_at, z_at] = ly - k_y * by_l, yy + bent_y - k_y * by_y, yz - k_y * by_z
-    out[i, z_at, 0], out[i, z_at, y_at], out[i, z_at, z_at] = lz - k_z * by_l, yz - k_z * by_y, zz + bent_z - k_z * by_z
+    out[i, y_at, 0], out[i, z_at, 0] = ly - k_y * by_l + bend_yl, lz - k_z * by_l + bend_zl
+    out[i, y_at, y_at], out[i, y_at, z_at] = yy + bent - k_y * by_y + bend_yy, yz - k_y * by_z + bend_yz
+    out[i, z_at, y_at], out[i, z_at, z_at] = yz - k_z * by_y + bend_zy, zz + bent - k_z * by_z + bend_zz
     if size > 3 and arms.unknown[size - 3] == 3:
         x_at = size - 3
         own_twist = arms.torsion[b, segment] / length
@@ -217,6 +322,7 @@ def _spatial_section(arms, drive, sections, b, segment, i, twist):  # type: igno
             reaction[i, c] = -arms.shear[segment] * twist[i, c]
             out[i, c, c] = -arms.shear[segment]
     sections.stiffness[0] = max(sections.stiffness[0], stiff)
+    sections.stiffness[1] = max(sections.stiffness[1], stiff_moment)
 
 
 @part
@@ -239,3 +345,12 @@ def write_rates(arms, drive, sections, b, segment, i, twist):  # type: ignore[no
             sections.rate[i, size - 2, a] = bent * k_y + z * rate
             if size > 3 and arms.unknown[size - 3] == 3:
                 sections.rate[i, size - 3, a] = rate * (y * y + z * z) * twist[i, 3] / safe
+        if arms.tables.bent[a] >= 0:
+            c_y, c_z = k_y / safe, k_z / safe
+            curve = c_z if planar else math.sqrt(c_y * c_y + c_z * c_z + STRAIGHT * STRAIGHT)
+            moment, _ = bending_moment(arms.tables, a, curve, 0.0, 1.0)
+            if planar:
+                sections.rate[i, size - 1, a] += moment
+            else:
+                sections.rate[i, size - 2, a] += moment / curve * c_y
+                sections.rate[i, size - 1, a] += moment / curve * c_z

@@ -79,12 +79,11 @@ class Problem:
     @cached_property
     def packed(self) -> "Packed":
         """The problems as the engine takes them."""
-        arms = arms_of(self.arm, self.batch, self.nodes, self.shear_stiffness)
-        loads = loads_of(
-            self.arm, self.load, self.base_pose, self.batch, self.nodes, middle=self.wrench_at == "middle"
-        )
-        pressure = self.pressure.expand(*self.batch, -1).reshape(self.count, -1)
-        return Packed(arms, loads, _scale(arms, loads), numbers(pressure))
+        pressure = numbers(self.pressure.expand(*self.batch, -1).reshape(self.count, self.arm.actuator_count))
+        highest = pressure.max(0) if self.count else np.zeros(self.arm.actuator_count)
+        arms = arms_of(self.arm, self.batch, self.nodes, self.shear_stiffness, highest)
+        loads = loads_of(self.arm, self.load, self.base_pose, self.batch, self.nodes, middle=self.wrench_at == "middle")
+        return Packed(arms, loads, _scale(arms, loads), pressure)
 
 
 @dataclass(frozen=True)
@@ -109,6 +108,7 @@ class Packed:
             np.zeros(count),
             np.zeros(count, dtype=np.int64),
             np.zeros((count, 2), dtype=np.int64),
+            np.zeros((count, 2)),
         )
 
         def work(first: int, last: int) -> None:
@@ -125,23 +125,30 @@ class Packed:
         size = nodes * columns
         right = np.broadcast_to(np.eye(size), (len(index), size, size)).copy()
         right = right.reshape(len(index), size, nodes, columns)
+        self.solve(twists, index, right)
+        return right.reshape(len(index), size, size).transpose(0, 2, 1)
+
+    def solve(self, twists: continuation.Array, index: continuation.Array, right: continuation.Array) -> None:
+        """Replace right-hand sides (b, X, N, C) by J⁻¹ times them, for the problems at an index (b,)."""
 
         def work(first: int, last: int) -> None:
             room = make_room(self.arms)
-            balances.solve_rows(self.arms, self.loads, self.pressure, twists, index[first:last], room, right[first:last])
+            balances.solve_rows(
+                self.arms, self.loads, self.pressure, twists, index[first:last], room, right[first:last]
+            )
 
         spread(len(index), work)
-        return right.reshape(len(index), size, size).transpose(0, 2, 1)
 
 
 def _scale(arms: Arms, loads: Loads) -> Scale:
     """What imbalances and moves are measured by."""
     dimension = loads.offset.shape[2]
-    lengths = [arms.neutral[:, first:last].mean(-1) for first, last in zip(arms.first_actuator, arms.first_actuator[1:])]
+    lengths = [
+        arms.neutral[:, first:last].mean(-1) for first, last in zip(arms.first_actuator, arms.first_actuator[1:])
+    ]
     length = np.mean(lengths, 0)
     force = np.linalg.norm(loads.wrench[..., :dimension], axis=-1).sum(-1)
     moment = np.linalg.norm(loads.wrench[..., dimension:], axis=-1).sum(-1)
     weight = (loads.weight * np.diff(arms.first_node)).sum(-1)
     load = np.maximum(np.maximum(force + weight, moment / length), LEAST_LOAD)
     return Scale(load, length, np.sqrt(arms.y**2 + arms.z**2).max(-1))
-

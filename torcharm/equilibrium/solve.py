@@ -33,6 +33,7 @@ from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.engine.arms import numbers
 from torcharm.engine.continuation import CONTINUED
+from torcharm.equilibrium.correction import corrected
 from torcharm.equilibrium.gradient import with_gradients
 from torcharm.equilibrium.problem import Problem
 from torcharm.equilibrium.stability import buckles_in_torsion, lengths_positive, stays, strain_excess
@@ -66,7 +67,7 @@ class Equilibrium:
         base_pose: (*batch, 3) or (*batch, 4, 4).
         residual: (*batch) largest imbalance of an element: force over the load scale, or moment over the load scale
             times the arm's mean length. The load scale is the larger of all forces and of all moments over that
-            length, at least 1 N, and at least the force of a strain of 1e-4.
+            length, at least 1 N; and what actuators answer to a strain of 1e-4, where that is more.
         converged: (*batch) whether the residual is within the tolerance, with every length above 0: the
             centreline's and the actuators'. A folded arm is no equilibrium.
         stable: (*batch) whether it converged and the arm stays there: whether all eigenvalues of `J = ∂R/∂z`, of the
@@ -200,9 +201,15 @@ def solved(problem: Problem, start: Tensor | None = None, tolerance: float = TOL
     """The equilibria of a problem, in its dtype; arguments as of `solve_equilibrium`."""
     given, problem = problem.pressure, problem.double()
     size = (sum(problem.nodes), 3 if problem.arm.dimension == 2 else 6)
-    warm = np.zeros((0, *size)) if start is None else numbers(start.expand(*problem.batch, *size).reshape(-1, *size))
+    warm = (
+        np.zeros((0, *size))
+        if start is None
+        else numbers(start.expand(*problem.batch, *size).reshape(problem.count, *size))
+    )
     packed = problem.packed
     found = packed.find(warm, tolerance)
+    if not packed.arms.tables.is_empty:
+        found = corrected(problem, found, tolerance)
     twists = torch.from_numpy(found.twists).reshape(*problem.batch, *size)
     with torch.no_grad():
         possible = lengths_positive(problem, twists).expand(problem.batch)

@@ -9,9 +9,10 @@ from scipy.optimize import root
 
 import torcharm as ta
 from experiments.benchmark_search import reference
-from torcharm import mechanics
-from torcharm.geometry import se2
+from torcharm.equilibrium import gradient
+from torcharm.geometry import rod, se2
 from torcharm.geometry.rod import BASE_POSE
+from torcharm.statics.balance import balance_residual
 
 ARMS = {
     "antagonistic": (ta.antagonistic_arm(), reference.ANTAGONISTIC),
@@ -20,12 +21,13 @@ ARMS = {
 
 
 def double(values):
-    return torch.tensor(values, dtype=torch.float64)
+    return torch.as_tensor(values, dtype=torch.float64)
 
 
-def balance(arm, found, pressure, load, base=BASE_POSE, shear=None):
-    z = mechanics.to_unknowns(found.twists, shear=shear is not None)
-    return mechanics.balance_residual(arm, z, double(pressure), double(load), double(base), shear)
+def balance(arm, twists, pressure, load, shear=None):
+    """R (..., N, C) at twists, in torch."""
+    whole, nodes = ta.ExternalLoad(double(load)), (twists.shape[-2],)
+    return balance_residual(arm, twists, double(pressure), whole, double(BASE_POSE), nodes, "start", shear)
 
 
 def hard_pressures(arm):
@@ -43,10 +45,10 @@ def test_hard_points_converge_or_are_flagged(name, moment):
     solved = found.residual <= 1e-10
     assert solved.double().mean() >= 0.995
     scale = torch.maximum(loads[:, :2].norm(dim=-1), loads[:, 2].abs() / 0.5).clamp(min=1)
-    z = mechanics.to_unknowns(found.twists)
-    miss = mechanics.balance_residual(arm, z, pressure[:, None], loads, double(BASE_POSE))
-    size = torch.maximum(miss[..., 0, :].abs().amax(-1), miss[..., 1, :].abs().amax(-1) / 0.5) / scale
-    torch.testing.assert_close(size, found.residual, rtol=1e-6, atol=1e-13)
+    miss = balance(arm, found.twists, pressure[:, None], loads)
+    size = torch.maximum(miss[..., 0].abs().amax(-1), miss[..., 1].abs().amax(-1) / 0.5) / scale
+    soft = solved & (found.strain_excess < 0.3)  # stiffness of strains far out of range counts as load
+    torch.testing.assert_close(size[soft], found.residual[soft], rtol=1e-6, atol=1e-12)
     length, curvature = found.twists[..., 0], found.twists[..., 2]
     own = torch.cat((length.unsqueeze(-1), length.unsqueeze(-1) - arm.radii * curvature.unsqueeze(-1)), -1)
     assert torch.equal(found.converged, solved & (own > 0).flatten(2).all(-1))  # a folded arm is no equilibrium
@@ -109,14 +111,14 @@ def test_a_tip_moment_bends_to_a_circle():
 
 def test_small_loads_move_the_tip_by_the_linear_compliance():
     arm, pressure = ta.antagonistic_arm(), double([20.0, 30.0, 20.0, 25.0])
-    rest = ta.solve_equilibrium(arm, pressure, [0.0, 0.0, 0.0])
-    z = mechanics.to_unknowns(rest.twists)
-    found = mechanics.balance(arm, z, pressure, double([0.0, 0.0, 0.0]), double(BASE_POSE))
-    unit = torch.eye(3, dtype=torch.float64)
-    by_load = mechanics.load_wrench(found.kinematics, unit).movedim(0, -1)
-    compliance = -mechanics.pose_jacobian(found.kinematics)[:, -1].flatten(1) @ mechanics.solve(
-        found.stiffness, by_load
-    ).flatten(0, 1)
+    rest = ta.solve_equilibrium(arm, pressure, [0.0, 0.0, 0.0]).twists
+    none, unit = torch.zeros(3, dtype=torch.float64), torch.eye(3, dtype=torch.float64)
+    by_twist, by_load = torch.autograd.functional.jacobian(
+        lambda *at: balance(arm, at[0], pressure, at[1]), (rest, none)
+    )
+    by_twist = by_twist[..., ::2].flatten(2).flatten(0, 1)
+    by_tip = torch.autograd.functional.jacobian(lambda twists: rod.poses(twists)[-1], rest)[..., ::2].flatten(1)
+    compliance = -by_tip @ torch.linalg.solve(by_twist, by_load.flatten(0, 1))
     small = 1e-3
     ahead, back = (ta.solve_equilibrium(arm, pressure, sign * small * unit, tolerance=1e-12) for sign in (1, -1))
     slope = (ahead.poses[:, -1] - back.poses[:, -1]).T / (2 * small)
@@ -144,7 +146,7 @@ def test_finite_shear_gives_way_to_the_load_and_vanishes_when_stiff():
     arm, pressure, load = ta.antagonistic_arm(), [20.0, 30.0, 20.0, 25.0], [2.0, -3.0, 0.1]
     soft = ta.solve_equilibrium(arm, pressure, load, shear_stiffness=1e3)
     assert soft.converged
-    assert balance(arm, soft, pressure, load, shear=1e3).abs().max() < 1e-8
+    assert balance(arm, soft.twists, pressure, load, 1e3).abs().max() < 1e-8
     across = -ta.required_wrench(soft.twists, double(load))[:, 1]
     torch.testing.assert_close(soft.twists[:, 1], across / 4e3, rtol=1e-7, atol=1e-12)
     stiff = ta.solve_equilibrium(arm, pressure, load, shear_stiffness=1e9)
@@ -177,12 +179,13 @@ def test_gradients_by_finite_differences(shear):
         gradient.sum().backward()
 
 
-def test_gradients_are_the_same_in_blocks():
+def test_gradients_are_the_same_in_parts(monkeypatch):
     arm, loads = ta.bellows_arm(), ta.sample_loads(7)
-    pressure = double([20.0, 10.0, 5.0, 30.0]).requires_grad_()
-    whole, parts = (ta.solve_equilibrium(arm, pressure, loads, chunk_size=chunk) for chunk in (None, 3))
-    torch.testing.assert_close(whole.twists, parts.twists)
-    slopes = [torch.autograd.grad(found.poses[:, -1].square().sum(), pressure)[0] for found in (whole, parts)]
+    pressure, slopes = double([20.0, 10.0, 5.0, 30.0]).requires_grad_(), []
+    for count in (gradient.AT_ONCE, 3):
+        monkeypatch.setattr(gradient, "AT_ONCE", count)
+        found = ta.solve_equilibrium(arm, pressure, loads)
+        slopes.append(torch.autograd.grad(found.poses[:, -1].square().sum(), pressure)[0])
     torch.testing.assert_close(*slopes)
 
 
@@ -286,18 +289,21 @@ def test_strains_and_pressures_out_of_range_are_reported():
     [
         ({"pressure": [1.0, 2.0]}, "pressure: must have shape"),
         ({"pressure": [-1.0, 0.0, 0.0, 0.0]}, "pressure: must be at least 0 kPa, got -1"),
-        ({"tip_load": [0.0, float("nan"), 0.0]}, "tip_load: must be finite, got nan"),
-        ({"tip_load": [0.0, 1e200, 0.0]}, r"tip_load: must be finite, and at most 1.3e\+150 in size, got 1e\+200"),
+        ({"load": [0.0, float("nan"), 0.0]}, "load: must be finite, got nan"),
+        ({"load": [0.0, 1e200, 0.0]}, r"load: must be finite, and at most 1.3e\+150 in size, got 1e\+200"),
         ({"raise_on_failure": "yes"}, "raise_on_failure: must be True or False, got 'yes'"),
         ({"nodes": 0}, "nodes: must be an integer of at least 1"),
         ({"shear_stiffness": 0.0}, "shear_stiffness: must be a finite number above 0"),
         ({"tolerance": -1.0}, "tolerance: must be"),
-        ({"chunk_size": 0}, "chunk_size: must be"),
-        ({"arm": None}, "arm: must be of type ArmDesign"),
-        ({"pressure": torch.zeros(2, 4), "tip_load": torch.zeros(3, 3)}, "batch shapes do not broadcast"),
+        ({"arm": None}, "arm: must be an ArmDesign or an ArmSeries, got None"),
+        ({"nodes": [5, 5]}, "nodes: must be one number, or one for each of 1 segments"),
+        ({"wrench_at": "end"}, "wrench_at: must be one of start, middle, got 'end'"),
+        ({"load": [0.0] * 6}, r"load: must have shape \(..., 3\), got \(6,\)"),
+        ({"load": ta.ExternalLoad([0.0] * 6)}, "load: must be of 3 components as the arm is, got 6"),
+        ({"pressure": torch.zeros(2, 4), "load": torch.zeros(3, 3)}, "batch shapes do not broadcast"),
     ],
 )
 def test_bad_input(change, message):
-    given = {"arm": ta.bellows_arm(), "pressure": [1.0] * 4, "tip_load": [0.0] * 3} | change
+    given = {"arm": ta.bellows_arm(), "pressure": [1.0] * 4, "load": [0.0] * 3} | change
     with unchecked(), pytest.raises(ValueError, match=message):
         ta.solve_equilibrium(**given)
