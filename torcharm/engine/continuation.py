@@ -87,6 +87,9 @@ class Path(NamedTuple):
         newton: (N, C) Newton's step.
         ahead: (N, C) the tangent at the trial.
         loaded: (1,) whether the load acts; without it one element stands for each segment.
+        quick, rush: (N, K) twists of the equilibrium under load at which the arm gives way most, and (N, C) how the
+            unknowns change by the load factor there: next to a bifurcation if there is any.
+        fastest: (2,) the size of that change, as of `move_size`, and the load factor.
     """
 
     trial: Array
@@ -96,6 +99,9 @@ class Path(NamedTuple):
     newton: Array
     ahead: Array
     loaded: Array
+    quick: Array
+    rush: Array
+    fastest: Array
 
 
 class Found(NamedTuple):
@@ -119,7 +125,14 @@ class Found(NamedTuple):
 def make_path(arms: Arms) -> Path:
     """Room for one arm's path."""
     nodes, size, columns = arms.first_node[-1], len(arms.column), len(arms.unknown)
-    return Path(*np.zeros((2, nodes, size)), *np.zeros((4, nodes, columns)), np.zeros(1, dtype=np.bool_))
+    return Path(
+        *np.zeros((2, nodes, size)),
+        *np.zeros((4, nodes, columns)),
+        np.zeros(1, dtype=np.bool_),
+        np.zeros((nodes, size)),
+        np.zeros((nodes, columns)),
+        np.zeros(2),
+    )
 
 
 @spliced
@@ -314,6 +327,10 @@ def follow(arms, loads, scale, pressures, room, path, b, tolerance):  # type: ig
             speed = move_size(arms, scale, path, b, path.ahead)
             if not math.isfinite(speed):
                 break
+            if loaded and speed > path.fastest[0]:
+                path.fastest[0], path.fastest[1] = speed, at
+                _copy_twists(path.quick, path.base)
+                _copy_twists(path.rush, path.ahead)
             step = min(step, LARGEST_MOVE / max(speed, 1e-12))
         elif not there and trusted and moved < LARGEST_MOVE and corrections < CORRECTIONS:
             _move(arms, path, 1.0)
@@ -401,7 +418,7 @@ def _take_load(arms, path):  # type: ignore[no-untyped-def]
         for i in range(first + 1, last):
             for c in range(len(arms.column)):
                 path.trial[i, c] = path.trial[first, c]
-    path.loaded[0] = True
+    path.loaded[0], path.fastest[0] = True, 0.0
 
 
 @spliced

@@ -42,6 +42,8 @@ WORTH = 1e-5
 long one tries."""
 ROUNDING = 1e-12
 """Of half the cost: a smaller decrease is lost in what is left of the equilibria, and the slope tells which of two points is better."""
+STIFF = 100.0
+"""Of a wall, over the largest curvature: along its normal a step is a hundredth of what it would be."""
 FLOOR = 1e-10
 """Of an error over the arm's length: below, rounding decides, and it counts as none."""
 OPTIMAL = 1e-7
@@ -67,18 +69,18 @@ def error_slope(problem, work, b, at):  # type: ignore[no-untyped-def]
 def _aim(problem, work, b, here, there):  # type: ignore[no-untyped-def]
     """Write the place of a step and the twists that it leads to along the tangent; returns its part that is taken."""
     points, path, step = work.points, work.path, work.box.step
-    for i in range(path.change.shape[1]):
-        for c in range(path.change.shape[2]):
+    for i in range(work.change.shape[1]):
+        for c in range(work.change.shape[2]):
             total = 0.0
             for m in range(len(step)):
                 total += points.rates[here, m, i, c] * step[m]
-            path.change[0, i, c] = total
-    size = move_size(problem.arms, problem.scale, path, b, 0, True)
+            work.change[0, i, c] = total
+    size = move_size(problem.arms, problem.scale, path, b, work.change[0])
     short = min(LONGEST_MOVE / max(size, 1e-12), 1.0)
     copy_twists(path.trial, points.twists[here])
-    for i in range(path.change.shape[1]):
-        for c in range(path.change.shape[2]):
-            path.trial[i, problem.arms.unknown[c]] += short * path.change[0, i, c]
+    for i in range(work.change.shape[1]):
+        for c in range(work.change.shape[2]):
+            path.trial[i, problem.arms.unknown[c]] += short * work.change[0, i, c]
     for m in range(len(step)):
         step[m] *= short
         points.place[there, m] = min(max(points.place[here, m] + step[m], 0.0), 1.0)
@@ -134,7 +136,7 @@ def _update_secant(work, here, there):  # type: ignore[no-untyped-def]
 
 @routine
 def descend(problem, work, b, here, there, free):  # type: ignore[no-untyped-def]
-    """Follow the cost of arm b down from the point of a slot.
+    """Follow the cost of arm b down from the point of a slot, without moving along the wall's normal if there is one.
 
     Args:
         here: slot of the point, as of `evaluate_point`, and another one to try steps in.
@@ -154,8 +156,11 @@ def descend(problem, work, b, here, there, free):  # type: ignore[no-untyped-def
     damping, ended = FIRST_DAMPING * largest_curvature(points.curvature[here]), RUNNING
     for _ in range(STEPS):
         scale, value = largest_curvature(points.curvature[here]), points.known[here, HALF_COST]
+        for m in range(count):
+            for k in range(count):
+                work.bound[m, k] = points.curvature[here, m, k] + STIFF * scale * work.wall[m] * work.wall[k]
         promised = write_box_step(
-            box, points.gradient[here], points.curvature[here], work.extra, augmented, points.place[here], damping
+            box, points.gradient[here], work.bound, work.extra, augmented, points.place[here], damping
         )
         ended = RUNNING
         if error_slope(problem, work, b, here) <= OPTIMAL * problem.scale.length[b]:

@@ -57,17 +57,18 @@ def make_errors(arms: Arms, directions: int) -> Errors:
 
 
 @routine
-def write_errors(arms, goal, room, b, twist, change, errors):  # type: ignore[no-untyped-def]
+def write_errors(arms, goal, room, b, twist, change, directions, errors):  # type: ignore[no-untyped-def]
     """Write the errors as the first of the changes corrects them, and what the others change.
 
     Args:
         room: in which `write_shape` was before.
         twist: (N, K), with which the shape was written.
         change: (1 + X, N, C) of the unknowns.
+        directions: X, or fewer.
     """
     motion, value = errors.motion, errors.value
     size, planar = len(arms.column), len(arms.column) == 3
-    for x in range(value.shape[0]):
+    for x in range(1 + directions):
         for k in range(size):
             motion[k] = 0.0
         turn = 0.0
@@ -86,7 +87,7 @@ def write_errors(arms, goal, room, b, twist, change, errors):  # type: ignore[no
         for e in range(size):
             root = math.sqrt(goal.weight[i, e])
             value[0, i, e] *= root
-            for x in range(1, value.shape[0]):
+            for x in range(1, 1 + directions):
                 value[x, i, e] *= root
 
 

@@ -11,14 +11,16 @@ from typing import Any, NamedTuple
 from numpy.typing import NDArray
 
 from torcharm.engine.compilation import kernel, part, routine
-from torcharm.engine.continuation import CONTINUED, find_equilibrium, move_size
+from torcharm.engine.continuation import CONTINUED, move_size
 from torcharm.engine.descent import CLOSE, FLOOR, NO_START, descend, error_slope
 from torcharm.engine.pressure_model import (
     HALF_COST,
     STABLE,
     copy_point,
     copy_twists,
+    distance_of,
     evaluate_point,
+    reach,
     take_place,
     write_newton,
     write_point,
@@ -113,7 +115,7 @@ def _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, be
         copy_twists(path.trial, shape)
         take_place(problem, work, b, at)
         write_newton(problem, work, b)
-        write_point(problem, work, b, at, move_size(problem.arms, problem.scale, path, b, 0, True))
+        write_point(problem, work, b, at, move_size(problem.arms, problem.scale, path, b, work.change[0]))
         if points.known[at, STABLE] > 0.0 and points.known[at, HALF_COST] < least:
             least, found = points.known[at, HALF_COST], True
             for m in range(points.place.shape[1]):
@@ -163,21 +165,6 @@ def _predict(problem, work, fit, b, shape, draws):  # type: ignore[no-untyped-de
     return best, ended
 
 
-@routine
-def _is_reached(problem, work, b, at, start, tolerance):  # type: ignore[no-untyped-def]
-    """Whether continuation from zero load leads to the equilibrium of a slot."""
-    path, twists = work.path, work.points.twists
-    take_place(problem, work, b, at)
-    given = problem.arms, problem.loads, problem.scale, work.pressure, start
-    if find_equilibrium(*given, work.room, path, b, tolerance) != CONTINUED:
-        return False
-    for i in range(path.change.shape[1]):
-        for c in range(path.change.shape[2]):
-            u = problem.arms.unknown[c]
-            path.change[0, i, c] = path.trial[i, u] - twists[at, i, u]
-    return move_size(problem.arms, problem.scale, path, b, 0, True) <= SAME_SHAPE
-
-
 @kernel
 def predict_all(problem, shape, draws, start, tolerance, first, last, work, fit, out):  # type: ignore[no-untyped-def]
     """Predict for the arms from one to another, without the last.
@@ -198,4 +185,7 @@ def predict_all(problem, shape, draws, start, tolerance, first, last, work, fit,
         out.ended[b], out.slope[b], out.reached[b] = ended, math.inf, False
         if ended != NO_START and math.isfinite(out.half_cost[b]):
             out.slope[b] = error_slope(problem, work, b, best)
-            out.reached[b] = points.known[best, STABLE] > 0.0 and _is_reached(problem, work, b, best, start, tolerance)
+            if points.known[best, STABLE] > 0.0:
+                other = 2 if best < 2 else 0
+                how = reach(problem, work, b, best, other, start, tolerance)
+                out.reached[b] = how == CONTINUED and distance_of(problem, work, b, best, other) <= SAME_SHAPE

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torcharm.engine.arms import Arms, Loads
 from torcharm.engine.box_step import BoxStep, make_box_step
 from torcharm.engine.compilation import part, routine
-from torcharm.engine.continuation import Path, Scale, make_path, move_size
+from torcharm.engine.continuation import FAILED, Path, Scale, find_equilibrium, make_path, move_size
 from torcharm.engine.newton_step import Room, first_angular, make_room, solve, write_balance, write_shape
 from torcharm.engine.pose_error import Errors, Goal, make_errors, write_errors
 from torcharm.engine.sections import set_pressure, write_rates
@@ -27,8 +27,8 @@ SUFFICIENT = 1e-4
 """Share of the decrease of the imbalance that a Newton step promises; a step that saves less is halved."""
 EVALUATIONS = 12
 """Of the balance at one equilibrium, at most: Newton's method from nearby takes one to four, from a shape that is no equilibrium a dozen."""
-SLOTS = 4
-"""Points that are kept: where a descent is, where it tries to go, the best and another."""
+SLOTS = 8
+"""Points that are kept: where a descent is and where it tries to go, the best, and others on the way."""
 HALF_COST, LAST_MOVE, STABLE = range(3)
 """What is known of a point: half the cost [m²]; the Newton step that led there, as of `move_size`; and 1 if the
 equilibrium is stable, with every length above 0."""
@@ -73,9 +73,12 @@ class Work(NamedTuple):
     """Room for one thread.
 
     Attributes:
-        room, path, errors, box: see there; the path takes Newton's step and the changes by M pressures.
+        room, path, errors, box: see there.
+        change: (1 + M, N, C) Newton's step, and the changes of the unknowns by M normalised pressures.
         points: the points.
         base, way: (N, K), (N, C) of Newton's method: where a step starts, and the step.
+        wall: (M,) unit normal along which a descent must not move; zeros if there is none.
+        bound: (M, M) a curvature with the wall.
         extra: (M, M) what is added to a curvature.
         missed: (M,) room.
         pressure: (B, M) [kPa] the pressures at which arms are evaluated, for all threads; each uses its arms' rows.
@@ -85,9 +88,12 @@ class Work(NamedTuple):
     path: Path
     errors: Errors
     box: BoxStep
+    change: Array
     points: Points
     base: Array
     way: Array
+    wall: Array
+    bound: Array
     extra: Array
     missed: Array
     pressure: Array
@@ -106,13 +112,15 @@ def make_work(arms: Arms, pressure: Array) -> Work:
     )
     return Work(
         make_room(arms),
-        make_path(arms)._replace(change=np.zeros((1 + count, nodes, columns))),
+        make_path(arms),
         make_errors(arms, count),
         make_box_step(count),
+        np.zeros((1 + count, nodes, columns)),
         points,
         np.zeros((nodes, size)),
         np.zeros((nodes, columns)),
-        np.zeros((count, count)),
+        np.zeros(count),
+        *np.zeros((2, count, count)),
         np.zeros(count),
         pressure,
     )
@@ -165,6 +173,7 @@ def take_place(problem, work, b, at):  # type: ignore[no-untyped-def]
     for m in range(problem.limit.shape[1]):
         work.pressure[b, m] = work.points.place[at, m] * problem.limit[b, m]
     set_pressure(problem.arms, work.room.drive, work.pressure, b, 1.0)
+    work.path.loaded[0] = True
 
 
 @routine
@@ -177,11 +186,11 @@ def write_newton(problem, work, b):  # type: ignore[no-untyped-def]
     for i in range(room.residual.shape[0]):
         for c in range(room.residual.shape[1]):
             one = room.residual[i, c]
-            path.change[0, i, c] = -one
+            work.change[0, i, c] = -one
             if arms.unknown[c] >= first_angular(arms):
                 one /= reach
             total += one * one
-    solve(arms, loads, room, path.change, 0)
+    solve(arms, loads, room, work.change[0])
     return math.sqrt(total)
 
 
@@ -197,7 +206,7 @@ def approach(problem, work, b, close):  # type: ignore[no-untyped-def]
     last, factor, step = math.inf, 1.0, 0.0
     for _ in range(EVALUATIONS):
         norm = write_newton(problem, work, b)
-        size = move_size(arms, problem.scale, path, b, 0, True)
+        size = move_size(arms, problem.scale, path, b, work.change[0])
         if not math.isfinite(size):
             size, fell = math.inf, False
         else:
@@ -209,7 +218,7 @@ def approach(problem, work, b, close):  # type: ignore[no-untyped-def]
             step = min(LARGE_MOVE / size, 1.0)
             for i in range(work.way.shape[0]):
                 for c in range(work.way.shape[1]):
-                    work.way[i, c] = step * path.change[0, i, c]
+                    work.way[i, c] = step * work.change[0, i, c]
             last, factor = norm, 1.0
         elif last == math.inf:
             return math.inf
@@ -226,23 +235,23 @@ def approach(problem, work, b, close):  # type: ignore[no-untyped-def]
 def write_point(problem, work, b, at, size):  # type: ignore[no-untyped-def]
     """Write the model of a slot at the path's trial, of which Newton's step of that size is known."""
     arms, room, path, points = problem.arms, work.room, work.path, work.points
-    count, nodes, columns = points.place.shape[1], path.change.shape[1], path.change.shape[2]
+    count, nodes, columns = points.place.shape[1], work.change.shape[1], work.change.shape[2]
     for segment in range(len(arms.first_node) - 1):
         for i in range(arms.first_node[segment], arms.first_node[segment + 1]):
             write_rates(arms, room.drive, room.sections, b, segment, i, path.trial)
     for m in range(count):
         for i in range(nodes):
             for c in range(columns):
-                path.change[1 + m, i, c] = -room.sections.rate[i, c, m] * problem.limit[b, m]
-        solve(arms, problem.loads, room, path.change, 1 + m)
+                work.change[1 + m, i, c] = -room.sections.rate[i, c, m] * problem.limit[b, m]
+        solve(arms, problem.loads, room, work.change[1 + m])
         for i in range(nodes):
             for c in range(columns):
-                points.rates[at, m, i, c] = path.change[1 + m, i, c]
+                points.rates[at, m, i, c] = work.change[1 + m, i, c]
     copy_twists(points.twists[at], path.trial)
     for i in range(nodes):
         for c in range(columns):
-            points.twists[at, i, arms.unknown[c]] += path.change[0, i, c]
-    write_errors(arms, problem.goal, room, b, path.trial, path.change, work.errors)
+            points.twists[at, i, arms.unknown[c]] += work.change[0, i, c]
+    write_errors(arms, problem.goal, room, b, path.trial, work.change, count, work.errors)
     value = work.errors.value
     for m in range(count + 1):
         for k in range(m + 1):
@@ -261,6 +270,20 @@ def write_point(problem, work, b, at, size):  # type: ignore[no-untyped-def]
 
 
 @routine
+def expected_cost(problem, work, b, at, shape):  # type: ignore[no-untyped-def]
+    """Half the cost at the place of a slot after one Newton step from a shape (N, K); infinite if it is no number."""
+    take_place(problem, work, b, at)
+    copy_twists(work.path.trial, shape)
+    write_newton(problem, work, b)
+    write_errors(problem.arms, problem.goal, work.room, b, shape, work.change, 0, work.errors)
+    total, value = 0.0, work.errors.value
+    for i in range(value.shape[1]):
+        for e in range(value.shape[2]):
+            total += value[0, i, e] * value[0, i, e]
+    return 0.5 * total if math.isfinite(total) else math.inf
+
+
+@routine
 def evaluate_point(problem, work, b, at, close):  # type: ignore[no-untyped-def]
     """Write the model of a slot at its place, at the equilibrium near the path's trial; whether that is found."""
     take_place(problem, work, b, at)
@@ -270,3 +293,44 @@ def evaluate_point(problem, work, b, at, close):  # type: ignore[no-untyped-def]
         return False
     write_point(problem, work, b, at, size)
     return math.isfinite(work.points.known[at, HALF_COST])
+
+
+@routine
+def load_from_zero(problem, work, b, start, tolerance):  # type: ignore[no-untyped-def]
+    """Write as the path's trial where continuation from zero load leads at the pressures; returns how, as `find_equilibrium`."""
+    arms, loads, scale = problem.arms, problem.loads, problem.scale
+    return find_equilibrium(arms, loads, scale, work.pressure, start, work.room, work.path, b, tolerance)
+
+
+@part
+def distance_of(problem, work, b, at, to):  # type: ignore[no-untyped-def]
+    """The difference of the shapes of two slots, as of `move_size`."""
+    twists, change = work.points.twists, work.change
+    for i in range(change.shape[1]):
+        for c in range(change.shape[2]):
+            u = problem.arms.unknown[c]
+            change[0, i, c] = twists[to, i, u] - twists[at, i, u]
+    return move_size(problem.arms, problem.scale, work.path, b, change[0])
+
+
+@routine
+def reach(problem, work, b, at, to, start, tolerance):  # type: ignore[no-untyped-def]
+    """Write the point of slot `to` at the place of another, at the equilibrium that continuation from zero load reaches.
+
+    Returns how it is reached, as `find_equilibrium`; FAILED where the arm does not stay there.
+    """
+    points = work.points
+    for m in range(points.place.shape[1]):
+        points.place[to, m] = points.place[at, m]
+    points.known[to, HALF_COST], points.known[to, STABLE] = math.inf, 0.0
+    take_place(problem, work, b, to)
+    how = load_from_zero(problem, work, b, start, tolerance)
+    if how == FAILED:
+        return FAILED
+    write_newton(problem, work, b)
+    size = move_size(problem.arms, problem.scale, work.path, b, work.change[0])
+    write_point(problem, work, b, to, size)
+    if points.known[to, STABLE] > 0.0 and math.isfinite(points.known[to, HALF_COST]):
+        return how
+    points.known[to, HALF_COST] = math.inf
+    return FAILED

@@ -6,7 +6,7 @@ is raised from zero, as the search does. In return a shape that is predicted nee
 it is loaded: under compression there are several.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -15,17 +15,16 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
-from torcharm.engine.continuation import CONTINUED, FAILED, Found
 from torcharm.engine.descent import OPTIMUM
 from torcharm.engine.predictions import SCREENED, Predictions, predict_all
 from torcharm.engine.pressure_model import make_work
 from torcharm.engine.threads import spread
 from torcharm.engine.wrench_fit import make_fit
 from torcharm.equilibrium.solve import TOLERANCE
-from torcharm.equilibrium.stability import lengths_positive, stays, strain_excess
+from torcharm.equilibrium.stability import lengths_positive, strain_excess
 from torcharm.pressure.errors import errors_at
 from torcharm.pressure.pose_cost import PoseCost
-from torcharm.pressure.prepared import Prepared, detached, prepare
+from torcharm.pressure.prepared import Prepared, detached, prepare, stays_at
 from torcharm.task import Task
 
 WORDS = ("converged", "not reached", "not converged", "unstable", "impossible")
@@ -109,11 +108,11 @@ def predict_error(arm: ArmDesign | ArmSeries, task: Task, pose_cost: PoseCost | 
     with torch.no_grad():
         possible = lengths_positive(plain.problem, plain.twists).expand(prepared.batch)
     place, twists = plain.shaped(found.place), plain.shaped(found.twists)
-    stable = plain.shaped(_stable(plain, found)) & possible
+    stable = plain.shaped(stays_at(plain, found.place, found.twists, found.stable)) & possible
     converged = plain.shaped(found.ended == OPTIMUM) & stable
     errors = errors_at(prepared, place, twists, converged, stable)
     with torch.no_grad():
-        excess, within = strain_excess(plain.problem, twists)
+        excess, within = strain_excess(plain.at(place), twists)
     columns = (
         errors.tip_error,
         errors.tip_rotation_error,
@@ -166,12 +165,3 @@ def _weights(prepared: Prepared) -> NDArray[np.float64]:
     linear = np.array([column < prepared.dimension for column in problem.arms.unknown])
     reach = max(float(problem.scale.reach.max(initial=0.0)), 1e-3)
     return np.where(linear, 1.0, 1.0 / reach)
-
-
-def _stable(prepared: Prepared, found: Predictions) -> NDArray[np.bool_]:
-    """(B,) which equilibria are stable: pivots tell, or where these leave it open, eigenvalues."""
-    pivots = np.zeros((len(found.stable), 2), dtype=np.int64)
-    reached = np.where(found.stable, CONTINUED, FAILED)
-    seen = Found(found.twists, np.zeros(len(pivots)), reached, pivots)
-    at = replace(prepared.problem.packed, pressure=found.place * prepared.engine.limit)
-    return stays(at, seen)

@@ -3,23 +3,29 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from torcharm._inputs import check_above_zero, shown
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries, RigidLink
 from torcharm.engine.arms import numbers, pose_rows
+from torcharm.engine.continuation import CONTINUED, FAILED, Found
 from torcharm.engine.pose_error import Goal
 from torcharm.engine.pressure_model import Problem as EngineProblem
 from torcharm.equilibrium.problem import Problem
+from torcharm.equilibrium.stability import stays
 from torcharm.geometry import rod
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.statics.balance import segments_of
 from torcharm.task import Task
 from torcharm.wrench_sets.design_task_grid import check_arm_and_task
+
+Numbers = NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +65,18 @@ class Prepared:
         nodes = self.problem.nodes
         return rod.poses(twists, self.problem.base_pose, segment_nodes=nodes, links=links)
 
-    def flat(self, value: Tensor, data: int) -> np.ndarray:  # type: ignore[type-arg]
+    def flat(self, value: Tensor, data: int) -> Numbers:
         """A tensor (*#batch, ...) as numbers (B, ...), of so many dimensions of data."""
         tail = value.shape[value.ndim - data :]
         return numbers(value.expand(*self.batch, *tail).reshape(self.problem.count, *tail))
 
-    def shaped(self, value: np.ndarray) -> Tensor:  # type: ignore[type-arg]
+    def shaped(self, value: Numbers) -> Tensor:
         """Numbers (B, ...) as a tensor (*batch, ...)."""
         return torch.from_numpy(value).reshape(*self.batch, *value.shape[1:])
+
+    def at(self, place: Tensor) -> Problem:
+        """The problems at normalised pressures (*batch, M)."""
+        return replace(self.problem, pressure=place * self.problem.pressure)
 
     def given_back(self, value: Tensor) -> Tensor:
         """A result in the dtype and on the device of what was given."""
@@ -74,7 +84,7 @@ class Prepared:
         return value.to(self.like.device)
 
     @cached_property
-    def shape(self) -> np.ndarray:  # type: ignore[type-arg]
+    def shape(self) -> Numbers:
         """(B, N, K) twists that are wanted."""
         return self.flat(self.twists, 2)
 
@@ -168,3 +178,11 @@ def _mapped_link(link: RigidLink, change: Callable[[Tensor], Tensor]) -> RigidLi
         value = getattr(link, name)
         object.__setattr__(new, name, None if value is None else change(value))
     return new
+
+
+def stays_at(prepared: Prepared, place: Numbers, twists: Numbers, known: Numbers) -> Numbers:
+    """(B,) which equilibria at normalised pressures (B, M) are stable, of those (B,) of which pivots say so: where these
+    leave it open, eigenvalues tell."""
+    nothing = np.zeros((len(known), 2))
+    found = Found(twists, nothing[:, 0], np.where(known, CONTINUED, FAILED), nothing.astype(np.int64), nothing)
+    return stays(replace(prepared.problem.packed, pressure=place * prepared.engine.limit), found)
