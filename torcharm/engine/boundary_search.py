@@ -6,11 +6,12 @@ away from it continuation can be followed. Where no bifurcation is found, the wa
 
 import math
 
+from torcharm.engine.box_step import largest_curvature
 from torcharm.engine.bifurcation import find_saddle, times_measure, write_changes
 from torcharm.engine.compilation import part, routine
 from torcharm.engine.continuation import FAILED
 from torcharm.engine.descent import descend
-from torcharm.engine.pressure_model import HALF_COST, copy_point, copy_twists, distance_of
+from torcharm.engine.pressure_model import HALF_COST, add_wall, copy_point, copy_twists, distance_of
 from torcharm.engine.search_room import (
     AIM,
     BEST,
@@ -31,6 +32,8 @@ WORTH = 1e-4
 """Share of the cost that a step along a boundary must save to be followed by another, or a lost end by a search."""
 NEWTON_STEPS, AGAIN_STEPS = 8, 4
 """To the boundary; and from there to another place on it."""
+STIFF = 100.0
+"""Of the wall in a descent along a boundary, over the largest curvature: across it a descent goes a hundredth of the way."""
 PARTS = (1.0, 0.5, 0.2, 0.0)
 """Parts of a step along the boundary that are tried."""
 MARGINS = (1e-4, 1e-3, 4e-3)
@@ -131,10 +134,14 @@ def _try(problem, work, search, b, start, tolerance):  # type: ignore[no-untyped
 def _slide(problem, work, search, b, start, tolerance):  # type: ignore[no-untyped-def]
     """Go along the boundary that is known, by part of a descent along its tangent; whether that leads anywhere."""
     points, saddle, count = work.points, search.saddle, work.points.place.shape[1]
-    for m in range(count):
-        work.wall[m] = search.edge_normal[m]
     copy_point(points, 0, CURRENT)
+    stiffness = math.sqrt(STIFF * largest_curvature(points.curvature[0]))
+    for m in range(count):
+        work.wall[m] = stiffness * search.edge_normal[m]
+        work.wall_at[0] += work.wall[m] * points.place[0, m]
+    add_wall(work, 0)
     along, _ = descend(problem, work, b, 0, 1, False)
+    work.wall_at[0] = 0.0
     for m in range(count):
         work.wall[m] = 0.0
         points.place[BETWEEN, m] = points.place[along, m]
@@ -170,12 +177,12 @@ def _slide(problem, work, search, b, start, tolerance):  # type: ignore[no-untyp
 
 @routine
 def _shorten(problem, work, search, b, start, tolerance):  # type: ignore[no-untyped-def]
-    """Go part of the way to the place BETWEEN; whether that is better."""
+    """Go part of the way to where the free descent led; whether that is better."""
     points = work.points
     for part_of_it in SHORTENED:
         for m in range(points.place.shape[1]):
             here = points.place[CURRENT, m]
-            points.place[AIM, m] = here + part_of_it * (points.place[BETWEEN, m] - here)
+            points.place[AIM, m] = here + part_of_it * (search.aim[m] - here)
         if _try(problem, work, search, b, start, tolerance):
             return True
     return False
@@ -185,26 +192,25 @@ def _shorten(problem, work, search, b, start, tolerance):  # type: ignore[no-unt
 def follow_boundary(problem, work, search, b, start, tolerance):  # type: ignore[no-untyped-def]
     """Search on from the current point; whether the best point is the end of a descent then that is reached itself."""
     points, at_end = work.points, False
+    copy_point(points, 0, CURRENT)
+    end, _ = descend(problem, work, b, 0, 1, False)
+    if not math.isfinite(points.known[end, HALF_COST]):
+        return False
+    how = reach_and_keep(problem, work, search, b, end, ENDED, start, tolerance)
+    same = how != FAILED and distance_of(problem, work, b, end, ENDED) <= SAME_SHAPE
+    if how != FAILED and improves(work, ENDED, BEST):
+        keep_point(work, search, BEST, ENDED)
+        at_end = same
+    if same:
+        return at_end
+    for m in range(points.place.shape[1]):
+        search.aim[m] = points.place[end, m]
     for _ in range(ROUNDS):
         before = points.known[CURRENT, HALF_COST]
-        copy_point(points, 0, CURRENT)
-        end, _ = descend(problem, work, b, 0, 1, False)
-        if not math.isfinite(points.known[end, HALF_COST]):
-            break
-        how = reach_and_keep(problem, work, search, b, end, ENDED, start, tolerance)
-        same = how != FAILED and distance_of(problem, work, b, end, ENDED) <= SAME_SHAPE
-        if how != FAILED and improves(work, ENDED, BEST):
-            keep_point(work, search, BEST, ENDED)
-            at_end = same
-        if same:
-            break
-        for m in range(points.place.shape[1]):
-            points.place[BETWEEN, m] = points.place[end, m]
-        known = find_boundary(problem, work, search, b, CURRENT)
-        went = _slide(problem, work, search, b, start, tolerance) if known else False
+        went = find_boundary(problem, work, search, b, CURRENT)
+        if went:
+            went = _slide(problem, work, search, b, start, tolerance)
         if not went:
-            for m in range(points.place.shape[1]):
-                points.place[BETWEEN, m] = points.place[end, m] if not known else points.place[BETWEEN, m]
             went = _shorten(problem, work, search, b, start, tolerance)
         if went and not improves(work, BEST, CURRENT):
             at_end = False

@@ -1,13 +1,15 @@
-"""Parts of kernels that are compiled as far as kernels need them: to intermediate code, not to machine code.
+"""How kernels and their parts are compiled: parts to intermediate code alone, which kernels translate with their own.
 
-Of its own, numba optimises each function together with all that it calls, and makes machine code of it, once more for every
-level of calls; what only kernels call is optimised and translated with these.
+Of its own, numba optimises each function together with all that it calls, and makes machine code of it, once more for
+every level of calls; and what is called in several places it may expand in each of them. Here large parts stand once
+in a kernel, as functions that only the kernel sees, so that arguments that are not used cost nothing.
 """
 
 from typing import Any
 
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.types import unliteral
 
 
 class _WithoutRun:
@@ -40,9 +42,70 @@ class PartLibrary(JITCodeLibrary):  # type: ignore[misc]
         self._finalized = True
 
 
-class PartCompiler(Compiler):  # type: ignore[misc]
-    """numba's compiler, with such a library."""
+class RoutineLibrary(PartLibrary):
+    """The same, of a function that is not expanded where it is called."""
+
+    def add_llvm_module(self, module: Any) -> None:
+        """Add the function's own code."""
+        for function in module.functions:
+            if not function.is_declaration and not _is_expanded(function):
+                function.add_function_attribute("noinline")
+        super().add_llvm_module(module)
+
+
+def _is_expanded(function: Any) -> bool:
+    """Whether a function is marked as one that is expanded where it is called."""
+    return any(b"alwaysinline" in attribute for attribute in function.attributes)
+
+
+class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
+    """Code of a kernel with all of its parts, which are its own."""
+
+    def _optimize_final_module(self) -> None:
+        """Once, without copies of loops that would be for long ones: here they run over a few actuators or elements."""
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.linkage.name == "linkonce_odr":
+                function.linkage = "internal"
+        builder = self._codegen._pass_builder(loop_vectorize=False, slp_vectorize=False)
+        builder._pto.loop_unrolling = builder._pto.loop_interleaving = False
+        builder.getModulePassManager().run(self._final_module, builder)
+
+
+class _Compiler(Compiler):  # type: ignore[misc]
+    """numba's compiler, with a library of another kind."""
+
+    kind: type[JITCodeLibrary]
 
     def __init__(self, typingctx: Any, targetctx: Any, library: Any, *rest: Any) -> None:
-        own = PartLibrary(targetctx.codegen(), "part") if library is None else library
+        own = self.kind(targetctx.codegen(), self.kind.__name__) if library is None else library
+        if library is None and self.kind is KernelLibrary:
+            own.enable_object_caching()
         super().__init__(typingctx, targetctx, own, *rest)
+
+
+class PartCompiler(_Compiler):
+    """For what is expanded where it is called."""
+
+    kind = PartLibrary
+
+
+class RoutineCompiler(_Compiler):
+    """For what stands once in a kernel."""
+
+    kind = RoutineLibrary
+
+
+class KernelCompiler(_Compiler):
+    """For kernels."""
+
+    kind = KernelLibrary
+
+
+def once_for_all_numbers(dispatcher: Any) -> None:
+    """Have a function compiled once, not anew for every constant that it is called with."""
+    given = dispatcher.get_call_template
+
+    def template(args: Any, kws: Any) -> Any:
+        return given(tuple(map(unliteral, args)), {name: unliteral(value) for name, value in kws.items()})
+
+    dispatcher.get_call_template = template

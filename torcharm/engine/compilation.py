@@ -37,7 +37,9 @@ def kernel(function: F) -> F:
 
 def routine(function: F) -> F:
     """A large part of kernels, compiled once and called: for what is long, or stands in several places."""
-    return _compiled(function, cache=False, _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+    return _compiled(
+        function, cache=False, _nrt=False, forceinline=False, no_cpython_wrapper=True, no_cfunc_wrapper=True
+    )
 
 
 def spliced(function: F) -> F:
@@ -56,20 +58,24 @@ def _compiled(function: F, **options: Any) -> F:
     import numba
 
     from torcharm.engine.code_cache import guard
-    from torcharm.engine.code_parts import PartCompiler
+    from torcharm.engine.code_parts import KernelCompiler, PartCompiler, RoutineCompiler, once_for_all_numbers
 
     config: Any = numba.config
     # numba takes code from disk unless the function's own file has changed; that of what it calls may have
     chosen, folder = config.CACHE_DIR, _folder()
     every: dict[str, Any] = {"nogil": True, "error_model": "numpy", **options}
     if every.get("no_cpython_wrapper"):  # what only compiled functions call
-        every["pipeline_class"] = PartCompiler
+        every["pipeline_class"] = PartCompiler if every.get("forceinline") else RoutineCompiler
+    elif every["cache"] and not every.get("forceinline"):
+        every["pipeline_class"] = KernelCompiler
     every["cache"] = every["cache"] and folder is not None
     try:
         config.CACHE_DIR = folder or chosen
         compiled: F = numba.njit(**every)(unwrap(function))  # what checks signatures in tests cannot be compiled
         if every["cache"]:
             guard(compiled)
+        if every.get("pipeline_class") is RoutineCompiler:
+            once_for_all_numbers(compiled)
         return compiled
     finally:
         config.CACHE_DIR = chosen

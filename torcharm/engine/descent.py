@@ -42,8 +42,6 @@ WORTH = 1e-5
 long one tries."""
 ROUNDING = 1e-12
 """Of half the cost: a smaller decrease is lost in what is left of the equilibria, and the slope tells which of two points is better."""
-STIFF = 100.0
-"""Of a wall, over the largest curvature: along its normal a step is a hundredth of what it would be."""
 FLOOR = 1e-10
 """Of an error over the arm's length: below, rounding decides, and it counts as none."""
 OPTIMAL = 1e-7
@@ -136,7 +134,7 @@ def _update_secant(work, here, there):  # type: ignore[no-untyped-def]
 
 @routine
 def descend(problem, work, b, here, there, free):  # type: ignore[no-untyped-def]
-    """Follow the cost of arm b down from the point of a slot, without moving along the wall's normal if there is one.
+    """Follow the cost of arm b down from the point of a slot.
 
     Args:
         here: slot of the point, as of `evaluate_point`, and another one to try steps in.
@@ -156,11 +154,8 @@ def descend(problem, work, b, here, there, free):  # type: ignore[no-untyped-def
     damping, ended = FIRST_DAMPING * largest_curvature(points.curvature[here]), RUNNING
     for _ in range(STEPS):
         scale, value = largest_curvature(points.curvature[here]), points.known[here, HALF_COST]
-        for m in range(count):
-            for k in range(count):
-                work.bound[m, k] = points.curvature[here, m, k] + STIFF * scale * work.wall[m] * work.wall[k]
         promised = write_box_step(
-            box, points.gradient[here], work.bound, work.extra, augmented, points.place[here], damping
+            box, points.gradient[here], points.curvature[here], work.extra, augmented, points.place[here], damping
         )
         ended = RUNNING
         if error_slope(problem, work, b, here) <= OPTIMAL * problem.scale.length[b]:

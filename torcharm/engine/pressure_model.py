@@ -77,8 +77,8 @@ class Work(NamedTuple):
         change: (1 + M, N, C) Newton's step, and the changes of the unknowns by M normalised pressures.
         points: the points.
         base, way: (N, K), (N, C) of Newton's method: where a step starts, and the step.
-        wall: (M,) unit normal along which a descent must not move; zeros if there is none.
-        bound: (M, M) a curvature with the wall.
+        wall, wall_at: (M,), (1,) half the square of `wall·u - wall_at` is added to the value of every point: a
+            descent keeps to that plane. Zeros if there is none.
         extra: (M, M) what is added to a curvature.
         missed: (M,) room.
         pressure: (B, M) [kPa] the pressures at which arms are evaluated, for all threads; each uses its arms' rows.
@@ -93,7 +93,7 @@ class Work(NamedTuple):
     base: Array
     way: Array
     wall: Array
-    bound: Array
+    wall_at: Array
     extra: Array
     missed: Array
     pressure: Array
@@ -120,7 +120,8 @@ def make_work(arms: Arms, pressure: Array) -> Work:
         np.zeros((nodes, size)),
         np.zeros((nodes, columns)),
         np.zeros(count),
-        *np.zeros((2, count, count)),
+        np.zeros(1),
+        np.zeros((count, count)),
         np.zeros(count),
         pressure,
     )
@@ -269,6 +270,19 @@ def write_point(problem, work, b, at, size):  # type: ignore[no-untyped-def]
     points.known[at, LAST_MOVE], points.known[at, STABLE] = size, stable
 
 
+@part
+def add_wall(work, at):  # type: ignore[no-untyped-def]
+    """Add the square of the distance from the wall to the model of a slot."""
+    points, off = work.points, -work.wall_at[0]
+    for m in range(len(work.wall)):
+        off += work.wall[m] * points.place[at, m]
+    points.known[at, HALF_COST] += 0.5 * off * off
+    for m in range(len(work.wall)):
+        points.gradient[at, m] += off * work.wall[m]
+        for k in range(len(work.wall)):
+            points.curvature[at, m, k] += work.wall[m] * work.wall[k]
+
+
 @routine
 def expected_cost(problem, work, b, at, shape):  # type: ignore[no-untyped-def]
     """Half the cost at the place of a slot after one Newton step from a shape (N, K); infinite if it is no number."""
@@ -292,6 +306,7 @@ def evaluate_point(problem, work, b, at, close):  # type: ignore[no-untyped-def]
         work.points.known[at, HALF_COST], work.points.known[at, STABLE] = math.inf, 0.0
         return False
     write_point(problem, work, b, at, size)
+    add_wall(work, at)
     return math.isfinite(work.points.known[at, HALF_COST])
 
 

@@ -31,6 +31,7 @@ class Search(NamedTuple):
         lost_value, lost_place: (LOST,) half costs and (LOST, M) places of lost ends, from the best on.
         saddle: room for bifurcations.
         edge_place, edge_twists, edge_factor, edge_normal, edge_shift: the boundary that was found, as of `Saddle`.
+        aim: (M,) where the free descent from the current point led.
         way: (M,) room.
     """
 
@@ -48,6 +49,7 @@ class Search(NamedTuple):
     edge_factor: Array
     edge_normal: Array
     edge_shift: Array
+    aim: Array
     way: Array
 
 
@@ -69,7 +71,7 @@ def make_search(arms: Arms, starts: int, pool: int) -> Search:
         np.zeros(1),
         np.zeros(count),
         np.zeros((count, nodes, columns)),
-        np.zeros(count),
+        *np.zeros((2, count)),
     )
 
 
@@ -101,14 +103,14 @@ def reach_and_keep(problem, work, search, b, at, to, start, tolerance):  # type:
 
 @part
 def keep_lost(work, search, at):  # type: ignore[no-untyped-def]
-    """Keep the end of a descent among those that are lost, from the best on, unless it is there or worse than all."""
+    """Keep the end of a descent among those that are lost, from the best on, unless it is worse than all or there: whether it is."""
     value, place = work.points.known[at, HALF_COST], work.points.place[at]
     for j in range(LOST):
         gap = 0.0
         for m in range(len(place)):
             gap = max(gap, abs(search.lost_place[j, m] - place[m]))
         if gap < 1e-4 and abs(search.lost_value[j] - value) <= 1e-4 * value:
-            return
+            return True
     for j in range(LOST):
         if value < search.lost_value[j]:
             for k in range(LOST - 1, j, -1):
@@ -118,4 +120,5 @@ def keep_lost(work, search, at):  # type: ignore[no-untyped-def]
             search.lost_value[j] = value
             for m in range(len(place)):
                 search.lost_place[j, m] = place[m]
-            return
+            return False
+    return False

@@ -41,7 +41,7 @@ Array = NDArray[Any]
 LOT = 4
 """Places that compete for each start that is guided, by their expected costs."""
 AGREE = 3
-"""Descents that must end at the best point before others are spared."""
+"""Descents that must end where others have before the rest is spared."""
 SAME_PLACE = 1e-4
 """Difference of two places that counts as none: the costs of minima differ by a 1e-8th then."""
 
@@ -123,14 +123,14 @@ def _multistart(problem, work, search, b, shape, pool, spread, start, tolerance)
     points, at_end, agreed = work.points, False, 0
     _write_expected(problem, work, search, b, shape, pool)
     for s in range(len(search.start_cost)):
-        if agreed >= AGREE and not search.lost_value[0] < points.known[BEST, HALF_COST]:
+        if agreed >= AGREE:
             break
         search.start_cost[s] = math.inf
         if not _begin(problem, work, search, b, s, shape, pool, spread, start, tolerance):
             continue
         if s > 0 and improves(work, 0, BEST):
             keep_point(work, search, BEST, 0)
-            at_end, agreed = False, 0
+            at_end = False
         end, ended = descend(problem, work, b, 0, 1, False)
         if not math.isfinite(points.known[end, HALF_COST]):
             continue
@@ -140,14 +140,14 @@ def _multistart(problem, work, search, b, shape, pool, spread, start, tolerance)
             continue
         how = reach_and_keep(problem, work, search, b, end, ENDED, start, tolerance)
         same = how != FAILED and distance_of(problem, work, b, end, ENDED) <= SAME_SHAPE
-        if not same:
-            keep_lost(work, search, end)
+        if not same and keep_lost(work, search, end):
+            agreed += 1
         if how == FAILED:
             continue
         search.start_cost[s] = 2.0 * points.known[ENDED, HALF_COST]
         if improves(work, ENDED, BEST):
             keep_point(work, search, BEST, ENDED)
-            at_end, agreed = same and ended != RUNNING, 1
+            at_end = same and ended != RUNNING
     return at_end
 
 

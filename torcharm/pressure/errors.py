@@ -78,7 +78,7 @@ def errors_at(prepared: Prepared, place: Tensor, twists: Tensor, known: Tensor, 
 
 def _masked(value: Tensor, kept: Tensor, other: float) -> Tensor:
     """Numbers (*batch, ...), but another where they are not kept (*batch)."""
-    return value.masked_fill(~kept.view(*kept.shape, *[1] * (value.ndim - kept.ndim)), other)
+    return value.masked_fill(~kept.view(kept.shape + (1,) * (value.ndim - kept.ndim)), other)
 
 
 def root(square: Tensor, floor: Tensor) -> Tensor:
@@ -111,5 +111,5 @@ class _Known(torch.autograd.Function):
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
         (known,) = ctx.saved_tensors
         asked = (gradient != 0).flatten(known.ndim).any(-1)
-        lost = (asked & ~known).view(*known.shape, *[1] * (gradient.ndim - known.ndim))
+        lost = (asked & ~known).view(known.shape + (1,) * (gradient.ndim - known.ndim))
         return gradient.masked_fill(lost, float("nan")), None

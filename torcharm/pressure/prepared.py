@@ -72,7 +72,7 @@ class Prepared:
 
     def shaped(self, value: Numbers) -> Tensor:
         """Numbers (B, ...) as a tensor (*batch, ...)."""
-        return torch.from_numpy(value).reshape(*self.batch, *value.shape[1:])
+        return torch.from_numpy(value).reshape((*self.batch, *value.shape[1:]))
 
     def at(self, place: Tensor) -> Problem:
         """The problems at normalised pressures (*batch, M)."""
