@@ -32,9 +32,11 @@ WORTH = 1e-4
 """Share of the cost that a step along a boundary must save to be followed by another, or a lost end by a search."""
 NEWTON_STEPS, AGAIN_STEPS = 8, 4
 """To the boundary; and from there to another place on it."""
-STIFF = 100.0
-"""Of the wall in a descent along a boundary, over the largest curvature: across it a descent goes a hundredth of the way."""
-PARTS = (1.0, 0.5, 0.2, 0.0)
+STIFF = 1e4
+"""Of the wall in a descent along a boundary, over the largest curvature: across it a descent goes a ten-thousandth of the way."""
+SATISFIED = 3e-4
+"""Share of the cost that a descent along the boundary must promise: the places that are tried cost more than that."""
+PARTS = (1.0, 0.5, 0.15)
 """Parts of a step along the boundary that are tried."""
 MARGINS = (1e-4, 1e-3, 4e-3)
 """Distances from the boundary that are tried, in lengths of the box: continuation is the harder to follow the closer it is."""
@@ -141,10 +143,13 @@ def _slide(problem, work, search, b, start, tolerance):  # type: ignore[no-untyp
         work.wall_at[0] += work.wall[m] * points.place[0, m]
     add_wall(work, 0)
     along, _ = descend(problem, work, b, 0, 1, False)
+    hoped = points.known[along, HALF_COST]
     work.wall_at[0] = 0.0
     for m in range(count):
         work.wall[m] = 0.0
         points.place[BETWEEN, m] = points.place[along, m]
+    if not hoped < (1.0 - SATISFIED) * points.known[CURRENT, HALF_COST]:
+        return False
     steep = 0.0
     _write_way(search, points.place[CURRENT], 1.0)
     for m in range(count):
@@ -207,10 +212,10 @@ def follow_boundary(problem, work, search, b, start, tolerance):  # type: ignore
         search.aim[m] = points.place[end, m]
     for _ in range(ROUNDS):
         before = points.known[CURRENT, HALF_COST]
-        went = find_boundary(problem, work, search, b, CURRENT)
-        if went:
+        known = find_boundary(problem, work, search, b, CURRENT)
+        if known:
             went = _slide(problem, work, search, b, start, tolerance)
-        if not went:
+        else:
             went = _shorten(problem, work, search, b, start, tolerance)
         if went and not improves(work, BEST, CURRENT):
             at_end = False

@@ -87,6 +87,7 @@ class Path(NamedTuple):
         newton: (N, C) Newton's step.
         ahead: (N, C) the tangent at the trial.
         loaded: (1,) whether the load acts; without it one element stands for each segment.
+        stays: (1,) whether an arm whose branch ends under load is given up, in place of letting it snap.
         quick, rush: (N, K) twists of the equilibrium under load at which the arm gives way most, and (N, C) how the
             unknowns change by the load factor there: next to a bifurcation if there is any.
         fastest: (2,) the size of that change, as of `move_size`, and the load factor.
@@ -99,6 +100,7 @@ class Path(NamedTuple):
     newton: Array
     ahead: Array
     loaded: Array
+    stays: Array
     quick: Array
     rush: Array
     fastest: Array
@@ -128,7 +130,7 @@ def make_path(arms: Arms) -> Path:
     return Path(
         *np.zeros((2, nodes, size)),
         *np.zeros((4, nodes, columns)),
-        np.zeros(1, dtype=np.bool_),
+        *np.zeros((2, 1), dtype=np.bool_),
         np.zeros((nodes, size)),
         np.zeros((nodes, columns)),
         np.zeros(2),
@@ -444,6 +446,8 @@ def find_equilibrium(arms, loads, scale, pressures, start, room, path, b, tolera
             along = along and arrived
         if stage == 2:
             set_pressure(arms, room.drive, pressures, b, 1.0)
+        if stage == 3 and not arrived and path.stays[0]:
+            break
         if stage < 2 or not arrived:
             damping = WARM_DAMPING if stage == 0 else TRANSIENT_DAMPING
             arrived = come_to_rest(arms, loads, scale, room, path, b, damping, tolerance)

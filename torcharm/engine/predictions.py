@@ -176,6 +176,7 @@ def predict_all(problem, shape, draws, start, tolerance, first, last, work, fit,
         out: is written.
     """
     points = work.points
+    work.path.stays[0] = True
     for b in range(first, last):
         best, ended = _predict(problem, work, fit, b, shape[b], draws)
         for m in range(points.place.shape[1]):

@@ -40,7 +40,7 @@ Array = NDArray[Any]
 
 LOT = 4
 """Places that compete for each start that is guided, by their expected costs."""
-AGREE = 3
+AGREE = 4
 """Descents that must end where others have before the rest is spared."""
 SAME_PLACE = 1e-4
 """Difference of two places that counts as none: the costs of minima differ by a 1e-8th then."""
@@ -163,6 +163,7 @@ def _search(problem, work, search, b, shape, pool, spread, rounds, start, tolera
             search.lost_place[j, m] = math.nan
     points.known[BEST, HALF_COST] = math.inf
     at_end = _multistart(problem, work, search, b, shape, pool, spread, start, tolerance)
+    work.path.stays[0] = False
     for j in range(-1, min(rounds, LOST)):
         if j < 0:
             if at_end or rounds == 0 or not math.isfinite(points.known[BEST, HALF_COST]):
@@ -193,7 +194,11 @@ def search_all(problem, shape, pool, spread, rounds, start, tolerance, first, la
     """
     points = work.points
     for b in range(first, last):
-        out.at_end[b] = _search(problem, work, search, b, shape[b], pool, spread, rounds, start, tolerance)
+        for snaps in range(2):  # where no branch is found to the full load at any start, arms may snap
+            work.path.stays[0] = snaps == 0
+            out.at_end[b] = _search(problem, work, search, b, shape[b], pool, spread, rounds, start, tolerance)
+            if math.isfinite(points.known[BEST, HALF_COST]):
+                break
         for m in range(points.place.shape[1]):
             out.place[b, m] = points.place[BEST, m]
         copy_twists(out.twists[b], points.twists[BEST])

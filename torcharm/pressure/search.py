@@ -210,6 +210,7 @@ def _found(prepared: Prepared, starts: int, rounds: int, seed: int) -> Searches:
     pool = (1.2 * pool - 0.1).clamp(0, 1)  # the bounds are where optima like to be
     places = spread_points(starts + 1, size, seed)
     places[1:] = np.clip(1.6 * places[1:] - 0.3, 0.0, 1.0)
+    places[1] = 0.0  # no pressure at all
     start, pressure = np.zeros((0, *shape.shape[1:])), np.zeros_like(problem.limit)
 
     def work(first: int, last: int) -> None:
