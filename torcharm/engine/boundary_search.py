@@ -26,8 +26,8 @@ from torcharm.engine.search_room import (
 
 SAME_SHAPE = 1e-4
 """Difference of two shapes, as of `move_size`, that counts as none: both are solved to within 1e-8."""
-ROUNDS = 6
-"""Steps along a boundary, at most: most searches gain nothing after three."""
+ROUNDS = 10
+"""Steps along a boundary, at most: most searches gain nothing after three, some follow a long curved one."""
 WORTH = 1e-4
 """Share of the cost that a step along a boundary must save to be followed by another, or a lost end by a search."""
 NEWTON_STEPS, AGAIN_STEPS = 8, 4
@@ -36,10 +36,12 @@ STIFF = 1e4
 """Of the wall in a descent along a boundary, over the largest curvature: across it a descent goes a ten-thousandth of the way."""
 SATISFIED = 3e-4
 """Share of the cost that a descent along the boundary must promise: the places that are tried cost more than that."""
-PARTS = (1.0, 0.5, 0.15)
+PARTS = (1.0, 0.4, 0.15, 0.05)
 """Parts of a step along the boundary that are tried."""
 MARGINS = (1e-4, 1e-3, 4e-3)
 """Distances from the boundary that are tried, in lengths of the box: continuation is the harder to follow the closer it is."""
+BLIND_MARGINS = (4e-3, -4e-3, -2e-2)
+"""The same where the boundary is not found again, as where it has ended: on either side of where it would be."""
 CROSS, FLIPS = (3e-4, 1e-3, 4e-3, 1.6e-2), (0.01, 0.03, 0.1, 0.3)
 """Steps across a boundary, from it, and from a place somewhere on the other side, in lengths of the box."""
 SHORTENED = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
@@ -173,8 +175,8 @@ def _slide(problem, work, search, b, start, tolerance):  # type: ignore[no-untyp
         for m in range(count):
             base = saddle.place[0, m] if found else points.place[AIM, m]
             saddle.place[1, m] = min(max(base, 0.0), 1.0)
-        for margin in MARGINS:
-            _write_trial(work, search, saddle.place[1], margin)
+        for k in range(len(MARGINS)):
+            _write_trial(work, search, saddle.place[1], MARGINS[k] if found else BLIND_MARGINS[k])
             if _try(problem, work, search, b, start, tolerance):
                 return True
     return False

@@ -103,7 +103,9 @@ class KernelCompiler(_Compiler):
 
 def once_for_all_numbers(dispatcher: Any) -> None:
     """Have a function compiled once, not anew for every constant that it is called with."""
-    given = dispatcher.get_call_template
+    given = getattr(dispatcher, "get_call_template", None)
+    if given is None:  # a plain function, as where numba is told not to compile
+        return
 
     def template(args: Any, kws: Any) -> Any:
         return given(tuple(map(unliteral, args)), {name: unliteral(value) for name, value in kws.items()})

@@ -1,5 +1,6 @@
 """What a search keeps of one arm: points with what their load continuations passed, ends that were lost, a boundary."""
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +16,8 @@ Array = NDArray[Any]
 BEST, CURRENT, ENDED, TRIED, AIM, BETWEEN = 2, 3, 4, 5, 6, 7
 """Slots: the best point that is reached from zero load; where a search along a boundary is; what is reached at the end
 of a descent; what is reached at a trial; and places of trials. The first two slots are those of descents."""
+SAME_END = 0.02
+"""Difference of the places of two lost ends that counts as none: kinks of force models hold descents up here and there."""
 LOST = 6
 """Ends of descents that are kept, as load continuation leads elsewhere there."""
 
@@ -109,7 +112,7 @@ def keep_lost(work, search, at):  # type: ignore[no-untyped-def]
         gap = 0.0
         for m in range(len(place)):
             gap = max(gap, abs(search.lost_place[j, m] - place[m]))
-        if gap < 1e-4 and abs(search.lost_value[j] - value) <= 1e-4 * value:
+        if gap < SAME_END and search.lost_value[j] < math.inf:
             return True
     for j in range(LOST):
         if value < search.lost_value[j]:
