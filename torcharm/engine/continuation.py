@@ -254,7 +254,7 @@ def _move(arms, path, factor):  # type: ignore[no-untyped-def]
 
 @spliced
 def _branch(loads, room):  # type: ignore[no-untyped-def]
-    """What stays the same along a branch: the number of unstable directions; with following loads, whether it is odd."""
+    """What stays the same along a branch: the number of unstable directions, or whether it is odd if loads follow."""
     for q in range(len(loads.follows)):
         if loads.follows[q]:
             return room.pivots[0] % 2

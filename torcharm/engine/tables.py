@@ -86,12 +86,12 @@ def tables_of(actuators: Sequence[Actuator], models: Models, highest: Array) -> 
             alike = [k for k in known if same_model(actuators[k], model)]
             if not alike:
                 most = max(highest[k] for k, other in enumerate(actuators) if same_model(other, model))
-                grids.append(_checked(f"actuators[{a}]", model, _grid, model, float(most)))
+                grids.append(_checked(f"actuators[{a}]", _grid, model, float(most)))
                 known.append(a)
             force[a] = force[alike[0]] if alike else len(grids) - 1
         if is_sampled(model):
             bent[a] = len(laws)
-            laws.append(_checked(f"actuators[{a}].bending_stiffness", model, _law, model))
+            laws.append(_checked(f"actuators[{a}].bending_stiffness", _law, model))
     longest = [max([2, *(len(grid[axis]) for grid in grids)]) for axis in (0, 1)]
     strain, pressure = np.zeros((max(1, len(grids)), longest[0])), np.zeros((max(1, len(grids)), longest[1]))
     value = np.zeros((len(strain), *longest, 4))
@@ -110,15 +110,13 @@ def is_sampled(model: Actuator) -> bool:
     )
 
 
-def _checked(name: str, model: Actuator, sample: Any, *arguments: Any) -> Any:
+def _checked(name: str, sample: Any, *arguments: Any) -> Any:
     """What is sampled, or an error that names the actuator."""
     try:
-        found = sample(*arguments)
+        with np.errstate(invalid="ignore", over="ignore"):  # what has no number has no equilibrium
+            found = sample(*arguments)
     except (TypeError, ValueError, RuntimeError, AttributeError) as error:
         raise ValueError(f"{name}: must return a value for every strain and pressure, got {shown(error)}") from error
-    values = found[-1] if isinstance(found, tuple) else found
-    if not np.isfinite(values).all():
-        raise ValueError(f"{name}: must be finite over the strains and pressures in use, got a value that is not")
     return found
 
 
@@ -136,8 +134,11 @@ def _grid(model: Actuator, highest: float) -> tuple[Array, Array, Array]:
     while True:
         value = _values(model, strain, pressure, span)
         worst = _errors(model, strain, pressure, value)
-        limit = ACCURACY * max(float(np.abs(value[..., 0]).max()), 1e-300)
-        wide, tall = worst[0] > limit, worst[1] > limit
+        own = np.abs(value[..., 0]).max(1)  # forces far out of range may be any size
+        largest = max(own[(strain >= low) & (strain <= high)].max(), 1e-300)
+        limit = ACCURACY * np.maximum(largest, own)
+        wide = (worst[0] > np.minimum(limit[1:], limit[:-1])[:, None]).any(1)
+        tall = (worst[1] > limit[:, None]).any(0)
         more = len(strain) + int(wide.sum()) <= MOST_CELLS + 1, len(pressure) + int(tall.sum()) <= MOST_CELLS + 1
         if not ((wide.any() and more[0]) or (tall.any() and more[1])):
             return strain, pressure, value
@@ -163,16 +164,16 @@ def _values(model: Actuator, strain: Array, pressure: Array, span: float) -> Arr
 
 
 def _errors(model: Actuator, strain: Array, pressure: Array, value: Array) -> tuple[Array, Array]:
-    """The largest errors in the middles of the edges of cells, along strain and along pressure."""
+    """The errors in the middles of the edges of cells: (E - 1, P) along strain and (E, P - 1) along pressure."""
     middle = 0.5 * (strain[:-1] + strain[1:])
     at, by = (axis.copy() for axis in np.meshgrid(middle, pressure, indexing="ij"))
     wide = np.diff(strain)[:, None]
     guess = 0.5 * (value[:-1, :, 0] + value[1:, :, 0]) + wide / 8 * (value[:-1, :, 1] - value[1:, :, 1])
-    first = np.abs(guess - _ask(model, at, by)[0]).max(1)
+    first = np.abs(guess - _ask(model, at, by)[0])
     middle = 0.5 * (pressure[:-1] + pressure[1:])
     at, by = (axis.copy() for axis in np.meshgrid(strain, middle, indexing="ij"))
     guess = 0.5 * (value[:, :-1, 0] + value[:, 1:, 0]) + np.diff(pressure) / 8 * (value[:, :-1, 2] - value[:, 1:, 2])
-    return first, np.abs(guess - _ask(model, at, by)[0]).max(0)
+    return first, np.abs(guess - _ask(model, at, by)[0])
 
 
 def _law(model: Actuator) -> Array:

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -144,7 +145,7 @@ def _scale(arms: Arms, loads: Loads) -> Scale:
     """What imbalances and moves are measured by."""
     dimension = loads.offset.shape[2]
     lengths = [
-        arms.neutral[:, first:last].mean(-1) for first, last in zip(arms.first_actuator, arms.first_actuator[1:])
+        arms.neutral[:, first:last].mean(-1) for first, last in pairwise(arms.first_actuator)
     ]
     length = np.mean(lengths, 0)
     force = np.linalg.norm(loads.wrench[..., :dimension], axis=-1).sum(-1)
