@@ -3,7 +3,8 @@
 import numpy as np
 import torch
 
-from torcharm.engine.continuation import FAILED, Found
+from torcharm.engine.continuation import FAILED
+from torcharm.engine.path import Found
 from torcharm.equilibrium.problem import Problem
 from torcharm.geometry.rod import group_of
 
