@@ -29,8 +29,10 @@ from torcharm.engine.forces import SAMPLED, Models
 Array = NDArray[Any]
 
 ACCURACY = 1e-6
-"""Of the largest force on the grid: steps of Newton's method on the model itself then gain six digits each."""
-FIRST_CELLS, MOST_CELLS = 16, 128
+"""Of the largest force at a strain: steps of Newton's method on the model itself then gain six digits each."""
+LEAST_FORCE = 1e-2
+"""Of the median over strains of that: a largest force so small is taken for one."""
+FIRST_CELLS, MOST_CELLS = 16, 200
 """Cells of a grid along one axis: enough to see what a model looks like, and what is still sampled in milliseconds."""
 SHORTEST = -0.95
 """The least strain of a grid: at -1 an actuator has no length."""
@@ -133,19 +135,22 @@ def _grid(model: Actuator, highest: float) -> tuple[Array, Array, Array]:
     pressure = np.unique(np.concatenate((np.linspace(0, most, FIRST_CELLS // 2 + 1), kinks)))
     while True:
         value = _values(model, strain, pressure, span)
-        worst = _errors(model, strain, pressure, value)
-        own = np.abs(value[..., 0]).max(1)  # forces far out of range may be any size
-        largest = max(own[(strain >= low) & (strain <= high)].max(), 1e-300)
-        limit = ACCURACY * np.maximum(largest, own)
-        wide = (worst[0] > np.minimum(limit[1:], limit[:-1])[:, None]).any(1)
-        tall = (worst[1] > limit[:, None]).any(0)
-        more = len(strain) + int(wide.sum()) <= MOST_CELLS + 1, len(pressure) + int(tall.sum()) <= MOST_CELLS + 1
-        if not ((wide.any() and more[0]) or (tall.any() and more[1])):
+        own = np.abs(value[..., 0]).max(1)  # at one strain: far out of range forces may be of another size
+        limit = ACCURACY * np.maximum(own, LEAST_FORCE * np.median(own) + 1e-300)[:, None]
+        wide, tall = _errors(model, strain, pressure, value)
+        wide, tall = (wide / np.minimum(limit[1:], limit[:-1])).max(1), (tall / limit).max(0)
+        finer = _halved(strain, wide), _halved(pressure, tall)
+        if len(finer[0]) == len(strain) and len(finer[1]) == len(pressure):
             return strain, pressure, value
-        if wide.any() and more[0]:
-            strain = np.sort(np.concatenate((strain, 0.5 * (strain[:-1] + strain[1:])[wide])))
-        if tall.any() and more[1]:
-            pressure = np.sort(np.concatenate((pressure, 0.5 * (pressure[:-1] + pressure[1:])[tall])))
+        strain, pressure = finer
+
+
+def _halved(axis: Array, excess: Array) -> Array:
+    """An axis with the cells halved whose error is beyond its limit, the worst of them if there is no room for all."""
+    room = max(MOST_CELLS + 1 - len(axis), 0)
+    worst = np.argsort(-excess, kind="stable")[:room]
+    worst = worst[excess[worst] > 1.0]
+    return np.sort(np.concatenate((axis, 0.5 * (axis[worst] + axis[worst + 1]))))
 
 
 def _ask(model: Actuator, strain: Array, pressure: Array) -> tuple[Array, Array, Array]:
