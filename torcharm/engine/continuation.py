@@ -29,7 +29,7 @@ from torcharm.engine.sections import set_pressure, write_rates, write_section
 
 Array = NDArray[Any]
 
-FIRST_PRESSURE_STEP = 0.3
+FIRST_PRESSURE_STEP = 0.6
 """Of the pressure, taken by the first step."""
 FIRST_LOAD_STEP = 0.25
 """Of the load, taken by the first step."""
@@ -164,10 +164,10 @@ def follow(arms, loads, scale, pressures, room, path, b, tolerance):  # type: ig
         trusted = ratio < CONTRACTION or moved < ease * SMALL_MOVE
         same = not started or _branch(loads, room) == branch
         if there and trusted and same and math.isfinite(size):
-            move(arms, path, 1.0)
-            copy_twists(path.base, path.trial)
             if aim >= 1.0:
                 return True
+            move(arms, path, 1.0)
+            copy_twists(path.base, path.trial)
             write_tangent(arms, loads, room, path, pressures, b)
             taken, started_before = aim - at if started else step, started
             half = 0.5 / max(taken, 1e-12)
@@ -216,7 +216,6 @@ def come_to_rest(arms, loads, scale, room, path, b, damping, tolerance):  # type
         write_step(arms, loads, room, path, b, factor, amount * linear, amount * angular)
         miss = imbalance(arms, scale, room, path, b)
         if miss <= tolerance:
-            move(arms, path, 1.0)
             return True
         size = move_size(arms, scale, path, b, path.newton)
         if not (math.isfinite(miss) and math.isfinite(size)):
@@ -305,7 +304,8 @@ def find_equilibria(arms, loads, scale, pressures, start, tolerance, first, last
     """
     for b in range(first, last):
         found.reached[b] = find_equilibrium(arms, loads, scale, pressures, start, room, path, b, tolerance)
-        write_step(arms, loads, room, path, b, 1.0, 0.0, 0.0)
+        if found.reached[b] != CONTINUED:  # else it was the last evaluation
+            write_step(arms, loads, room, path, b, 1.0, 0.0, 0.0)
         found.residual[b] = imbalance(arms, scale, room, path, b)
         found.pivots[b, 0], found.pivots[b, 1] = room.pivots[0], room.pivots[1]
         found.scale[b, 0], found.scale[b, 1] = scales(scale, room, b)
