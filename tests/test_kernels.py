@@ -1,6 +1,5 @@
 """Machine code against what it stands for: the same numbers, one element after the other."""
 
-import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,9 +10,8 @@ from hypothesis import strategies as st
 
 import torcharm as ta
 from torcharm import _box, mechanics
-from torcharm._continuation import Problem, can_compile, loaded, settle, unloaded
+from torcharm._continuation import Problem, can_compile, loaded, settle, solved, unloaded
 from torcharm.engine.forces import muscle
-from torcharm.equilibrium import solved
 from torcharm.kernels.arms import arms_of
 from torcharm.kernels.box import box_step
 from torcharm.kernels.march import BY_LOAD, NONE, imbalance, look, moves, new_march, solve

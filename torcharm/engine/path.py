@@ -76,7 +76,9 @@ class Found(NamedTuple):
 def make_path(arms: Arms) -> Path:
     """Room for one arm's path."""
     nodes, size, columns = arms.first_node[-1], len(arms.column), len(arms.unknown)
-    return Path(*np.zeros((2, nodes, size)), *np.zeros((4, nodes, columns)), np.zeros(1, dtype=np.bool_))
+    trial, base = np.zeros((2, nodes, size))
+    tangent, bend, newton, ahead = np.zeros((4, nodes, columns))
+    return Path(trial, base, tangent, bend, newton, ahead, np.zeros(1, dtype=np.bool_))
 
 
 @spliced

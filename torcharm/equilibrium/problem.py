@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -61,9 +62,9 @@ class Problem:
 
     def double(self) -> "Problem":
         """The same in float64 on the CPU, with its graphs."""
-        parts = (self.arm, self.pressure, self.load, self.base_pose)
-        arm, pressure, load, base = (part.to(device="cpu", dtype=torch.float64) for part in parts)
-        return replace(self, arm=arm, pressure=pressure, load=load, base_pose=base)
+        like: dict[str, Any] = {"device": "cpu", "dtype": torch.float64}
+        arm, load = self.arm.to(**like), self.load.to(**like)
+        return replace(self, arm=arm, pressure=self.pressure.to(**like), load=load, base_pose=self.base_pose.to(**like))
 
     def residual(self, twists: Tensor) -> Tensor:
         """R (*batch, N, C), with its graph."""
