@@ -135,10 +135,6 @@ RESULTS: dict[str, Callable] = {
     "predicted in steps": lambda arm: ta.predict_error(pair(arm), GENTLE, steps=1).error,
     "equilibrium": equilibrium(),
     "sheared equilibrium": equilibrium(shear_stiffness=1e3),
-    "compiled equilibrium": equilibrium(compiled=True),
-    "equilibria in chunks": lambda arm: ta.solve_equilibrium(
-        arm, torch.stack((PRESSURE, PRESSURE / 2)), LOAD, 4, chunk_size=1
-    ).poses[:, -1],
     "capacity": lambda arm: ta.load_capacity(arm, TASK).t_max_per_node,
     "capacity in chunks": lambda arm: ta.load_capacity(arm, TASK, chunk_size=1).t_max_per_node,
     "reaction": lambda arm: ta.reaction_wrench(arm, TASK.twists, PRESSURE),
@@ -147,9 +143,9 @@ RESULTS: dict[str, Callable] = {
 
 
 VARIANTS = ("in chunks", "by scipy", "relative in chunks", "signed relative", "predicted in steps")
-VARIANTS += ("sheared equilibrium", "equilibria in chunks", "capacity in chunks")
+VARIANTS += ("sheared equilibrium", "capacity in chunks")
 """Of other results, for which a few parameters stand for all."""
-KINKED_NOWHERE = ("predicted", "equilibrium", "compiled equilibrium", "reaction")
+KINKED_NOWHERE = ("predicted", "equilibrium", "reaction")
 """Of K at 0, where actuators' edges in their hulls turn about."""
 
 

@@ -154,10 +154,6 @@ ANSWERS = {
     "edges": (lambda arm: absolute(arm, hull="edges"), 1e-9),
     "capacity": (lambda arm: ta.load_capacity(arm, TASK).t_max_per_node, 1e-6),
     "equilibrium": (lambda arm: ta.solve_equilibrium(arm, PRESSURE, LOAD, raise_on_failure=True).twists, 1e-7),
-    "compiled equilibrium": (
-        lambda arm: ta.solve_equilibrium(arm, PRESSURE, LOAD, raise_on_failure=True, compiled=True).twists,
-        1e-7,
-    ),
     "fit": (lambda arm: ta.fit_pressure(arm, NEAR, starts=2).distance, 1e-6),
 }
 PRESSURE = torch.tensor([40.0, 10.0, 20.0], dtype=D)

@@ -7,8 +7,7 @@ from scipy.optimize import lsq_linear
 import torcharm as ta
 from torcharm import _branch_search, search
 from torcharm._box import box_step, optimality
-from torcharm._continuation import SETTLING_STEPS
-from torcharm.equilibrium import solved
+from torcharm._continuation import SETTLING_STEPS, solved
 
 ARMS = {"antagonistic": ta.antagonistic_arm(), "bellows": ta.bellows_arm()}
 

@@ -169,16 +169,15 @@ def speed(quick: bool, _: figures.Pictures) -> Iterator[Row]:
             generator = torch.Generator().manual_seed(0)
             pressure = torch.rand(batch, 4, generator=generator, dtype=torch.float64) * arm.max_pressure
             loads = ta.sample_loads(batch)
-            for compiled in (False,) if quick else (False, True):
-                times = []
-                for _repeat in range(1 if quick else 5 + compiled):
-                    begun = time.perf_counter()
-                    found = ta.solve_equilibrium(arm, pressure, loads, compiled=compiled)
-                    times.append(time.perf_counter() - begun)
-                rate = batch / float(np.median(times[compiled:]))  # the first may compile
-                case = f"{name}, batch {batch:,}{', compiled' if compiled else ''}"
-                yield Row(part, case, "equilibria", rate, "1/s")
-                yield Row(part, case, "converged", 100 * float(found.converged.double().mean()), "%")
+            times = []
+            for _repeat in range(2 if quick else 6):
+                begun = time.perf_counter()
+                found = ta.solve_equilibrium(arm, pressure, loads)
+                times.append(time.perf_counter() - begun)
+            rate = batch / float(np.median(times[1:]))  # the first may compile
+            case = f"{name}, batch {batch:,}"
+            yield Row(part, case, "equilibria", rate, "1/s")
+            yield Row(part, case, "converged", 100 * float(found.converged.double().mean()), "%")
         other, solved, begun = OTHERS[name], 0, time.perf_counter()
         tries = 2 if quick else 20
         for k in range(tries):

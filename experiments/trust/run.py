@@ -160,14 +160,14 @@ def snapped(total: int) -> Iterator[Row]:
         generator = torch.Generator().manual_seed(10_000 + seed)
         arm, kinds = draw_arm(generator, 1 + seed % 4)
         pressure = arm.max_pressure * uniform(generator, 0.0, 1.0, LOADED, arm.actuator_count)
-        loads, compiled = draw_loads(generator, LOADED), seed // 4 % 2 == 1
-        found = ta.solve_equilibrium(arm, pressure, loads, NODES, compiled=compiled)
+        loads = draw_loads(generator, LOADED)
+        found = ta.solve_equilibrium(arm, pressure, loads, NODES)
         at_rest = (found.residual <= 1e-10) & ~found.continued
         for index in at_rest.nonzero().flatten().tolist()[:left]:
             flag = "" if bool(found.stable[index]) else "not stable"
             flag = flag if bool(found.converged[index]) else "folded"
             largest = largest_real_part(arm, found.twists[index], pressure[index], loads[index])
-            source, holds = "compiled" if compiled else "plain", bool(flag) or largest <= 0
+            source, holds = "engine", bool(flag) or largest <= 0
             yield Row("snapped", seed, kinds, source, float(found.residual[index]), largest, flag, holds)
         left -= int(at_rest.sum())
 

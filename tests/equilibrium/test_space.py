@@ -222,9 +222,7 @@ def test_refinement_converges_at_its_order(wrench_at, order):
 
 
 def test_gradients_by_finite_differences():
-    scene = SCENES[6]
-    arm, task = arm_and_task(scene)
-    first, second = arm.segments
+    first, second = arm_and_task(SCENES[6])[0].segments
     leaves = [
         double(np.linspace(5, 25, 10)),
         double([0.1, 0.5, -0.2, 0.02, 0.03, 0.0]),

@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from torcharm.engine.arms import Arms
 from torcharm.engine.compilation import part, routine
 from torcharm.engine.newton_step import solve, write_balance, write_shape
-from torcharm.engine.pressure_model import copy_twists
-from torcharm.engine.sections import set_pressure, write_rates
+from torcharm.engine.path import copy_twists
+from torcharm.engine.sections import set_pressure
 
 Array = NDArray[Any]
 
 ASIDE = 1e-4
-"""Steps to the two equilibria beside, in the load factor, and in x over the arm's length: the error of the slopes' differences
-falls with them, that of rounding grows."""
+"""Steps to the two equilibria beside, in the load factor, and in x over the arm's length: the error of the slopes'
+differences falls with them, that of rounding grows."""
 LARGEST = 0.3
 """Newton step in these units, at most: further away the saddle of another bifurcation is found."""
 FOUND, DONE = 1e-3, 1e-6

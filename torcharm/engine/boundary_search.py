@@ -1,17 +1,20 @@
 """Search along the boundary of what load continuation reaches, where a descent leads over it.
 
-The best pressure is on the boundary then, or near. A descent along its tangent, set back on it, is the next place; a little
-away from it continuation can be followed. Where no bifurcation is found, the way to where the descent led is divided.
+The best pressure is on the boundary then, or near. A descent along its tangent, set back on it, is the next place; a
+little away from it continuation can be followed. Where no bifurcation is found, the way to where the descent led is
+divided.
 """
 
 import math
 
-from torcharm.engine.box_step import largest_curvature
 from torcharm.engine.bifurcation import find_saddle, times_measure, write_changes
+from torcharm.engine.box_step import largest_curvature
 from torcharm.engine.compilation import part, routine
 from torcharm.engine.continuation import FAILED
 from torcharm.engine.descent import descend
-from torcharm.engine.pressure_model import HALF_COST, add_wall, copy_point, copy_twists, distance_of
+from torcharm.engine.newton_step import first_angular
+from torcharm.engine.path import copy_twists
+from torcharm.engine.pressure_model import HALF_COST, add_wall, copy_point, distance_of
 from torcharm.engine.search_room import (
     AIM,
     BEST,
@@ -33,13 +36,15 @@ WORTH = 1e-4
 NEWTON_STEPS, AGAIN_STEPS = 8, 4
 """To the boundary; and from there to another place on it."""
 STIFF = 1e4
-"""Of the wall in a descent along a boundary, over the largest curvature: across it a descent goes a ten-thousandth of the way."""
+"""Of the wall in a descent along a boundary, over the largest curvature: across it a descent goes a ten-thousandth of
+the way."""
 SATISFIED = 3e-4
 """Share of the cost that a descent along the boundary must promise: the places that are tried cost more than that."""
 PARTS = (1.0, 0.4, 0.15, 0.05)
 """Parts of a step along the boundary that are tried."""
 MARGINS = (1e-4, 1e-3, 4e-3)
-"""Distances from the boundary that are tried, in lengths of the box: continuation is the harder to follow the closer it is."""
+"""Distances from the boundary that are tried, in lengths of the box: continuation is the harder to follow the closer
+it is."""
 BLIND_MARGINS = (4e-3, -4e-3, -2e-2)
 """The same where the boundary is not found again, as where it has ended: on either side of where it would be."""
 CROSS, FLIPS = (3e-4, 1e-3, 4e-3, 1.6e-2), (0.01, 0.03, 0.1, 0.3)
@@ -47,7 +52,8 @@ CROSS, FLIPS = (3e-4, 1e-3, 4e-3, 1.6e-2), (0.01, 0.03, 0.1, 0.3)
 SHORTENED = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
 """Parts of the way to where a descent led, that are tried where no boundary is known."""
 STEEP = 1e-3
-"""Least share of a step that goes across a boundary: along a bound of the box that nearly touches it there is no way back."""
+"""Least share of a step that goes across a boundary: along a bound of the box that nearly touches it there is no way
+back."""
 
 
 @part
@@ -71,7 +77,7 @@ def find_boundary(problem, work, search, b, at):  # type: ignore[no-untyped-def]
     gives way most: next to a bifurcation all changes are along one vector.
     """
     saddle, points = search.saddle, work.points
-    square, angular = 0.0, len(problem.arms.column) // 2 + len(problem.arms.column) % 2
+    square, angular = 0.0, first_angular(problem.arms)
     for i in range(saddle.measure.shape[0]):
         for c in range(saddle.measure.shape[1]):
             one = search.rush[at, i, c]

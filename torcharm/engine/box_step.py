@@ -109,8 +109,8 @@ def write_box_step(box, gradient, curvature, extra, use_extra, place, damping): 
     """Write the step that minimises `g·s + ½ s·(H + d 1) s` within the box; returns the decrease that it promises.
 
     The primal active-set method (Nocedal and Wright, *Numerical Optimization*, 2006, ch. 16): the minimum on the free
-    variables, as far as no other leaves the box; at the minimum, of those that are held the one that the slope draws inward
-    most is freed. Where the model is not convex the damping grows.
+    variables, as far as no other leaves the box; at the minimum, of those that are held the one that the slope draws
+    inward most is freed. Where the model is not convex the damping grows.
 
     Args:
         gradient: (M,) g.

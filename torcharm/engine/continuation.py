@@ -10,20 +10,26 @@ Without load, sections do not know of each other: each segment is one element th
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
-from torcharm.engine.arms import Arms
-from torcharm.engine.compilation import kernel, part, routine, spliced
-from torcharm.engine.newton_step import factor_section, first_angular, solve, write_balance, write_shape
+from torcharm.engine.compilation import kernel, routine, spliced
+from torcharm.engine.newton_step import factor_section, solve, write_balance, write_shape
+from torcharm.engine.path import (
+    copy_twists,
+    elements_under_way,
+    imbalance,
+    move,
+    move_size,
+    own_stiffness,
+    scales,
+)
 from torcharm.engine.sections import set_pressure, write_rates, write_section
-from torcharm.statics.balance import RIGID
 
 Array = NDArray[Any]
 
-FIRST_PRESSURE_STEP = 0.3
+FIRST_PRESSURE_STEP = 0.6
 """Of the pressure, taken by the first step."""
 FIRST_LOAD_STEP = 0.25
 """Of the load, taken by the first step."""
@@ -53,95 +59,8 @@ WARM_DAMPING = 1e-3
 """The same from a warm start: next to Newton's step."""
 UPHILL = 1.5
 """Times the last imbalance: a pseudo-transient step that led to more was too long, and the next one is damped more."""
-STIFF_STRAIN = 1e-4
-"""The strain whose force counts as load, where it is more than the loads themselves: so that a tolerance of 1e-10 of
-the load is never below the rounding of a strain, 1e-16, times the stiffness."""
-
-STIFFEST = 1e-9 * RIGID
-"""Stiffness [N·m] that is not an arm's own but stands for a direction in which it is rigid."""
-
 CONTINUED, SNAPPED, WARM, FAILED = range(4)
 """How an equilibrium was reached: along one branch; from its end, by a snap; from a warm start; or not."""
-
-
-class Scale(NamedTuple):
-    """What imbalances and moves of B arms are measured by.
-
-    Attributes:
-        load: (B,) [N], 1 N at least.
-        length: (B,) mean neutral length of the segments [m].
-        reach: (B,) largest offset [m].
-    """
-
-    load: Array
-    length: Array
-    reach: Array
-
-
-class Path(NamedTuple):
-    """Room for one path.
-
-    Attributes:
-        trial, base: (N, K) twists of an attempt, and of the last equilibrium.
-        tangent, bend: (N, C) change of the unknowns by the factor there, and half its slope.
-        newton: (N, C) Newton's step.
-        ahead: (N, C) the tangent at the trial.
-        loaded: (1,) whether the load acts; without it one element stands for each segment.
-        stays: (1,) whether an arm whose branch ends under load is given up, in place of letting it snap.
-        quick, rush: (N, K) twists of the equilibrium under load at which the arm gives way most, and (N, C) how the
-            unknowns change by the load factor there: next to a bifurcation if there is any.
-        fastest: (2,) the size of that change, as of `move_size`, and the load factor.
-    """
-
-    trial: Array
-    base: Array
-    tangent: Array
-    bend: Array
-    newton: Array
-    ahead: Array
-    loaded: Array
-    stays: Array
-    quick: Array
-    rush: Array
-    fastest: Array
-
-
-class Found(NamedTuple):
-    """Equilibria of B arms.
-
-    Attributes:
-        twists: (B, N, K) [m, rad].
-        residual: (B,) the largest imbalance of an element: forces, and moments over the length, over the load scale.
-        reached: (B,) CONTINUED, SNAPPED, WARM or FAILED.
-        pivots: (B, 2) numbers of positive pivots of J, and of zero ones.
-        scale: (B, 2) by which imbalances of forces [N] and of moments [N·m] are measured.
-    """
-
-    twists: Array
-    residual: Array
-    reached: Array
-    pivots: Array
-    scale: Array
-
-
-def make_path(arms: Arms) -> Path:
-    """Room for one arm's path."""
-    nodes, size, columns = arms.first_node[-1], len(arms.column), len(arms.unknown)
-    return Path(
-        *np.zeros((2, nodes, size)),
-        *np.zeros((4, nodes, columns)),
-        *np.zeros((2, 1), dtype=np.bool_),
-        np.zeros((nodes, size)),
-        np.zeros((nodes, columns)),
-        np.zeros(2),
-    )
-
-
-@spliced
-def elements_under_way(arms, path, segment):  # type: ignore[no-untyped-def]
-    """The first of a segment's elements, and the one after its last; without load one stands for all."""
-    first = arms.first_node[segment]
-    return first, arms.first_node[segment + 1] if path.loaded[0] else first + 1
 
 
 @routine
@@ -209,78 +128,12 @@ def write_tangent(arms, loads, room, path, pressures, b):  # type: ignore[no-unt
 
 
 @spliced
-def _scales(scale, room, b):  # type: ignore[no-untyped-def]
-    """By what imbalances of forces and of moments are measured."""
-    force = max(scale.load[b], STIFF_STRAIN * room.sections.stiffness[0])
-    return force, max(scale.load[b] * scale.length[b], STIFF_STRAIN * room.sections.stiffness[1])
-
-
-@spliced
-def imbalance(arms, scale, room, path, b):  # type: ignore[no-untyped-def]
-    """The largest residual: of forces over the load scale, of moments over that times the length. NaN if one is."""
-    most = 0.0
-    force_scale, moment_scale = _scales(scale, room, b)
-    for segment in range(len(arms.first_node) - 1):
-        first, last = elements_under_way(arms, path, segment)
-        for i in range(first, last):
-            for c in range(len(arms.unknown)):
-                size = abs(room.residual[i, c])
-                size /= force_scale if arms.unknown[c] < first_angular(arms) else moment_scale
-                if not size <= most:  # takes a NaN, and keeps it
-                    most = size
-    return most
-
-
-@part
-def move_size(arms, scale, path, b, change):  # type: ignore[no-untyped-def]
-    """The size of a change of the unknowns: headings along the arm [rad], or three times the strains."""
-    turn_x = turn_y = turn_z = heading = stretch = bend = 0.0
-    angular = first_angular(arms)
-    for segment in range(len(arms.first_node) - 1):
-        first, last = elements_under_way(arms, path, segment)
-        share = 1.0 / (last - first)
-        for i in range(first, last):
-            for c in range(len(arms.unknown)):
-                value = change[i, c]
-                if arms.unknown[c] < angular:
-                    stretch = max(stretch, abs(value))
-                    continue
-                bend = max(bend, abs(value))
-                if arms.unknown[c] == len(arms.column) - 1:
-                    turn_z += value * share
-                elif arms.unknown[c] == 4:
-                    turn_y += value * share
-                else:
-                    turn_x += value * share
-            heading = max(heading, turn_x * turn_x + turn_y * turn_y + turn_z * turn_z)
-    size = max(math.sqrt(heading), 3.0 * (stretch + scale.reach[b] * bend) / scale.length[b])
-    return size if math.isfinite(stretch + bend + turn_x + turn_y + turn_z) else math.nan
-
-
-@spliced
-def _move(arms, path, factor):  # type: ignore[no-untyped-def]
-    """Add a factor times Newton's step to the trial."""
-    for segment in range(len(arms.first_node) - 1):
-        first, last = elements_under_way(arms, path, segment)
-        for i in range(first, last):
-            for c in range(len(arms.unknown)):
-                path.trial[i, arms.unknown[c]] += factor * path.newton[i, c]
-
-
-@spliced
 def _branch(loads, room):  # type: ignore[no-untyped-def]
-    """What stays the same along a branch: the number of unstable directions; with following loads, whether it is odd."""
+    """What stays the same along a branch: the number of unstable directions, or whether it is odd if loads follow."""
     for q in range(len(loads.follows)):
         if loads.follows[q]:
             return room.pivots[0] % 2
     return room.pivots[0]
-
-
-@spliced
-def _copy_twists(out, given):  # type: ignore[no-untyped-def]
-    for i in range(out.shape[0]):
-        for c in range(out.shape[1]):
-            out[i, c] = given[i, c]
 
 
 @routine
@@ -293,7 +146,7 @@ def follow(arms, loads, scale, pressures, room, path, b, tolerance):  # type: ig
     ease = 1.0 if loaded else UNLOADED
     at, aim, step, branch, started = 0.0, 0.0, FIRST_LOAD_STEP if loaded else FIRST_PRESSURE_STEP, 0, False
     corrections, first_size, ratio, moved = 0, 0.0, 0.0, 0.0
-    _copy_twists(path.base, path.trial)
+    copy_twists(path.base, path.trial)
     for _ in range(MOST_EVALUATIONS):
         if not loaded:
             set_pressure(arms, room.drive, pressures, b, aim)
@@ -311,10 +164,10 @@ def follow(arms, loads, scale, pressures, room, path, b, tolerance):  # type: ig
         trusted = ratio < CONTRACTION or moved < ease * SMALL_MOVE
         same = not started or _branch(loads, room) == branch
         if there and trusted and same and math.isfinite(size):
-            _move(arms, path, 1.0)
-            _copy_twists(path.base, path.trial)
             if aim >= 1.0:
                 return True
+            move(arms, path, 1.0)
+            copy_twists(path.base, path.trial)
             write_tangent(arms, loads, room, path, pressures, b)
             taken, started_before = aim - at if started else step, started
             half = 0.5 / max(taken, 1e-12)
@@ -331,11 +184,11 @@ def follow(arms, loads, scale, pressures, room, path, b, tolerance):  # type: ig
                 break
             if loaded and speed > path.fastest[0]:
                 path.fastest[0], path.fastest[1] = speed, at
-                _copy_twists(path.quick, path.base)
-                _copy_twists(path.rush, path.ahead)
+                copy_twists(path.quick, path.base)
+                copy_twists(path.rush, path.ahead)
             step = min(step, LARGEST_MOVE / max(speed, 1e-12))
         elif not there and trusted and moved < LARGEST_MOVE and corrections < CORRECTIONS:
-            _move(arms, path, 1.0)
+            move(arms, path, 1.0)
             corrections += 1
             continue
         else:
@@ -351,24 +204,8 @@ def follow(arms, loads, scale, pressures, room, path, b, tolerance):  # type: ig
                 u = arms.unknown[c]
                 path.trial[i, u] = path.base[i, u] + ahead * (path.tangent[i, c] + path.bend[i, c] * ahead)
         corrections, first_size, ratio, moved = 0, 0.0, 0.0, 0.0
-    _copy_twists(path.trial, path.base)
+    copy_twists(path.trial, path.base)
     return False
-
-
-@spliced
-def _own_stiffness(arms, room, path):  # type: ignore[no-untyped-def]
-    """The largest slopes of sections' reactions by their own unknowns, of linear and of angular components."""
-    linear = angular = 1e-9
-    for segment in range(len(arms.first_node) - 1):
-        first, last = elements_under_way(arms, path, segment)
-        for i in range(first, last):
-            for c in range(len(arms.unknown)):
-                size = abs(room.sections.slope[i, c, c])
-                if arms.unknown[c] < first_angular(arms):
-                    linear = max(linear, size)
-                elif size < STIFFEST:
-                    angular = max(angular, size)
-    return linear, angular
 
 
 @routine
@@ -383,18 +220,17 @@ def come_to_rest(arms, loads, scale, room, path, b, damping, tolerance):  # type
         write_step(arms, loads, room, path, b, factor, amount * linear, amount * angular)
         miss = imbalance(arms, scale, room, path, b)
         if miss <= tolerance:
-            _move(arms, path, 1.0)
             return True
         size = move_size(arms, scale, path, b, path.newton)
         if not (math.isfinite(miss) and math.isfinite(size)):
             return False
         first, uphill = linear == 0.0, miss > UPHILL * last
-        linear, angular = _own_stiffness(arms, room, path)
+        linear, angular = own_stiffness(arms, room, path)
         if first or (uphill and not turned_back):  # the same step again, with more damping
             amount, turned_back = amount * (1.0 if first else 10.0), not first
             continue
         amount, turned_back, last = min(max(amount * (0.8 if size > 0.5 else 0.4), 1e-12), 1e6), False, miss
-        _move(arms, path, min(0.5 / max(size, 1e-12), 1.0))
+        move(arms, path, min(0.5 / max(size, 1e-12), 1.0))
     return False
 
 
@@ -437,7 +273,7 @@ def find_equilibrium(arms, loads, scale, pressures, start, room, path, b, tolera
     for stage in range(0 if len(start) else 1, 4):
         if stage == 0:
             set_pressure(arms, room.drive, pressures, b, 1.0)
-            _copy_twists(path.trial, start[b])
+            copy_twists(path.trial, start[b])
             path.loaded[0] = True
         elif stage == 1:
             _begin(arms, room, path, pressures, b)
@@ -474,8 +310,9 @@ def find_equilibria(arms, loads, scale, pressures, start, tolerance, first, last
     """
     for b in range(first, last):
         found.reached[b] = find_equilibrium(arms, loads, scale, pressures, start, room, path, b, tolerance)
-        write_step(arms, loads, room, path, b, 1.0, 0.0, 0.0)
+        if found.reached[b] != CONTINUED:  # else it was the last evaluation
+            write_step(arms, loads, room, path, b, 1.0, 0.0, 0.0)
         found.residual[b] = imbalance(arms, scale, room, path, b)
         found.pivots[b, 0], found.pivots[b, 1] = room.pivots[0], room.pivots[1]
-        found.scale[b, 0], found.scale[b, 1] = _scales(scale, room, b)
-        _copy_twists(found.twists[b], path.trial)
+        found.scale[b, 0], found.scale[b, 1] = scales(scale, room, b)
+        copy_twists(found.twists[b], path.trial)

@@ -11,12 +11,11 @@ import math
 
 from torcharm.engine.box_step import largest_curvature, optimality, write_box_step
 from torcharm.engine.compilation import part, routine
-from torcharm.engine.continuation import move_size
+from torcharm.engine.path import copy_twists, move_size
 from torcharm.engine.pressure_model import (
     HALF_COST,
     LAST_MOVE,
     STABLE,
-    copy_twists,
     evaluate_point,
 )
 
@@ -34,14 +33,16 @@ CLOSE, CLOSEST, SHARP = 1e-2, 1e-6, 0.1
 """Newton steps left to an equilibrium: at most; at the end; and over the change of pressures in between, so that
 costs that are compared are known better than they differ."""
 LONGEST_MOVE = 0.7
-"""Of a step along the tangent, as of `move_size`: from further away Newton's method need not come back to the branch."""
+"""Of a step along the tangent, as of `move_size`: from further away Newton's method need not come back to the
+branch."""
 STEPS = 60
 """Of a descent, at most: more were not seen to lead on."""
 WORTH = 1e-5
-"""Share of the value that PATIENCE steps must save to go on: at a kink of a force model there is no more to be had, however
-long one tries."""
+"""Share of the value that PATIENCE steps must save to go on: at a kink of a force model there is no more to be had,
+however long one tries."""
 ROUNDING = 1e-12
-"""Of half the cost: a smaller decrease is lost in what is left of the equilibria, and the slope tells which of two points is better."""
+"""Of half the cost: a smaller decrease is lost in what is left of the equilibria, and the slope tells which of two
+points is better."""
 FLOOR = 1e-10
 """Of an error over the arm's length: below, rounding decides, and it counts as none."""
 OPTIMAL = 1e-7
@@ -49,8 +50,8 @@ OPTIMAL = 1e-7
 
 RUNNING, OPTIMUM, NO_GAIN, HELD_UP, NO_START = range(5)
 """How a descent ended: not within its steps; at a first-order optimum; where nothing more is to be had; where shorter
-and shorter steps did not go down, as at a kink of a force model or where stability ends; or where it started, as there was no
-equilibrium."""
+and shorter steps did not go down, as at a kink of a force model or where stability ends; or where it started, as there
+was no equilibrium."""
 
 
 @part

@@ -99,24 +99,31 @@ class Room(NamedTuple):
 def make_room(arms: Arms) -> Room:
     """Room for one arm of these."""
     nodes, size, columns, numbers = arms.first_node[-1], len(arms.column), len(arms.unknown), arms.link.shape[2]
+    move, half_move, lever = np.zeros((3, nodes, size, columns))
+    carried, residual = np.zeros((2, nodes, columns))
+    spread, turned = np.zeros((2, size, size))
     return Room(
-        make_drive(arms),
-        make_sections(arms),
-        np.zeros((nodes + 1, numbers)),
-        np.zeros((arms.link.shape[1], numbers)),
-        np.zeros((nodes, numbers)),
-        *np.zeros((3, nodes, size, columns)),
-        *np.zeros((2, nodes, columns)),
-        np.zeros(size),
-        *np.zeros((2, size, size)),
-        np.zeros((nodes, columns, columns)),
-        np.zeros((nodes, columns, size)),
-        np.zeros((nodes, size, columns)),
-        make_share(arms),
-        make_share(arms),
-        make_spot(arms),
-        np.zeros(size),
-        np.zeros(2, dtype=np.int64),
+        drive=make_drive(arms),
+        sections=make_sections(arms),
+        node=np.zeros((nodes + 1, numbers)),
+        end=np.zeros((arms.link.shape[1], numbers)),
+        frame=np.zeros((nodes, numbers)),
+        move=move,
+        half_move=half_move,
+        lever=lever,
+        carried=carried,
+        residual=residual,
+        wrench=np.zeros(size),
+        spread=spread,
+        turned=turned,
+        factor=np.zeros((nodes, columns, columns)),
+        feed=np.zeros((nodes, columns, size)),
+        pull=np.zeros((nodes, size, columns)),
+        beyond=make_share(arms),
+        section=make_share(arms),
+        spot=make_spot(arms),
+        sum=np.zeros(size),
+        pivots=np.zeros(2, dtype=np.int64),
     )
 
 

@@ -5,9 +5,9 @@ vector φ in space. With motions as spatial twists `(v, ω)` (see `engine.elemen
 
     d(Rᵀ(p* - p)) = -Rᵀ(v + ω×p) - (Rᵀω)×e,    dφ = -J⁻¹(φ) Rᵀω,
 
-with the inverse left Jacobian `J⁻¹(φ) = 1 - ½ Φ + (1/|φ|² - cot(|φ|/2)/(2|φ|)) Φ²`, Φ the cross product by φ (Chirikjian,
-*Stochastic Models, Information Theory, and Lie Groups*, 2011, vol. 2, eq. 10.86). Rotation vectors jump at half a turn; headings in the
-plane are counted on beyond it.
+with the inverse left Jacobian `J⁻¹(φ) = 1 - ½ Φ + (1/|φ|² - cot(|φ|/2)/(2|φ|)) Φ²`, Φ the cross product by φ
+(Chirikjian, *Stochastic Models, Information Theory, and Lie Groups*, 2011, vol. 2, eq. 10.86). Rotation vectors jump
+at half a turn; headings in the plane are counted on beyond it.
 """
 
 import math

@@ -1,8 +1,8 @@
 """The pressures at which arms that are put down at a shape come closest to it.
 
-From half the limits, or the most promising of other pressures where there is no stable equilibrium near the shape, the cost is
-followed to a minimum, through stable equilibria wherever there are any. Where the error may vanish, pressures that
-hold the very shape are looked for as well.
+From half the limits, or the most promising of other pressures where there is no stable equilibrium near the shape, the
+cost is followed to a minimum, through stable equilibria wherever there are any. Where the error may vanish, pressures
+that hold the very shape are looked for as well.
 """
 
 import math
@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 from numpy.typing import NDArray
 
 from torcharm.engine.compilation import kernel, part, routine
-from torcharm.engine.continuation import CONTINUED, move_size
+from torcharm.engine.continuation import CONTINUED
 from torcharm.engine.descent import CLOSE, FLOOR, NO_START, descend, error_slope
+from torcharm.engine.path import copy_twists, move_size
 from torcharm.engine.pressure_model import (
     HALF_COST,
     STABLE,
     copy_point,
-    copy_twists,
     distance_of,
     evaluate_point,
     reach,
@@ -32,7 +32,8 @@ Array = NDArray[Any]
 SCREENED = (3, 8, 64)
 """Pressures at which an arm is tried that does not stay near the shape at half the limits; and again, of more."""
 MAY_HOLD, ALMOST_HOLDS = 5e-2, 5e-3
-"""Errors over the arm's length below which some pressure may hold the very shape, and where it is looked for with patience."""
+"""Errors over the arm's length below which some pressure may hold the very shape, and where it is looked for with
+patience."""
 FITS, PATIENT_FITS = 2, 24
 """Pressures from which it is looked for."""
 FIT_STEPS, PATIENT_FIT_STEPS = 15, 40

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from torcharm.engine.arms import Arms, Loads
 from torcharm.engine.box_step import BoxStep, make_box_step
 from torcharm.engine.compilation import part, routine
-from torcharm.engine.continuation import FAILED, Path, Scale, find_equilibrium, make_path, move_size
+from torcharm.engine.continuation import FAILED, find_equilibrium
 from torcharm.engine.newton_step import Room, first_angular, make_room, solve, write_balance, write_shape
+from torcharm.engine.path import Path, Scale, copy_twists, make_path, move_size
 from torcharm.engine.pose_error import Errors, Goal, make_errors, write_errors
 from torcharm.engine.sections import set_pressure, write_rates
 
@@ -26,7 +27,8 @@ LARGE_MOVE = 1.0
 SUFFICIENT = 1e-4
 """Share of the decrease of the imbalance that a Newton step promises; a step that saves less is halved."""
 EVALUATIONS = 12
-"""Of the balance at one equilibrium, at most: Newton's method from nearby takes one to four, from a shape that is no equilibrium a dozen."""
+"""Of the balance at one equilibrium, at most: Newton's method from nearby takes one to four, from a shape that is no
+equilibrium a dozen."""
 SLOTS = 8
 """Points that are kept: where a descent is and where it tries to go, the best, and others on the way."""
 HALF_COST, LAST_MOVE, STABLE = range(3)
@@ -145,14 +147,6 @@ def lengths_positive(arms, b, twist):  # type: ignore[no-untyped-def]
 
 
 @part
-def copy_twists(out, given):  # type: ignore[no-untyped-def]
-    """Copy (N, K)."""
-    for i in range(out.shape[0]):
-        for k in range(out.shape[1]):
-            out[i, k] = given[i, k]
-
-
-@part
 def copy_point(points, to, at):  # type: ignore[no-untyped-def]
     """Copy what one slot holds to another."""
     for m in range(points.place.shape[1]):
@@ -200,8 +194,8 @@ def approach(problem, work, b, close):  # type: ignore[no-untyped-def]
     """Newton's method for the balance from the path's trial, at pressures that are set.
 
     A step no larger than `close` is the last, and is not taken: it stands as the first change. Steps are at most
-    LARGE_MOVE long, and halved where the imbalance does not fall. Returns the size of the last step; infinite where that is
-    not reached.
+    LARGE_MOVE long, and halved where the imbalance does not fall. Returns the size of the last step; infinite where
+    that is not reached.
     """
     arms, path = problem.arms, work.path
     last, factor, step = math.inf, 1.0, 0.0
@@ -312,7 +306,8 @@ def evaluate_point(problem, work, b, at, close):  # type: ignore[no-untyped-def]
 
 @routine
 def load_from_zero(problem, work, b, start, tolerance):  # type: ignore[no-untyped-def]
-    """Write as the path's trial where continuation from zero load leads at the pressures; returns how, as `find_equilibrium`."""
+    """Write as the path's trial where continuation from zero load leads at the pressures; returns how, as
+    `find_equilibrium`."""
     arms, loads, scale = problem.arms, problem.loads, problem.scale
     return find_equilibrium(arms, loads, scale, work.pressure, start, work.room, work.path, b, tolerance)
 
@@ -330,7 +325,8 @@ def distance_of(problem, work, b, at, to):  # type: ignore[no-untyped-def]
 
 @routine
 def reach(problem, work, b, at, to, start, tolerance):  # type: ignore[no-untyped-def]
-    """Write the point of slot `to` at the place of another, at the equilibrium that continuation from zero load reaches.
+    """Write the point of slot `to` at the place of another, at the equilibrium that continuation from zero load
+    reaches.
 
     Returns how it is reached, as `find_equilibrium`; FAILED where the arm does not stay there.
     """

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from torcharm.engine.arms import Arms
 from torcharm.engine.bifurcation import Saddle, make_saddle
 from torcharm.engine.compilation import part, routine
-from torcharm.engine.pressure_model import HALF_COST, SLOTS, copy_point, copy_twists, reach
+from torcharm.engine.path import copy_twists
+from torcharm.engine.pressure_model import HALF_COST, SLOTS, copy_point, reach
 
 Array = NDArray[Any]
 
@@ -17,7 +18,8 @@ BEST, CURRENT, ENDED, TRIED, AIM, BETWEEN = 2, 3, 4, 5, 6, 7
 """Slots: the best point that is reached from zero load; where a search along a boundary is; what is reached at the end
 of a descent; what is reached at a trial; and places of trials. The first two slots are those of descents."""
 SAME_END = 0.02
-"""Difference of the places of two lost ends that counts as none: kinks of force models hold descents up here and there."""
+"""Difference of the places of two lost ends that counts as none: kinks of force models hold descents up here and
+there."""
 LOST = 6
 """Ends of descents that are kept, as load continuation leads elsewhere there."""
 
@@ -106,7 +108,8 @@ def reach_and_keep(problem, work, search, b, at, to, start, tolerance):  # type:
 
 @part
 def keep_lost(work, search, at):  # type: ignore[no-untyped-def]
-    """Keep the end of a descent among those that are lost, from the best on, unless it is worse than all or there: whether it is."""
+    """Keep the end of a descent among those that are lost, from the best on, unless it is worse than all or there:
+    whether it is."""
     value, place = work.points.known[at, HALF_COST], work.points.place[at]
     for j in range(LOST):
         gap = 0.0

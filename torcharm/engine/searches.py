@@ -1,4 +1,5 @@
-"""Pressures that bring loaded arms closest to their goals: descents from several starts, along equilibria continued from zero load.
+"""Pressures that bring loaded arms closest to their goals: descents from several starts, along equilibria continued
+from zero load.
 
 What a pressure costs is decided by continuation from zero load. A descent goes along warm equilibria, which
 continuation may not reach: under compression an arm buckles to one side or to the other, and a small change of pressure
@@ -11,15 +12,15 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from torcharm.engine.box_step import optimality
 from torcharm.engine.boundary_search import SAME_SHAPE, WORTH, cross_boundary, follow_boundary
+from torcharm.engine.box_step import optimality
 from torcharm.engine.compilation import kernel, part, routine
 from torcharm.engine.continuation import FAILED
 from torcharm.engine.descent import CLOSE, RUNNING, descend
+from torcharm.engine.path import copy_twists
 from torcharm.engine.pressure_model import (
     HALF_COST,
     STABLE,
-    copy_twists,
     distance_of,
     evaluate_point,
     expected_cost,
@@ -91,8 +92,8 @@ def _best_of(search, first, last):  # type: ignore[no-untyped-def]
 def _begin(problem, work, search, b, s, shape, pool, spread, start, tolerance):  # type: ignore[no-untyped-def]
     """Write the first slot: the start of descent s. Returns whether there is any.
 
-    The first is at the shape itself, with the pressures that are best there to first order; then come in turn places that are spread
-    over the box and the best of each lot of the pool.
+    The first is at the shape itself, with the pressures that are best there to first order; then come in turn places
+    that are spread over the box and the best of each lot of the pool.
     """
     points, guided = work.points, s % 2 == 0
     q = _best_of(search, 0, len(pool)) if s == 0 else (s // 2 - 1) * LOT
@@ -181,7 +182,8 @@ def _search(problem, work, search, b, shape, pool, spread, rounds, start, tolera
 
 
 @kernel
-def search_all(problem, shape, pool, spread, rounds, start, tolerance, first, last, work, search, out):  # type: ignore[no-untyped-def]
+def search_all(problem, shape, pool, spread, rounds, start, tolerance, first, last, work, search, out):  # type:
+ignore[no-untyped-def]
     """Search for the arms from one to another, without the last.
 
     Args:

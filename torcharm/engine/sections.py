@@ -62,7 +62,9 @@ def make_drive(arms: Arms) -> Drive:
     """Room for the actuators of one arm."""
     count, powers = len(arms.models.kind), arms.models.table.shape[2]
     level = np.zeros((count if (arms.tables.force >= 0).any() else 0, arms.tables.strain.shape[1], 4))
-    return Drive(np.zeros((count, powers)), np.zeros((count, powers)), *np.zeros((3, count)), level)
+    row, slope = np.zeros((2, count, powers))
+    pressure, logarithm, bending = np.zeros((3, count))
+    return Drive(row, slope, pressure, logarithm, bending, level)
 
 
 def make_sections(arms: Arms) -> Sections:

@@ -29,8 +29,10 @@ from torcharm.engine.forces import SAMPLED, Models
 Array = NDArray[Any]
 
 ACCURACY = 1e-6
-"""Of the largest force on the grid: steps of Newton's method on the model itself then gain six digits each."""
-FIRST_CELLS, MOST_CELLS = 16, 128
+"""Of the largest force at a strain: steps of Newton's method on the model itself then gain six digits each."""
+LEAST_FORCE = 1e-2
+"""Of the median over strains of that: a largest force so small is taken for one."""
+FIRST_CELLS, MOST_CELLS = 16, 200
 """Cells of a grid along one axis: enough to see what a model looks like, and what is still sampled in milliseconds."""
 SHORTEST = -0.95
 """The least strain of a grid: at -1 an actuator has no length."""
@@ -86,12 +88,12 @@ def tables_of(actuators: Sequence[Actuator], models: Models, highest: Array) -> 
             alike = [k for k in known if same_model(actuators[k], model)]
             if not alike:
                 most = max(highest[k] for k, other in enumerate(actuators) if same_model(other, model))
-                grids.append(_checked(f"actuators[{a}]", model, _grid, model, float(most)))
+                grids.append(_checked(f"actuators[{a}]", _grid, model, float(most)))
                 known.append(a)
             force[a] = force[alike[0]] if alike else len(grids) - 1
         if is_sampled(model):
             bent[a] = len(laws)
-            laws.append(_checked(f"actuators[{a}].bending_stiffness", model, _law, model))
+            laws.append(_checked(f"actuators[{a}].bending_stiffness", _law, model))
     longest = [max([2, *(len(grid[axis]) for grid in grids)]) for axis in (0, 1)]
     strain, pressure = np.zeros((max(1, len(grids)), longest[0])), np.zeros((max(1, len(grids)), longest[1]))
     value = np.zeros((len(strain), *longest, 4))
@@ -110,15 +112,13 @@ def is_sampled(model: Actuator) -> bool:
     )
 
 
-def _checked(name: str, model: Actuator, sample: Any, *arguments: Any) -> Any:
+def _checked(name: str, sample: Any, *arguments: Any) -> Any:
     """What is sampled, or an error that names the actuator."""
     try:
-        found = sample(*arguments)
+        with np.errstate(invalid="ignore", over="ignore"):  # what has no number has no equilibrium
+            found = sample(*arguments)
     except (TypeError, ValueError, RuntimeError, AttributeError) as error:
         raise ValueError(f"{name}: must return a value for every strain and pressure, got {shown(error)}") from error
-    values = found[-1] if isinstance(found, tuple) else found
-    if not np.isfinite(values).all():
-        raise ValueError(f"{name}: must be finite over the strains and pressures in use, got a value that is not")
     return found
 
 
@@ -135,16 +135,22 @@ def _grid(model: Actuator, highest: float) -> tuple[Array, Array, Array]:
     pressure = np.unique(np.concatenate((np.linspace(0, most, FIRST_CELLS // 2 + 1), kinks)))
     while True:
         value = _values(model, strain, pressure, span)
-        worst = _errors(model, strain, pressure, value)
-        limit = ACCURACY * max(float(np.abs(value[..., 0]).max()), 1e-300)
-        wide, tall = worst[0] > limit, worst[1] > limit
-        more = len(strain) + int(wide.sum()) <= MOST_CELLS + 1, len(pressure) + int(tall.sum()) <= MOST_CELLS + 1
-        if not ((wide.any() and more[0]) or (tall.any() and more[1])):
+        own = np.abs(value[..., 0]).max(1)  # at one strain: far out of range forces may be of another size
+        limit = ACCURACY * np.maximum(own, LEAST_FORCE * np.median(own) + 1e-300)[:, None]
+        wide, tall = _errors(model, strain, pressure, value)
+        wide, tall = (wide / np.minimum(limit[1:], limit[:-1])).max(1), (tall / limit).max(0)
+        finer = _halved(strain, wide), _halved(pressure, tall)
+        if len(finer[0]) == len(strain) and len(finer[1]) == len(pressure):
             return strain, pressure, value
-        if wide.any() and more[0]:
-            strain = np.sort(np.concatenate((strain, 0.5 * (strain[:-1] + strain[1:])[wide])))
-        if tall.any() and more[1]:
-            pressure = np.sort(np.concatenate((pressure, 0.5 * (pressure[:-1] + pressure[1:])[tall])))
+        strain, pressure = finer
+
+
+def _halved(axis: Array, excess: Array) -> Array:
+    """An axis with the cells halved whose error is beyond its limit, the worst of them if there is no room for all."""
+    room = max(MOST_CELLS + 1 - len(axis), 0)
+    worst = np.argsort(-excess, kind="stable")[:room]
+    worst = worst[excess[worst] > 1.0]
+    return np.sort(np.concatenate((axis, 0.5 * (axis[worst] + axis[worst + 1]))))
 
 
 def _ask(model: Actuator, strain: Array, pressure: Array) -> tuple[Array, Array, Array]:
@@ -163,16 +169,16 @@ def _values(model: Actuator, strain: Array, pressure: Array, span: float) -> Arr
 
 
 def _errors(model: Actuator, strain: Array, pressure: Array, value: Array) -> tuple[Array, Array]:
-    """The largest errors in the middles of the edges of cells, along strain and along pressure."""
+    """The errors in the middles of the edges of cells: (E - 1, P) along strain and (E, P - 1) along pressure."""
     middle = 0.5 * (strain[:-1] + strain[1:])
     at, by = (axis.copy() for axis in np.meshgrid(middle, pressure, indexing="ij"))
     wide = np.diff(strain)[:, None]
     guess = 0.5 * (value[:-1, :, 0] + value[1:, :, 0]) + wide / 8 * (value[:-1, :, 1] - value[1:, :, 1])
-    first = np.abs(guess - _ask(model, at, by)[0]).max(1)
+    first = np.abs(guess - _ask(model, at, by)[0])
     middle = 0.5 * (pressure[:-1] + pressure[1:])
     at, by = (axis.copy() for axis in np.meshgrid(strain, middle, indexing="ij"))
     guess = 0.5 * (value[:, :-1, 0] + value[:, 1:, 0]) + np.diff(pressure) / 8 * (value[:, :-1, 2] - value[:, 1:, 2])
-    return first, np.abs(guess - _ask(model, at, by)[0]).max(0)
+    return first, np.abs(guess - _ask(model, at, by)[0])
 
 
 def _law(model: Actuator) -> Array:

@@ -1,8 +1,8 @@
 """Pressures whose reactions come closest to what a shape requires: least squares in wrenches, the shape held.
 
 Nothing moves, so an evaluation costs no more than the actuators' forces. Some pressures have nearly no effect, and
-least squares creep along the curved valleys that these make: Levenberg and Marquardt's steps are bent to follow them, by
-the second derivative along the step (geodesic acceleration; Transtrum and Sethna 2012, arXiv:1201.5885).
+least squares creep along the curved valleys that these make: Levenberg and Marquardt's steps are bent to follow them,
+by the second derivative along the step (geodesic acceleration; Transtrum and Sethna 2012, arXiv:1201.5885).
 """
 
 import math
@@ -26,7 +26,8 @@ NOTHING = 1e-30
 LOOK_AHEAD = 0.1
 """Part of a step after which its second derivative is measured: the error of the difference falls with it."""
 BEND = 0.75
-"""Most that a step is bent, over its length: beyond, the second derivative is no small correction (Transtrum, Sethna)."""
+"""Most that a step is bent, over its length: beyond, the second derivative is no small correction (Transtrum,
+Sethna)."""
 
 
 class Fit(NamedTuple):

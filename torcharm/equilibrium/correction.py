@@ -3,13 +3,14 @@
 import numpy as np
 import torch
 
-from torcharm.engine.continuation import FAILED, Found
+from torcharm.engine.continuation import FAILED
+from torcharm.engine.path import Found
 from torcharm.equilibrium.problem import Problem
 from torcharm.geometry.rod import group_of
 
-CORRECTIONS = 12
+CORRECTIONS = 60
 """Steps at most: each gains the digits to which a table is good, six where it is fine; at a kink that it rounds off,
-or beyond its ends, one or two."""
+whose slope it only knows to a half or so, a fraction of one."""
 
 
 @torch.no_grad()

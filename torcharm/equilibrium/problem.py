@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -10,11 +12,12 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
-from torcharm.engine import balances, continuation
+from torcharm.engine import balances
 from torcharm.engine.arms import Arms, Loads, arms_of, numbers
-from torcharm.engine.continuation import Found, Scale, find_equilibria, make_path
+from torcharm.engine.continuation import find_equilibria
 from torcharm.engine.loads import loads_of
 from torcharm.engine.newton_step import make_room
+from torcharm.engine.path import Array, Found, Scale, make_path
 from torcharm.engine.threads import spread
 from torcharm.load import ExternalLoad
 from torcharm.statics.balance import balance_residual, unknown_columns
@@ -59,9 +62,9 @@ class Problem:
 
     def double(self) -> "Problem":
         """The same in float64 on the CPU, with its graphs."""
-        parts = (self.arm, self.pressure, self.load, self.base_pose)
-        arm, pressure, load, base = (part.to(device="cpu", dtype=torch.float64) for part in parts)
-        return replace(self, arm=arm, pressure=pressure, load=load, base_pose=base)
+        like: dict[str, Any] = {"device": "cpu", "dtype": torch.float64}
+        arm, load = self.arm.to(**like), self.load.to(**like)
+        return replace(self, arm=arm, pressure=self.pressure.to(**like), load=load, base_pose=self.base_pose.to(**like))
 
     def residual(self, twists: Tensor) -> Tensor:
         """R (*batch, N, C), with its graph."""
@@ -93,9 +96,9 @@ class Packed:
     arms: Arms
     loads: Loads
     scale: Scale
-    pressure: continuation.Array
+    pressure: Array
 
-    def find(self, start: continuation.Array, tolerance: float) -> Found:
+    def find(self, start: Array, tolerance: float) -> Found:
         """The equilibria.
 
         Args:
@@ -119,7 +122,7 @@ class Packed:
         spread(count, work)
         return found
 
-    def inverse(self, twists: continuation.Array, index: continuation.Array) -> continuation.Array:
+    def inverse(self, twists: Array, index: Array) -> Array:
         """J⁻¹ (b, N·C, N·C) of the problems at an index (b,), at all twists (B, N, K)."""
         nodes, columns = twists.shape[1], len(self.arms.unknown)
         size = nodes * columns
@@ -128,7 +131,7 @@ class Packed:
         self.solve(twists, index, right)
         return right.reshape(len(index), size, size).transpose(0, 2, 1)
 
-    def solve(self, twists: continuation.Array, index: continuation.Array, right: continuation.Array) -> None:
+    def solve(self, twists: Array, index: Array, right: Array) -> None:
         """Replace right-hand sides (b, X, N, C) by J⁻¹ times them, for the problems at an index (b,)."""
 
         def work(first: int, last: int) -> None:
@@ -143,9 +146,7 @@ class Packed:
 def _scale(arms: Arms, loads: Loads) -> Scale:
     """What imbalances and moves are measured by."""
     dimension = loads.offset.shape[2]
-    lengths = [
-        arms.neutral[:, first:last].mean(-1) for first, last in zip(arms.first_actuator, arms.first_actuator[1:])
-    ]
+    lengths = [arms.neutral[:, first:last].mean(-1) for first, last in pairwise(arms.first_actuator)]
     length = np.mean(lengths, 0)
     force = np.linalg.norm(loads.wrench[..., :dimension], axis=-1).sum(-1)
     moment = np.linalg.norm(loads.wrench[..., dimension:], axis=-1).sum(-1)

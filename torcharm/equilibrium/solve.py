@@ -221,9 +221,18 @@ def solved(problem: Problem, start: Tensor | None = None, tolerance: float = TOL
     twists = with_gradients(problem, twists, converged)
     group = group_of(size[1])
     base = problem.base_pose.expand(*problem.batch, *group.POSE_SHAPE)
-    values = (twists, base, residual, converged, stable, continued, possible, excess, within)
-    real = (value.to(given.dtype) if value.is_floating_point() else value for value in values)
-    return Equilibrium(*(value.to(given.device) for value in real), problem)
+    return Equilibrium(
+        twists=twists.to(given),
+        base_pose=base.to(given),
+        residual=residual.to(given),
+        converged=converged.to(given.device),
+        stable=stable.to(given.device),
+        continued=continued.to(given.device),
+        possible=possible.to(given.device),
+        strain_excess=excess.to(given),
+        in_range=within.to(given.device),
+        _problem=problem,
+    )
 
 
 def _checked(

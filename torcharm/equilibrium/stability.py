@@ -6,7 +6,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torcharm._inputs import plain_number
-from torcharm.engine.continuation import FAILED, Found
+from torcharm.engine.continuation import FAILED
+from torcharm.engine.path import Found
 from torcharm.equilibrium.problem import Packed, Problem
 from torcharm.geometry.rod import actuator_twists, strain
 from torcharm.statics.balance import segments_of, tilt_stiffness

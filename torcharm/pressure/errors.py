@@ -1,7 +1,8 @@
 """Errors of the poses at pressures that were found, as functions of designs and tasks.
 
 What was found is a minimum over the pressures. By the envelope theorem the gradient of its cost is that with the
-pressures held, but for those at a limit, which move with it; the shape follows its balance by the implicit function theorem.
+pressures held, but for those at a limit, which move with it; the shape follows its balance by the implicit function
+theorem.
 """
 
 from dataclasses import dataclass, replace

@@ -1,8 +1,9 @@
 """How far off the task an arm will be: predicted from the equilibria near the task's shape.
 
-Put down at the task's shape with pressures p, the arm moves to where its balance `R(z, p) = 0` holds. The predicted error
-is the least cost of the poses there, over the pressures within their limits and the equilibria that are stable. No load
-is raised from zero, as the search does. In return a shape that is predicted need not be the one that the arm reaches when
+Put down at the task's shape with pressures p, the arm moves to where its balance `R(z, p) = 0` holds. The predicted
+error is the least cost of the poses there, over the pressures within their limits and the equilibria that are stable.
+No load is raised from zero, as the search does. In return a shape that is predicted need not be the one that the arm
+reaches when
 it is loaded: under compression there are several.
 """
 
@@ -28,7 +29,8 @@ from torcharm.pressure.prepared import Prepared, detached, prepare, stays_at
 from torcharm.task import Task
 
 WORDS = ("converged", "not reached", "not converged", "unstable", "impossible")
-"""What may be said of a prediction. Not reached: a stable minimum, but loading the arm from zero leads elsewhere. Not converged:
+"""What may be said of a prediction. Not reached: a stable minimum, but loading the arm from zero leads elsewhere. Not
+converged:
 a stable equilibrium, but perhaps not the best pressure: at a kink of a force model, or where stability ends.
 Unstable: no stable equilibrium was found. Impossible: the task's shape leaves an actuator no length."""
 
@@ -41,7 +43,8 @@ class PredictedError:
         tip_error, tip_rotation_error: distance [m] and turn [rad] of the tip from the task's; infinite, as all errors
             are, where no stable equilibrium was found.
         shape_error: the weighted mean over the poses, `sqrt(Σ ω_i e_iᵀ K e_i / Σ ω_i)` [m].
-        cost: `Σ ω_i e_iᵀ K e_i` [m²], what is minimised. Where a stable equilibrium was found and the descent did not converge,
+        cost: `Σ ω_i e_iᵀ K e_i` [m²], what is minimised. Where a stable equilibrium was found and the descent did not
+            converge,
             it is what that pressure reaches: others may do better.
         per_node: (..., N+1) `sqrt(e_iᵀ K e_i)` of each pose [m].
         pose_errors: (..., N+1, 3 or 6) e_i, the target seen from the pose predicted [m, rad]; NaN where no stable
@@ -49,8 +52,8 @@ class PredictedError:
         pressure: (..., M) that reaches it [kPa]; where nothing was found, the last that was tried.
         twists: (..., N, K) of the shape predicted [m, rad].
         optimality: largest slope of `sqrt(cost)` by a normalised pressure [m], of those that the limits leave free.
-        converged: whether the optimality is within 1e-7 of the arm's length, at a stable equilibrium. A minimum at a kink of a force
-            model, or where stability ends, does not count as converged.
+        converged: whether the optimality is within 1e-7 of the arm's length, at a stable equilibrium. A minimum at a
+            kink of a force model, or where stability ends, does not count as converged.
         stable: whether the task is possible (every actuator's length is above 0), and the equilibrium is stable, with
             such lengths.
         reached: whether it is stable, and `solve_equilibrium` leads there along one branch from zero load.
@@ -87,11 +90,13 @@ class PredictedError:
 def predict_error(arm: ArmDesign | ArmSeries, task: Task, pose_cost: PoseCost | None = None) -> PredictedError:
     """The least pose error that each design can be expected to reach on each task, without a forward solve.
 
-    Errors, cost and pose errors are differentiable once in radii, offsets, lengths, limits, twists, loads, masses, the base pose
+    Errors, cost and pose errors are differentiable once in radii, offsets, lengths, limits, twists, loads, masses, the
+    base pose
     and whatever force models hold: by the envelope theorem the pressures found are held, but for those at a limit,
-    which move with it, and the shape follows its balance. Of the cost, and of the shape error, that is the gradient of the minimum; of the
-    others, that at these pressures. At a kink of a force model they are those of one side. That holds at a minimum only: **gradients of predictions
-    that are not converged are NaN**, unless nothing depends on them, as where
+    which move with it, and the shape follows its balance. Of the cost, and of the shape error, that is the gradient of
+    the minimum; of the others, that at these pressures. At a kink of a force model they are those of one side. That
+    holds at a minimum only: **gradients of predictions that are not converged are NaN**, unless nothing depends on
+        them, as where
     `torch.where(found.converged, found.cost, 0.0)` leaves them out.
 
     Args:
@@ -159,8 +164,8 @@ def _found(prepared: Prepared) -> Predictions:
 
 
 def _weights(prepared: Prepared) -> NDArray[np.float64]:
-    """(C,) roots of the weights of forces [1/N] and moments [1/(N·m)] where pressures are looked for that hold a shape: a moment counts
-    as the force that has it at the largest offset."""
+    """(C,) roots of the weights of forces [1/N] and moments [1/(N·m)] where pressures are looked for that hold a
+    shape: a moment counts as the force that has it at the largest offset."""
     problem = prepared.engine
     linear = np.array([column < prepared.dimension for column in problem.arms.unknown])
     reach = max(float(problem.scale.reach.max(initial=0.0)), 1e-3)

@@ -14,7 +14,8 @@ from torcharm._inputs import check_above_zero, shown
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries, RigidLink
 from torcharm.engine.arms import numbers, pose_rows
-from torcharm.engine.continuation import CONTINUED, FAILED, Found
+from torcharm.engine.continuation import CONTINUED, FAILED
+from torcharm.engine.path import Found
 from torcharm.engine.pose_error import Goal
 from torcharm.engine.pressure_model import Problem as EngineProblem
 from torcharm.equilibrium.problem import Problem
@@ -181,8 +182,8 @@ def _mapped_link(link: RigidLink, change: Callable[[Tensor], Tensor]) -> RigidLi
 
 
 def stays_at(prepared: Prepared, place: Numbers, twists: Numbers, known: Numbers) -> Numbers:
-    """(B,) which equilibria at normalised pressures (B, M) are stable, of those (B,) of which pivots say so: where these
-    leave it open, eigenvalues tell."""
+    """(B,) which equilibria at normalised pressures (B, M) are stable, of those (B,) of which pivots say so: where
+    these leave it open, eigenvalues tell."""
     nothing = np.zeros((len(known), 2))
     found = Found(twists, nothing[:, 0], np.where(known, CONTINUED, FAILED), nothing.astype(np.int64), nothing)
     return stays(replace(prepared.problem.packed, pressure=place * prepared.engine.limit), found)

@@ -28,9 +28,10 @@ STARTS = {"multistart": 8, "scipy": 1}
 ROUNDS = 3
 """Lost ends of descents from which a search goes on along a boundary."""
 WORDS = ("converged", "snapped", "not converged", "not found")
-"""What may be said of a search. Snapped: the arm gets there by a snap, not along one branch from zero load. Not converged: an equilibrium
-that is reached, but the descent did not come to its end, or leads on to where continuation does not follow: the pressure then
-is next to a jump. Not found: no start led to a stable equilibrium."""
+"""What may be said of a search. Snapped: the arm gets there by a snap, not along one branch from zero load. Not
+converged: an equilibrium
+that is reached, but the descent did not come to its end, or leads on to where continuation does not follow: the
+pressure then is next to a jump. Not found: no start led to a stable equilibrium."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,16 +47,16 @@ class PressureSearch:
         per_node: (*batch, N+1) `sqrt(e_iᵀ K e_i)` of each pose [m].
         pose_errors: (*batch, N+1, 3 or 6) e_i [m, rad].
         twists: (*batch, N, K) the equilibrium at this pressure [m, rad].
-        optimality: (*batch) the largest entry of the cost's projected gradient, by normalised pressures [m²]. At a kink of a
-            force model it does not vanish.
-        converged: (*batch) whether it is a stable equilibrium along one branch from zero load, the descent to it came to its end, and
-            none led to a better one that continuation does not reach.
+        optimality: (*batch) the largest entry of the cost's projected gradient, by normalised pressures [m²]. At a
+            kink of a force model it does not vanish.
+        converged: (*batch) whether it is a stable equilibrium along one branch from zero load, the descent to it came
+            to its end, and none led to a better one that continuation does not reach.
         continued: (*batch) whether continuation from zero load reaches it along one branch.
         stable: (*batch) whether the arm stays there.
         strain_excess: (*batch) largest strain beyond its actuator's characterised range, 0 if none is.
         in_range: (*batch) whether every strain and pressure lies in the characterised range.
-        start_cost: (*batch, S) what each start came to by itself; infinite where it failed, NaN where it was spared as others had
-            agreed.
+        start_cost: (*batch, S) what each start came to by itself; infinite where it failed, NaN where it was spared as
+            others had agreed.
     """
 
     pressure: Tensor
@@ -105,20 +106,20 @@ def search_pressure(
 ) -> PressureSearch:
     """The pressure within the limits that brings each design closest to each task.
 
-    Minimises `Σ_i ω_i e_iᵀ K e_i` over `p ∈ [0, p̄]`, with the errors e_i of `ĝ_i(p)⁻¹ g_i*` and ĝ(p) the equilibrium under the
-    task's load. The cost is not convex: both methods find local minima, the best of several starts. The shape
+    Minimises `Σ_i ω_i e_iᵀ K e_i` over `p ∈ [0, p̄]`, with the errors e_i of `ĝ_i(p)⁻¹ g_i*` and ĝ(p) the equilibrium
+    under the task's load. The cost is not convex: both methods find local minima, the best of several starts. The shape
     returned is the one that continuation from zero load reaches (see `solve_equilibrium`).
 
-    "multistart" descends by Levenberg and Marquardt's steps in the box, along stable equilibria: from the task's shape, and from
-    pressures that are promising to first order there or spread over the box, until three descents agree. Ends are confirmed by
-    continuation. Under compression it may lead elsewhere: an arm buckles to one side or to the other, and the best
-    pressures often lie where that is decided. There the cost jumps. The boundary is found by Newton's method, as where the
-    equilibria on the way bifurcate, and the search goes on along it; it is not `converged`.
-    "scipy" is the paper's baseline, one equilibrium at a time: `scipy.optimize.minimize` with finite differences, from
-    the middle of the box and, for more starts, from points spread over it.
+    "multistart" descends by Levenberg and Marquardt's steps in the box, along stable equilibria: from the task's
+    shape, and from pressures that are promising to first order there or spread over the box, until three descents
+    agree. Ends are confirmed by continuation. Under compression it may lead elsewhere: an arm buckles to one side or
+    to the other, and the best pressures often lie where that is decided. There the cost jumps. The boundary is found
+    by Newton's method, as where the equilibria on the way bifurcate, and the search goes on along it; it is not
+    `converged`. "scipy" is the paper's baseline, one equilibrium at a time: `scipy.optimize.minimize` with finite
+    differences, from the middle of the box and, for more starts, from points spread over it.
 
-    Differentiable as `predict_error` is, by the envelope theorem; where the search is not converged, gradients are NaN, unless nothing
-    depends on them.
+    Differentiable as `predict_error` is, by the envelope theorem; where the search is not converged, gradients are
+    NaN, unless nothing depends on them.
 
     Args:
         arm: designs, of any batch shape; or segments in series.
