@@ -112,10 +112,10 @@ def _begin(problem, work, search, b, s, shape, pool, spread, start, tolerance): 
 
 @part
 def _same_place(points, a, b):  # type: ignore[no-untyped-def]
+    gap = 0.0
     for m in range(points.place.shape[1]):
-        if not abs(points.place[a, m] - points.place[b, m]) < SAME_PLACE:
-            return False
-    return True
+        gap = max(gap, abs(points.place[a, m] - points.place[b, m]))
+    return gap < SAME_PLACE
 
 
 @routine
@@ -182,8 +182,7 @@ def _search(problem, work, search, b, shape, pool, spread, rounds, start, tolera
 
 
 @kernel
-def search_all(problem, shape, pool, spread, rounds, start, tolerance, first, last, work, search, out):  # type:
-ignore[no-untyped-def]
+def search_all(problem, shape, pool, spread, rounds, start, tolerance, first, last, work, search, out):  # type: ignore[no-untyped-def]
     """Search for the arms from one to another, without the last.
 
     Args:
