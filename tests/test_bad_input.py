@@ -141,7 +141,7 @@ CASES = {
     "ta.solve_equilibrium(spatial, [1.0, 1.0, 1.0], [0.0, 0.0, 0.0])": ("load", "(3,)"),
     "ta.solve_equilibrium(ta.series([arm, arm]), [1.0] * 4, [0.0, 0.0, 0.0])": ("pressure", "(4,)"),
     "ta.evaluate(spatial, task)": ("task", "got 2"),
-    "ta.wrench_hulls(spatial, twists)": ("twists", "(5, 3)"),
+    "ta.wrench_hulls(spatial, twists)": ("twists", "(10, 3)"),
     "ArmDesign([0.1, 0.2], 0.5, 'bellows')": ("actuators", "'bellows'"),
     "ArmDesign([0.1, 0.2], 0.5, ['bellows', 'mckibben'])": ("actuators[0]", "'bellows'"),
     "ArmDesign([0.1, 0.2], 0.5, [Bellows(), McKibben])": ("actuators[1]", "McKibben"),

@@ -55,14 +55,14 @@ DAMAGES = {
 
 @pytest.mark.parametrize("ending", ["nbi", "nbc"])
 def test_damaged_code_is_compiled_anew(tmp_path, monkeypatch, ending):
-    from torcharm import _compiled
+    from torcharm.engine import compilation
 
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    _compiled._folder.cache_clear()
+    compilation._folder.cache_clear()
     try:
 
         def answer():
-            function = _compiled.jit(cube)
+            function = compilation.jit(cube)
             return function(3.0), sum(function.stats.cache_hits.values())
 
         assert answer() == (28.0, 0)
@@ -73,23 +73,23 @@ def test_damaged_code_is_compiled_anew(tmp_path, monkeypatch, ending):
             assert answer() == (28.0, 0)  # compiled anew, and kept
             assert answer() == (28.0, 1)
     finally:
-        _compiled._folder.cache_clear()
+        compilation._folder.cache_clear()
 
 
 def test_code_that_cannot_be_kept_runs(tmp_path, monkeypatch):
-    from torcharm import _compiled
+    from torcharm.engine import compilation
 
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    _compiled._folder.cache_clear()
+    compilation._folder.cache_clear()
     try:
-        function = _compiled.jit(cube)
+        function = compilation.jit(cube)
         monkeypatch.setattr(os, "replace", full)
         assert function(2.0) == 9.0
     finally:
-        _compiled._folder.cache_clear()
+        compilation._folder.cache_clear()
 
 
 def cube(x):

@@ -172,6 +172,11 @@ def _nearest(points: list[Array]) -> tuple[Array, list[Array]]:
     return (weights[:, None] * np.stack(kept)).sum(0), kept
 
 
+def _reached(sets: Sets, directions: Array, size: float) -> list[Array]:
+    """Points of the set furthest along directions (K, D), seen from the target, as parts of a size."""
+    return [support(sets, d[None] / np.linalg.norm(d))[1][0].astype(float) / size for d in directions]
+
+
 def margin(sets: Sets, size: float, gap: float = 1e-8) -> tuple[float, float]:
     """Lower and upper bound of how deep the target of one problem lies inside its set; negative where it is outside.
 
@@ -179,7 +184,10 @@ def margin(sets: Sets, size: float, gap: float = 1e-8) -> tuple[float, float]:
     above; then that point is added. Sets without volume have no depth: 0.
     """
     directions = np.random.default_rng(0).normal(size=(24, sets.target.shape[-1]))
-    points = [support(sets, d[None] / np.linalg.norm(d))[1][0].astype(float) / size for d in directions]
+    points = _reached(sets, directions, size)
+    for _ in range(3):  # along all random directions a thin set may reach no further than its few far ends
+        axes = np.linalg.svd(np.array(points) - np.mean(points, 0), full_matrices=False)[2]
+        points += _reached(sets, np.concatenate((axes, -axes)), size)
     low, high = 0.0, np.inf
     for _ in range(5 * PATIENCE):
         try:

@@ -162,3 +162,26 @@ def test_table(dimension, metric):
 
 SPIN = [[0.0, -0.3, 0.5, 0.1], [0.3, 0.0, -0.2, 0.2], [-0.5, 0.2, 0.0, -0.1], [0.0, 0.0, 0.0, 0.0]]
 """A body twist, along which a pose stays a pose to first order."""
+
+
+@pytest.mark.parametrize("chunk_size", [None, 2])
+def test_second_derivatives_are_refused_and_directional_ones_right(chunk_size):
+    """`jvp` goes through a graph of the gradient, in which normals and pressures are held: it needs no second one."""
+    radii = torch.tensor([-0.05, 0.0, 0.05], dtype=torch.float64, requires_grad=True)
+    task = ta.Task(ta.affine_curvature(-3.0, 3.0), ta.sample_loads(5))
+    models = [ta.Bellows(), ta.McKibben(), ta.Bellows()]
+
+    def total(radii):
+        return ta.evaluate(ta.ArmDesign(radii, 0.5, models), task, chunk_size=chunk_size).absolute.sum()
+
+    def room(radii):
+        return ta.load_capacity(ta.ArmDesign(radii, 0.5, models), task, chunk_size=chunk_size).t_max_per_node.sum()
+
+    direction = torch.tensor([1.0, -0.5, 2.0], dtype=torch.float64)
+    (gradient,) = torch.autograd.grad(total(radii), radii, create_graph=True)
+    slope = torch.autograd.functional.jvp(total, radii.detach(), direction)[1]
+    assert slope.item() == pytest.approx((gradient @ direction).item(), rel=1e-12)
+    for answer in (total, room):
+        (gradient,) = torch.autograd.grad(answer(radii), radii, create_graph=True)
+        with pytest.raises(RuntimeError, match="second derivatives"):
+            torch.autograd.grad(gradient.sum(), radii)

@@ -57,7 +57,9 @@ def test_batches_are_loops(dimension):
         for task in range(TASKS):
             one = evaluate(arm[design], twists[task], tip[task], point)
             for name in (*METRICS, "absolute", "relative"):
-                assert getattr(whole, name)[design, task].numpy() == pytest.approx(getattr(one, name).numpy(), abs=1e-10)
+                assert getattr(whole, name)[design, task].numpy() == pytest.approx(
+                    getattr(one, name).numpy(), abs=1e-10
+                )
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -78,7 +80,7 @@ def test_the_order_of_actuators_is_of_no_matter(dimension):
 
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_mirrored_arms_hold_mirrored_shapes_under_mirrored_loads(dimension):
-    """In the plane by the vertical through the base, as in space: body y, and turns about x and z, change their sign."""
+    """In the plane by the vertical through the base, as in space: body y, turns about x and z change their sign."""
     arm, twists, tip, point = scene(dimension)
     offsets = arm.offsets * arm.radii.new_tensor((-1.0, 1.0))
     across = {"radii": offsets[..., 0]} if dimension == 2 else {"offsets": offsets}
@@ -134,7 +136,7 @@ def test_the_unit_of_length_is_of_no_matter(dimension, unit):
     scaled = ta.ArmDesign(unit * arm.radii, unit * arm.length, models, out_of_plane=z)
     linear = 2 if dimension == 2 else 3
     shape, force, body = twists.clone(), tip.clone(), point.clone()
-    shape[..., : dimension] *= unit
+    shape[..., :dimension] *= unit
     force[..., linear:] *= unit
     body[..., linear:] *= unit
     same(
@@ -156,7 +158,7 @@ def test_the_unit_of_force_scales_distances(dimension):
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_an_actuator_without_pressure_adds_what_it_holds_back(dimension):
     """A limit of 0 is an elastic core: one at the axis moves the required force by its own."""
-    arm, twists, _, _ = scene(dimension)
+    _, twists, _, _ = scene(dimension)
     nothing = torch.zeros(1, 2, dtype=torch.float64)
     across = {"radii": nothing[:, 0]} if dimension == 2 else {"offsets": nothing}
     core = ta.ArmDesign(**across, length=0.38, actuators=ta.Bellows(), max_pressure=[0.0])

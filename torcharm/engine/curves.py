@@ -351,3 +351,42 @@ def furthest(curves, a, by_force, by_pressure):  # type: ignore[no-untyped-def]
                         best, at, force, fall = g, p, f, down
         low = high
     return at, force, fall
+
+
+@part
+def step_nearby(curves, a, by_force, by_pressure, p):  # type: ignore[no-untyped-def]
+    """From a pressure one Newton step to where `g = by_force f + by_pressure p` is largest nearby; f and -g'' there.
+
+    Pressures at ends of pieces stay, and their -g'' is 0.
+    """
+    last = curves.pieces[a]
+    k = 0
+    while k < last - 1 and p > curves.edge[a, k + 1]:
+        k += 1
+    low, high = curves.edge[a, k], curves.edge[a, k + 1]
+    if not low < p < high:
+        return p, curves.control[a, k, 3 if p >= high and high > low else 0], 0.0
+    force, slope, bend = smooth_force(curves, a, k, p)
+    fall = -by_force * bend
+    if not fall > 0.0:
+        return p, force, 0.0
+    there = p + (by_force * slope + by_pressure) / fall
+    if not low < there < high:
+        return p, force, fall
+    force, _, bend = smooth_force(curves, a, k, there)
+    return there, force, max(-by_force * bend, 0.0)
+
+
+@part
+def smooth_force(curves, a, k, p):  # type: ignore[no-untyped-def]
+    """The force of a curve at a pressure within piece k, and its two derivatives."""
+    if curves.off[a] > 0.0:
+        return exact_force(curves, a, p)
+    low, width = curves.edge[a, k], curves.edge[a, k + 1] - curves.edge[a, k]
+    t = (p - low) / width
+    s = 1.0 - t
+    f0, f1, f2, f3 = curves.control[a, k, 0], curves.control[a, k, 1], curves.control[a, k, 2], curves.control[a, k, 3]
+    force = s * s * (s * f0 + 3.0 * t * f1) + t * t * (3.0 * s * f2 + t * f3)
+    slope = 3.0 * (s * s * (f1 - f0) + 2.0 * s * t * (f2 - f1) + t * t * (f3 - f2)) / width
+    bend = 6.0 * (s * (f2 - 2.0 * f1 + f0) + t * (f3 - 2.0 * f2 + f1)) / (width * width)
+    return force, slope, bend

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from torcharm.engine.compilation import part
-from torcharm.engine.distance import nearest_part
+from torcharm.engine.distance import TOUCHING, nearest_part
+from torcharm.engine.sharpen import FAR
 
 Array = np.ndarray[Any, Any]
 
@@ -66,8 +67,8 @@ def make_polytope(actuators: int, dimension: int) -> Polytope:
     )
 
 
-def depth_part(D: int, ask: Any) -> Any:
-    """`depth` for wrenches of D components; `ask` as of `distance.distance_parts`."""
+def depth_parts(D: int, ask: Any) -> tuple[Any, Any]:
+    """`depth` and `weigh` for sets in D components whose support is asked for by `ask`."""
 
     @part
     def add_corner(polytope, point, pressure):  # type: ignore[no-untyped-def]
@@ -145,8 +146,16 @@ def depth_part(D: int, ask: Any) -> Any:
         return True
 
     @part
-    def weigh(polytope, f, simplex):  # type: ignore[no-untyped-def]
-        """Make the face the simplex: its normal, and its corners with weights that mix to its point nearest to w."""
+    def nearest_face(polytope):  # type: ignore[no-untyped-def]
+        nearest = 0
+        for f in range(polytope.used[1]):
+            if polytope.offset[f] < polytope.offset[nearest]:
+                nearest = f
+        return nearest
+
+    @part
+    def write_weights(polytope, f, weight):  # type: ignore[no-untyped-def]
+        """Write weights that mix a face's corners to its plane's point nearest to w; returns the least of them."""
         corner, face, n = polytope.corner, polytope.face, polytope.normal
         if D == 2:
             i, j = face[f, 0], face[f, 1]
@@ -155,23 +164,45 @@ def depth_part(D: int, ask: Any) -> Any:
                 e = corner[j, c] - corner[i, c]
                 along -= corner[i, c] * e
                 square += e * e
-            simplex.weight[1] = min(max(along / square, 0.0), 1.0)
-            simplex.weight[0] = 1.0 - simplex.weight[1]
-        else:
-            total = 0.0
-            for s in range(3):
-                i, j = face[f, (s + 1) % 3], face[f, (s + 2) % 3]
-                x = corner[i, 1] * corner[j, 2] - corner[i, 2] * corner[j, 1]
-                y = corner[i, 2] * corner[j, 0] - corner[i, 0] * corner[j, 2]
-                z = corner[i, 0] * corner[j, 1] - corner[i, 1] * corner[j, 0]
-                simplex.weight[s] = max(abs(x * n[f, 0] + y * n[f, 1] + z * n[f, 2]), 0.0)
-                total += simplex.weight[s]
-            for s in range(3):
-                simplex.weight[s] /= total
+            weight[1] = along / square
+            weight[0] = 1.0 - weight[1]
+            return min(weight[0], weight[1])
+        total, least = 0.0, NEVER
+        for s in range(3):
+            i, j = face[f, (s + 1) % 3], face[f, (s + 2) % 3]
+            x = corner[i, 1] * corner[j, 2] - corner[i, 2] * corner[j, 1]
+            y = corner[i, 2] * corner[j, 0] - corner[i, 0] * corner[j, 2]
+            z = corner[i, 0] * corner[j, 1] - corner[i, 1] * corner[j, 0]
+            weight[s] = x * n[f, 0] + y * n[f, 1] + z * n[f, 2]
+            total += weight[s]
+        for s in range(3):
+            weight[s] /= total
+            least = min(least, weight[s])
+        return least
+
+    @part
+    def weigh(polytope, simplex, size):  # type: ignore[no-untyped-def]
+        """Make the nearest face the simplex: its normal, and its corners with weights that mix to its nearest point.
+
+        Of faces in one plane it is the one that holds that point.
+        """
+        nearest = nearest_face(polytope)
+        best, most = nearest, -NEVER
+        for f in range(polytope.used[1]):
+            if polytope.offset[f] <= polytope.offset[nearest] + BEYOND * size:
+                least = write_weights(polytope, f, simplex.weight)
+                if least > most:
+                    best, most = f, least
+        write_weights(polytope, best, simplex.weight)
+        total = 0.0
         for s in range(D):
-            simplex.normal[s] = n[f, s]
+            simplex.weight[s] = max(simplex.weight[s], 0.0)
+            total += simplex.weight[s]
+        for s in range(D):
+            simplex.weight[s] /= total
+            simplex.normal[s] = polytope.normal[best, s]
             for a in range(polytope.pressure.shape[1]):
-                simplex.pressure[s, a] = polytope.pressure[face[f, s], a]
+                simplex.pressure[s, a] = polytope.pressure[polytope.face[best, s], a]
 
     @part
     def depth(curves, simplex, polytope, size):  # type: ignore[no-untyped-def]
@@ -188,10 +219,7 @@ def depth_part(D: int, ask: Any) -> Any:
         polytope.used[1] = D + 1
         best, low = NEVER, 0.0
         while True:
-            nearest = 0
-            for f in range(polytope.used[1]):
-                if polytope.offset[f] < polytope.offset[nearest]:
-                    nearest = f
+            nearest = nearest_face(polytope)
             low = polytope.offset[nearest]
             if best - low <= DEPTH_GAP * size or polytope.used[0] == len(polytope.corner):
                 break
@@ -212,21 +240,38 @@ def depth_part(D: int, ask: Any) -> Any:
             add_corner(polytope, simplex.point, simplex.fresh)
             if not expand(polytope, polytope.used[0] - 1):
                 break
-        weigh(polytope, nearest, simplex)
+        weigh(polytope, simplex, size)
         return low, max(best - low, 0.0)
 
-    return depth
+    return depth, weigh
 
 
-def signed_distance_part(D: int, ask: Any) -> Any:
-    """`signed_distance` for sets in D components whose support is asked for by `ask`."""
-    nearest, depth = nearest_part(D, ask), depth_part(D, ask)
+def signed_distance_part(D: int, ask: Any, sharpen: Any) -> Any:
+    """`signed_distance` for sets in D components, of what `ask` and `sharpen` do with their kind of support."""
+    nearest = nearest_part(D, ask)
+    depth, weigh = depth_parts(D, ask)
     nudges = NUDGES[D]
 
     @part
     def move(simplex, along, length):  # type: ignore[no-untyped-def]
         for c in range(D):
             simplex.target[c] += nudges[along][c] * length
+
+    @part
+    def minus_depth(support, simplex, polytope, size, low, gap):  # type: ignore[no-untyped-def]
+        """Minus the depth of the target, by a sharper normal than the face's, and the gap that is left.
+
+        From within, Newton's method may go on to where a plane is furthest, not nearest: then the face stays.
+        """
+        sharpen(support, simplex, FAR * FAR)
+        ask(support, simplex)
+        reach = 0.0
+        for c in range(D):
+            reach += simplex.normal[c] * simplex.point[c]
+        if reach > low + gap:
+            weigh(polytope, simplex, size)
+            reach = low
+        return -reach if reach > TOUCHING * size else 0.0, gap
 
     @part
     def signed_distance(support, simplex, polytope, size):  # type: ignore[no-untyped-def]
@@ -237,8 +282,8 @@ def signed_distance_part(D: int, ask: Any) -> Any:
         """
         distance, gap, inside = nearest(support, simplex, size)
         if inside:
-            distance, gap = depth(support, simplex, polytope, size)
-            return -distance, gap
+            low, gap = depth(support, simplex, polytope, size)
+            return minus_depth(support, simplex, polytope, size, low, gap)
         if distance != 0.0 or not size > 0.0:  # what is no number is no zero
             return distance, gap
         for along in range(D):
@@ -246,11 +291,12 @@ def signed_distance_part(D: int, ask: Any) -> Any:
             for c in range(D):
                 simplex.normal[c] = nudges[along][c]
             _, _, inside = nearest(support, simplex, size)
+            low = gap = 0.0
             if inside:
-                distance, gap = depth(support, simplex, polytope, size)
+                low, gap = depth(support, simplex, polytope, size)
             move(simplex, along, -NUDGE * size)
-            if inside and distance > 4.0 * NUDGE * size:
-                return -distance, gap + NUDGE * size
+            if low > 4.0 * NUDGE * size:
+                return minus_depth(support, simplex, polytope, size, low, gap + NUDGE * size)
         return 0.0, 0.0
 
     return signed_distance

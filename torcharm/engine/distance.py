@@ -19,8 +19,8 @@ from torcharm.engine.curves import furthest
 
 Array = np.ndarray[Any, Any]
 
-GAP = 1e-12
-"""The gap, as a part of the problem's size, at which the distance is known: ten times what rounding leaves."""
+GAP = 1e-13
+"""The gap, as a part of the problem's size, at which the distance is known: what rounding leaves."""
 ITERATIONS = 100
 """Points of the set that are asked for at most: 3 to 8 are usual, 25 the most that was seen."""
 TOUCHING = 16 * float(np.finfo(np.float64).eps)
@@ -39,6 +39,7 @@ class Simplex(NamedTuple):
         point, fresh: (D,), (M,) the set's point that was last asked for, seen from w, and its pressures.
         nearest, face, trial, back: (D,) room.
         turn: (D, D) how the set's point moves as the normal turns.
+        system: (2D - 1, 2D) equations that sharpen the answer.
     """
 
     target: Array
@@ -53,12 +54,14 @@ class Simplex(NamedTuple):
     trial: Array
     back: Array
     turn: Array
+    system: Array
 
 
 def make_simplex(actuators: int, dimension: int) -> Simplex:
     """Room for one problem."""
-    square, row = (dimension, dimension), (dimension,)
-    shapes = (row, row, row, (dimension, actuators), square, row, (actuators,), row, row, row, row, square)
+    square, row, rows = (dimension, dimension), (dimension,), 2 * dimension - 1
+    shapes: list[tuple[int, ...]] = [row, row, row, (dimension, actuators), square, row, (actuators,)]
+    shapes += [row, row, row, row, square, (rows, rows + 1)]
     return Simplex(*(np.zeros(shape) for shape in shapes))
 
 
@@ -67,6 +70,16 @@ def determinant(a, b, c):  # type: ignore[no-untyped-def]
     """Of three vectors of space."""
     x, y, z = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
     return a[0] * x + a[1] * y + a[2] * z
+
+
+@part
+def add_turn(turn, curves, a, slope, by):  # type: ignore[no-untyped-def]
+    """Add how an actuator's point moves as the normal turns: along its tangent v, by `v v·δn` times `by`."""
+    D = len(turn)
+    for c in range(D):
+        v = slope * curves.lever[a, c] + (curves.bending[a, c - 1] if c > 0 else 0.0)
+        for e in range(D):
+            turn[c, e] += v * (slope * curves.lever[a, e] + (curves.bending[a, e - 1] if e > 0 else 0.0)) * by
 
 
 def curve_support(D: int) -> Any:
@@ -97,13 +110,7 @@ def curve_support(D: int) -> Any:
                 point[c] += f * curves.lever[a, c] + p * curves.bending[a, c - 1]
             if fall > 0.0:
                 smooth += 1
-                slope = -by_pressure / by_force
-                for c in range(D):
-                    v = slope * curves.lever[a, c] + (curves.bending[a, c - 1] if c > 0 else 0.0)
-                    for e in range(D):
-                        turn[c, e] += (
-                            v * (slope * curves.lever[a, e] + (curves.bending[a, e - 1] if e > 0 else 0.0)) / fall
-                        )
+                add_turn(turn, curves, a, -by_pressure / by_force, 1.0 / fall)
         return smooth
 
     return ask
@@ -271,6 +278,39 @@ def nearest_part(D: int, ask: Any) -> Any:
         return square
 
     @part
+    def write_back(simplex, length):  # type: ignore[no-untyped-def]
+        """Write the direction from the simplex to w: across its corners, if they are further apart than w is from them.
+
+        A difference of wrenches has lost as many digits as it is small.
+        """
+        y, back = simplex.corner, simplex.back
+        full = True
+        for c in range(D):
+            back[c] = -simplex.nearest[c] / length
+            full = full and simplex.weight[c] > 0.0
+        if not full:
+            return
+        if D == 2:
+            a, b = y[0, 1] - y[1, 1], y[1, 0] - y[0, 0]
+            across = math.sqrt(a * a + b * b)
+            if across > length:
+                back[0], back[1] = a / across, b / across
+        else:
+            e0, e1, e2 = y[1, 0] - y[0, 0], y[1, 1] - y[0, 1], y[1, 2] - y[0, 2]
+            f0, f1, f2 = y[2, 0] - y[0, 0], y[2, 1] - y[0, 1], y[2, 2] - y[0, 2]
+            a, b, c = e1 * f2 - e2 * f1, e2 * f0 - e0 * f2, e0 * f1 - e1 * f0
+            across = math.sqrt(a * a + b * b + c * c)
+            broad = math.sqrt(max(e0 * e0 + e1 * e1 + e2 * e2, f0 * f0 + f1 * f1 + f2 * f2))
+            if across > length * broad:
+                back[0], back[1], back[2] = a / across, b / across, c / across
+        along = 0.0
+        for c in range(D):
+            along += back[c] * y[0, c]
+        if along > 0.0:
+            for c in range(D):
+                back[c] = -back[c]
+
+    @part
     def nearest(support, simplex, size):  # type: ignore[no-untyped-def]
         """The distance of the simplex's target from the set, the gap that is left, and whether it is strictly inside.
 
@@ -306,9 +346,8 @@ def nearest_part(D: int, ask: Any) -> Any:
             length = math.sqrt(square)
             if length <= TOUCHING * size:
                 return 0.0, 0.0, False
-            for c in range(D):
-                simplex.back[c] = -simplex.nearest[c] / length
-            if length - low <= GAP * size:
+            write_back(simplex, length)
+            if low > 0.0 and length - low <= GAP * size:
                 break
             newton = smooth > 0 and ahead > 0.0 and (better or not newton)
             if newton:
@@ -317,6 +356,8 @@ def nearest_part(D: int, ask: Any) -> Any:
                 for c in range(D):
                     simplex.normal[c] = simplex.back[c]
             ahead = 0.0  # of this one nothing is known yet
+        if low <= 0.0 and length < math.inf:  # no plane is known to separate them
+            return 0.0, length, False
         if ahead < low or ahead <= 0.0:  # another normal gave the bound: the simplex's own goes with its points
             for c in range(D):
                 simplex.normal[c] = simplex.back[c]

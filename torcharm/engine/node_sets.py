@@ -8,8 +8,9 @@ import numpy as np
 from torcharm.engine.compilation import kernel, part
 from torcharm.engine.curves import Curves, copy_curve, make_curves, most_pieces, sides, write_curve, write_difference
 from torcharm.engine.depth import Polytope, make_polytope, signed_distance_part
-from torcharm.engine.distance import Simplex, curve_support, make_simplex, nearest_part
+from torcharm.engine.distance import GAP, Simplex, curve_support, make_simplex, nearest_part
 from torcharm.engine.forces import Models
+from torcharm.engine.sharpen import BEYOND, sharpen_part
 
 Array = np.ndarray[Any, Any]
 
@@ -171,7 +172,22 @@ def distance_kernel(dimension: int, signed: bool = False) -> Any:
     """The kernel for wrenches of so many components, which measures from the outside or, signed, from both sides."""
     ask = curve_support(dimension)
     nearest = nearest_part(dimension, ask)
-    signed_distance = signed_distance_part(dimension, ask)
+    sharpen = sharpen_part(dimension)
+    signed_distance = signed_distance_part(dimension, ask, sharpen)
+
+    @part
+    def measure_again(curves, simplex, distance, gap, size):  # type: ignore[no-untyped-def]
+        """The distance along a sharper normal, and the gap that is left."""
+        ahead, low = 0.0, 0.0
+        for c in range(dimension):
+            for k in range(dimension):
+                ahead -= simplex.weight[k] * simplex.corner[k, c] * simplex.normal[c]
+        if gap > GAP * size:
+            ask(curves, simplex)
+            for c in range(dimension):
+                low -= simplex.normal[c] * simplex.point[c]
+            gap = min(gap, max(ahead - low, 0.0))
+        return (ahead, gap) if abs(ahead - distance) <= gap + GAP * size else (distance, gap)
 
     @kernel
     def distances(sections, required, relative, begin, end, room, answers):  # type: ignore[no-untyped-def]
@@ -192,6 +208,9 @@ def distance_kernel(dimension: int, signed: bool = False) -> Any:
                             distance, gap = signed_distance(curves, simplex, room.polytope, size)
                         else:
                             distance, gap, _ = nearest(curves, simplex, size)
+                            if distance > 0.0 and (len(answers.normal) > 0 or gap > GAP * size):
+                                sharpen(curves, simplex, BEYOND * max(gap, GAP * size) / distance)
+                                distance, gap = measure_again(curves, simplex, distance, gap, size)
                         if distance != 0.0:
                             remember(room.start, l, simplex.normal)
                         answers.distance[b, h, l, i] = distance

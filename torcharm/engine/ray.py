@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from torcharm.engine.compilation import kernel, part
-from torcharm.engine.distance import GAP, TOUCHING, curve_support, nearest_part, turn_part
+from torcharm.engine.distance import GAP, TOUCHING, curve_support, nearest_part
 from torcharm.engine.node_sets import aim, keep_answer, measure, write_node
+from torcharm.engine.sharpen import BEYOND, sharpen_part
 
 Array = np.ndarray[Any, Any]
 
@@ -24,11 +25,9 @@ STEPS = 60
 """Steps of Newton's method at most: 3 to 6 are usual. Where the ray grazes a round set each only halves the rest."""
 PARALLEL = 32 * float(np.finfo(np.float64).eps)
 """A cosine between plane and ray below which they count as parallel: what rounding makes of a right angle."""
-PROBE = 1e-8
+PROBE = 1e-10
 """So far beyond its end, as a part of the problem's size, the ray is looked at for normal, weights and pressures:
-nearer to the set rounding would turn the normal, and further away other points of the set would be nearest."""
-TURNS = 3
-"""Newton steps at most that sharpen this normal: the gap at which a distance is known may leave it 1e-6 off."""
+nearer to the set rounding would turn the normal, and further away the nearest points are others by as much."""
 FOUND, MISSED, UNBOUNDED = 0, 1, 2
 """What became of a ray."""
 
@@ -97,24 +96,7 @@ def leave_part(D: int) -> Any:
     """`leave` for wrenches of D components."""
     ask = curve_support(D)
     nearest = nearest_part(D, ask)
-    turn_normal = turn_part(D)
-
-    @part
-    def sharpen(curves, simplex, best):  # type: ignore[no-untyped-def]
-        """Turn the normal as long as the target comes to lie further beyond its plane than `best`."""
-        for turn in range(TURNS + 1):
-            smooth = ask(curves, simplex)
-            beyond = -along(simplex.normal, simplex.point)
-            if turn > 0 and not beyond > best:
-                for c in range(D):
-                    simplex.normal[c] = simplex.trial[c]
-                return
-            for c in range(D):
-                simplex.trial[c] = simplex.normal[c]
-            if smooth == 0 or not beyond > 0.0 or turn == TURNS:
-                return
-            best = beyond
-            turn_normal(simplex, beyond, smooth)
+    sharpen = sharpen_part(D)
 
     @part
     def ahead(curves, simplex, distance, size):  # type: ignore[no-untyped-def]
@@ -154,18 +136,18 @@ def leave_part(D: int) -> Any:
         length = math.sqrt(along(ray.direction, ray.direction))
         for c in range(D):
             simplex.normal[c] = ray.direction[c] / length if length > 0.0 else 1.0
-        t, end, rate, slack, left, probing = 0.0, 0.0, length, 0.0, 0.0, False
+        t, end, rate, slack, left, gap, probing = 0.0, 0.0, length, 0.0, 0.0, 0.0, False
         for step in range(STEPS):
             size = extent + go_to(simplex, ray, t)
             distance = -math.inf  # at first only the plane across the ray is asked for
             if step > 0 or still:
-                distance, _, _ = nearest(curves, simplex, size)
+                distance, gap, _ = nearest(curves, simplex, size)
             beyond = ahead(curves, simplex, distance, size) if distance != 0.0 else 0.0
             if still:
                 return math.inf, 0.0, 0.0, UNBOUNDED if distance == 0.0 else MISSED
             if probing:
                 if distance > 0.0:
-                    sharpen(curves, simplex, beyond)
+                    sharpen(curves, simplex, BEYOND * max(gap, GAP * size) / distance)
                 return end, slack, left, FOUND
             end = t
             if distance == -math.inf:

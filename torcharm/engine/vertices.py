@@ -12,6 +12,7 @@ import numpy as np
 from torcharm.engine.compilation import kernel, part
 from torcharm.engine.depth import signed_distance_part
 from torcharm.engine.distance import nearest_part
+from torcharm.engine.sharpen import leave_as_it_is
 
 Array = np.ndarray[Any, Any]
 
@@ -81,7 +82,7 @@ def vertex_kernel(dimension: int, signed: bool = False) -> Any:
     """The kernel for so many components, which measures from the outside or, signed, from both sides."""
     D = dimension
     ask = vertex_support(D)
-    nearest, signed_distance = nearest_part(D, ask), signed_distance_part(D, ask)
+    nearest, signed_distance = nearest_part(D, ask), signed_distance_part(D, ask, leave_as_it_is)
 
     @kernel
     def vertex_distances(vertices, points, rounding, begin, end, simplex, polytope, answers):  # type: ignore[no-untyped-def]

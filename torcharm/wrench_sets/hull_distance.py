@@ -7,13 +7,13 @@ scaled batch in float64, and every answer is checked from its weights alone.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torcharm._inputs import broadcast_shapes, check_count
+from torcharm.wrench_sets.once import once
 
 TOLERANCE = 1e-6
 """Largest primal residual, and largest error of the distance over max|H - w|, of a converged answer."""
@@ -276,37 +276,3 @@ def power_of_two(size: Tensor) -> Tensor:
     """The power of two at or just below sizes; 1 for zero."""
     size = torch.where(size > 0, size, torch.ones_like(size))
     return size / (2 * torch.frexp(size).mantissa)
-
-
-class _Once(torch.autograd.Function):
-    """The identity, which refuses a second derivative instead of giving a wrong one.
-
-    With the weights held (and in qpth's backward pass) second derivatives miss how the nearest point
-    moves along its face.
-    """
-
-    @staticmethod
-    def forward(ctx: Any, value: Tensor) -> Tensor:
-        ctx.save_for_backward(value)
-        return value.view_as(value)
-
-    @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> Tensor:
-        return _Refused.apply(gradient, *ctx.saved_tensors) if torch.is_grad_enabled() else gradient
-
-
-class _Refused(torch.autograd.Function):
-    """A gradient that depends on `value`, one does not say how."""
-
-    @staticmethod
-    def forward(ctx: Any, gradient: Tensor, value: Tensor) -> Tensor:
-        return gradient.view_as(gradient)
-
-    @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> Tensor:
-        raise RuntimeError("distance: has no second derivatives; differentiate once")
-
-
-def once(value: Tensor) -> Tensor:
-    """The same value, whose second derivatives are refused."""
-    return _Once.apply(value) if value.requires_grad and torch.is_grad_enabled() else value

@@ -1,15 +1,18 @@
 """Distances of a grid of designs and tasks: chunk by chunk, with a graph where gradients are wanted."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from torcharm.actuators import want_gradients
-from torcharm.statics.cross_section import CrossSections, per_actuator
+from torcharm.statics.cross_section import CrossSections, cross_sections, per_actuator
 from torcharm.wrench_sets.design_task_grid import DesignTaskGrid, RequiredWrench, map_chunks
 from torcharm.wrench_sets.distance import NearestPoints, evaluate_distance, find_nearest
+from torcharm.wrench_sets.once import once
 from torcharm.wrench_sets.rounding import without_rounding
 from torcharm.wrench_sets.vertex_sets import VertexSets
 
@@ -102,9 +105,10 @@ def _segment(
     """
     designs, shapes, _ = place
     required = grid.required.part(*place, grid.nodes[segment])
+    arm, twists = grid.segments[segment][designs, None], grid.twists[shapes, grid.nodes[segment]]
 
     def prepare() -> tuple[CrossSections, Tensor, Tensor]:
-        sections = grid.sections(segment, designs, shapes)
+        sections = cross_sections(arm, twists)
         return *possible_sections(sections), strain_excess(sections)
 
     if not wants_gradient(grid, segment):
@@ -119,7 +123,7 @@ def _segment(
         ]
     else:
         with torch.no_grad():
-            sections, lost, _ = prepare()
+            sections, lost, excess = prepare()
             nearest = [
                 _nearest(sections, required, options, relative=metric == "relative", points=True)
                 for metric in options.metrics
@@ -135,7 +139,15 @@ def _segment(
             ]
             return *values, excess
 
-        *values, excess = checkpoint(replay, use_reentrant=False) if again else replay()
+        if not again:
+            *values, excess = replay()
+        elif options.vertices is None and not any_sampled(sections) and not want_gradients(arm.actuators, arm.radii):
+            ours = (arm.radii, arm.length, arm.max_pressure, arm.out_of_plane, twists)
+            inputs = (*ours, required.external, required.unit_weight, required.mass)
+            known = (*(one.distance for one in nearest), excess)
+            *values, excess = Replayed.apply(replay, known, *(x for x in inputs if x is not None and x.requires_grad))
+        else:  # parameters inside of models are found only by a forward pass through them
+            *values, excess = checkpoint(replay, use_reentrant=False)
         found = [(value, one.known(value)) for value, one in zip(values, nearest, strict=True)]
     found = [
         (without_rounding(value, sections, required, options.scale, relative=metric == "relative"), flag)
@@ -144,9 +156,29 @@ def _segment(
     loads_here = required.external.shape[1]
     shape = (*excess.shape, loads_here)
     none = excess.new_zeros(*shape, 0, required.external.shape[-2])
-    distance = torch.stack([value for value, _ in found], -2) if found else none
+    distance = once(torch.stack([value for value, _ in found], -2)) if found else none
     converged = torch.stack([flag for _, flag in found], -2) if found else none.bool()
     return distance, converged, excess.unsqueeze(-1).expand(shape), lost.unsqueeze(-1).expand(shape)
+
+
+class Replayed(torch.autograd.Function):
+    """Values that the engine has found, as functions of tensors whose graph is built when a gradient is asked for."""
+
+    @staticmethod
+    def forward(ctx: Any, build: Callable[[], tuple[Tensor, ...]], known: tuple[Tensor, ...], *inputs: Tensor) -> Any:
+        """The known values; `build` makes them anew from the inputs, with a graph."""
+        ctx.build, ctx.inputs = build, inputs
+        return known
+
+    @staticmethod
+    def backward(ctx: Any, *wanted: Tensor) -> Any:
+        """Gradients by the inputs, of values built anew."""
+        more = torch.is_grad_enabled()
+        with torch.enable_grad():
+            values = ctx.build()
+        pairs = [(value, own) for value, own in zip(values, wanted, strict=True) if value.requires_grad]
+        found, outer = [value for value, _ in pairs], [own for _, own in pairs]
+        return None, None, *torch.autograd.grad(found, ctx.inputs, outer, allow_unused=True, create_graph=more)
 
 
 def _nearest(

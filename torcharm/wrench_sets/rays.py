@@ -18,6 +18,7 @@ from torcharm.engine.ray import Ends, make_ray, ray_kernel
 from torcharm.statics.cross_section import CrossSections
 from torcharm.wrench_sets.design_task_grid import RequiredWrench
 from torcharm.wrench_sets.distance import CERTIFIED, as_array, beyond_planes, engine_sections, spread
+from torcharm.wrench_sets.once import once
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,4 +97,4 @@ def evaluate_ends(
         beyond = beyond_planes(sections, start, normal, ends.weight[:, side], ends.pressure[:, side], relative=relative)
         rate = (normal * change).sum(-1)
         found.append(-beyond / torch.where(rate == 0, torch.ones_like(rate), rate))
-    return torch.where(real, torch.stack(found, 1), ends.factor)
+    return once(torch.where(real, torch.stack(found, 1), ends.factor))

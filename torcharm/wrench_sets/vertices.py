@@ -13,7 +13,8 @@ from torcharm.engine.depth import make_polytope
 from torcharm.engine.distance import make_simplex
 from torcharm.engine.vertices import VertexAnswers, vertex_kernel
 from torcharm.wrench_sets.distance import CERTIFIED, spread
-from torcharm.wrench_sets.hull_distance import ROUNDINGS, once, power_of_two
+from torcharm.wrench_sets.hull_distance import ROUNDINGS, power_of_two
+from torcharm.wrench_sets.once import once
 
 DIMENSIONS = (2, 3)
 """Components that the engine is written for."""

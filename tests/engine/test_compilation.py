@@ -1,0 +1,49 @@
+"""Machine code on disk: where it is kept, and that it is of these sources."""
+
+from pathlib import Path
+
+import torcharm
+from torcharm.engine import compilation
+
+PACKAGE = Path(torcharm.__file__).parent
+
+
+def test_where_code_is_kept(tmp_path, monkeypatch):
+    told, blocked = tmp_path / "told", tmp_path / "file"
+    blocked.write_text("")
+    for value, home, wanted in ((told, tmp_path, told), (blocked, tmp_path, None), (blocked, blocked, None)):
+        monkeypatch.setenv("NUMBA_CACHE_DIR", str(value))
+        monkeypatch.setenv("HOME", str(home))
+        compilation._folder.cache_clear()
+        folder = compilation._folder()
+        assert folder is not None  # beside the sources, if nowhere else
+        assert folder.endswith(f"torcharm-{compilation._version()}")
+        assert wanted is None or folder.startswith(str(wanted))
+    with monkeypatch.context() as patch:  # nowhere to write
+        patch.setattr(compilation.Path, "mkdir", refuse)
+        compilation._folder.cache_clear()
+        assert compilation._folder() is None
+        square = compilation.jit(lambda x: x * x)
+        assert square(3.0) == 9.0
+    compilation._folder.cache_clear()
+
+
+def refuse(*_, **__):
+    raise PermissionError("read-only")
+
+
+def test_code_on_disk_is_of_these_sources(tmp_path, monkeypatch):
+    """A change of what a kernel calls, or of a constant, makes it another."""
+    before = compilation._version()
+    copy = tmp_path / "torcharm"
+    (copy / "engine").mkdir(parents=True)
+    for path in ("engine/compilation.py", "engine/forces.py"):
+        (copy / path).write_bytes((PACKAGE / path).read_bytes())
+    monkeypatch.setattr(compilation, "__file__", str(copy / "engine/compilation.py"))
+    versions = [before]
+    for text in ("", "# changed"):
+        compilation._version.cache_clear()
+        (copy / "engine" / "forces.py").write_text(text)
+        versions.append(compilation._version())
+    compilation._version.cache_clear()
+    assert len(set(versions)) == 3
