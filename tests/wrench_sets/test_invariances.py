@@ -57,7 +57,9 @@ def test_batches_are_loops(dimension):
         for task in range(TASKS):
             one = evaluate(arm[design], twists[task], tip[task], point)
             for name in (*METRICS, "absolute", "relative"):
-                assert getattr(whole, name)[design, task].numpy() == pytest.approx(getattr(one, name).numpy(), abs=1e-10)
+                assert getattr(whole, name)[design, task].numpy() == pytest.approx(
+                    getattr(one, name).numpy(), abs=1e-10
+                )
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -134,7 +136,7 @@ def test_the_unit_of_length_is_of_no_matter(dimension, unit):
     scaled = ta.ArmDesign(unit * arm.radii, unit * arm.length, models, out_of_plane=z)
     linear = 2 if dimension == 2 else 3
     shape, force, body = twists.clone(), tip.clone(), point.clone()
-    shape[..., : dimension] *= unit
+    shape[..., :dimension] *= unit
     force[..., linear:] *= unit
     body[..., linear:] *= unit
     same(

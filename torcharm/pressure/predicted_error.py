@@ -140,7 +140,7 @@ def predict_error(arm: ArmDesign | ArmSeries, task: Task, pose_cost: PoseCost | 
 
 def _found(prepared: Prepared) -> Predictions:
     """What the engine finds."""
-    problem, shape = prepared.engine, prepared.shape
+    problem, shape = prepared.engine, prepared.start
     count, actuators = problem.limit.shape
     sobol = torch.quasirandom.SobolEngine(actuators).draw(1 + SCREENED[-1], dtype=torch.float64)
     draws = sobol[1:].numpy()

@@ -194,7 +194,7 @@ def nothing_found(prepared: Prepared, starts: int) -> Searches:
     count, actuators = prepared.engine.limit.shape
     return Searches(
         np.zeros((count, actuators)),
-        prepared.shape.copy(),
+        prepared.start.copy(),
         np.full(count, np.inf),
         np.full(count, FAILED),
         np.zeros(count, dtype=np.bool_),
@@ -205,7 +205,7 @@ def nothing_found(prepared: Prepared, starts: int) -> Searches:
 
 def _found(prepared: Prepared, starts: int, rounds: int, seed: int) -> Searches:
     """What the engine finds."""
-    problem, shape, out = prepared.engine, prepared.shape, nothing_found(prepared, starts)
+    problem, shape, out = prepared.engine, prepared.start, nothing_found(prepared, starts)
     size = problem.limit.shape[1]
     pool = torch.rand(LOT * starts, size, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
     pool = (1.2 * pool - 0.1).clamp(0, 1)  # the bounds are where optima like to be
