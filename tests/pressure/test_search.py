@@ -87,10 +87,8 @@ def test_spread_points_begin_in_the_middle_and_are_the_same_at_every_call():
         ({"method": "magic"}, "method"),
         ({"starts": 0}, "starts"),
         ({"rounds": -1}, "rounds"),
-        ({"pose_cost": "ramp"}, "pose_cost"),
         ({"shear_stiffness": 0.0}, "shear_stiffness"),
         ({"seed": -1}, "seed"),
-        ({"raise_on_failure": 1}, "raise_on_failure"),
     ],
 )
 def test_mistakes_are_named(given, named):

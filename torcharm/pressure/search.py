@@ -1,6 +1,7 @@
 """Pressure search: the pressure that brings an arm closest to a task, through its forward mechanics."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -82,7 +83,7 @@ class PressureSearch:
         return known.nanmedian(-1).values - self.cost
 
     @property
-    def status(self) -> str | NDArray[np.str_]:
+    def status(self) -> str | NDArray[Any]:
         """What to think of it, in a word of `WORDS`: one, or an array of them."""
         code = np.where(self.converged.numpy(force=True), 0, 2)
         code = np.where(self.continued.numpy(force=True), code, 1)
