@@ -1,4 +1,4 @@
-"""The pressure search: equilibria that loading reaches, costs no worse than scipy's and a grid's, failures that say so."""
+"""The pressure search: equilibria that loading reaches, costs no worse than scipy's and a grid's."""
 
 import pytest
 import torch

@@ -91,7 +91,7 @@ class Prepared:
 
     @cached_property
     def start(self) -> Numbers:
-        """(B, N, K) the same, but 0 in the columns in which the arms are rigid: they begin and stay so under any load."""
+        """(B, N, K) the same, but 0 in the columns in which the arms are rigid, as they are without load."""
         start = np.zeros_like(self.shape)
         start[..., self.problem.unknown] = self.shape[..., self.problem.unknown]
         return start
