@@ -19,6 +19,7 @@ from torcharm.engine.threads import spread
 from torcharm.equilibrium.solve import TOLERANCE, NotConvergedError
 from torcharm.equilibrium.stability import strain_excess
 from torcharm.pressure.errors import errors_at
+from torcharm.pressure.outcome import nothing_found
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.pressure.prepared import Prepared, detached, prepare, stays_at
 from torcharm.pressure.starts import spread_points
@@ -188,20 +189,6 @@ def _result(prepared: Prepared, plain: Prepared, found: Searches) -> PressureSea
         plain.shaped(found.start_cost),
     )
     return PressureSearch(*(prepared.given_back(column) for column in columns))
-
-
-def nothing_found(prepared: Prepared, starts: int) -> Searches:
-    """Searches of which nothing is known yet."""
-    count, actuators = prepared.engine.limit.shape
-    return Searches(
-        np.zeros((count, actuators)),
-        prepared.start.copy(),
-        np.full(count, np.inf),
-        np.full(count, FAILED),
-        np.zeros(count, dtype=np.bool_),
-        np.full(count, np.nan),
-        np.full((count, starts), np.inf),
-    )
 
 
 def _found(prepared: Prepared, starts: int, rounds: int, seed: int) -> Searches:
