@@ -161,7 +161,7 @@ def test_the_test_sees_circles_and_arrows_back():
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == [["b", "c"]]
     assert circles({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
     assert faults("torcharm.geometry.rod", "torcharm.task")
-    assert faults("torcharm.statics.external_load", "torcharm.mechanics.load")
+    assert faults("torcharm.statics.external_load", "torcharm.wrenches")
     assert faults("torcharm.geometry.rod", "torcharm")
     assert not faults("torcharm.statics.external_load", "torcharm.geometry.rod")
     assert "torcharm.geometry.se2" in imports_of("torcharm.geometry.rod")

@@ -127,7 +127,7 @@ def predictions(total: int, console: Console) -> Iterator[Row]:
         searched = torch.full_like(claimed, math.nan)
         if wanted:
             again = ta.Task(task.twists[wanted], task.tip_load[wanted])
-            searched[wanted] = ta.search_pressure(arm, again, compiled=True).cost.clamp(min=0).sqrt()
+            searched[wanted] = ta.search_pressure(arm, again).shape_error
         for index, values in enumerate(zip(claimed.tolist(), searched.tolist(), strict=True)):
             confirmed = index not in wanted or abs(values[0] - values[1]) <= WITHIN
             yield Row("prediction", seed, kinds, sources[index], *values, flags[index], confirmed)
@@ -221,7 +221,7 @@ def unconfirmed_table(rows: list[Row]) -> Table:
         task, _ = draw_tasks(generator, arm)
         task = ta.Task(task.twists[index], task.tip_load[index])
         found = ta.predict_error(arm, task)
-        search = ta.search_pressure(arm, task, compiled=True)
+        search = ta.search_pressure(arm, task)
         loaded = ta.solve_equilibrium(arm, found.pressure, task.tip_load, NODES)
         gap = (loaded.poses - ta.poses(task.twists))[:, :2].norm(dim=-1).max()
         gap = gap if bool(loaded.continued & loaded.stable) else gap * math.nan

@@ -28,7 +28,7 @@ def test_shapes_predicted_are_equilibria_and_errors_are_those_of_their_poses(nam
     torch.testing.assert_close(found.tip_error, gap[..., -1, :2].norm(dim=-1), rtol=1e-9, atol=1e-12)
     torch.testing.assert_close(found.tip_rotation_error, gap[..., -1, 2].abs(), rtol=1e-9, atol=1e-12)
     square = gap[..., :2].square().sum(-1) + 0.05 * gap[..., 2].square()
-    weight = torch.cat((torch.linspace(0, 1, 10).double(), torch.zeros(1).double()))
+    weight = torch.cat((torch.linspace(0, 1, 10, dtype=torch.float64), torch.zeros(1).double()))
     torch.testing.assert_close(found.cost, (weight * square).sum(-1), rtol=1e-9, atol=1e-14)
     torch.testing.assert_close(found.shape_error, ((weight * square).sum(-1) / weight.sum()).sqrt(), rtol=1e-9, atol=0)
     torch.testing.assert_close(found.per_node, square.sqrt(), rtol=1e-9, atol=1e-12)
@@ -56,9 +56,7 @@ def test_the_number_of_nodes_does_not_change_what_a_designer_reads():
     few, many = (
         ta.predict_error(
             ta.bellows_arm(),
-            ta.Task(
-                ta.affine_curvature(-3.0, 3.0, nodes=nodes), ta.sample_loads(5, (4, 4, 1)), wrench_at="middle"
-            ),
+            ta.Task(ta.affine_curvature(-3.0, 3.0, nodes=nodes), ta.sample_loads(5, (4, 4, 1)), wrench_at="middle"),
         )
         for nodes in (20, 40)
     )

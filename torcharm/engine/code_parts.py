@@ -25,7 +25,7 @@ class _WithoutRun:
         """Nothing: the environment is that of functions that raise exceptions or call Python."""
 
 
-class PartLibrary(JITCodeLibrary):  # type: ignore[misc]
+class PartLibrary(JITCodeLibrary):
     """Code of one function and of those that it calls, to be linked into that of a kernel."""
 
     @property
@@ -58,7 +58,7 @@ def _is_expanded(function: Any) -> bool:
     return any(b"alwaysinline" in attribute for attribute in function.attributes)
 
 
-class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
+class KernelLibrary(JITCodeLibrary):
     """Code of a kernel with all of its parts, which are its own."""
 
     def _optimize_final_module(self) -> None:
@@ -71,7 +71,7 @@ class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
         builder.getModulePassManager().run(self._final_module, builder)
 
 
-class _Compiler(Compiler):  # type: ignore[misc]
+class _Compiler(Compiler):
     """numba's compiler, with a library of another kind."""
 
     kind: type[JITCodeLibrary]

@@ -55,12 +55,13 @@ def make_fit(arms: Arms) -> Fit:
     """Room for one arm at a time, with weights of 0."""
     nodes, columns, count = arms.first_node[-1], len(arms.unknown), len(arms.models.kind)
     return Fit(
-        np.zeros((3, count)),
-        np.zeros((3, nodes, columns)),
-        np.zeros((count, nodes, columns)),
-        np.zeros(count),
-        *np.zeros((2, count, count)),
-        np.zeros(columns),
+        place=np.zeros((3, count)),
+        miss=np.zeros((3, nodes, columns)),
+        rates=np.zeros((count, nodes, columns)),
+        gradient=np.zeros(count),
+        normal=np.zeros((count, count)),
+        nothing=np.zeros((count, count)),
+        weight=np.zeros(columns),
     )
 
 

@@ -66,15 +66,17 @@ def errors_at(prepared: Prepared, place: Tensor, twists: Tensor, known: Tensor, 
     cost = (weight * square).sum((-2, -1))
     split = prepared.dimension
     tip = square[..., -1, :]
-    columns = (
-        cost,
-        root(cost / omega, floor),
-        root(tip[..., :split].sum(-1), floor),
-        root(tip[..., split:].sum(-1), floor),
-        root((diagonal * square).sum(-1), floor.unsqueeze(-1)),
+    infinite = float("inf")
+    return Errors(
+        cost=_masked(cost, stable, infinite),
+        shape_error=_masked(root(cost / omega, floor), stable, infinite),
+        tip_error=_masked(root(tip[..., :split].sum(-1), floor), stable, infinite),
+        tip_rotation_error=_masked(root(tip[..., split:].sum(-1), floor), stable, infinite),
+        per_node=_masked(root((diagonal * square).sum(-1), floor.unsqueeze(-1)), stable, infinite),
+        pose_errors=_masked(error, stable, float("nan")),
+        pressure=pressure,
+        twists=reached,
     )
-    infinite = [_masked(column, stable, float("inf")) for column in columns]
-    return Errors(*infinite, _masked(error, stable, float("nan")), pressure, reached)
 
 
 def _masked(value: Tensor, kept: Tensor, other: float) -> Tensor:

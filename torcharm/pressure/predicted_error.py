@@ -8,6 +8,7 @@ it is loaded: under compression there are several.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -79,7 +80,7 @@ class PredictedError:
     possible: Tensor
 
     @property
-    def status(self) -> str | NDArray[np.str_]:
+    def status(self) -> str | NDArray[Any]:
         """What to think of it, in a word of `WORDS`: one, or an array of them."""
         code = np.where(self.reached.numpy(force=True), 0, 1)
         for rank, flag in enumerate((self.converged, self.stable, self.possible), 2):
@@ -140,17 +141,19 @@ def predict_error(arm: ArmDesign | ArmSeries, task: Task, pose_cost: PoseCost | 
 
 def _found(prepared: Prepared) -> Predictions:
     """What the engine finds."""
-    problem, shape = prepared.engine, prepared.shape
+    problem, shape = prepared.engine, prepared.start
     count, actuators = problem.limit.shape
     sobol = torch.quasirandom.SobolEngine(actuators).draw(1 + SCREENED[-1], dtype=torch.float64)
     draws = sobol[1:].numpy()
     start = np.zeros((0, *shape.shape[1:]))
     out = Predictions(
-        np.zeros((count, actuators)),
-        np.zeros_like(shape),
-        *np.zeros((2, count)),
-        np.zeros(count, dtype=np.int64),
-        *np.zeros((2, count), dtype=np.bool_),
+        place=np.zeros((count, actuators)),
+        twists=np.zeros_like(shape),
+        half_cost=np.zeros(count),
+        slope=np.zeros(count),
+        ended=np.zeros(count, dtype=np.int64),
+        stable=np.zeros(count, dtype=np.bool_),
+        reached=np.zeros(count, dtype=np.bool_),
     )
     pressure = np.zeros_like(problem.limit)
 

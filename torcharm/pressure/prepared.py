@@ -90,6 +90,13 @@ class Prepared:
         return self.flat(self.twists, 2)
 
     @cached_property
+    def start(self) -> Numbers:
+        """(B, N, K) the same, but 0 in the columns in which the arms are rigid, as they are without load."""
+        start = np.zeros_like(self.shape)
+        start[..., self.problem.unknown] = self.shape[..., self.problem.unknown]
+        return start
+
+    @cached_property
     def engine(self) -> EngineProblem:
         """The problems as the engine takes them."""
         packed = self.problem.packed

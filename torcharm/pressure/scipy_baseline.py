@@ -12,6 +12,7 @@ from torcharm.engine.searches import Searches
 from torcharm.equilibrium.problem import Packed
 from torcharm.equilibrium.solve import TOLERANCE
 from torcharm.equilibrium.stability import stays
+from torcharm.pressure.outcome import nothing_found
 from torcharm.pressure.pose_cost import pose_errors
 from torcharm.pressure.prepared import Prepared
 from torcharm.pressure.starts import spread_points
@@ -31,8 +32,6 @@ Numbers = NDArray[np.float64]
 def search_one_by_one(prepared: Prepared, starts: int, seed: int, method: str, progress: bool | None) -> Searches:
     """Search one task after the other; Ctrl-C raises."""
     from rich.progress import track
-
-    from torcharm.pressure.search import nothing_found
 
     check_choice("scipy_method", method, SCIPY_METHODS)
     out = nothing_found(prepared, starts)

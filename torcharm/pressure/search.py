@@ -1,6 +1,7 @@
 """Pressure search: the pressure that brings an arm closest to a task, through its forward mechanics."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,6 +19,7 @@ from torcharm.engine.threads import spread
 from torcharm.equilibrium.solve import TOLERANCE, NotConvergedError
 from torcharm.equilibrium.stability import strain_excess
 from torcharm.pressure.errors import errors_at
+from torcharm.pressure.outcome import nothing_found
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.pressure.prepared import Prepared, detached, prepare, stays_at
 from torcharm.pressure.starts import spread_points
@@ -82,7 +84,7 @@ class PressureSearch:
         return known.nanmedian(-1).values - self.cost
 
     @property
-    def status(self) -> str | NDArray[np.str_]:
+    def status(self) -> str | NDArray[Any]:
         """What to think of it, in a word of `WORDS`: one, or an array of them."""
         code = np.where(self.converged.numpy(force=True), 0, 2)
         code = np.where(self.continued.numpy(force=True), code, 1)
@@ -189,23 +191,9 @@ def _result(prepared: Prepared, plain: Prepared, found: Searches) -> PressureSea
     return PressureSearch(*(prepared.given_back(column) for column in columns))
 
 
-def nothing_found(prepared: Prepared, starts: int) -> Searches:
-    """Searches of which nothing is known yet."""
-    count, actuators = prepared.engine.limit.shape
-    return Searches(
-        np.zeros((count, actuators)),
-        prepared.shape.copy(),
-        np.full(count, np.inf),
-        np.full(count, FAILED),
-        np.zeros(count, dtype=np.bool_),
-        np.full(count, np.nan),
-        np.full((count, starts), np.inf),
-    )
-
-
 def _found(prepared: Prepared, starts: int, rounds: int, seed: int) -> Searches:
     """What the engine finds."""
-    problem, shape, out = prepared.engine, prepared.shape, nothing_found(prepared, starts)
+    problem, shape, out = prepared.engine, prepared.start, nothing_found(prepared, starts)
     size = problem.limit.shape[1]
     pool = torch.rand(LOT * starts, size, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
     pool = (1.2 * pool - 0.1).clamp(0, 1)  # the bounds are where optima like to be

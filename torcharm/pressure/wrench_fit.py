@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
 
 from torcharm._inputs import as_floating, check_at_least, check_count, check_finite
@@ -52,8 +53,8 @@ def fit_pressure(
     """The pressure within the limits whose reaction along the task shape comes closest to what is required.
 
     Minimises `Σ_i ‖a_i(z*, p) - w_i‖²_K` over `p ∈ [0, p̄]` by Levenberg and Marquardt's method from several starts,
-    with steps bent along curved valleys. A distance of zero is a certificate: one pressure holds the shape under the load.
-    Above zero it is no distance of shapes: what is a newton too much may move the arm far or not at all.
+    with steps bent along curved valleys. A distance of zero is a certificate: one pressure holds the shape under the
+    load. Above zero it is no distance of shapes: what is a newton too much may move the arm far or not at all.
     Results hold no graph: they are not differentiable.
 
     Args:
@@ -86,7 +87,7 @@ def fit_pressure(
     return PressureFit(*(prepared.given_back(column) for column in columns))
 
 
-def _fitted(prepared: Prepared, force: float, moment: float, starts: np.ndarray) -> FitAnswers:  # type: ignore[type-arg]
+def _fitted(prepared: Prepared, force: float, moment: float, starts: NDArray[np.float64]) -> FitAnswers:
     """What the engine finds, with the roots of the weights."""
     problem, shape = prepared.engine, prepared.shape
     hull = HULL[shape.shape[2]]

@@ -2,6 +2,8 @@ import pytest
 import torch
 
 import torcharm as ta
+from torcharm.geometry import se3
+from torcharm.pressure.pose_cost import pose_errors
 
 
 def test_weights_of_the_words():
@@ -15,12 +17,22 @@ def test_weights_of_the_words():
     assert ta.PoseCost([0, 0, 2, 1]).weights(3, like)[:, 0].tolist() == [0, 0, 2, 1]
 
 
-def test_the_cost_is_that_of_the_search():
-    arm, task = ta.antagonistic_arm(), ta.Task(ta.affine_curvature(1.0, 1.5), [2.0, -3.0, 0.4])
-    for words in ({}, {"node_weights": "tip"}, {"node_weights": "uniform", "error_weights": (1.0, 1.0, 0.0)}):
-        found = ta.search_pressure(arm, task, starts=1, hops=0, **words)
-        error, _ = ta.mechanics.pose_error(ta.poses(found.twists), ta.poses(task.twists))
-        torch.testing.assert_close(ta.PoseCost(**words)(error), found.cost, rtol=1e-6, atol=1e-12)
+def test_weights_in_space():
+    like = torch.zeros((), dtype=torch.float64)
+    assert ta.PoseCost().diagonal(like, 3).tolist() == [1, 1, 1, 0.05, 0.05, 0.05]
+    assert ta.PoseCost("tip", (1, 1, 1, 0, 2, 2)).weights(4, like, 3)[-1].tolist() == [1, 1, 1, 0, 2, 2]
+    with pytest.raises(ValueError, match="error_weights: must be 6 numbers in space"):
+        ta.PoseCost("tip", (1, 1, 0)).weights(4, like, 3)
+
+
+def test_errors_in_the_plane_are_those_of_space():
+    generator = torch.Generator().manual_seed(0)
+    reached, wanted = torch.rand(2, 7, 3, generator=generator, dtype=torch.float64)
+    plane = pose_errors(reached, wanted)
+    space = pose_errors(se3.from_plane(reached), se3.from_plane(wanted))
+    torch.testing.assert_close(space[..., [0, 1, 5]], plane)
+    torch.testing.assert_close(space[..., 2:5], torch.zeros_like(space[..., 2:5]), rtol=0, atol=1e-14)
+    torch.testing.assert_close(ta.PoseCost()(space), ta.PoseCost()(plane))
 
 
 @pytest.mark.parametrize(
