@@ -132,7 +132,6 @@ RESULTS: dict[str, Callable] = {
     "relative in chunks": metric("relative", chunk_size=1),
     "signed relative": metric("relative", signed=True),
     "predicted": lambda arm: ta.evaluate(pair(arm), GENTLE, metrics="predicted_error").predicted_error,
-    "predicted in steps": lambda arm: ta.predict_error(pair(arm), GENTLE, steps=1).error,
     "equilibrium": equilibrium(),
     "sheared equilibrium": equilibrium(shear_stiffness=1e3),
     "capacity": lambda arm: ta.load_capacity(arm, TASK).t_max_per_node,
@@ -142,7 +141,7 @@ RESULTS: dict[str, Callable] = {
 }
 
 
-VARIANTS = ("in chunks", "by scipy", "relative in chunks", "signed relative", "predicted in steps")
+VARIANTS = ("in chunks", "by scipy", "relative in chunks", "signed relative")
 VARIANTS += ("sheared equilibrium", "capacity in chunks")
 """Of other results, for which a few parameters stand for all."""
 KINKED_NOWHERE = ("predicted", "equilibrium", "reaction")
@@ -269,7 +268,7 @@ def test_what_has_no_gradient_takes_such_models_all_the_same():
         fit = ta.fit_pressure(arm_of(model), GENTLE)
         assert not fit.distance.requires_grad
         assert torch.equal(fit.pressure, plain.pressure)
-        found = ta.search_pressure(pair(arm_of(model)), GENTLE, starts=1, hops=0)
+        found = ta.search_pressure(pair(arm_of(model)), GENTLE, starts=1, rounds=0)
         assert not found.cost.requires_grad
         assert found.cost.isfinite()
 

@@ -81,7 +81,7 @@ def errors_at(prepared: Prepared, place: Tensor, twists: Tensor, known: Tensor, 
 
 def _masked(value: Tensor, kept: Tensor, other: float) -> Tensor:
     """Numbers (*batch, ...), but another where they are not kept (*batch)."""
-    return value.masked_fill(~kept.view(kept.shape + (1,) * (value.ndim - kept.ndim)), other)
+    return _Filled.apply(value, kept.view(kept.shape + (1,) * (value.ndim - kept.ndim)), other)
 
 
 def root(square: Tensor, floor: Tensor) -> Tensor:
@@ -99,6 +99,18 @@ def _pose_shape(prepared: Prepared) -> tuple[int, ...]:
 def _mean_length(prepared: Prepared) -> Tensor:
     """(*batch) mean neutral length of the segments [m]."""
     return prepared.shaped(prepared.problem.packed.scale.length)
+
+
+class _Filled(torch.autograd.Function):
+    """Numbers, with another in place of those that are not kept, whose gradients are asked for all the same."""
+
+    @staticmethod
+    def forward(ctx: Any, value: Tensor, kept: Tensor, other: float) -> Tensor:
+        return value.masked_fill(~kept, other)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
+        return gradient, None, None
 
 
 class _Known(torch.autograd.Function):
