@@ -72,6 +72,8 @@ def _compiled(function: F, **options: Any) -> F:
     try:
         config.CACHE_DIR = folder or chosen
         compiled: F = numba.njit(**every)(unwrap(function))  # what checks signatures in tests cannot be compiled
+        if hasattr(compiled, "_set_uuid"):  # not a plain function, as where numba is told not to compile
+            compiled._set_uuid(_name(unwrap(function)))
         if every["cache"]:
             guard(compiled)
         if every.get("pipeline_class") is RoutineCompiler:
@@ -79,6 +81,23 @@ def _compiled(function: F, **options: Any) -> F:
         return compiled
     finally:
         config.CACHE_DIR = chosen
+
+
+def _name(function: Callable[..., Any]) -> str:
+    """Of a compiled function, the same in every process.
+
+    By it numba tells apart what a function holds that is made by another one, and so whether it is on disk: by chance
+    it would be another one in each process.
+    """
+    held = [_name_of_held(cell.cell_contents) for cell in function.__closure__ or ()]
+    whole = repr((_version(), function.__module__, function.__qualname__, function.__code__.co_firstlineno, held))
+    return sha256(whole.encode()).hexdigest()
+
+
+def _name_of_held(value: Any) -> str:
+    if hasattr(value, "_uuid"):
+        return str(value._uuid)
+    return f"{value.__module__}.{value.__qualname__}" if callable(value) else repr(value)
 
 
 @cache
