@@ -41,7 +41,7 @@ Array = NDArray[Any]
 
 LOT = 4
 """Places of which the arm is loaded at one: that of the least expected cost."""
-AGREE = 4
+AGREE = 6
 """Descents that must end where others have before the rest is spared."""
 SAME_PLACE = 1e-4
 """Difference of two places that counts as none: the costs of minima differ by a 1e-8th then."""
