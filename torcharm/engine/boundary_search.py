@@ -31,6 +31,8 @@ SAME_SHAPE = 1e-4
 """Difference of two shapes, as of `move_size`, that counts as none: both are solved to within 1e-8."""
 ROUNDS = 10
 """Steps along a boundary, at most: most searches gain nothing after three, some follow a long curved one."""
+RELEASES = 3
+"""Free descents from what was found along a boundary, at most: where it ends, or bends away, they lead on."""
 WORTH = 1e-4
 """Share of the cost that a step along a boundary must save to be followed by another, or a lost end by a search."""
 NEWTON_STEPS, AGAIN_STEPS = 8, 4
@@ -49,8 +51,8 @@ BLIND_MARGINS = (4e-3, -4e-3, -2e-2)
 """The same where the boundary is not found again, as where it has ended: on either side of where it would be."""
 CROSS, FLIPS = (3e-4, 1e-3, 4e-3, 1.6e-2), (0.01, 0.03, 0.1, 0.3)
 """Steps across a boundary, from it, and from a place somewhere on the other side, in lengths of the box."""
-SHORTENED = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
-"""Parts of the way to where a descent led, that are tried where no boundary is known."""
+SHORTENED = (0.9, 0.7, 0.4, 0.1)
+"""Parts of the way to where a free descent led, that are tried where no boundary is known, or none leads on."""
 STEEP = 1e-3
 """Least share of a step that goes across a boundary: along a bound of the box that nearly touches it there is no way
 back."""
@@ -202,32 +204,42 @@ def _shorten(problem, work, search, b, start, tolerance):  # type: ignore[no-unt
 
 
 @routine
-def follow_boundary(problem, work, search, b, start, tolerance):  # type: ignore[no-untyped-def]
-    """Search on from the current point; whether the best point is the end of a descent then that is reached itself."""
-    points, at_end = work.points, False
+def _release(problem, work, search, b, start, tolerance):  # type: ignore[no-untyped-def]
+    """Descend freely from the current point, and see what is reached where that leads: whether it is the same shape."""
+    points = work.points
     copy_point(points, 0, CURRENT)
     end, _ = descend(problem, work, b, 0, 1, False)
+    points.known[ENDED, HALF_COST] = math.inf
+    for m in range(points.place.shape[1]):
+        search.aim[m] = points.place[end, m]
     if not math.isfinite(points.known[end, HALF_COST]):
         return False
     how = reach_and_keep(problem, work, search, b, end, ENDED, start, tolerance)
-    same = how != FAILED and distance_of(problem, work, b, end, ENDED) <= SAME_SHAPE
-    if how != FAILED and improves(work, ENDED, BEST):
-        keep_point(work, search, BEST, ENDED)
-        at_end = same
-    if same:
-        return at_end
-    for m in range(points.place.shape[1]):
-        search.aim[m] = points.place[end, m]
-    for _ in range(ROUNDS):
-        before = points.known[CURRENT, HALF_COST]
-        known = find_boundary(problem, work, search, b, CURRENT)
-        if known:
-            went = _slide(problem, work, search, b, start, tolerance)
-        else:
-            went = _shorten(problem, work, search, b, start, tolerance)
-        if went and not improves(work, BEST, CURRENT):
-            at_end = False
-        if not went or points.known[CURRENT, HALF_COST] > (1.0 - WORTH) * before:
+    return how != FAILED and distance_of(problem, work, b, end, ENDED) <= SAME_SHAPE
+
+
+@routine
+def follow_boundary(problem, work, search, b, start, tolerance):  # type: ignore[no-untyped-def]
+    """Search on from the current point; whether the best point is the end of a descent then that is reached itself."""
+    points, at_end = work.points, False
+    for _ in range(RELEASES):
+        same = _release(problem, work, search, b, start, tolerance)
+        if improves(work, ENDED, BEST):
+            keep_point(work, search, BEST, ENDED)
+            at_end = same
+        if same:
+            break
+        released = points.known[CURRENT, HALF_COST]
+        for _ in range(ROUNDS):
+            before = points.known[CURRENT, HALF_COST]
+            went = find_boundary(problem, work, search, b, CURRENT)
+            went = went and _slide(problem, work, search, b, start, tolerance)
+            went = went or _shorten(problem, work, search, b, start, tolerance)
+            if went and not improves(work, BEST, CURRENT):
+                at_end = False
+            if not went or points.known[CURRENT, HALF_COST] > (1.0 - WORTH) * before:
+                break
+        if points.known[CURRENT, HALF_COST] > (1.0 - WORTH) * released:
             break
     return at_end
 

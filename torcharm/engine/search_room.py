@@ -33,6 +33,8 @@ class Search(NamedTuple):
         how: (SLOTS,) how points were reached, as `find_equilibrium`.
         start_cost: (S,) what each start came to [m²]; NaN where it was not needed.
         expected: (P,) half the costs of places, after a Newton step from the shape.
+        loaded_value, loaded_place: (L,) half costs and (L, M) places at which the arm was loaded; infinite once a
+            descent began there.
         lost_value, lost_place: (LOST,) half costs and (LOST, M) places of lost ends, from the best on.
         saddle: room for bifurcations.
         edge_place, edge_twists, edge_factor, edge_normal, edge_shift: the boundary that was found, as of `Saddle`.
@@ -46,6 +48,8 @@ class Search(NamedTuple):
     how: Array
     start_cost: Array
     expected: Array
+    loaded_value: Array
+    loaded_place: Array
     lost_value: Array
     lost_place: Array
     saddle: Saddle
@@ -58,7 +62,7 @@ class Search(NamedTuple):
     way: Array
 
 
-def make_search(arms: Arms, starts: int, pool: int) -> Search:
+def make_search(arms: Arms, starts: int, pool: int, loaded: int) -> Search:
     """Room for one arm at a time."""
     nodes, size, columns, count = arms.first_node[-1], len(arms.column), len(arms.unknown), len(arms.models.kind)
     return Search(
@@ -68,6 +72,8 @@ def make_search(arms: Arms, starts: int, pool: int) -> Search:
         np.zeros(SLOTS, dtype=np.int64),
         np.zeros(starts),
         np.zeros(pool),
+        np.zeros(loaded),
+        np.zeros((loaded, count)),
         np.zeros(LOST),
         np.zeros((LOST, count)),
         make_saddle(arms),

@@ -40,8 +40,8 @@ from torcharm.engine.search_room import (
 Array = NDArray[Any]
 
 LOT = 4
-"""Places that compete for each start that is guided, by their expected costs."""
-AGREE = 4
+"""Places of which the arm is loaded at one: that of the least expected cost."""
+AGREE = 6
 """Descents that must end where others have before the rest is spared."""
 SAME_PLACE = 1e-4
 """Difference of two places that counts as none: the costs of minima differ by a 1e-8th then."""
@@ -79,33 +79,50 @@ def _write_expected(problem, work, search, b, shape, pool):  # type: ignore[no-u
 
 
 @part
-def _best_of(search, first, last):  # type: ignore[no-untyped-def]
-    """The index of the least expected cost from one to another, without the last."""
+def _best_of(values, first, last):  # type: ignore[no-untyped-def]
+    """The index of the least value from one to another, without the last."""
     best = first
     for q in range(first, last):
-        if search.expected[q] < search.expected[best]:
+        if values[q] < values[best]:
             best = q
     return best
 
 
+@routine
+def _load_places(problem, work, search, b, shape, pool, spread, start, tolerance):  # type: ignore[no-untyped-def]
+    """Load the arm at the most promising place of each lot of the pool, and at those that are spread over the box."""
+    points = work.points
+    _write_expected(problem, work, search, b, shape, pool)
+    lots = len(pool) // LOT
+    for k in range(lots + len(spread)):
+        q = _best_of(search.expected, k * LOT, (k + 1) * LOT) if k < lots else 0
+        for m in range(points.place.shape[1]):
+            points.place[AIM, m] = search.loaded_place[k, m] = pool[q, m] if k < lots else spread[k - lots, m]
+        reach_and_keep(problem, work, search, b, AIM, 0, start, tolerance)
+        search.loaded_value[k] = points.known[0, HALF_COST]
+        if improves(work, 0, BEST):
+            keep_point(work, search, BEST, 0)
+
+
 @part
-def _begin(problem, work, search, b, s, shape, pool, spread, start, tolerance):  # type: ignore[no-untyped-def]
+def _begin(problem, work, search, b, s, shape, pool, start, tolerance):  # type: ignore[no-untyped-def]
     """Write the first slot: the start of descent s. Returns whether there is any.
 
-    The first is at the shape itself, with the pressures that are best there to first order; then come in turn places
-    that are spread over the box and the best of each lot of the pool.
+    The first is at the shape itself, with the pressures of the pool that are best there to first order; then come the
+    places at which the arm was loaded, from the best on.
     """
-    points, guided = work.points, s % 2 == 0
-    q = _best_of(search, 0, len(pool)) if s == 0 else (s // 2 - 1) * LOT
-    if s > 0 and guided:
-        q = _best_of(search, q, min(q + LOT, len(pool)))
-    for m in range(points.place.shape[1]):
-        points.place[AIM, m] = pool[q, m] if guided else spread[s // 2, m]
+    points = work.points
     if s > 0:
-        how = reach_and_keep(problem, work, search, b, AIM, 0, start, tolerance)
-        return how != FAILED
+        k = _best_of(search.loaded_value, 0, len(search.loaded_value))
+        if not search.loaded_value[k] < math.inf:
+            return False
+        search.loaded_value[k] = math.inf
+        for m in range(points.place.shape[1]):
+            points.place[AIM, m] = search.loaded_place[k, m]
+        return reach_and_keep(problem, work, search, b, AIM, 0, start, tolerance) != FAILED
+    q = _best_of(search.expected, 0, len(pool))
     for m in range(points.place.shape[1]):
-        points.place[0, m] = points.place[AIM, m]
+        points.place[0, m] = pool[q, m]
     copy_twists(work.path.trial, shape)
     return evaluate_point(problem, work, b, 0, CLOSE) and points.known[0, STABLE] > 0.0
 
@@ -122,16 +139,13 @@ def _same_place(points, a, b):  # type: ignore[no-untyped-def]
 def _multistart(problem, work, search, b, shape, pool, spread, start, tolerance):  # type: ignore[no-untyped-def]
     """Descend from all starts, and confirm the ends; whether the best point is one."""
     points, at_end, agreed = work.points, False, 0
-    _write_expected(problem, work, search, b, shape, pool)
+    _load_places(problem, work, search, b, shape, pool, spread, start, tolerance)
     for s in range(len(search.start_cost)):
         if agreed >= AGREE:
             break
         search.start_cost[s] = math.inf
-        if not _begin(problem, work, search, b, s, shape, pool, spread, start, tolerance):
+        if not _begin(problem, work, search, b, s, shape, pool, start, tolerance):
             continue
-        if s > 0 and improves(work, 0, BEST):
-            keep_point(work, search, BEST, 0)
-            at_end = False
         end, ended = descend(problem, work, b, 0, 1, False)
         if not math.isfinite(points.known[end, HALF_COST]):
             continue
@@ -146,7 +160,7 @@ def _multistart(problem, work, search, b, shape, pool, spread, start, tolerance)
         if how == FAILED:
             continue
         search.start_cost[s] = 2.0 * points.known[ENDED, HALF_COST]
-        if improves(work, ENDED, BEST):
+        if not improves(work, BEST, ENDED):  # it may have begun at the best that is known
             keep_point(work, search, BEST, ENDED)
             at_end = same and ended != RUNNING
     return at_end
@@ -187,8 +201,8 @@ def search_all(problem, shape, pool, spread, rounds, start, tolerance, first, la
 
     Args:
         shape: (B, N, K) twists that are wanted.
-        pool: (P, M) normalised pressures, LOT of them for each guided start.
-        spread: (S, M) others, spread over the box.
+        pool: (P, M) normalised pressures, LOT of them for each at which the arm is loaded.
+        spread: (Q, M) others, spread over the box.
         rounds: searches along boundaries at most; 0 does without.
         start, tolerance: of continuation, as of `find_equilibrium`.
         out: is written.

@@ -197,13 +197,14 @@ def _found(prepared: Prepared, starts: int, rounds: int, seed: int) -> Searches:
     size = problem.limit.shape[1]
     pool = torch.rand(LOT * starts, size, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
     pool = (1.2 * pool - 0.1).clamp(0, 1)  # the bounds are where optima like to be
-    places = spread_points(starts + 1, size, seed)
+    places = spread_points(starts // 2 + 2, size, seed)
     places[1:] = np.clip(1.6 * places[1:] - 0.3, 0.0, 1.0)
     places[1] = 0.0  # no pressure at all
     start, pressure = np.zeros((0, *shape.shape[1:])), np.zeros_like(problem.limit)
 
     def work(first: int, last: int) -> None:
-        room, search = make_work(problem.arms, pressure), make_search(problem.arms, starts, len(pool))
+        room = make_work(problem.arms, pressure)
+        search = make_search(problem.arms, starts, len(pool), starts + len(places))
         search_all(problem, shape, pool.numpy(), places, rounds, start, TOLERANCE, first, last, room, search, out)
 
     spread(len(shape), work)
