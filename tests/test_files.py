@@ -139,7 +139,7 @@ def test_a_search_that_cannot_save_on_the_way_saves_at_the_end(folder, monkeypat
 
 
 def test_an_interrupted_search_leaves_what_it_found(folder, monkeypatch, capsys):
-    from torcharm import search
+    from torcharm.pressure import search
 
     whole, calls = search.search_pressure, []
 
@@ -149,7 +149,7 @@ def test_an_interrupted_search_leaves_what_it_found(folder, monkeypatch, capsys)
             raise KeyboardInterrupt
         return whole(*args, **options)
 
-    monkeypatch.setattr("torcharm.cli.search.BLOCKS", {"batched": 1})
+    monkeypatch.setattr("torcharm.cli.search.BLOCKS", {"multistart": 1})
     monkeypatch.setattr(search, "search_pressure", interrupted)
     assert command(monkeypatch, "search", "study.toml", "--starts", 1, "--out", "o.csv") == 130
     assert capsys.readouterr().err == "torcharm: interrupted\n"
@@ -162,7 +162,7 @@ def test_an_unwritable_target_is_found_before_the_work(folder, monkeypatch, caps
     monkeypatch.setattr(study, "evaluate_study", lambda plan: pytest.fail("the work was done"))
     monkeypatch.setattr("torcharm.actuators.recordings.read_tester", lambda *_, **__: pytest.fail("it was read"))
     monkeypatch.setattr("torcharm.planning.plan_shape", lambda *_, **__: pytest.fail("it was planned"))
-    monkeypatch.setattr("torcharm.search.search_pressure", lambda *_, **__: pytest.fail("it was searched"))
+    monkeypatch.setattr("torcharm.pressure.search.search_pressure", lambda *_, **__: pytest.fail("it was searched"))
     if name == "f-2.png":  # the second task's
         (folder / name).mkdir()
         again = STUDY[STUDY.index("[[task]]") : STUDY.index("[[plan]]")].replace("-bend", "again")

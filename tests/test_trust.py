@@ -136,8 +136,7 @@ def test_small_predictions_are_confirmed_by_the_search():
 # Equilibria
 
 
-@pytest.mark.parametrize("compiled", [False, True])
-def test_arms_that_snapped_are_called_stable_only_if_they_are(compiled):
+def test_arms_that_snapped_are_called_stable_only_if_they_are():
     generator = torch.Generator().manual_seed(2)
     at_rest = unstable = stable = 0
     for radii, kinds in (([-0.077, 0.075], (ta.McKibben, ta.McKibben)), ([-0.08, 0.08], (ta.Bellows, ta.McKibben))):
@@ -145,7 +144,7 @@ def test_arms_that_snapped_are_called_stable_only_if_they_are(compiled):
         pressure = arm.max_pressure * uniform(generator, 0.0, 1.0, 400, 2)
         loads = uniform(generator, -1.0, 1.0, 400, 3) * LOADS
         loads[:, 1] = loads[:, 1].abs()  # upwards: the arm is compressed
-        found = ta.solve_equilibrium(arm, pressure, loads, 5, compiled=compiled)
+        found = ta.solve_equilibrium(arm, pressure, loads, 5)
         for index in (found.converged & ~found.continued).nonzero().flatten().tolist():
             largest = largest_real_part(arm, found.twists[index], pressure[index], loads[index])
             assert not (bool(found.stable[index]) and largest > 0), (index, largest)
@@ -156,12 +155,11 @@ def test_arms_that_snapped_are_called_stable_only_if_they_are(compiled):
     assert stable >= 2, stable
 
 
-@pytest.mark.parametrize("compiled", [False, True])
-def test_folded_arms_do_not_converge(compiled):
+def test_folded_arms_do_not_converge():
     """A lone bellows without pressure hardly resists bending: it balances a load by lengths below 0."""
     arm = ta.ArmDesign([0.05], 0.5, (ta.Bellows(),))
     loads = ta.sample_loads(40, seed=7)
-    found = ta.solve_equilibrium(arm, torch.tensor([0.2], dtype=D), loads, compiled=compiled)
+    found = ta.solve_equilibrium(arm, torch.tensor([0.2], dtype=D), loads)
     length, curvature = found.twists[..., 0], found.twists[..., 2]
     folded = (torch.minimum(length, length - 0.05 * curvature) <= 0).any(-1)
     assert bool((folded & (found.residual <= 1e-10)).any())

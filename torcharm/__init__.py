@@ -41,10 +41,10 @@ if TYPE_CHECKING:
         verify_design,
     )
     from torcharm.planning import PlannedShape, Smoothness, plan_shape
-    from torcharm.pose_cost import PoseCost
-    from torcharm.prediction import PredictedError, predict_error
-    from torcharm.pressure_fit import PressureFit, fit_pressure
-    from torcharm.search import PressureSearch, search_pressure
+    from torcharm.pressure.pose_cost import PoseCost
+    from torcharm.pressure.predicted_error import PredictedError, predict_error
+    from torcharm.pressure.search import PressureSearch, search_pressure
+    from torcharm.pressure.wrench_fit import PressureFit, fit_pressure
     from torcharm.wrench_sets.capacity import LoadCapacity, load_capacity
     from torcharm.wrench_sets.hull_distance import HullDistance, kkt_residuals
     from torcharm.wrench_sets.qp import qp_distance
@@ -149,10 +149,10 @@ _LATER = {
     "Objective": "optimise",
     "OptimisedDesign": "optimise",
     "PlannedShape": "planning",
-    "PoseCost": "pose_cost",
-    "PredictedError": "prediction",
-    "PressureFit": "pressure_fit",
-    "PressureSearch": "search",
+    "PoseCost": "pressure.pose_cost",
+    "PredictedError": "pressure.predicted_error",
+    "PressureFit": "pressure.wrench_fit",
+    "PressureSearch": "pressure.search",
     "Recording": "actuators.alignment",
     "Smoothness": "planning",
     "TensorPolynomial": "actuators.uncertainty",
@@ -162,7 +162,7 @@ _LATER = {
     "estimate_offset": "actuators.alignment",
     "fit_force_model": "actuators.characterisation",
     "fit_gridded_model": "actuators.gridded",
-    "fit_pressure": "pressure_fit",
+    "fit_pressure": "pressure.wrench_fit",
     "fit_recording": "actuators.characterisation",
     "kkt_residuals": "wrench_sets.hull_distance",
     "load_actuator": "actuators.model_file",
@@ -173,12 +173,12 @@ _LATER = {
     "optimise_design": "optimise",
     "plan_shape": "planning",
     "pool": "actuators.alignment",
-    "predict_error": "prediction",
+    "predict_error": "pressure.predicted_error",
     "qp_distance": "wrench_sets.qp",
     "read_pressure": "actuators.recordings",
     "read_tester": "actuators.recordings",
     "save_actuator": "actuators.model_file",
-    "search_pressure": "search",
+    "search_pressure": "pressure.search",
     "slsqp_distance": "wrench_sets.reference",
     "solve_equilibrium": "equilibrium",
     "standard_deviation": "actuators.uncertainty",

@@ -10,14 +10,14 @@ from torch import Tensor
 from torcharm._inputs import check_choice, check_count, check_flag, shown
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
-from torcharm.pose_cost import PoseCost
+from torcharm.pressure.pose_cost import PoseCost
 from torcharm.task import Task
 from torcharm.wrench_sets.design_task_grid import design_task_grid, limits_in_range
 from torcharm.wrench_sets.node_distances import METRICS, SetOptions, node_distances
 from torcharm.wrench_sets.vertex_sets import DistanceFunction, VertexSets, check_sets
 
 if TYPE_CHECKING:
-    from torcharm.prediction import PredictedError
+    from torcharm.pressure.predicted_error import PredictedError
 
 PREDICTED = "predicted_error"
 CHOICES = (*METRICS, PREDICTED)
@@ -35,8 +35,8 @@ class Attainability:
     Attributes:
         absolute, relative: unattainability summed over the nodes, 0 if attainable.
         absolute_per_node, relative_per_node: each node's distance to its hull, not raised to a power.
-        predicted_error: the shape error to expect [m], square root of the weighted cost of the poses; infinite where
-            no stable equilibrium was found.
+        predicted_error: the shape error to expect [m], a weighted mean over the poses; infinite where no stable
+            equilibrium was found.
         predicted_error_per_node: (..., N+1) each pose's own part of it, `sqrt(eᵀ K e)` [m]; the last is the tip's.
         predicted_pressure: (..., M) that reaches it [kPa].
         prediction: all that is known of the predicted error, with what it takes to trust it.
@@ -77,7 +77,6 @@ def evaluate(
     power: int = 1,
     signed: bool = False,
     pose_cost: PoseCost | None = None,
-    steps: int | None = None,
     chunk_size: int | None = None,
 ) -> Attainability:
     """Unattainability of every design on every task, in the plane and in space.
@@ -103,8 +102,7 @@ def evaluate(
     Args:
         arm: designs, of any batch shape; or segments in series.
         task: tasks, of any batch shape, of the arm's dimension. Loads that share a shape share its sets.
-        metrics: which of "absolute", "relative", "predicted_error" to compute (the last for planar arms of one segment
-            under tip loads).
+        metrics: which of "absolute", "relative", "predicted_error" to compute.
         hull: "exact", or "edges" as the paper samples.
         samples: points on each edge of the pressure box (edges; the paper's 3), or on each actuator's curve where a
             solver needs vertices of exact sets; None chooses.
@@ -117,8 +115,6 @@ def evaluate(
         signed: gives attainable tasks a negative value: where every node is inside its set, minus the smallest margin
             along the arm (to the power). First nodes have no part in the relative margin. Needs hull="exact" and "gjk".
         pose_cost: what the predicted error measures; None is the paper's `PoseCost()`.
-        steps: of the predicted error: None solves the balance itself; 1 carries the load to first order from the
-            task's shape, each further step from where the last one led.
         chunk_size: (design, shape, load) triples worked on at once; None chooses. Bounds memory.
 
     Raises:
@@ -132,7 +128,7 @@ def evaluate(
     grid = design_task_grid(arm, task)
     measured = tuple(name for name in asked if name in METRICS)
     options = SetOptions(measured, scale, signed, _by_vertices(arm, hull, samples, distance, signed))
-    prediction = _predict(arm, task, pose_cost, steps, chunk_size) if PREDICTED in asked else None
+    prediction = _predict(arm, task, pose_cost) if PREDICTED in asked else None
     nodes = node_distances(grid, options, chunk_size)
     converged = (nodes.converged & nodes.distance.isfinite()).flatten(-2).all(-1) & ~nodes.impossible
     converged, impossible, excess = (grid.unflatten(x) for x in (converged, nodes.impossible, nodes.strain_excess))
@@ -145,7 +141,7 @@ def evaluate(
         relative=total.get("relative"),
         absolute_per_node=per_node.get("absolute"),
         relative_per_node=per_node.get("relative"),
-        predicted_error=None if prediction is None else prediction.error,
+        predicted_error=None if prediction is None else prediction.shape_error,
         predicted_error_per_node=None if prediction is None else prediction.per_node,
         predicted_pressure=None if prediction is None else prediction.pressure,
         prediction=prediction,
@@ -179,14 +175,10 @@ def check_measure(
         raise ValueError("signed: must be False except for hull='exact' and distance='gjk', got True")
 
 
-def _predict(
-    arm: ArmDesign | ArmSeries, task: Task, pose_cost: PoseCost | None, steps: int | None, chunk_size: int | None
-) -> "PredictedError":
-    from torcharm.prediction import predict_error  # loads when it is first asked for
+def _predict(arm: ArmDesign | ArmSeries, task: Task, pose_cost: PoseCost | None) -> "PredictedError":
+    from torcharm.pressure.predicted_error import predict_error  # loads when it is first asked for
 
-    if not isinstance(arm, ArmDesign):
-        raise ValueError(f"metrics: predicted_error is for arms of one segment, got {shown(arm)}")
-    return predict_error(arm, task, pose_cost=pose_cost, steps=steps, chunk_size=chunk_size)
+    return predict_error(arm, task, pose_cost)
 
 
 def _metrics(metrics: Sequence[str]) -> tuple[str, ...]:

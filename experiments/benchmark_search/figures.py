@@ -17,14 +17,14 @@ class Pictures:
     """What the parts leave for the figures.
 
     Attributes:
-        batched: for each arm, plain and compiled, (seconds a search, share of tasks not within 1 % of the best,
+        multistart: for each arm, (seconds a search, share of tasks not within 1 % of the best,
             starts/rounds).
         scipy: for each arm (seconds a search, median excess cost, starts).
         cost: the search's cost of each task, by arm.
         metric: the metrics' values, by arm and metric.
     """
 
-    batched: dict[tuple[str, bool], Points] = field(default_factory=lambda: defaultdict(list))
+    multistart: dict[str, Points] = field(default_factory=lambda: defaultdict(list))
     scipy: dict[str, Points] = field(default_factory=lambda: defaultdict(list))
     cost: dict[str, Array] = field(default_factory=dict)
     metric: dict[tuple[str, str], Array] = field(default_factory=dict)
@@ -32,7 +32,7 @@ class Pictures:
     def save(self, folder: Path) -> list[str]:
         """Draw what has been measured; the names of the files."""
         drawn = []
-        if self.batched and self.scipy:
+        if self.multistart and self.scipy:
             self._starts(folder / "starts.png")
             drawn.append("starts.png")
         if self.metric:
@@ -46,17 +46,16 @@ class Pictures:
         figure = Figure(figsize=(7, 4.8), layout="constrained", dpi=150)
         axes = figure.subplots()
         markers = dict(zip(COLOURS, "os", strict=True))
-        for (name, compiled), points in self.batched.items():
+        for name, points in self.multistart.items():
             x, y, _ = zip(*points, strict=True)
             axes.plot(
                 [1e3 * t for t in x],
                 [100 * v for v in y],
-                markers[name] + ("-" if compiled else ":"),
+                markers[name] + "-",
                 color=COLOURS[name],
-                markerfacecolor=COLOURS[name] if compiled else "white",
-                label=f"batched{', compiled' if compiled else ''}, {name}",
+                label=f"multistart, {name}",
             )
-            for index, (t, v, plan) in enumerate(points if compiled else ()):
+            for index, (t, v, plan) in enumerate(points):
                 place = (4, 5) if index % 2 else (-12, -11)
                 axes.annotate(plan, (1e3 * t, 100 * v), place, textcoords="offset points", fontsize=8)
         for name, points in self.scipy.items():

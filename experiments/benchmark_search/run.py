@@ -29,17 +29,15 @@ HERE = Path(__file__).parent
 ARMS = {"antagonistic": ta.antagonistic_arm(), "bellows-only": ta.bellows_arm()}
 OTHERS = {"antagonistic": reference.ANTAGONISTIC, "bellows-only": reference.BELLOWS}
 SHAPE = ta.affine_curvature(-3.0, 3.0, length=0.5, nodes=10)
-STARTS, ROUNDS, FEWER_ROUNDS = 8, 5, 2
-"""The defaults of the search, and rounds of a faster one."""
-PLANS = ((1, 0), (STARTS, FEWER_ROUNDS), (STARTS, ROUNDS))
+STARTS, ROUNDS = 8, 3
+"""The defaults of the search."""
+PLANS = ((1, 0), (STARTS, 0), (STARTS, ROUNDS))
 PLANS_OF_SCIPY = (
-    ("L-BFGS-B", 1, 100, False),
-    ("SLSQP", 1, 100, False),
-    ("SLSQP", STARTS, 20, False),
-    ("L-BFGS-B", 1, 20, True),
-    ("SLSQP", 1, 20, True),
+    ("L-BFGS-B", 1, 100),
+    ("SLSQP", 1, 100),
+    ("SLSQP", STARTS, 20),
 )
-"""Methods, starts, tasks, and whether each equilibrium is found by machine code."""
+"""Methods, starts and tasks."""
 TURN = 10
 """Tasks of scipy's between two searches of all by ours: a machine that does other work is slower for minutes."""
 HARD = ((50.0, 0.0, 0.0, 0.0), (1.0, 1.0, 1.0, 1.0), (1.3, 2.65, 1.59, 4.59), (20.0, 50.0, 10.0, 5.0), (0.0,) * 4)
@@ -169,16 +167,15 @@ def speed(quick: bool, _: figures.Pictures) -> Iterator[Row]:
             generator = torch.Generator().manual_seed(0)
             pressure = torch.rand(batch, 4, generator=generator, dtype=torch.float64) * arm.max_pressure
             loads = ta.sample_loads(batch)
-            for compiled in (False,) if quick else (False, True):
-                times = []
-                for _repeat in range(1 if quick else 5 + compiled):
-                    begun = time.perf_counter()
-                    found = ta.solve_equilibrium(arm, pressure, loads, compiled=compiled)
-                    times.append(time.perf_counter() - begun)
-                rate = batch / float(np.median(times[compiled:]))  # the first may compile
-                case = f"{name}, batch {batch:,}{', compiled' if compiled else ''}"
-                yield Row(part, case, "equilibria", rate, "1/s")
-                yield Row(part, case, "converged", 100 * float(found.converged.double().mean()), "%")
+            times = []
+            for _repeat in range(2 if quick else 6):
+                begun = time.perf_counter()
+                found = ta.solve_equilibrium(arm, pressure, loads)
+                times.append(time.perf_counter() - begun)
+            rate = batch / float(np.median(times[1:]))  # the first may compile
+            case = f"{name}, batch {batch:,}"
+            yield Row(part, case, "equilibria", rate, "1/s")
+            yield Row(part, case, "converged", 100 * float(found.converged.double().mean()), "%")
         other, solved, begun = OTHERS[name], 0, time.perf_counter()
         tries = 2 if quick else 20
         for k in range(tries):
@@ -240,99 +237,75 @@ def searches(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
     """The validation's 200 searches against the scipy baseline on some of them."""
     part = "search: validation shape (-3, 3), M0 = 2, ω = linspace(0, 1, N)"
     count = 3 if quick else 100
-    plans = (("SLSQP", 1, 1, False),) if quick else PLANS_OF_SCIPY
+    plans = (("SLSQP", 1, 1),) if quick else PLANS_OF_SCIPY
     methods = ("SLSQP",) if quick else ("SLSQP", "L-BFGS-B", "Nelder-Mead", "trust-constr")
     few = 1 if quick else 2
-    spent_of: dict[tuple[str, int], Any] = {}
+    spent_of: dict[tuple[str, int], list[float]] = {}
     for name in ARMS:
         arm, task = validation(name, count)
-        found, plain = timed_search(arm, task, False, 1 if quick else 3)
-        each, answers = {"batched": plain}, {"batched": found.cost}
-        ways: dict[str, tuple[bool, int]] = {"batched": (False, ROUNDS)}
-        if not quick:
-            yield Row(part, f"{name}, compiled", "first search, which compiles", compile_for(arm), "s")
-            same, each["compiled"] = timed_search(arm, task, True, 5)
-            largest = float((same.cost - found.cost).abs().max())
-            yield Row(part, f"{name}, compiled", "largest difference of a cost", largest, "m²")
-            fewer = f"compiled, {FEWER_ROUNDS} rounds"
-            ways |= {"compiled": (True, ROUNDS), fewer: (True, FEWER_ROUNDS)}
-            less, each[fewer] = timed_search(arm, task, True, 5, rounds=FEWER_ROUNDS)
-            answers[fewer] = less.cost
+        yield Row(part, name, "first search, which compiles", compile_for(arm), "s")
+        found, spent = timed_search(arm, task, 1 if quick else 5)
         pictures.cost[name] = found.cost.numpy()
-        for how, spent in each.items():
-            yield Row(part, f"{name}, {how}, {count} tasks", "time a search", spent * 1e3, "ms")
-        yield Row(part, f"{name}, batched", "converged", float(found.converged.sum()), f"of {count}")
-        yield Row(part, f"{name}, batched", "continued from zero load", float(found.continued.sum()), f"of {count}")
+        yield Row(part, f"{name}, {count} tasks", "time a search", spent * 1e3, "ms")
+        yield Row(part, name, "converged", float(found.converged.sum()), f"of {count}")
+        yield Row(part, name, "continued from zero load", float(found.continued.sum()), f"of {count}")
         flat = float((found.optimality > 1e-4).sum())
-        yield Row(part, f"{name}, batched", "first-order optimality above 1e-4", flat, f"of {count}")
-        yield Row(part, f"{name}, batched", "median cost", float(found.cost.median()), "m²")
+        yield Row(part, name, "first-order optimality above 1e-4", flat, f"of {count}")
+        yield Row(part, name, "median cost", float(found.cost.median()), "m²")
         for method in methods:
             sub = ta.Task(SHAPE, task.tip_load[:few])
             begun = time.perf_counter()
             tried = ta.search_pressure(arm, sub, "scipy", scipy_method=method, progress=False)
             case = f"{name}, scipy {method}, {few} tasks"
             yield Row(part, case, "time a search", (time.perf_counter() - begun) / few, "s")
-            yield Row(part, case, "mean excess cost over batched", float((tried.cost - found.cost[:few]).mean()), "m²")
-        for method, multi, some, fast in plans:
-            costs, spent = [], 0.0
-            turns: dict[str, list[float]] = {how: [] for how in ways}
+            yield Row(part, case, "mean excess cost", float((tried.cost - found.cost[:few]).mean()), "m²")
+        for method, multi, some in plans:
+            costs, slow, own = [], 0.0, []
             for loads in task.tip_load[:some].split(TURN):
                 begun = time.perf_counter()
                 theirs = ta.search_pressure(
-                    arm, ta.Task(SHAPE, loads), "scipy", scipy_method=method, starts=multi, compiled=fast
+                    arm, ta.Task(SHAPE, loads), "scipy", scipy_method=method, starts=multi, progress=False
                 )
-                spent += (time.perf_counter() - begun) / some
+                slow += (time.perf_counter() - begun) / some
                 costs.append(theirs.cost)
-                for how, (compiled, rounds) in ways.items():
-                    turns[how].append(timed_search(arm, task, compiled, 1, rounds=rounds)[1])
-            cost_of_scipy, own_times = torch.cat(costs), {how: float(np.median(own)) for how, own in turns.items()}
-            forward = " on compiled equilibria" if fast else ""
-            case = f"{name}, scipy {method}{forward}, {multi} start(s), {some} tasks"
-            if method == "SLSQP" and not fast:
+                own.append(timed_search(arm, task, 1)[1])
+            cost_of_scipy, quick_one = torch.cat(costs), float(np.median(own))
+            case = f"{name}, scipy {method}, {multi} start(s), {some} tasks"
+            if method == "SLSQP":
                 excess = float(np.median(cost_of_scipy - found.cost[:some]))
-                pictures.scipy[name].append((spent, excess, str(multi)))
-            yield Row(part, case, "time a search", spent, "s")
-            for how, own in own_times.items():
-                yield Row(part, case, f"time over {how}, in turn", spent / own, "times")
-            for how, cost in answers.items():
-                ours = cost[:some]
-                good, better = (ours <= cost_of_scipy + 1e-9).sum(), (ours < cost_of_scipy / 1.01).sum()
-                yield Row(part, case, f"{how}: no worse (+1e-9)", float(good), f"of {some}")
-                yield Row(part, case, f"{how}: better by over 1 %", float(better), f"of {some}")
-                for index in (ours > cost_of_scipy + 1e-9).nonzero().squeeze(-1).tolist():
-                    worse = f"{case}, load {index + 1}, scipy found better"
-                    yield Row(part, worse, f"cost, {how}", float(ours[index]), "m²")
-                    yield Row(part, worse, "cost, scipy", float(cost_of_scipy[index]), "m²")
-            spent_of.setdefault((method + forward, multi), np.zeros(1 + len(ways)))[:] += spent, *own_times.values()
-    for (method, multi), (slow, *quicker) in spent_of.items():
-        for how, own in zip(ways, quicker, strict=True):
-            case = f"both arms, scipy {method}, {multi} start(s)"
-            yield Row(part, case, f"time over {how}, in turn", slow / own, "times")
+                pictures.scipy[name].append((slow, excess, str(multi)))
+            yield Row(part, case, "time a search", slow, "s")
+            yield Row(part, case, "time over ours, in turn", slow / quick_one, "times")
+            ours = found.cost[:some]
+            good, better = (ours <= cost_of_scipy + 1e-9).sum(), (ours < cost_of_scipy / 1.01).sum()
+            yield Row(part, case, "no worse (+1e-9)", float(good), f"of {some}")
+            yield Row(part, case, "better by over 1 %", float(better), f"of {some}")
+            for index in (ours > cost_of_scipy + 1e-9).nonzero().squeeze(-1).tolist():
+                worse = f"{case}, load {index + 1}, scipy found better"
+                yield Row(part, worse, "cost", float(ours[index]), "m²")
+                yield Row(part, worse, "cost, scipy", float(cost_of_scipy[index]), "m²")
+            sums = spent_of.setdefault((method, multi), [0.0, 0.0])
+            sums[0], sums[1] = sums[0] + slow, sums[1] + quick_one
+    for (method, multi), (slow, quick_one) in spent_of.items():
+        case = f"both arms, scipy {method}, {multi} start(s)"
+        yield Row(part, case, "time over ours, in turn", slow / quick_one, "times")
 
 
 def compile_for(arm: ta.ArmDesign) -> float:
-    """Seconds of a first search with compiled steps: whatever the number of tasks, later ones run the same code."""
+    """Seconds of a first search: whatever the number of tasks, later ones run the same code."""
     begun = time.perf_counter()
-    ta.search_pressure(arm, ta.Task(SHAPE, ta.sample_loads(20)), compiled=True)
+    ta.search_pressure(arm, ta.Task(SHAPE, ta.sample_loads(20)))
     return time.perf_counter() - begun
 
 
-def with_compiled(arm: ta.ArmDesign, quick: bool) -> tuple[bool, ...]:
-    """Whether steps are compiled, one way after the other; compiled beforehand."""
-    if quick:
-        return (False,)
-    compile_for(arm)
-    return False, True
-
-
 def timed_search(
-    arm: ta.ArmDesign, task: ta.Task, compiled: bool, repeats: int, starts: int = STARTS, rounds: int = ROUNDS
+    arm: ta.ArmDesign, task: ta.Task, repeats: int, starts: int = STARTS, rounds: int = ROUNDS
 ) -> tuple[ta.PressureSearch, float]:
     """What a search finds, and the median of its seconds for each task."""
     times = []
     for _ in range(repeats):
         begun = time.perf_counter()
-        found = ta.search_pressure(arm, task, starts=starts, hops=rounds, compiled=compiled)
+        found = ta.search_pressure(arm, task, starts=starts, rounds=rounds)
         times.append((time.perf_counter() - begun) / len(found.cost))
     return found, float(np.median(times))
 
@@ -348,39 +321,38 @@ def large(quick: bool, _: figures.Pictures) -> Iterator[Row]:
         theirs = ta.search_pressure(arm, sub, "scipy", scipy_method="SLSQP")
         slow = (time.perf_counter() - begun) / len(theirs.cost)
         yield Row(part, f"{name}, scipy SLSQP, 1 start", "time a search", slow * 1e3, "ms")
-        ways = with_compiled(arm, quick)
-        for first, hops in PLANS:
-            for compiled in ways:
-                found, each = timed_search(arm, task, compiled, 1, first, hops)
-                ours = found.cost[: len(theirs.cost)]
-                case = f"{name}, {first} start(s), {hops} round(s){', compiled' if compiled else ''}"
-                yield Row(part, case, "time a search", each * 1e3, "ms")
-                yield Row(part, case, "scipy's time over it", slow / each, "times")
+        compile_for(arm)
+        for first, rounds in PLANS:
+            found, each = timed_search(arm, task, 1, first, rounds)
+            ours = found.cost[: len(theirs.cost)]
+            case = f"{name}, {first} start(s), {rounds} round(s)"
+            yield Row(part, case, "time a search", each * 1e3, "ms")
+            yield Row(part, case, "scipy's time over it", slow / each, "times")
             good = float((ours <= theirs.cost + 1e-9).sum())
             yield Row(part, case, "no worse than scipy (+1e-9)", good, f"of {len(ours)}")
 
 
 def starts(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
     """Cost gap against time, by number of starts."""
-    part = "error against time: batched search, 100 tasks an arm, gap to the best of all these runs"
-    full = ((1, 0), (2, 0), (4, 0), (4, 2), *PLANS[1:], (16, 8), (32, 10))
+    part = "error against time: search, 100 tasks an arm, gap to the best of all these runs"
+    full = (*PLANS[:1], (2, 0), (4, 0), (4, 2), *PLANS[1:], (16, 4), (32, 6))
     plans = full[:2] if quick else full
     for name in ARMS:
         arm, task = validation(name, 2 if quick else 100)
-        found, ways = {}, with_compiled(arm, quick)
-        for count, hops in plans:
-            for compiled in ways:
-                answer, spent = timed_search(arm, task, compiled, 1 if quick else 3, count, hops)
-                found[count, hops, compiled] = spent, answer.cost
+        found = {}
+        compile_for(arm)
+        for count, rounds in plans:
+            answer, spent = timed_search(arm, task, 1 if quick else 3, count, rounds)
+            found[count, rounds] = spent, answer.cost
         best = torch.stack([cost for _, cost in found.values()]).amin(0)
         if not quick and not pictures.scipy[name]:  # measured in an earlier run
             case = f"{name}, scipy SLSQP, 1 start(s), 100 tasks"
             known = [row.value for row in earlier() if row.case == case and row.quantity == "time a search"]
             pictures.scipy[name] = [(spent, 0.0, "1") for spent in known]
-        for (count, hops, compiled), (spent, cost) in found.items():
-            case = f"{name}, {count} start(s), {hops} round(s){', compiled' if compiled else ''}"
+        for (count, rounds), (spent, cost) in found.items():
+            case = f"{name}, {count} start(s), {rounds} round(s)"
             within = float((cost <= 1.01 * best + 1e-12).double().mean())
-            pictures.batched[name, compiled].append((spent, 1 - within, f"{count}/{hops}"))
+            pictures.multistart[name].append((spent, 1 - within, f"{count}/{rounds}"))
             yield Row(part, case, "time a search", spent * 1e3, "ms")
             yield Row(part, case, "within 1 % of the best", 100 * within, "%")
             yield Row(part, case, "mean gap", float((cost - best).mean()), "m²")

@@ -50,7 +50,7 @@ def one_shape(arm: str, name: str, shape: str, design: ta.ArmDesign, loads: int)
     sound = predicted.converged & predicted.stable
     columns = (
         found.absolute,
-        predicted.error,
+        predicted.shape_error,
         sound,
         searched.cost.clamp(min=0).sqrt(),
         searched.converged,

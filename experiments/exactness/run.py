@@ -1,13 +1,16 @@
-"""Compare the library's distances from attainable sets with another algorithm's, on 100,000 random problems each.
+"""Compare the library's distances from attainable sets with another algorithm's, on random and degenerate problems.
 
 Writes results.csv (one row a dimension and family of sets) beside this file.
 """
 
 import argparse
+import math
 import os
+import time
 from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -59,24 +62,33 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a smoke run: few problems, no file written")
     parser.add_argument("--problems", type=int, help=f"in each dimension; {PROBLEMS}")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="after so many no further problems are begun")
+    parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes; one a core")
     options = parser.parse_args()
     count = options.problems or (QUICK_PROBLEMS if options.quick else PROBLEMS)
     together = QUICK_TOGETHER if options.quick else TOGETHER
     jobs = [(dimension, seed, together) for seed in range(-(-count // together)) for dimension in (2, 3)]
-    rows = joined(results(jobs, serial=options.quick))
+    until = time.time() + 60 * options.minutes
+    rows = joined(results(jobs, until, workers=0 if options.quick else options.workers))
     console = Console(width=140)
     console.print(table(rows))
     if not options.quick:
         write_rows(HERE / "results.csv", rows)
     if any(row.wrong or row.gradients_not_finite for row in rows):
-        raise SystemExit("an answer that was not flagged is wrong")
+        raise SystemExit("an answer that was not flagged is wrong, or has no gradient")
 
 
-def results(jobs: list[tuple[int, int, int]], *, serial: bool) -> Iterable[Row]:
-    if serial:
+def results(jobs: list[tuple[int, int, int]], until: float, *, workers: int) -> Iterable[Row]:
+    """Rows of the jobs that begin before `until` [s since the epoch]; without workers they run in this process."""
+    if not workers:
         return [compare(job) for job in jobs]
-    with ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
-        return list(track(pool.map(compare, jobs), total=len(jobs)))
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        found = track(pool.map(partial(compare_until, until), jobs), total=len(jobs))
+        return [row for row in found if row is not None]
+
+
+def compare_until(until: float, job: tuple[int, int, int]) -> Row | None:
+    return compare(job) if time.time() < until else None
 
 
 def compare(job: tuple[int, int, int]) -> Row:

@@ -5,12 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.metric_fidelity.measure import STEPS, Found, Timing
+from experiments.metric_fidelity.measure import Found, Timing
 
 HERE = Path(__file__).parent
-SHOWN = {"steps1": ("1 step", "#E69F00", "o"), "balance": ("balance", "#0072B2", "x")}
-"""Labels, Okabe and Ito's colours, markers."""
-NAMES = {"steps1": "1 step", "steps2": "2 steps", "steps3": "3 steps", "balance": "balance"}
+COLOUR = "#0072B2"
+"""Okabe and Ito's blue."""
 
 
 def draw(found: Sequence[Found], times: Sequence[Timing]) -> None:
@@ -31,9 +30,8 @@ def _scatter(found: Sequence[Found]) -> None:
     ends = (1e-3, 3.0)
     for panel, one in zip(axes.flat, found, strict=True):
         panel.plot(ends, ends, color="0.6", lw=1, zorder=0)
-        for name, (words, colour, marker) in SHOWN.items():
-            label = f"{words}: ρ = {one.spearman(name):.3f}"
-            panel.scatter(one.true, one.columns[name], label=label, s=16, marker=marker, color=colour, lw=0.9)
+        label = f"ρ = {one.spearman('predicted'):.3f}"
+        panel.scatter(one.true, one.columns["predicted"], label=label, s=16, marker="x", color=COLOUR, lw=0.9)
         panel.set(xscale="log", yscale="log", xlim=ends, ylim=ends, aspect="equal")
         panel.set_title(one.case.name, fontsize=9)
         panel.legend(fontsize=7, loc="upper left", handletextpad=0.1, borderpad=0.3)
@@ -49,25 +47,18 @@ def _scatter(found: Sequence[Found]) -> None:
 def _ladder(found: Sequence[Found], times: dict[str, float]) -> None:
     import matplotlib.pyplot as plt
 
-    steps = {name: f"predicted error, {name}" for name in STEPS}
     figure, panel = plt.subplots(figsize=(8, 4.8), layout="constrained")
-    where = {"absolute": "absolute and relative", "relative": "absolute and relative", **steps}
-    names = {
-        "absolute": "absolute",
-        "relative": "relative",
-        **NAMES,
-    }
+    both = "absolute and relative"
+    where = {"absolute": both, "relative": both, "predicted": "predicted error"}
     clear = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}
     looks = {"absolute": ("#D55E00", "s"), "relative": ("#CC79A7", "v")}
     for metric, timed in where.items():
         values = np.array([1 - one.spearman(metric) for one in found]).clip(1e-4)
-        colour, marker = looks.get(metric, ("#0072B2", "o"))
+        colour, marker = looks.get(metric, (COLOUR, "o"))
         low, middle, high = np.quantile(values, (0.0, 0.5, 1.0))
         time = times[timed] * (1.12 if metric == "relative" else 1.0)
         panel.errorbar(time, middle, ((middle - low,), (high - middle,)), fmt=marker, color=colour, capsize=4, ms=8)
-        left = {"balance": (-9, -14), "steps2": (-9, 4)}
-        beside = {"xytext": left[metric], "ha": "right"} if metric in left else {"xytext": (9, 4)}
-        panel.annotate(names[metric], (time, middle), textcoords="offset points", fontsize=9, bbox=clear, **beside)
+        panel.annotate(metric, (time, middle), xytext=(9, 4), textcoords="offset points", fontsize=9, bbox=clear)
     panel.axvline(times["search"], color="0.4", ls="--", lw=1)
     panel.annotate(
         "search\n(the truth)", (times["search"], 0.5), xytext=(-8, 0), textcoords="offset points", ha="right"

@@ -17,13 +17,11 @@ from experiments.metric_fidelity.cases import Case, case_name, many_actuators
 from experiments.metric_fidelity.surrogate import qp_surrogate
 
 Column = npt.NDArray[np.float64]
-STEPS = {"steps1": 1, "steps2": 2, "steps3": 3, "balance": None}
-"""Of the predictions, by their names in tables; "balance" solves the balance itself."""
 AGREE = 1.01
 """A start agrees with the best if its error is at most so many times it."""
 MODERATE = 0.1
 """A true error below which relative errors are reported [m]."""
-METRICS = ("absolute", "relative", "weighted", *STEPS, "qp")
+METRICS = ("absolute", "relative", "weighted", "predicted", "qp")
 RESULTS = Path(__file__).with_name("results.csv")
 
 
@@ -64,11 +62,8 @@ def measure(case: Case, known: Searched | None = None) -> Found:
     hulls = ta.evaluate(arm, task)
     weighted = ta.evaluate(arm, task, metrics=("absolute",), weights=(0.01, 1.0), power=2)
     columns = {"absolute": hulls.absolute, "relative": hulls.relative, "weighted": weighted.absolute}
-    for name, steps in STEPS.items():
-        found = ta.predict_error(arm, task, steps=steps)
-        columns[name] = found.error
-        columns[f"converged_{name}"], columns[f"small_{name}"] = found.converged, found.small
-        columns[f"stable_{name}"] = found.stable
+    found = ta.predict_error(arm, task)
+    columns |= {"predicted": found.cost.sqrt(), "converged": found.converged, "stable": found.stable}
     columns["held"], columns["reached"] = _ends(arm, task, found)
     columns["qp"] = qp_surrogate(arm, task)
     numbers = {name: _column(value) for name, value in columns.items()}
@@ -140,14 +135,15 @@ def timings(tasks: int, searched: int) -> list[Timing]:
 
     batch = task(tasks)
     found = [_timed("absolute and relative", tasks, partial(ta.evaluate, arm, batch))]
-    for name, steps in STEPS.items():
-        found.append(_timed(f"predicted error, {name}", tasks, partial(ta.predict_error, arm, batch, steps=steps)))
+    found.append(_timed("predicted error", tasks, partial(ta.predict_error, arm, batch)))
     found.append(_timed("QP surrogate", tasks, partial(qp_surrogate, arm, batch)))
     found.append(_timed("search", searched, partial(ta.search_pressure, arm, task(searched))))
     for nodes in (5, 20, 40):
-        found.append(_timed(f"balance, N = {nodes}", tasks, partial(ta.predict_error, arm, task(tasks, nodes))))
+        found.append(_timed(f"predicted error, N = {nodes}", tasks, partial(ta.predict_error, arm, task(tasks, nodes))))
     for count in (2, 6, 8, 12):
-        found.append(_timed(f"balance, M = {count}", tasks, partial(ta.predict_error, many_actuators(count), batch)))
+        found.append(
+            _timed(f"predicted error, M = {count}", tasks, partial(ta.predict_error, many_actuators(count), batch))
+        )
     return found
 
 

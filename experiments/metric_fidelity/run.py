@@ -57,19 +57,17 @@ def trust_table(found: list[measure.Found]) -> Table:
     title = "median |predicted - true| / true, of true errors below 0.1 m and of all; and what flags say"
     table = Table(title=title, title_justify="left")
     headings = ["case", "true median [m]", "starts agree", "n < 0.1 m"]
-    for name in measure.STEPS:
-        headings += [f"{name}: < 0.1 m", "all"]
-    for heading in (*headings, "converged", "stable", "small", "held", "reached", "ρ of reached"):
+    headings += ["predicted: < 0.1 m", "all"]
+    for heading in (*headings, "converged", "stable", "held", "reached", "ρ of reached"):
         table.add_column(heading, justify="left" if heading == "case" else "right")
     for one in found:
         moderate = int((one.true < measure.MODERATE).sum())
         row = [one.case.name, f"{sorted(one.true)[len(one.true) // 2]:.3f}", f"{one.agree.mean():.0%}", str(moderate)]
-        for name in measure.STEPS:
-            row += [f"{one.relative_error(name, moderate):.1%}" for moderate in (True, False)]
-        flags = (one.columns[f"{flag}_balance"].mean() for flag in ("converged", "stable", "small"))
+        row += [f"{one.relative_error('predicted', moderate):.1%}" for moderate in (True, False)]
+        flags = (one.columns[flag].mean() for flag in ("converged", "stable"))
         ends = (one.columns[end].mean() for end in ("held", "reached"))
         reached = one.columns["reached"] > 0
-        table.add_row(*row, *(f"{share:.0%}" for share in (*flags, *ends)), f"{one.spearman('balance', reached):.3f}")
+        table.add_row(*row, *(f"{share:.0%}" for share in (*flags, *ends)), f"{one.spearman('predicted', reached):.3f}")
     return table
 
 

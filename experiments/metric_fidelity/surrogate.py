@@ -5,11 +5,15 @@ at all nodes at once, sampled at some pressures: one simplex of weights for each
 E δz, and the cost is a sum of squares of an affine function of the weights.
 """
 
+from dataclasses import replace
+
+import numpy as np
 import torch
 from torch import Tensor
 
 import torcharm as ta
-from torcharm import mechanics
+from torcharm.pressure.pose_cost import pose_errors
+from torcharm.pressure.prepared import detached, prepare
 from torcharm.wrench_sets.qp import require_qpth
 
 SAMPLES = 5
@@ -39,22 +43,24 @@ def qp_surrogate(arm: ta.ArmDesign, task: ta.Task) -> Tensor:
 
 def _affine(arm: ta.ArmDesign, task: ta.Task) -> tuple[Tensor, Tensor]:
     """Weighted pose errors `b + A s`: (L, K) and (L, K, M·S)."""
-    unknowns = mechanics.to_unknowns(task.twists)
-    loads = task.tip_load
-    balance = mechanics.balance(arm, unknowns, 0.5 * arm.max_pressure, loads, task.base_pose)
-    load = mechanics.load_wrench(balance.kinematics, loads)
-    shares = torch.linspace(0, 1, SAMPLES, dtype=loads.dtype)
-    none = mechanics.actuator_wrench(arm, unknowns, torch.zeros_like(arm.max_pressure))
-    one = torch.eye(arm.actuator_count, dtype=loads.dtype) * arm.max_pressure
-    curves = mechanics.actuator_wrench(arm, unknowns, one.unsqueeze(1) * shares[:, None]) - none  # (M, S, 2, N)
-    right = torch.cat(
-        ((load + none).unsqueeze(-1), curves.flatten(0, 1).movedim(0, -1).expand(len(loads), -1, -1, -1)), -1
-    )
-    moves = -mechanics.solve(balance.stiffness, right)
-    jacobian = mechanics.pose_jacobian(balance.kinematics)  # (..., 3, N+1, 2, N)
-    pose = balance.kinematics.pose
-    _, slope = mechanics.pose_error(pose, pose)
-    errors = torch.einsum("...iab,...bicn,...cnk->...iak", slope, jacobian, moves)
-    root = ta.PoseCost().weights(unknowns.shape[-1], loads).sqrt()
-    weighted = (root.unsqueeze(-1) * errors).flatten(1, 2)
+    prepared = detached(prepare(arm, task, None))
+    problem, shape = prepared.problem, task.twists
+    middle = replace(problem, pressure=0.5 * problem.pressure)
+    inverse = torch.from_numpy(middle.packed.inverse(prepared.shape, np.arange(problem.count)))
+    unloaded = replace(problem, pressure=torch.zeros_like(problem.pressure)).residual(shape)
+    shares = torch.linspace(0, 1, SAMPLES, dtype=shape.dtype)
+    one = torch.eye(arm.actuator_count, dtype=shape.dtype) * arm.max_pressure
+    curves = ta.reaction_wrench(arm, shape, one.unsqueeze(1) * shares[:, None])  # (M, S, N, 2)
+    curves = curves - ta.reaction_wrench(arm, shape, torch.zeros_like(arm.max_pressure))
+    each = curves.flatten(2).flatten(0, 1).mT.expand(problem.count, -1, -1)
+    moves = -inverse @ torch.cat((unloaded.flatten(1).unsqueeze(-1), each), -1)
+
+    def errors(unknown: Tensor) -> Tensor:
+        length, curvature = unknown.unbind(-1)
+        moved = torch.stack((length, torch.zeros_like(length), curvature), -1)
+        return pose_errors(prepared.poses(moved), prepared.poses(shape))
+
+    slope = torch.autograd.functional.jacobian(errors, shape[..., [0, 2]]).flatten(2).flatten(0, 1)
+    root = ta.PoseCost().weights(task.nodes, shape).sqrt().flatten()
+    weighted = root.unsqueeze(-1) * (slope @ moves)
     return weighted[..., 0], weighted[..., 1:]

@@ -123,14 +123,14 @@ def hull_metrics(arm: ta.ArmDesign, task: ta.Task, number: int, force: float) ->
 def reach(arm: ta.ArmDesign, task: ta.Task, number: int, force: float, tip_error: float) -> Answer:
     """What is predicted, and the closest shape by the search with the shape study's cost."""
     predicted = ta.predict_error(arm, task, PAPERS_COST)
-    search = ta.search_pressure(arm, task, node_weights="uniform")
+    search = ta.search_pressure(arm, task, pose_cost=PAPERS_COST)
     tip, wanted = (ta.poses(twists)[-1] for twists in (search.twists, task.twists))
     row = ShapeRow(
         number,
         force,
         tip_error,
         task.twists[:, 0].mean().item(),
-        predicted.error.item(),
+        predicted.cost.sqrt().item(),
         search.cost.sqrt().item(),
         torch.linalg.vector_norm((tip - wanted)[:2]).item(),
         (tip - wanted)[2].abs().item(),

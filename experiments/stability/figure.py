@@ -28,10 +28,11 @@ def draw(rows: list[Row], path: Path) -> None:
     panel(right, rows, groups, "gradient_error")
     left.set_yticks(range(len(groups)), groups)
     left.invert_yaxis()
-    left.set_xlabel("error of a distance / max|H − w|")
+    left.set_xlabel("error of a distance / max|H − w|  (left is better; 1 is a failure)")
     right.set_xlabel("error of a derivative / max|H − w|")
     figure.suptitle(
-        "Stability: every scene's error against an extended-precision reference (line: median to largest of a class)"
+        "Errors on stiff and extreme scenes, against an extended-precision reference\n"
+        "small marks: scenes; large marks: the worst of a class; lines: from its median; dashed: 1e-9 and 1e-6"
     )
     handles, labels = left.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)

@@ -60,21 +60,18 @@ def draw(seed: int) -> tuple[ta.ArmDesign, ta.Task]:
     return ta.ArmDesign(radii, 0.5, models), ta.Task(ta.affine_curvature(slope, intercept, length, NODES), load)
 
 
-def rows(seeds: Sequence[int], compiled: bool = True) -> Iterator[Row]:
+def rows(seeds: Sequence[int]) -> Iterator[Row]:
     """Optimise each and search its best design.
 
     Args:
         seeds: of `draw`.
-        compiled: whether the search is.
     """
     for seed in seeds:
         arm, task = draw(seed)
         found = optimise_design(
             arm, task, objective=Objective(metric="predicted_error"), starts=1, iterations=ITERATIONS
         )
-        before, searched = (
-            float(ta.search_pressure(one, task, compiled=compiled).cost.sqrt()) for one in (found.given, found.best)
-        )
+        before, searched = (float(ta.search_pressure(one, task).shape_error) for one in (found.given, found.best))
         agrees = abs(found.value - searched) <= SHARE * searched + LENGTH
         told = found.status != "confirmed by a pressure search"
         letters = "".join(type(model).__name__[0] for model in arm.actuators)

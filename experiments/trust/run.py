@@ -127,7 +127,7 @@ def predictions(total: int, console: Console) -> Iterator[Row]:
         searched = torch.full_like(claimed, math.nan)
         if wanted:
             again = ta.Task(task.twists[wanted], task.tip_load[wanted])
-            searched[wanted] = ta.search_pressure(arm, again, compiled=True).cost.clamp(min=0).sqrt()
+            searched[wanted] = ta.search_pressure(arm, again).shape_error
         for index, values in enumerate(zip(claimed.tolist(), searched.tolist(), strict=True)):
             confirmed = index not in wanted or abs(values[0] - values[1]) <= WITHIN
             yield Row("prediction", seed, kinds, sources[index], *values, flags[index], confirmed)
@@ -160,14 +160,14 @@ def snapped(total: int) -> Iterator[Row]:
         generator = torch.Generator().manual_seed(10_000 + seed)
         arm, kinds = draw_arm(generator, 1 + seed % 4)
         pressure = arm.max_pressure * uniform(generator, 0.0, 1.0, LOADED, arm.actuator_count)
-        loads, compiled = draw_loads(generator, LOADED), seed // 4 % 2 == 1
-        found = ta.solve_equilibrium(arm, pressure, loads, NODES, compiled=compiled)
+        loads = draw_loads(generator, LOADED)
+        found = ta.solve_equilibrium(arm, pressure, loads, NODES)
         at_rest = (found.residual <= 1e-10) & ~found.continued
         for index in at_rest.nonzero().flatten().tolist()[:left]:
             flag = "" if bool(found.stable[index]) else "not stable"
             flag = flag if bool(found.converged[index]) else "folded"
             largest = largest_real_part(arm, found.twists[index], pressure[index], loads[index])
-            source, holds = "compiled" if compiled else "plain", bool(flag) or largest <= 0
+            source, holds = "engine", bool(flag) or largest <= 0
             yield Row("snapped", seed, kinds, source, float(found.residual[index]), largest, flag, holds)
         left -= int(at_rest.sum())
 
@@ -221,7 +221,7 @@ def unconfirmed_table(rows: list[Row]) -> Table:
         task, _ = draw_tasks(generator, arm)
         task = ta.Task(task.twists[index], task.tip_load[index])
         found = ta.predict_error(arm, task)
-        search = ta.search_pressure(arm, task, compiled=True)
+        search = ta.search_pressure(arm, task)
         loaded = ta.solve_equilibrium(arm, found.pressure, task.tip_load, NODES)
         gap = (loaded.poses - ta.poses(task.twists))[:, :2].norm(dim=-1).max()
         gap = gap if bool(loaded.continued & loaded.stable) else gap * math.nan

@@ -118,7 +118,7 @@ def measure(task: ta.Task, baseline_loads: int) -> tuple[list[Answers], list[Fig
 
     hulls = timed("hulls, absolute and relative", lambda arm: ta.evaluate(arm, task))
     predicted = timed("predicted error", lambda arm: ta.evaluate(arm, task, metrics=("predicted_error",)))
-    searched = timed("search, batched", lambda arm: ta.search_pressure(arm, task))
+    searched = timed("search, multistart", lambda arm: ta.search_pressure(arm, task))
     few = ta.Task(SHAPE, task.tip_load[:baseline_loads])
     baseline = timed("search, scipy", lambda arm: ta.search_pressure(arm, few, method="scipy", progress=True))
     spent["search, scipy"] *= count / (len(arms) * baseline_loads)
@@ -128,14 +128,14 @@ def measure(task: ta.Task, baseline_loads: int) -> tuple[list[Answers], list[Fig
     ]
     summary = [Figure("both", f"time: {what}, {count} tasks", value, "s") for what, value in spent.items()]
     hull_time = spent["hulls, absolute and relative"]
-    for what in ("search, batched", "search, scipy"):
+    for what in ("search, multistart", "search, scipy"):
         summary.append(Figure("both", f"time: {what} / hulls", spent[what] / hull_time, "times"))
     summary.append(
         Figure("both", "time: published search / hulls", PAPER_SECONDS["search"] / PAPER_SECONDS["hulls"], "times")
     )
     for one, slow in zip(answers, baseline, strict=True):
         gap = one.search.cost[:baseline_loads].sqrt() - slow.cost.sqrt()
-        summary.append(Figure(one.name, "reached, batched - scipy, largest", gap.max().item(), "m"))
+        summary.append(Figure(one.name, "reached, multistart - scipy, largest", gap.max().item(), "m"))
     return answers, summary
 
 

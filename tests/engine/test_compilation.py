@@ -1,5 +1,8 @@
 """Machine code on disk: where it is kept, and that it is of these sources."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import torcharm
@@ -47,3 +50,19 @@ def test_code_on_disk_is_of_these_sources(tmp_path, monkeypatch):
         versions.append(compilation._version())
     compilation._version.cache_clear()
     assert len(set(versions)) == 3
+
+
+def test_a_later_process_compiles_nothing(tmp_path):
+    """Also of kernels that hold parts made for a dimension, which numba tells apart by names."""
+    for _ in range(2):
+        subprocess.run(
+            [sys.executable, "-c", EVALUATE], env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}, check=True
+        )
+        kept = sorted(path.name for path in tmp_path.rglob("*.nbc"))
+        assert len(kept) == len({name.split("-")[0] for name in kept}) > 0
+
+
+EVALUATE = """
+import torcharm as ta
+ta.evaluate(ta.antagonistic_arm(), ta.Task(ta.affine_curvature(1.0, 1.5), [3.0, -2.0, 0.5]), "absolute")
+"""

@@ -27,7 +27,7 @@ def drawn(seed: int) -> tuple[ta.ArmDesign, ta.Task]:
 
 
 def searched(arm: ta.ArmDesign, task: ta.Task) -> float:
-    return float(ta.search_pressure(arm, task).cost.sqrt())
+    return float(ta.search_pressure(arm, task).shape_error)
 
 
 def is_candidate(arm: ta.ArmDesign, task: ta.Task) -> bool:
@@ -45,7 +45,7 @@ def test_a_value_is_what_the_search_finds_or_the_result_says_why_not(seed: int) 
     assert agrees == found.status.startswith(CONFIRMED), found.status
     if math.isfinite(found.value):
         assert is_candidate(found.best, task)
-        assert found.value == pytest.approx(float(ta.predict_error(found.best, task).error), rel=1e-9)
+        assert found.value == pytest.approx(float(ta.predict_error(found.best, task).shape_error), rel=1e-9)
     else:
         assert "no candidate" in found.status
         assert math.isnan(found.stationarity)
@@ -77,7 +77,7 @@ def test_values_of_what_is_no_candidate_are_infinite() -> None:
 
 
 def test_a_start_that_is_no_candidate_gives_way_to_one_nearby() -> None:
-    for seed in (14, 19, 28):
+    for seed in (12, 21, 24):
         arm, task = drawn(seed)
         if not is_candidate(arm, task):
             break

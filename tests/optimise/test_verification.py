@@ -13,11 +13,11 @@ TASK = ta.Task(ta.affine_curvature(1.0, 1.5, nodes=3), (3.0, -2.0, 0.5))
 
 def test_the_search_is_asked_before_and_after() -> None:
     found = optimise_design(ta.bellows_arm(), TASK, starts=1, iterations=6)
-    checked = verify_design(found, TASK, options={"starts": 1, "hops": 0})
+    checked = verify_design(found, TASK, options={"starts": 1, "rounds": 0})
     for design, error in ((found.given, checked.before), (found.best, checked.after)):
-        search = ta.search_pressure(design, TASK, starts=1, hops=0)
+        search = ta.search_pressure(design, TASK, starts=1, rounds=0)
         assert bool(search.converged.all())
-        torch.testing.assert_close(error, search.cost.sqrt().reshape(1))
+        torch.testing.assert_close(error, search.shape_error.reshape(1))
     assert checked.pressure_after.shape == (1, 4)
     assert checked.improved == float((checked.after < checked.before).double().mean())
 

@@ -17,10 +17,10 @@ from torcharm.files import atomic_write, is_stream, plain_cell
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from torcharm.search import PressureSearch
+    from torcharm.pressure.search import PressureSearch
     from torcharm.study import NamedArm, NamedTask
 
-BLOCKS = {"batched": 100, "scipy": 1}
+BLOCKS = {"multistart": 100, "scipy": 1}
 """Loads searched at once: what an interruption may lose."""
 PAUSE = 2.0
 """Seconds, at least, between two savings of what was found until then."""
@@ -33,21 +33,18 @@ def search(
     out: Annotated[
         Path | None, typer.Option("--out", help="Write a CSV file: a row for every arm, task and load, as it is found.")
     ] = None,
-    method: Annotated[str, typer.Option(help="batched, or scipy (the paper's, slow).")] = "batched",
+    method: Annotated[str, typer.Option(help="multistart, or scipy (the paper's, slow).")] = "multistart",
     starts: Annotated[
         int | None, typer.Option(help="Places to start from, for each load.", show_default="8, scipy 1")
     ] = None,
     weights: Annotated[str, typer.Option(help="Of the nodes: ramp, uniform, tip.")] = "ramp",
-    compiled: Annotated[
-        bool, typer.Option("--compiled", help="Run machine code: ten times as fast, after a first minute.")
-    ] = False,
 ) -> None:
     """Search the pressure that brings every arm closest to every task, through its forward mechanics."""
     with mistakes():
         check_outputs(study, out, None)
         from torcharm._inputs import check_choice
-        from torcharm.pose_cost import NODE_WEIGHTS
-        from torcharm.search import METHODS
+        from torcharm.pressure.pose_cost import NODE_WEIGHTS
+        from torcharm.pressure.search import METHODS
         from torcharm.study import load_study, paper_study
 
         check_choice("--method", method, METHODS)
@@ -62,7 +59,7 @@ def search(
                 rows = []
                 for arm in plan.arms:
                     found = []
-                    for first, block in _blocks(arm, task, method, starts, weights, compiled):
+                    for first, block in _blocks(arm, task, method, starts, weights):
                         found.append(block)
                         kept.add(_rows(arm, task, first, block))
                     rows.append((arm.name, found))
@@ -133,13 +130,14 @@ LEGEND = (
 
 
 def _blocks(
-    arm: "NamedArm", task: "NamedTask", method: str, starts: int | None, weights: str, compiled: bool
+    arm: "NamedArm", task: "NamedTask", method: str, starts: int | None, weights: str
 ) -> "Iterator[tuple[int, PressureSearch]]":
     """The searches of one arm on one task, some loads at a time, with the number of the first load."""
     from rich.console import Console
     from rich.progress import track
 
-    from torcharm.search import search_pressure
+    from torcharm.pressure.pose_cost import PoseCost
+    from torcharm.pressure.search import search_pressure
     from torcharm.task import Task
 
     whole = task.task
@@ -150,9 +148,18 @@ def _blocks(
     errors = Console(stderr=True)
     for first in track(places, f"{arm.name}, {task.name}", console=errors, transient=True, disable=not _seen()):
         here = slice(first, first + size)
-        part = Task(shapes[here], loads[here], whole.base_pose)
-        options = {"starts": starts, "node_weights": weights, "compiled": compiled}
-        yield first + 1, search_pressure(arm.design, part, method, progress=False, **options)  # type: ignore[arg-type]
+        part = Task(
+            shapes[here],
+            loads[here],
+            whole.base_pose,
+            load=whole.load.with_tip(None),
+            wrench_at=whole.wrench_at,
+            segment_nodes=whole.segment_nodes,
+        )
+        yield (
+            first + 1,
+            search_pressure(arm.design, part, method, starts=starts, pose_cost=PoseCost(weights), progress=False),
+        )
 
 
 def _seen() -> bool:
@@ -162,28 +169,29 @@ def _seen() -> bool:
 def _header(actuators: int) -> list[str]:
     pressures = [f"pressure_{index}_kPa" for index in range(1, actuators + 1)]
     return [
-        *("arm", "task", "load", "force_x_N", "force_y_N", "moment_Nm", "cost_m2", "tip_error_m", *pressures),
-        *("converged", "continued", "in_range", "residual", "optimality", "spread_m2"),
+        *("arm", "task", "load", "force_x_N", "force_y_N", "moment_Nm", "cost_m2"),
+        *("tip_error_m", "tip_rotation_error_rad", "shape_error_m", *pressures),
+        *("converged", "continued", "in_range", "optimality", "spread_m2"),
     ]
 
 
 def _rows(arm: "NamedArm", task: "NamedTask", first: int, found: "PressureSearch") -> Iterator[list[Any]]:
     whole = task.task
     loads = whole.tip_load.expand(*whole.batch_shape, 3).reshape(-1, 3).tolist()
-    columns = (found.cost, found.tip_error, found.pressure, found.converged, found.continued, found.in_range)
-    values = zip(*(x.tolist() for x in (*columns, found.residual, found.optimality, found.spread)), strict=True)
-    for index, (cost, tip, pressure, *flags, residual, optimality, spread) in enumerate(values, start=first):
-        truths = [str(flag).lower() for flag in flags]
+    errors = (found.cost, found.tip_error, found.tip_rotation_error, found.shape_error)
+    flags = (found.converged, found.continued, found.in_range)
+    columns = (*errors, found.pressure, *flags, found.optimality, found.spread)
+    values = zip(*(column.tolist() for column in columns), strict=True)
+    for index, (*sizes, pressure, sure, along, within, optimality, spread) in enumerate(values, start=first):
+        truths = [str(flag).lower() for flag in (sure, along, within)]
         yield [
             plain_cell(arm.name),
             plain_cell(task.name),
             index,
             *loads[index - 1],
-            cost,
-            tip,
+            *sizes,
             *pressure,
             *truths,
-            residual,
             optimality,
             spread,
         ]

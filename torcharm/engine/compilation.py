@@ -35,6 +35,18 @@ def kernel(function: F) -> F:
     return _compiled(function, cache=True, _nrt=False)
 
 
+def routine(function: F) -> F:
+    """A large part of kernels, compiled once and called: for what is long, or stands in several places."""
+    return _compiled(
+        function, cache=False, _nrt=False, forceinline=False, no_cpython_wrapper=True, no_cfunc_wrapper=True
+    )
+
+
+def spliced(function: F) -> F:
+    """A part of kernels whose source is put where it is called, and compiled with that: saves compiling it alone."""
+    return _compiled(function, cache=False, _nrt=False, inline="always")
+
+
 def part(function: F) -> F:
     """A part of kernels, compiled into each place that calls it."""
     return _compiled(
@@ -42,24 +54,50 @@ def part(function: F) -> F:
     )
 
 
-def _compiled(function: F, **options: bool) -> F:
+def _compiled(function: F, **options: Any) -> F:
     import numba
 
     from torcharm.engine.code_cache import guard
+    from torcharm.engine.code_parts import KernelCompiler, PartCompiler, RoutineCompiler, once_for_all_numbers
 
     config: Any = numba.config
     # numba takes code from disk unless the function's own file has changed; that of what it calls may have
     chosen, folder = config.CACHE_DIR, _folder()
     every: dict[str, Any] = {"nogil": True, "error_model": "numpy", **options}
+    if every.get("no_cpython_wrapper"):  # what only compiled functions call
+        every["pipeline_class"] = PartCompiler if every.get("forceinline") else RoutineCompiler
+    elif every["cache"] and not every.get("forceinline"):
+        every["pipeline_class"] = KernelCompiler
     every["cache"] = every["cache"] and folder is not None
     try:
         config.CACHE_DIR = folder or chosen
         compiled: F = numba.njit(**every)(unwrap(function))  # what checks signatures in tests cannot be compiled
+        if hasattr(compiled, "_set_uuid"):  # not a plain function, as where numba is told not to compile
+            compiled._set_uuid(_name(unwrap(function)))
         if every["cache"]:
             guard(compiled)
+        if every.get("pipeline_class") is RoutineCompiler:
+            once_for_all_numbers(compiled)
         return compiled
     finally:
         config.CACHE_DIR = chosen
+
+
+def _name(function: Callable[..., Any]) -> str:
+    """Of a compiled function, the same in every process.
+
+    By it numba tells apart what a function holds that is made by another one, and so whether it is on disk: by chance
+    it would be another one in each process.
+    """
+    held = [_name_of_held(cell.cell_contents) for cell in function.__closure__ or ()]
+    whole = repr((_version(), function.__module__, function.__qualname__, function.__code__.co_firstlineno, held))
+    return sha256(whole.encode()).hexdigest()
+
+
+def _name_of_held(value: Any) -> str:
+    if hasattr(value, "_uuid"):
+        return str(value._uuid)
+    return f"{value.__module__}.{value.__qualname__}" if callable(value) else repr(value)
 
 
 @cache

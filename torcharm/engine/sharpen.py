@@ -56,6 +56,14 @@ def sharpen_part(D: int) -> Any:
         return smooth
 
     @part
+    def are_one(curves, simplex, j, k):  # type: ignore[no-untyped-def]
+        for a in range(len(simplex.fresh)):
+            limit = curves.edge[a, curves.pieces[a]]
+            if abs(simplex.pressure[j, a] - simplex.pressure[k, a]) > SAME * limit:
+                return False
+        return True
+
+    @part
     def follow_all(curves, simplex):  # type: ignore[no-untyped-def]
         """Do so with all corners, and let those that have come to one point be one; whether any curve is smooth."""
         smooth = False
@@ -70,14 +78,6 @@ def sharpen_part(D: int) -> Any:
                         simplex.weight[j] += simplex.weight[k]
                         simplex.weight[k] = 0.0
         return smooth
-
-    @part
-    def are_one(curves, simplex, j, k):  # type: ignore[no-untyped-def]
-        for a in range(len(simplex.fresh)):
-            limit = curves.edge[a, curves.pieces[a]]
-            if abs(simplex.pressure[j, a] - simplex.pressure[k, a]) > SAME * limit:
-                return False
-        return True
 
     @part
     def write_system(simplex, rows):  # type: ignore[no-untyped-def]

@@ -52,16 +52,15 @@ class Searched:
 
 def search_designs(designs: ArmDesign, tasks: Sequence[Task]) -> Searched:
     """Search the best pressures of designs of batch shape (D,) on all tasks."""
-    from torcharm.search import search_pressure
+    from torcharm.pressure.search import search_pressure
 
     with torch.no_grad():
         found = [search_pressure(designs, task) for task in tasks]
     rows = len(designs.radii)
     error, converged, stable = (
         torch.cat([getattr(one, name).reshape(rows, -1) for one in found], -1)
-        for name in ("cost", "converged", "stable")
+        for name in ("shape_error", "converged", "stable")
     )
-    error = error.clamp(min=0).sqrt()
     return Searched(torch.where(stable & error.isfinite(), error, torch.inf), converged)
 
 
@@ -77,7 +76,7 @@ def prediction_status(results: Sequence[Attainability], searched: Searched, inde
     assert all(prediction is not None for prediction in predictions)
     stable, converged, predicted, reached = (
         torch.cat([getattr(prediction, name).detach().reshape(-1) for prediction in predictions])
-        for name in ("stable", "converged", "error", "reached")
+        for name in ("stable", "converged", "shape_error", "reached")
     )
     error, sure = searched.error[index], searched.converged[index]
     count = len(predicted)

@@ -102,7 +102,7 @@ class Objective:
         """
         if self.metric == "predicted_error":
             assert result.prediction is not None
-            error = result.prediction.error
+            error = result.prediction.shape_error
             sound = result.prediction.converged & result.prediction.stable & error.isfinite()
             return torch.where(sound, error, torch.inf)
         assert result.absolute is not None

@@ -16,7 +16,7 @@ class Verification:
     """Shape errors that the search reached on T tasks, with the given and with the best design.
 
     Attributes:
-        before, after: (T,) square root of the search's weighted cost [m]; NaN where the search did not converge.
+        before, after: (T,) the search's shape errors [m]; NaN where the search did not converge.
         pressure_before, pressure_after: (T, M) the pressures found [kPa].
         converged_before, converged_after: (T,) whether the search and its equilibria converged.
     """
@@ -39,7 +39,7 @@ def verify_design(
     result: OptimisedDesign,
     task: Task | Sequence[Task],
     *,
-    method: str = "batched",
+    method: str = "multistart",
     options: Mapping[str, Any] | None = None,
 ) -> Verification:
     """Search the best pressure for every task, with the given and with the best design.
@@ -53,15 +53,15 @@ def verify_design(
     Raises:
         ValueError: as for `torcharm.search_pressure`.
     """
-    from torcharm.search import search_pressure
+    from torcharm.pressure.search import search_pressure
 
     tasks = (task,) if isinstance(task, Task) else tuple(task)
     sides = []
     for design in (result.given, result.best):
         found = [search_pressure(design, one, method=method, **(options or {})) for one in tasks]
-        cost = torch.cat([one.cost.detach().reshape(-1) for one in found])
+        error = torch.cat([one.shape_error.detach().reshape(-1) for one in found])
         pressure = torch.cat([one.pressure.detach().reshape(-1, design.actuator_count) for one in found])
         converged = torch.cat([one.converged.reshape(-1) for one in found])
-        sides.append((torch.where(converged, cost.clamp(min=0).sqrt(), torch.nan), pressure, converged))
+        sides.append((torch.where(converged, error, torch.nan), pressure, converged))
     (before, first, sound), (after, second, still) = sides
     return Verification(before, after, first, second, sound, still)

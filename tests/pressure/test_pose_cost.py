@@ -1,0 +1,60 @@
+import pytest
+import torch
+
+import torcharm as ta
+from torcharm.geometry import se3
+from torcharm.pressure.pose_cost import pose_errors
+
+
+def test_weights_of_the_words():
+    like = torch.zeros((), dtype=torch.float64)
+    ramp = ta.PoseCost().weights(5, like)
+    torch.testing.assert_close(ramp[:, 0], torch.tensor([0.0, 0.25, 0.5, 0.75, 1.0, 0.0]).double())
+    torch.testing.assert_close(ramp[:, 2], 0.05 * ramp[:, 0])
+    assert ta.PoseCost("uniform").weights(5, like)[:, 1].tolist() == [1, 1, 1, 1, 1, 0]
+    assert ta.PoseCost("tip", (1, 1, 0)).weights(5, like)[-1].tolist() == [1, 1, 0]
+    assert ta.PoseCost((0, 0, 2)).weights(3, like)[:, 0].tolist() == [0, 0, 2, 0]
+    assert ta.PoseCost([0, 0, 2, 1]).weights(3, like)[:, 0].tolist() == [0, 0, 2, 1]
+
+
+def test_weights_in_space():
+    like = torch.zeros((), dtype=torch.float64)
+    assert ta.PoseCost().diagonal(like, 3).tolist() == [1, 1, 1, 0.05, 0.05, 0.05]
+    assert ta.PoseCost("tip", (1, 1, 1, 0, 2, 2)).weights(4, like, 3)[-1].tolist() == [1, 1, 1, 0, 2, 2]
+    with pytest.raises(ValueError, match="error_weights: must be 6 numbers in space"):
+        ta.PoseCost("tip", (1, 1, 0)).weights(4, like, 3)
+
+
+def test_errors_in_the_plane_are_those_of_space():
+    generator = torch.Generator().manual_seed(0)
+    reached, wanted = torch.rand(2, 7, 3, generator=generator, dtype=torch.float64)
+    plane = pose_errors(reached, wanted)
+    space = pose_errors(se3.from_plane(reached), se3.from_plane(wanted))
+    torch.testing.assert_close(space[..., [0, 1, 5]], plane)
+    torch.testing.assert_close(space[..., 2:5], torch.zeros_like(space[..., 2:5]), rtol=0, atol=1e-14)
+    torch.testing.assert_close(ta.PoseCost()(space), ta.PoseCost()(plane))
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ({"node_weights": "rising"}, "node_weights"),
+        ({"node_weights": [0.0, -1.0]}, "node_weights"),
+        ({"node_weights": [0.0, 0.0]}, "node_weights"),
+        ({"node_weights": 3}, "node_weights"),
+        ({"error_weights": (1.0, 1.0)}, "error_weights"),
+        ({"error_weights": (0.0, 0.0, 0.0)}, "error_weights"),
+        ({"error_weights": (1.0, float("nan"), 0.0)}, "error_weights"),
+    ],
+)
+def test_mistakes_are_named(given, named):
+    with pytest.raises(ValueError, match=named):
+        ta.PoseCost(**given)
+
+
+def test_weights_that_do_not_fit_the_nodes():
+    like = torch.zeros((), dtype=torch.float64)
+    with pytest.raises(ValueError, match="node_weights: must be one of ramp, uniform, tip, or 3 or 4 numbers, got 2"):
+        ta.PoseCost((1.0, 2.0)).weights(3, like)
+    with pytest.raises(ValueError, match="a pose that moves"):
+        ta.PoseCost("ramp").weights(1, like)

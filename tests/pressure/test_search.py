@@ -1,0 +1,96 @@
+"""The pressure search: equilibria that loading reaches, costs no worse than scipy's and a grid's."""
+
+import pytest
+import torch
+
+import torcharm as ta
+from torcharm.pressure.starts import spread_points
+
+ARMS = {"antagonistic": ta.antagonistic_arm, "bellows": ta.bellows_arm}
+
+
+def planar_task(count, moment=2.0):
+    return ta.Task(ta.affine_curvature(-3.0, 3.0), ta.sample_loads(count, (20, 20, moment)))
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_what_is_found_is_what_loading_reaches(name):
+    arm, task = ARMS[name](), planar_task(30)
+    found = ta.search_pressure(arm, task)
+    assert bool(found.stable.all())
+    assert float(found.converged.double().mean()) > 0.4
+    loaded = ta.solve_equilibrium(arm, found.pressure, task.tip_load)
+    assert bool((loaded.continued == found.continued).all())
+    torch.testing.assert_close(loaded.twists, found.twists, rtol=0, atol=1e-7)
+    gap = ta.poses(task.twists) - loaded.poses
+    torch.testing.assert_close(found.tip_error, gap[..., -1, :2].norm(dim=-1), rtol=1e-6, atol=1e-9)
+    torch.testing.assert_close(ta.PoseCost()(gap), found.cost, rtol=1e-6, atol=1e-12)
+    assert bool(((found.pressure >= 0) & (found.pressure <= arm.max_pressure)).all())
+    assert set(found.status) <= {"converged", "snapped", "not converged"}
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_scipy_finds_nothing_better_where_it_converges(name):
+    arm, task = ARMS[name](), planar_task(6)
+    ours = ta.search_pressure(arm, task)
+    theirs = ta.search_pressure(arm, task, "scipy", scipy_method="SLSQP", progress=False)
+    assert bool((ours.cost <= theirs.cost + 1e-9)[ours.converged].all())
+    again = ta.solve_equilibrium(arm, theirs.pressure, task.tip_load)
+    gap = ta.poses(task.twists) - again.poses
+    torch.testing.assert_close(ta.PoseCost()(gap), theirs.cost, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("kinds", [(ta.Bellows, ta.Bellows), (ta.McKibben, ta.Bellows)])
+def test_no_converged_search_of_two_actuators_is_worse_than_a_grid(kinds):
+    arm = ta.ArmDesign([-0.04, 0.05], 0.5, [kind() for kind in kinds])
+    task = ta.Task(ta.affine_curvature(1.0, 1.5, nodes=6), ta.sample_loads(4, (6, 6, 1)))
+    found = ta.search_pressure(arm, task)
+    side = torch.linspace(0, 1, 60, dtype=torch.float64)
+    places = torch.cartesian_prod(side, side) * arm.max_pressure
+    loaded = ta.solve_equilibrium(arm, places[:, None], task.tip_load, 6)
+    cost = ta.PoseCost()(ta.poses(task.twists) - loaded.poses)
+    best = torch.where(loaded.stable & loaded.continued, cost, torch.inf).amin(0)
+    assert bool((found.cost <= 1.01 * best)[found.converged].all())
+    assert bool(found.converged.any())
+
+
+def test_gradients_of_the_cost_are_those_of_the_minimum():
+    given, task = ta.bellows_arm(), ta.Task(ta.affine_curvature(-1.0, 2.0), [1.0, -2.0, 0.3])
+
+    def cost(radii):
+        return ta.search_pressure(ta.ArmDesign(radii, given.length, given.actuators), task)
+
+    radii = given.radii.clone().requires_grad_()
+    found = cost(radii)
+    assert found.status == "converged"
+    (gradient,) = torch.autograd.grad(found.cost, radii)
+    for index in range(4):
+        ends = []
+        for sign in (1, -1):
+            moved = given.radii.clone()
+            moved[index] += sign * 1e-5
+            ends.append(float(cost(moved).cost))
+        assert float(gradient[index]) == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=2e-3, abs=1e-7)
+
+
+def test_spread_points_begin_in_the_middle_and_are_the_same_at_every_call():
+    points = spread_points(9, 3)
+    assert points[0].tolist() == [0.5, 0.5, 0.5]
+    assert ((points >= 0) & (points <= 1)).all()
+    assert (points == spread_points(9, 3)).all()
+    assert (points != spread_points(9, 3, seed=1))[1:].any()
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ({"method": "magic"}, "method"),
+        ({"starts": 0}, "starts"),
+        ({"rounds": -1}, "rounds"),
+        ({"shear_stiffness": 0.0}, "shear_stiffness"),
+        ({"seed": -1}, "seed"),
+    ],
+)
+def test_mistakes_are_named(given, named):
+    with pytest.raises(ValueError, match=named):
+        ta.search_pressure(ta.bellows_arm(), planar_task(1), **given)

@@ -1,0 +1,188 @@
+"""What describes arms and their loads to the engine: batches of numbers, with a row for each arm.
+
+The engine's mechanics is one for the plane and for space. K is the number of components of a twist, 3 or 6, and C that
+of its unknown ones. Poses are rows of P numbers with the base's position as origin, along the world's axes:
+`(cos, sin, x, y)` in the plane, the nine entries of the rotation, row by row, and the position in space.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torcharm._inputs import plain_number
+from torcharm.actuators import Actuator
+from torcharm.actuators.bending import LinearBending, bending_model, linear_stiffness, reference_pressure
+from torcharm.actuators.inspection import follows
+from torcharm.arm import ArmDesign
+from torcharm.arm_series import ArmSeries
+from torcharm.engine.forces import Models, models_of
+from torcharm.engine.tables import Tables, is_sampled, tables_of
+from torcharm.statics.balance import RIGID, segments_of, unknown_columns
+
+Array = NDArray[Any]
+
+POSE_NUMBERS = {2: 4, 3: 12}
+"""P for an arm in the plane and in space."""
+
+
+class Arms(NamedTuple):
+    """B arms of the same M actuators in S segments of N elements in all.
+
+    Attributes:
+        column: (K) the columns of a twist. Its length and the next one's are known when kernels are compiled.
+        unknown: (C) those that are unknown, in ascending order; the arm is rigid in the others.
+        models: the actuators' force models.
+        tables: those of them, and of their bending laws, that are sampled.
+        active: (M,) bending stiffness a kilopascal [N·m²/kPa].
+        passive: (M,) bending stiffness at any pressure [N·m²].
+        y, z: (B, M) offsets [m]; z is 0 in the plane.
+        neutral: (B, M) neutral lengths [m].
+        torsion: (B, S) stiffness against torsion [N·m²], where κ_x is unknown; RIGID for a segment that does not
+            twist in an arm that does.
+        shear: (S,) stiffness against shear [N], where shear is unknown.
+        link: (B, S, P) pose of what follows a segment, in the frame of its end.
+        first_actuator, first_node: (S + 1,) where the segments' actuators and elements begin, and end.
+    """
+
+    column: tuple[int, ...]
+    unknown: tuple[int, ...]
+    models: Models
+    tables: Tables
+    active: Array
+    passive: Array
+    y: Array
+    z: Array
+    neutral: Array
+    torsion: Array
+    shear: Array
+    link: Array
+    first_actuator: Array
+    first_node: Array
+
+
+class Loads(NamedTuple):
+    """What loads B arms at Q places, and gravity. All of it grows with one load factor.
+
+    Attributes:
+        base: (B, P) pose of the base.
+        wrench: (B, Q, K) in the world's axes, or in those of the body if it follows [N, N·m].
+        offset: (B, Q, D) from the pose at its place, in the axes there [m].
+        element: (Q,) the element that a place is on, in ascending order.
+        fraction: (Q,) of that element, above 0, up to 1. At 1 a load sits behind the link that follows, if there
+            is one, unless `before_link`.
+        before_link: (Q,) whether a load at the end of a segment sits before its link.
+        follows: (Q,) whether the wrench turns with the body.
+        weight: (B, S) of one element of each segment [N].
+        middle: whether wrenches are taken in the middle of elements, or at their starts.
+    """
+
+    base: Array
+    wrench: Array
+    offset: Array
+    element: Array
+    fraction: Array
+    before_link: Array
+    follows: Array
+    weight: Array
+    middle: bool
+
+
+def numbers(value: Tensor) -> Array:
+    """A tensor's numbers as float64, in a row."""
+    return np.ascontiguousarray(value.detach().cpu().numpy(), dtype=np.float64)
+
+
+def pose_rows(pose: Tensor) -> Tensor:
+    """Rows (..., P) of poses (..., 3) of the plane or (..., 4, 4) of space."""
+    if pose.shape[-2:] == (4, 4):
+        return torch.cat((pose[..., :3, :3].flatten(-2), pose[..., :3, 3]), -1)
+    return torch.cat((pose[..., 2:].cos(), pose[..., 2:].sin(), pose[..., :2]), -1)
+
+
+def arms_of(
+    arm: ArmDesign | ArmSeries,
+    batch: tuple[int, ...],
+    nodes: Sequence[int],
+    shear_stiffness: float | None = None,
+    highest: Array | None = None,
+) -> Arms:
+    """The arms of a batch, expanded and flattened.
+
+    Args:
+        arm: designs whose batch broadcasts to `batch`.
+        batch: shape of the B arms.
+        nodes: number of elements of each segment.
+        shear_stiffness: k [N/m] of each actuator, in the sense of `-k Σ γ`; None is rigid.
+        highest: (M,) highest pressures in use [kPa], up to which models are sampled; None takes the arms' limits.
+    """
+    segments, links = segments_of(arm)
+    count = math.prod(batch)
+    every = [model for segment in segments for model in segment.actuators]
+    models = models_of(every)
+    if highest is None:
+        highest = np.concatenate(
+            [numbers(segment.max_pressure).reshape(-1, segment.actuator_count).max(0) for segment in segments]
+        )
+
+    def rows(values: list[Tensor]) -> Array:
+        return np.concatenate([_flat(value, batch, 1) for value in values], -1)
+
+    y = rows([segment.radii for segment in segments])
+    flat = [segment.out_of_plane for segment in segments]
+    z = rows([value for value in flat if value is not None]) if arm.dimension == 3 else np.zeros_like(y)
+    stiff = [
+        torch.full_like(segment.mass, RIGID) if segment.torsion_stiffness is None else segment.torsion_stiffness
+        for segment in segments
+    ]
+    width = POSE_NUMBERS[arm.dimension]
+    link = np.zeros((count, len(segments), width))
+    link[..., 0] = 1.0
+    if arm.dimension == 3:
+        link[..., (4, 8)] = 1.0
+    for index, one in enumerate(links):
+        if one is not None:
+            link[:, index] = _flat(pose_rows(one.end(arm.dimension)), batch, 1)
+    sizes = [segment.actuator_count for segment in segments]
+    return Arms(
+        tuple(range(3 if arm.dimension == 2 else 6)),
+        unknown_columns(arm, shear_stiffness),
+        models,
+        tables_of(every, models, highest),
+        *_bending(every),
+        y,
+        z,
+        rows([segment.length for segment in segments]),
+        rows([value.unsqueeze(-1) for value in stiff]),
+        np.array([0.0 if shear_stiffness is None else shear_stiffness * size for size in sizes]),
+        link,
+        np.cumsum([0, *sizes]),
+        np.cumsum([0, *nodes]),
+    )
+
+
+def _bending(actuators: Sequence[Actuator]) -> tuple[Array, Array]:
+    """Bending stiffness (M,) a kilopascal, and at any pressure."""
+    active, passive = np.zeros(len(actuators)), np.zeros(len(actuators))
+    for index, model in enumerate(actuators):
+        if is_sampled(model):
+            continue
+        linear = linear_stiffness(model.bending_stiffness)
+        if linear is not None:
+            pressure = reference_pressure(model.bending_stiffness, model.max_pressure)
+            active[index] = plain_number(linear) / plain_number(pressure)
+        if bending_model(model.bending_stiffness) is not None and not follows(
+            model.bending_stiffness, LinearBending, "passive"
+        ):
+            passive[index] = plain_number(model.bending_stiffness.stiffness)  # type: ignore[union-attr]
+    return active, passive
+
+
+def _flat(value: Tensor, batch: tuple[int, ...], data: int) -> Array:
+    """A tensor (*#batch, ...) as (B, ...), of so many dimensions of data."""
+    tail = value.shape[value.ndim - data :]
+    return numbers(value.expand(*batch, *tail).reshape(math.prod(batch), *tail))

@@ -1,0 +1,204 @@
+"""The boundary of what continuation reaches: where, as the load rises, an arm just goes to one side or to the other.
+
+Next to a bifurcation the equilibria are no function of load and pressure. They are one of the load factor s and of a
+coordinate x along which the arm gives way: with pressures changed along one direction only, `t = P(x, s)`. An arm that
+comes along t = const. from below passes a saddle of P on one side or on the other; a pressure is on the boundary if it
+meets the saddle, `P_x = P_s = 0` (an unfolding of a transcritical bifurcation; Golubitsky and Schaeffer,
+*Singularities and Groups in Bifurcation Theory*, 1985, ch. III). Both slopes follow from the arm's derivatives by
+pressure and load, and are regular where the stiffness is singular. Newton's method on them, with their own slopes from
+two equilibria beside, finds the saddle from either side.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torcharm.engine.arms import Arms
+from torcharm.engine.compilation import part, routine
+from torcharm.engine.newton_step import solve, write_balance, write_shape
+from torcharm.engine.path import copy_twists
+from torcharm.engine.sections import set_pressure
+
+Array = NDArray[Any]
+
+ASIDE = 1e-4
+"""Steps to the two equilibria beside, in the load factor, and in x over the arm's length: the error of the slopes'
+differences falls with them, that of rounding grows."""
+LARGEST = 0.3
+"""Newton step in these units, at most: further away the saddle of another bifurcation is found."""
+FOUND, DONE = 1e-3, 1e-6
+"""Newton step at which the saddle counts as found, and at which nothing more is done."""
+
+
+class Saddle(NamedTuple):
+    """Room for one bifurcation: the saddle and two equilibria beside.
+
+    Attributes:
+        place: (3, M) normalised pressures.
+        twists: (3, N, K).
+        factor: (3,) load factors.
+        measure: (N, C) of x, the sum of its products with the unknowns; a unit vector.
+        way: (M,) unit vector along which pressures change.
+        shift: (M, N, C) change of the unknowns by the place, at x held.
+        normal: (M,) unit normal of the boundary; pressures along it make the arm give way further.
+        change: (2, N, C) Newton's step, and the change by the load factor.
+        by_way: (N, C) the change of the unknowns along the way.
+        slope: (3, 2) P_x and P_s at the three.
+    """
+
+    place: Array
+    twists: Array
+    factor: Array
+    measure: Array
+    way: Array
+    shift: Array
+    normal: Array
+    change: Array
+    by_way: Array
+    slope: Array
+
+
+def make_saddle(arms: Arms) -> Saddle:
+    """Room for one arm's."""
+    nodes, size, columns, count = arms.first_node[-1], len(arms.column), len(arms.unknown), len(arms.models.kind)
+    return Saddle(
+        np.zeros((3, count)),
+        np.zeros((3, nodes, size)),
+        np.zeros(3),
+        np.zeros((nodes, columns)),
+        np.zeros(count),
+        np.zeros((count, nodes, columns)),
+        np.zeros(count),
+        np.zeros((2, nodes, columns)),
+        np.zeros((nodes, columns)),
+        np.zeros((3, 2)),
+    )
+
+
+@routine
+def write_changes(problem, work, saddle, b, k):  # type: ignore[no-untyped-def]
+    """Write Newton's step and the changes by load factor and place at one of the three equilibria."""
+    arms, loads, room = problem.arms, problem.loads, work.room
+    for m in range(saddle.place.shape[1]):
+        work.pressure[b, m] = saddle.place[k, m] * problem.limit[b, m]
+    set_pressure(arms, room.drive, work.pressure, b, 1.0)
+    write_shape(arms, loads, room, b, saddle.twists[k], True)
+    write_balance(arms, loads, room, b, saddle.twists[k], saddle.factor[k], 0.0, 0.0)
+    for i in range(saddle.change.shape[1]):
+        for c in range(saddle.change.shape[2]):
+            saddle.change[0, i, c] = -room.residual[i, c]
+            saddle.change[1, i, c] = -room.carried[i, c]
+            for m in range(saddle.place.shape[1]):
+                work.change[1 + m, i, c] = -room.sections.rate[i, c, m] * problem.limit[b, m]
+    for x in range(2):
+        solve(arms, loads, room, saddle.change[x])
+    for m in range(saddle.place.shape[1]):
+        solve(arms, loads, room, work.change[1 + m])
+
+
+@part
+def times_measure(saddle, change):  # type: ignore[no-untyped-def]
+    """The change of x by one of the unknowns (N, C)."""
+    total = 0.0
+    for i in range(change.shape[0]):
+        for c in range(change.shape[1]):
+            total += saddle.measure[i, c] * change[i, c]
+    return total
+
+
+@part
+def _move(arms, saddle, k, factor, change):  # type: ignore[no-untyped-def]
+    """Add a factor times a change of the unknowns to one of the three."""
+    for i in range(change.shape[0]):
+        for c in range(change.shape[1]):
+            saddle.twists[k, i, arms.unknown[c]] += factor * change[i, c]
+
+
+@routine
+def _advance(problem, work, saddle, b, beside):  # type: ignore[no-untyped-def]
+    """One Newton step to the saddle, or with the first evaluation to the equilibria beside; returns its size."""
+    arms, aside = problem.arms, ASIDE / problem.scale.length[b]
+    count, slope, change = saddle.place.shape[1], saddle.slope, saddle.change
+    for turn in range(3):
+        k = 2 - turn  # the saddle itself comes last, and its changes are kept
+        write_changes(problem, work, saddle, b, k)
+        for i in range(change.shape[1]):
+            for c in range(change.shape[2]):
+                total = 0.0
+                for m in range(count):
+                    total += saddle.way[m] * work.change[1 + m, i, c]
+                saddle.by_way[i, c] = total
+        gain = times_measure(saddle, saddle.by_way)
+        slope[k, 0], slope[k, 1] = 1.0 / gain, -times_measure(saddle, change[1]) / gain
+        back = -times_measure(saddle, change[0]) / gain
+        _move(arms, saddle, k, 1.0, change[0])
+        _move(arms, saddle, k, back, saddle.by_way)
+        for m in range(count):
+            saddle.place[k, m] += saddle.way[m] * back
+    x, s, move_x, move_s, size = slope[0, 0], slope[0, 1], 0.0, 0.0, math.inf
+    if beside:
+        xx, sx = (slope[1, 0] - x) / aside, (slope[1, 1] - s) / aside
+        xs, ss = (slope[2, 0] - x) / ASIDE, (slope[2, 1] - s) / ASIDE
+        determinant = xx * ss - xs * sx
+        move_x, move_s = (xs * s - ss * x) / determinant, (sx * x - xx * s) / determinant
+        size = max(abs(move_x) * ASIDE / aside, abs(move_s))
+        short = min(LARGEST / max(size, 1e-300), 1.0)
+        move_x, move_s = move_x * short, move_s * short
+    for m in range(count):
+        saddle.normal[m] = times_measure(saddle, work.change[1 + m])
+        copy_twists(saddle.shift[m], work.change[1 + m])
+    _move(arms, saddle, 0, move_s, change[1])
+    _move(arms, saddle, 0, x * move_x + s * move_s, saddle.by_way)
+    saddle.factor[0] += move_s
+    for m in range(count):
+        saddle.place[0, m] += saddle.way[m] * (x * move_x + s * move_s)
+    for k in range(1, 3):
+        copy_twists(saddle.twists[k], saddle.twists[0])
+        saddle.factor[k] = saddle.factor[0]
+        along = x * aside if k == 1 else s * ASIDE
+        if k == 2:
+            saddle.factor[k] += ASIDE
+            _move(arms, saddle, k, ASIDE, change[1])
+        _move(arms, saddle, k, along, saddle.by_way)
+        for m in range(count):
+            saddle.place[k, m] = saddle.place[0, m] + saddle.way[m] * along
+    return size
+
+
+@routine
+def find_saddle(problem, work, saddle, b, steps):  # type: ignore[no-untyped-def]
+    """Newton's method to the saddle from the first place, twists and load factor; whether it is found.
+
+    Args:
+        steps: of Newton's method, at most.
+    """
+    for k in range(1, 3):
+        copy_twists(saddle.twists[k], saddle.twists[0])
+        saddle.factor[k] = saddle.factor[0]
+        for m in range(saddle.place.shape[1]):
+            saddle.place[k, m] = saddle.place[0, m]
+    size = math.inf
+    for step in range(steps + 1):
+        size = _advance(problem, work, saddle, b, step > 0)
+        if step > 0 and not size > DONE:
+            break
+    length, along, sound = 0.0, 0.0, 0.0
+    for m in range(saddle.place.shape[1]):
+        length += saddle.normal[m] * saddle.normal[m]
+        along += saddle.normal[m] * saddle.way[m]
+        sound += saddle.place[0, m]
+    length = math.sqrt(length)
+    for i in range(saddle.by_way.shape[0]):
+        for c in range(saddle.by_way.shape[1]):
+            gone = 0.0
+            for m in range(saddle.place.shape[1]):
+                gone += saddle.way[m] * saddle.shift[m, i, c]
+            for m in range(saddle.place.shape[1]):
+                saddle.shift[m, i, c] -= gone * saddle.normal[m] / along
+                sound += saddle.shift[m, i, c]
+    for m in range(saddle.place.shape[1]):
+        saddle.normal[m] /= length
+        sound += saddle.normal[m]
+    return math.isfinite(sound) and size < FOUND and 0.0 < saddle.factor[0] < 1.0

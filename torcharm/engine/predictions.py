@@ -1,0 +1,193 @@
+"""The pressures at which arms that are put down at a shape come closest to it.
+
+From half the limits, or the most promising of other pressures where there is no stable equilibrium near the shape, the
+cost is followed to a minimum, through stable equilibria wherever there are any. Where the error may vanish, pressures
+that hold the very shape are looked for as well.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+from numpy.typing import NDArray
+
+from torcharm.engine.compilation import kernel, part, routine
+from torcharm.engine.continuation import CONTINUED
+from torcharm.engine.descent import CLOSE, FLOOR, NO_START, descend, error_slope
+from torcharm.engine.path import copy_twists, move_size
+from torcharm.engine.pressure_model import (
+    HALF_COST,
+    STABLE,
+    copy_point,
+    distance_of,
+    evaluate_point,
+    reach,
+    take_place,
+    write_newton,
+    write_point,
+)
+from torcharm.engine.wrench_fit import fit_wrenches, write_carried
+
+Array = NDArray[Any]
+
+SCREENED = (3, 8, 64)
+"""Pressures at which an arm is tried that does not stay near the shape at half the limits; and again, of more."""
+MAY_HOLD, ALMOST_HOLDS = 5e-2, 5e-3
+"""Errors over the arm's length below which some pressure may hold the very shape, and where it is looked for with
+patience."""
+FITS, PATIENT_FITS = 2, 24
+"""Pressures from which it is looked for."""
+FIT_STEPS, PATIENT_FIT_STEPS = 15, 40
+"""Steps of each."""
+FIT_GAIN, PATIENT_FIT_GAIN = 1e-2, 1e-4
+"""Share of the squared distance that a step must promise: all of it where the shape can be held."""
+
+SAME_SHAPE = 1e-2
+"""Difference of two shapes, as of `move_size`, that counts as none: other equilibria are much further away."""
+
+
+class Predictions(NamedTuple):
+    """What B descents found.
+
+    Attributes:
+        place: (B, M) normalised pressures.
+        twists: (B, N, K) of the equilibria.
+        half_cost: (B,) [m²], infinite where there is no equilibrium.
+        slope: (B,) the largest slope of the error by a pressure [m].
+        ended: (B,) how, as of `descent`.
+        stable: (B,) whether the equilibria are stable, by the pivots of J.
+        reached: (B,) whether continuation from zero load leads there.
+    """
+
+    place: Array
+    twists: Array
+    half_cost: Array
+    slope: Array
+    ended: Array
+    stable: Array
+    reached: Array
+
+
+@part
+def _better(points, a, b):  # type: ignore[no-untyped-def]
+    """Whether the point of one slot is to be preferred to that of another: stable ones first."""
+    first, second = points.known[a, STABLE], points.known[b, STABLE]
+    if first != second:
+        return first > second
+    return points.known[a, HALF_COST] < points.known[b, HALF_COST]
+
+
+@part
+def _start(problem, work, b, shape, draws):  # type: ignore[no-untyped-def]
+    """Write the first slot: at half the limits, or where the arm comes to rest nearest to the shape."""
+    points, tried = work.points, -1
+    for screened in SCREENED:
+        while tried < screened:
+            at = min(tried + 1, 1)
+            for m in range(points.place.shape[1]):
+                points.place[at, m] = 0.5 if tried < 0 else draws[tried, m]
+            copy_twists(work.path.trial, shape)
+            evaluate_point(problem, work, b, at, CLOSE)
+            if at == 1 and _better(points, 1, 0):
+                copy_point(points, 0, 1)
+            tried += 1
+            if tried == 0 and points.known[0, STABLE] > 0.0:
+                return
+        if points.known[0, STABLE] > 0.0:
+            return
+
+
+@part
+def _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, best, to):  # type: ignore[no-untyped-def]
+    """Write a slot: of pressures whose reactions come closest to what the shape requires, the best, at an equilibrium.
+
+    Pressures are compared by the cost after one Newton step from the shape. Returns whether any promises
+    less than the best slot's.
+    """
+    points, path = work.points, work.path
+    least, found = points.known[best, HALF_COST], False
+    for s in range(-1, starts):
+        for m in range(points.place.shape[1]):
+            fit.place[0, m] = points.place[best, m] if s < 0 else draws[first + s, m]
+        write_carried(problem, work, b, shape)
+        fit_wrenches(problem, work, fit, b, shape, steps, gain)
+        at = to + 1
+        for m in range(points.place.shape[1]):
+            points.place[at, m] = fit.place[0, m]
+        copy_twists(path.trial, shape)
+        take_place(problem, work, b, at)
+        write_newton(problem, work, b)
+        write_point(problem, work, b, at, move_size(problem.arms, problem.scale, path, b, work.change[0]))
+        if points.known[at, STABLE] > 0.0 and points.known[at, HALF_COST] < least:
+            least, found = points.known[at, HALF_COST], True
+            for m in range(points.place.shape[1]):
+                points.place[to, m] = points.place[at, m]
+    if found:
+        copy_twists(path.trial, shape)
+        evaluate_point(problem, work, b, to, CLOSE)
+    return found
+
+
+@part
+def _near(problem, work, b, at, share):  # type: ignore[no-untyped-def]
+    """Whether the error of a slot all but vanishes, and is more than rounding."""
+    error = math.sqrt(2.0 * work.points.known[at, HALF_COST]) / problem.scale.length[b]
+    return FLOOR < error < share
+
+
+@routine
+def _predict(problem, work, fit, b, shape, draws):  # type: ignore[no-untyped-def]
+    """The slot of the best point that is found, and how its descent ended."""
+    points, best, ended, free = work.points, 0, NO_START, False
+    for turn in range(3):
+        here = 0 if turn == 0 else 2
+        share, first, starts, steps, gain = MAY_HOLD, 0, FITS, FIT_STEPS, FIT_GAIN
+        if turn == 0:
+            _start(problem, work, b, shape, draws)
+            free = not points.known[0, STABLE] > 0.0
+        else:
+            if turn == 2:
+                share, first, starts, steps, gain = (
+                    ALMOST_HOLDS,
+                    FITS,
+                    PATIENT_FITS,
+                    PATIENT_FIT_STEPS,
+                    PATIENT_FIT_GAIN,
+                )
+            if not _near(problem, work, b, best, share):
+                continue
+            if not _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, best, here):
+                continue
+        other, how = descend(problem, work, b, here, here + 1, free)
+        if turn == 0:
+            best, ended = other, how
+        elif _better(points, other, best):
+            copy_point(points, best, other)
+            ended = how
+    return best, ended
+
+
+@kernel
+def predict_all(problem, shape, draws, start, tolerance, first, last, work, fit, out):  # type: ignore[no-untyped-def]
+    """Predict for the arms from one to another, without the last.
+
+    Args:
+        shape: (B, N, K) twists of the shapes to hold.
+        draws: (Q, M) normalised pressures, spread over the box: as many as the last of SCREENED.
+        start, tolerance: of continuation, as of `find_equilibrium`.
+        out: is written.
+    """
+    points = work.points
+    work.path.stays[0] = True
+    for b in range(first, last):
+        best, ended = _predict(problem, work, fit, b, shape[b], draws)
+        for m in range(points.place.shape[1]):
+            out.place[b, m] = points.place[best, m]
+        copy_twists(out.twists[b], points.twists[best])
+        out.half_cost[b], out.stable[b] = points.known[best, HALF_COST], points.known[best, STABLE]
+        out.ended[b], out.slope[b], out.reached[b] = ended, math.inf, False
+        if ended != NO_START and math.isfinite(out.half_cost[b]):
+            out.slope[b] = error_slope(problem, work, b, best)
+            if points.known[best, STABLE] > 0.0:
+                other = 2 if best < 2 else 0
+                how = reach(problem, work, b, best, other, start, tolerance)
+                out.reached[b] = how == CONTINUED and distance_of(problem, work, b, best, other) <= SAME_SHAPE

@@ -1,0 +1,347 @@
+"""The cost of one arm's poses at pressures, along equilibria: half the sum of squares, with its Gauss-Newton model.
+
+An equilibrium is found by Newton's method from one nearby. Poses, and so the cost, are taken as the last Newton step
+corrects them: what that leaves is of the order of its square. Pressures are normalised by their limits, `u = p/p̄`; by
+the implicit function theorem the unknowns change by `-J⁻¹ ∂R/∂p p̄`.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torcharm.engine.arms import Arms, Loads
+from torcharm.engine.box_step import BoxStep, make_box_step
+from torcharm.engine.compilation import part, routine
+from torcharm.engine.continuation import FAILED, find_equilibrium
+from torcharm.engine.newton_step import Room, first_angular, make_room, solve, write_balance, write_shape
+from torcharm.engine.path import Path, Scale, copy_twists, make_path, move_size
+from torcharm.engine.pose_error import Errors, Goal, make_errors, write_errors
+from torcharm.engine.sections import set_pressure, write_rates
+
+Array = NDArray[Any]
+
+LARGE_MOVE = 1.0
+"""Longest Newton step, as of `move_size`: about a radian, or a third of the length."""
+SUFFICIENT = 1e-4
+"""Share of the decrease of the imbalance that a Newton step promises; a step that saves less is halved."""
+EVALUATIONS = 12
+"""Of the balance at one equilibrium, at most: Newton's method from nearby takes one to four, from a shape that is no
+equilibrium a dozen."""
+SLOTS = 8
+"""Points that are kept: where a descent is and where it tries to go, the best, and others on the way."""
+HALF_COST, LAST_MOVE, STABLE = range(3)
+"""What is known of a point: half the cost [m²]; the Newton step that led there, as of `move_size`; and 1 if the
+equilibrium is stable, with every length above 0."""
+
+
+class Problem(NamedTuple):
+    """B arms, and what their poses are to be.
+
+    Attributes:
+        arms, loads, scale, goal: of the arms.
+        limit: (B, M) of pressures [kPa].
+    """
+
+    arms: Arms
+    loads: Loads
+    scale: Scale
+    goal: Goal
+    limit: Array
+
+
+class Points(NamedTuple):
+    """Normalised pressures of one arm, with the equilibria and the models of half the cost there; a slot for each.
+
+    Attributes:
+        place: (SLOTS, M) normalised pressures.
+        twists: (SLOTS, N, K).
+        rates: (SLOTS, M, N, C) of the unknowns by the place.
+        known: (SLOTS, 3) HALF_COST, LAST_MOVE and STABLE.
+        gradient: (SLOTS, M) [m²].
+        curvature: (SLOTS, M, M) Gauss and Newton's [m²].
+    """
+
+    place: Array
+    twists: Array
+    rates: Array
+    known: Array
+    gradient: Array
+    curvature: Array
+
+
+class Work(NamedTuple):
+    """Room for one thread.
+
+    Attributes:
+        room, path, errors, box: see there.
+        change: (1 + M, N, C) Newton's step, and the changes of the unknowns by M normalised pressures.
+        points: the points.
+        base, way: (N, K), (N, C) of Newton's method: where a step starts, and the step.
+        wall, wall_at: (M,), (1,) half the square of `wall·u - wall_at` is added to the value of every point: a
+            descent keeps to that plane. Zeros if there is none.
+        extra: (M, M) what is added to a curvature.
+        missed: (M,) room.
+        pressure: (B, M) [kPa] the pressures at which arms are evaluated, for all threads; each uses its arms' rows.
+    """
+
+    room: Room
+    path: Path
+    errors: Errors
+    box: BoxStep
+    change: Array
+    points: Points
+    base: Array
+    way: Array
+    wall: Array
+    wall_at: Array
+    extra: Array
+    missed: Array
+    pressure: Array
+
+
+def make_work(arms: Arms, pressure: Array) -> Work:
+    """Room for one arm at a time; pressures as of `Work`."""
+    nodes, size, columns, count = arms.first_node[-1], len(arms.column), len(arms.unknown), len(arms.models.kind)
+    points = Points(
+        np.zeros((SLOTS, count)),
+        np.zeros((SLOTS, nodes, size)),
+        np.zeros((SLOTS, count, nodes, columns)),
+        np.zeros((SLOTS, 3)),
+        np.zeros((SLOTS, count)),
+        np.zeros((SLOTS, count, count)),
+    )
+    return Work(
+        make_room(arms),
+        make_path(arms),
+        make_errors(arms, count),
+        make_box_step(count),
+        np.zeros((1 + count, nodes, columns)),
+        points,
+        np.zeros((nodes, size)),
+        np.zeros((nodes, columns)),
+        np.zeros(count),
+        np.zeros(1),
+        np.zeros((count, count)),
+        np.zeros(count),
+        pressure,
+    )
+
+
+@part
+def lengths_positive(arms, b, twist):  # type: ignore[no-untyped-def]
+    """Whether the centreline's and all actuators' lengths are above 0 at twists (N, K)."""
+    planar, last = len(arms.column) == 3, len(arms.column) - 1
+    for segment in range(len(arms.first_node) - 1):
+        for i in range(arms.first_node[segment], arms.first_node[segment + 1]):
+            if not twist[i, 0] > 0.0:
+                return False
+            for a in range(arms.first_actuator[segment], arms.first_actuator[segment + 1]):
+                own = twist[i, 0] - arms.y[b, a] * twist[i, last]
+                if not planar:
+                    own += arms.z[b, a] * twist[i, last - 1]
+                if not own > 0.0:
+                    return False
+    return True
+
+
+@part
+def copy_point(points, to, at):  # type: ignore[no-untyped-def]
+    """Copy what one slot holds to another."""
+    for m in range(points.place.shape[1]):
+        points.place[to, m] = points.place[at, m]
+        points.gradient[to, m] = points.gradient[at, m]
+        for k in range(points.place.shape[1]):
+            points.curvature[to, m, k] = points.curvature[at, m, k]
+        for i in range(points.rates.shape[2]):
+            for c in range(points.rates.shape[3]):
+                points.rates[to, m, i, c] = points.rates[at, m, i, c]
+    copy_twists(points.twists[to], points.twists[at])
+    for k in range(points.known.shape[1]):
+        points.known[to, k] = points.known[at, k]
+
+
+@part
+def take_place(problem, work, b, at):  # type: ignore[no-untyped-def]
+    """Set the pressures of a slot's place."""
+    for m in range(problem.limit.shape[1]):
+        work.pressure[b, m] = work.points.place[at, m] * problem.limit[b, m]
+    set_pressure(problem.arms, work.room.drive, work.pressure, b, 1.0)
+    work.path.loaded[0] = True
+
+
+@routine
+def write_newton(problem, work, b):  # type: ignore[no-untyped-def]
+    """Write Newton's step at the path's trial as its first change; returns the norm of the imbalance [N]."""
+    arms, loads, room, path = problem.arms, problem.loads, work.room, work.path
+    write_shape(arms, loads, room, b, path.trial, False)
+    write_balance(arms, loads, room, b, path.trial, 1.0, 0.0, 0.0)
+    total, reach = 0.0, problem.scale.reach[b] + 1e-3 * problem.scale.length[b]
+    for i in range(room.residual.shape[0]):
+        for c in range(room.residual.shape[1]):
+            one = room.residual[i, c]
+            work.change[0, i, c] = -one
+            if arms.unknown[c] >= first_angular(arms):
+                one /= reach
+            total += one * one
+    solve(arms, loads, room, work.change[0])
+    return math.sqrt(total)
+
+
+@routine
+def approach(problem, work, b, close):  # type: ignore[no-untyped-def]
+    """Newton's method for the balance from the path's trial, at pressures that are set.
+
+    A step no larger than `close` is the last, and is not taken: it stands as the first change. Steps are at most
+    LARGE_MOVE long, and halved where the imbalance does not fall. Returns the size of the last step; infinite where
+    that is not reached.
+    """
+    arms, path = problem.arms, work.path
+    last, factor, step = math.inf, 1.0, 0.0
+    for _ in range(EVALUATIONS):
+        norm = write_newton(problem, work, b)
+        size = move_size(arms, problem.scale, path, b, work.change[0])
+        if not math.isfinite(size):
+            size, fell = math.inf, False
+        else:
+            fell = norm <= (1.0 - SUFFICIENT * factor) * last or (size <= close and factor == 1.0)
+        if fell and size <= close:
+            return size
+        if fell:
+            copy_twists(work.base, path.trial)
+            step = min(LARGE_MOVE / size, 1.0)
+            for i in range(work.way.shape[0]):
+                for c in range(work.way.shape[1]):
+                    work.way[i, c] = step * work.change[0, i, c]
+            last, factor = norm, 1.0
+        elif last == math.inf:
+            return math.inf
+        else:
+            factor *= 0.5
+        for i in range(work.way.shape[0]):
+            for c in range(work.way.shape[1]):
+                u = arms.unknown[c]
+                path.trial[i, u] = work.base[i, u] + factor * work.way[i, c]
+    return math.inf
+
+
+@routine
+def write_point(problem, work, b, at, size):  # type: ignore[no-untyped-def]
+    """Write the model of a slot at the path's trial, of which Newton's step of that size is known."""
+    arms, room, path, points = problem.arms, work.room, work.path, work.points
+    count, nodes, columns = points.place.shape[1], work.change.shape[1], work.change.shape[2]
+    for segment in range(len(arms.first_node) - 1):
+        for i in range(arms.first_node[segment], arms.first_node[segment + 1]):
+            write_rates(arms, room.drive, room.sections, b, segment, i, path.trial)
+    for m in range(count):
+        for i in range(nodes):
+            for c in range(columns):
+                work.change[1 + m, i, c] = -room.sections.rate[i, c, m] * problem.limit[b, m]
+        solve(arms, problem.loads, room, work.change[1 + m])
+        for i in range(nodes):
+            for c in range(columns):
+                points.rates[at, m, i, c] = work.change[1 + m, i, c]
+    copy_twists(points.twists[at], path.trial)
+    for i in range(nodes):
+        for c in range(columns):
+            points.twists[at, i, arms.unknown[c]] += work.change[0, i, c]
+    write_errors(arms, problem.goal, room, b, path.trial, work.change, count, work.errors)
+    value = work.errors.value
+    for m in range(count + 1):
+        for k in range(m + 1):
+            total = 0.0
+            for i in range(nodes):
+                for e in range(value.shape[2]):
+                    total += value[m, i, e] * value[k, i, e]
+            if m == 0:
+                points.known[at, HALF_COST] = 0.5 * total if math.isfinite(total) else math.inf
+            elif k == 0:
+                points.gradient[at, m - 1] = total
+            else:
+                points.curvature[at, m - 1, k - 1] = points.curvature[at, k - 1, m - 1] = total
+    stable = room.pivots[0] == 0 and room.pivots[1] == 0 and lengths_positive(arms, b, points.twists[at])
+    points.known[at, LAST_MOVE], points.known[at, STABLE] = size, stable
+
+
+@part
+def add_wall(work, at):  # type: ignore[no-untyped-def]
+    """Add the square of the distance from the wall to the model of a slot."""
+    points, off = work.points, -work.wall_at[0]
+    for m in range(len(work.wall)):
+        off += work.wall[m] * points.place[at, m]
+    points.known[at, HALF_COST] += 0.5 * off * off
+    for m in range(len(work.wall)):
+        points.gradient[at, m] += off * work.wall[m]
+        for k in range(len(work.wall)):
+            points.curvature[at, m, k] += work.wall[m] * work.wall[k]
+
+
+@routine
+def expected_cost(problem, work, b, at, shape):  # type: ignore[no-untyped-def]
+    """Half the cost at the place of a slot after one Newton step from a shape (N, K); infinite if it is no number."""
+    take_place(problem, work, b, at)
+    copy_twists(work.path.trial, shape)
+    write_newton(problem, work, b)
+    write_errors(problem.arms, problem.goal, work.room, b, shape, work.change, 0, work.errors)
+    total, value = 0.0, work.errors.value
+    for i in range(value.shape[1]):
+        for e in range(value.shape[2]):
+            total += value[0, i, e] * value[0, i, e]
+    return 0.5 * total if math.isfinite(total) else math.inf
+
+
+@routine
+def evaluate_point(problem, work, b, at, close):  # type: ignore[no-untyped-def]
+    """Write the model of a slot at its place, at the equilibrium near the path's trial; whether that is found."""
+    take_place(problem, work, b, at)
+    size = approach(problem, work, b, close)
+    if not math.isfinite(size):
+        work.points.known[at, HALF_COST], work.points.known[at, STABLE] = math.inf, 0.0
+        return False
+    write_point(problem, work, b, at, size)
+    add_wall(work, at)
+    return math.isfinite(work.points.known[at, HALF_COST])
+
+
+@routine
+def load_from_zero(problem, work, b, start, tolerance):  # type: ignore[no-untyped-def]
+    """Write as the path's trial where continuation from zero load leads at the pressures; returns how, as
+    `find_equilibrium`."""
+    arms, loads, scale = problem.arms, problem.loads, problem.scale
+    return find_equilibrium(arms, loads, scale, work.pressure, start, work.room, work.path, b, tolerance)
+
+
+@part
+def distance_of(problem, work, b, at, to):  # type: ignore[no-untyped-def]
+    """The difference of the shapes of two slots, as of `move_size`."""
+    twists, change = work.points.twists, work.change
+    for i in range(change.shape[1]):
+        for c in range(change.shape[2]):
+            u = problem.arms.unknown[c]
+            change[0, i, c] = twists[to, i, u] - twists[at, i, u]
+    return move_size(problem.arms, problem.scale, work.path, b, change[0])
+
+
+@routine
+def reach(problem, work, b, at, to, start, tolerance):  # type: ignore[no-untyped-def]
+    """Write the point of slot `to` at the place of another, at the equilibrium that continuation from zero load
+    reaches.
+
+    Returns how it is reached, as `find_equilibrium`; FAILED where the arm does not stay there.
+    """
+    points = work.points
+    for m in range(points.place.shape[1]):
+        points.place[to, m] = points.place[at, m]
+    points.known[to, HALF_COST], points.known[to, STABLE] = math.inf, 0.0
+    take_place(problem, work, b, to)
+    how = load_from_zero(problem, work, b, start, tolerance)
+    if how == FAILED:
+        return FAILED
+    write_newton(problem, work, b)
+    size = move_size(problem.arms, problem.scale, work.path, b, work.change[0])
+    write_point(problem, work, b, to, size)
+    if points.known[to, STABLE] > 0.0 and math.isfinite(points.known[to, HALF_COST]):
+        return how
+    points.known[to, HALF_COST] = math.inf
+    return FAILED

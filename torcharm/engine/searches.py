@@ -1,0 +1,226 @@
+"""Pressures that bring loaded arms closest to their goals: descents from several starts, along equilibria continued
+from zero load.
+
+What a pressure costs is decided by continuation from zero load. A descent goes along warm equilibria, which
+continuation may not reach: under compression an arm buckles to one side or to the other, and a small change of pressure
+decides to which. The best pressures often lie where it does. So the end of each descent is confirmed by continuation;
+where it is not, the search goes on along the boundary: see `boundary_search`.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+from numpy.typing import NDArray
+
+from torcharm.engine.boundary_search import SAME_SHAPE, WORTH, cross_boundary, follow_boundary
+from torcharm.engine.box_step import optimality
+from torcharm.engine.compilation import kernel, part, routine
+from torcharm.engine.continuation import FAILED
+from torcharm.engine.descent import CLOSE, RUNNING, descend
+from torcharm.engine.path import copy_twists
+from torcharm.engine.pressure_model import (
+    HALF_COST,
+    STABLE,
+    distance_of,
+    evaluate_point,
+    expected_cost,
+)
+from torcharm.engine.search_room import (
+    AIM,
+    BEST,
+    CURRENT,
+    ENDED,
+    LOST,
+    improves,
+    keep_lost,
+    keep_point,
+    reach_and_keep,
+)
+
+Array = NDArray[Any]
+
+LOT = 4
+"""Places of which the arm is loaded at one: that of the least expected cost."""
+AGREE = 6
+"""Descents that must end where others have before the rest is spared."""
+SAME_PLACE = 1e-4
+"""Difference of two places that counts as none: the costs of minima differ by a 1e-8th then."""
+
+
+class Searches(NamedTuple):
+    """What B searches found.
+
+    Attributes:
+        place: (B, M) normalised pressures.
+        twists: (B, N, K) the equilibria there.
+        half_cost: (B,) [m²], infinite where none was found.
+        how: (B,) they are reached, as of `find_equilibrium`.
+        at_end: (B,) whether a descent ended there, and none to a better equilibrium that continuation does not reach.
+        optimality: (B,) the largest entry of the cost's projected gradient [m²].
+        start_cost: (B, S) what each start came to [m²]; infinite where it failed, NaN where it was spared.
+    """
+
+    place: Array
+    twists: Array
+    half_cost: Array
+    how: Array
+    at_end: Array
+    optimality: Array
+    start_cost: Array
+
+
+@part
+def _write_expected(problem, work, search, b, shape, pool):  # type: ignore[no-untyped-def]
+    """Write the expected costs of all places of a pool."""
+    for q in range(len(pool)):
+        for m in range(pool.shape[1]):
+            work.points.place[AIM, m] = pool[q, m]
+        search.expected[q] = expected_cost(problem, work, b, AIM, shape)
+
+
+@part
+def _best_of(values, first, last):  # type: ignore[no-untyped-def]
+    """The index of the least value from one to another, without the last."""
+    best = first
+    for q in range(first, last):
+        if values[q] < values[best]:
+            best = q
+    return best
+
+
+@routine
+def _load_places(problem, work, search, b, shape, pool, spread, start, tolerance):  # type: ignore[no-untyped-def]
+    """Load the arm at the most promising place of each lot of the pool, and at those that are spread over the box."""
+    points = work.points
+    _write_expected(problem, work, search, b, shape, pool)
+    lots = len(pool) // LOT
+    for k in range(lots + len(spread)):
+        q = _best_of(search.expected, k * LOT, (k + 1) * LOT) if k < lots else 0
+        for m in range(points.place.shape[1]):
+            points.place[AIM, m] = search.loaded_place[k, m] = pool[q, m] if k < lots else spread[k - lots, m]
+        reach_and_keep(problem, work, search, b, AIM, 0, start, tolerance)
+        search.loaded_value[k] = points.known[0, HALF_COST]
+        if improves(work, 0, BEST):
+            keep_point(work, search, BEST, 0)
+
+
+@part
+def _begin(problem, work, search, b, s, shape, pool, start, tolerance):  # type: ignore[no-untyped-def]
+    """Write the first slot: the start of descent s. Returns whether there is any.
+
+    The first is at the shape itself, with the pressures of the pool that are best there to first order; then come the
+    places at which the arm was loaded, from the best on.
+    """
+    points = work.points
+    if s > 0:
+        k = _best_of(search.loaded_value, 0, len(search.loaded_value))
+        if not search.loaded_value[k] < math.inf:
+            return False
+        search.loaded_value[k] = math.inf
+        for m in range(points.place.shape[1]):
+            points.place[AIM, m] = search.loaded_place[k, m]
+        return reach_and_keep(problem, work, search, b, AIM, 0, start, tolerance) != FAILED
+    q = _best_of(search.expected, 0, len(pool))
+    for m in range(points.place.shape[1]):
+        points.place[0, m] = pool[q, m]
+    copy_twists(work.path.trial, shape)
+    return evaluate_point(problem, work, b, 0, CLOSE) and points.known[0, STABLE] > 0.0
+
+
+@part
+def _same_place(points, a, b):  # type: ignore[no-untyped-def]
+    gap = 0.0
+    for m in range(points.place.shape[1]):
+        gap = max(gap, abs(points.place[a, m] - points.place[b, m]))
+    return gap < SAME_PLACE
+
+
+@routine
+def _multistart(problem, work, search, b, shape, pool, spread, start, tolerance):  # type: ignore[no-untyped-def]
+    """Descend from all starts, and confirm the ends; whether the best point is one."""
+    points, at_end, agreed = work.points, False, 0
+    _load_places(problem, work, search, b, shape, pool, spread, start, tolerance)
+    for s in range(len(search.start_cost)):
+        if agreed >= AGREE:
+            break
+        search.start_cost[s] = math.inf
+        if not _begin(problem, work, search, b, s, shape, pool, start, tolerance):
+            continue
+        end, ended = descend(problem, work, b, 0, 1, False)
+        if not math.isfinite(points.known[end, HALF_COST]):
+            continue
+        if at_end and _same_place(points, end, BEST) and distance_of(problem, work, b, end, BEST) <= SAME_SHAPE:
+            search.start_cost[s] = 2.0 * points.known[BEST, HALF_COST]
+            agreed += 1
+            continue
+        how = reach_and_keep(problem, work, search, b, end, ENDED, start, tolerance)
+        same = how != FAILED and distance_of(problem, work, b, end, ENDED) <= SAME_SHAPE
+        if not same and keep_lost(work, search, end):
+            agreed += 1
+        if how == FAILED:
+            continue
+        search.start_cost[s] = 2.0 * points.known[ENDED, HALF_COST]
+        if not improves(work, BEST, ENDED):  # it may have begun at the best that is known
+            keep_point(work, search, BEST, ENDED)
+            at_end = same and ended != RUNNING
+    return at_end
+
+
+@routine
+def _search(problem, work, search, b, shape, pool, spread, rounds, start, tolerance):  # type: ignore[no-untyped-def]
+    """Write the best point; whether it is the end of a descent, and none led to a better one."""
+    points = work.points
+    for s in range(len(search.start_cost)):
+        search.start_cost[s] = math.nan
+    for j in range(LOST):
+        search.lost_value[j] = math.inf
+        for m in range(points.place.shape[1]):
+            search.lost_place[j, m] = math.nan
+    points.known[BEST, HALF_COST] = math.inf
+    at_end = _multistart(problem, work, search, b, shape, pool, spread, start, tolerance)
+    work.path.stays[0] = False
+    for j in range(-1, min(rounds, LOST)):
+        if j < 0:
+            if at_end or rounds == 0 or not math.isfinite(points.known[BEST, HALF_COST]):
+                continue
+            keep_point(work, search, CURRENT, BEST)
+        else:
+            if not search.lost_value[j] < (1.0 - WORTH) * points.known[BEST, HALF_COST]:
+                break
+            if not cross_boundary(problem, work, search, b, j, start, tolerance):
+                continue
+        before = points.known[BEST, HALF_COST]
+        ended = follow_boundary(problem, work, search, b, start, tolerance)
+        at_end = ended if ended or points.known[BEST, HALF_COST] < before else at_end
+    return at_end and not search.lost_value[0] < (1.0 - WORTH) * points.known[BEST, HALF_COST]
+
+
+@kernel
+def search_all(problem, shape, pool, spread, rounds, start, tolerance, first, last, work, search, out):  # type: ignore[no-untyped-def]
+    """Search for the arms from one to another, without the last.
+
+    Args:
+        shape: (B, N, K) twists that are wanted.
+        pool: (P, M) normalised pressures, LOT of them for each at which the arm is loaded.
+        spread: (Q, M) others, spread over the box.
+        rounds: searches along boundaries at most; 0 does without.
+        start, tolerance: of continuation, as of `find_equilibrium`.
+        out: is written.
+    """
+    points = work.points
+    for b in range(first, last):
+        for snaps in range(2):  # where no branch is found to the full load at any start, arms may snap
+            work.path.stays[0] = snaps == 0
+            out.at_end[b] = _search(problem, work, search, b, shape[b], pool, spread, rounds, start, tolerance)
+            if math.isfinite(points.known[BEST, HALF_COST]):
+                break
+        for m in range(points.place.shape[1]):
+            out.place[b, m] = points.place[BEST, m]
+        copy_twists(out.twists[b], points.twists[BEST])
+        out.half_cost[b], out.how[b], out.optimality[b] = points.known[BEST, HALF_COST], search.how[BEST], math.nan
+        if math.isfinite(out.half_cost[b]):
+            out.optimality[b] = 2.0 * optimality(points.gradient[BEST], points.place[BEST])
+        else:
+            out.how[b] = FAILED
+        for s in range(len(search.start_cost)):
+            out.start_cost[b, s] = search.start_cost[s]

@@ -1,0 +1,229 @@
+"""Pressures whose reactions come closest to what a shape requires: least squares in wrenches, the shape held.
+
+Nothing moves, so an evaluation costs no more than the actuators' forces. Some pressures have nearly no effect, and
+least squares creep along the curved valleys that these make: Levenberg and Marquardt's steps are bent to follow them,
+by the second derivative along the step (geodesic acceleration; Transtrum and Sethna 2012, arXiv:1201.5885).
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torcharm.engine.arms import Arms
+from torcharm.engine.box_step import factor_free, largest_curvature, optimality, solve_free, write_box_step
+from torcharm.engine.compilation import kernel, part, routine
+from torcharm.engine.newton_step import write_balance, write_shape
+from torcharm.engine.sections import set_pressure, write_rates, write_section
+
+Array = NDArray[Any]
+
+START_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-14, 1e8
+"""Of the largest curvature: at first; where it no longer changes a step; and where a step is but rounding."""
+NOTHING = 1e-30
+"""Of a squared distance [N²]: it has vanished."""
+LOOK_AHEAD = 0.1
+"""Part of a step after which its second derivative is measured: the error of the difference falls with it."""
+BEND = 0.75
+"""Most that a step is bent, over its length: beyond, the second derivative is no small correction (Transtrum,
+Sethna)."""
+
+
+class Fit(NamedTuple):
+    """Room for one fit.
+
+    Attributes:
+        place: (3, M) normalised pressures: where the fit is, and places that are tried.
+        miss: (3, N, C) weighted residuals there.
+        rates: (M, N, C) of the first by the place.
+        gradient, normal: (M,), (M, M) of half the squared distance.
+        nothing: (M, M) zeros.
+        weight: (C,) roots of the weights of the components.
+    """
+
+    place: Array
+    miss: Array
+    rates: Array
+    gradient: Array
+    normal: Array
+    nothing: Array
+    weight: Array
+
+
+def make_fit(arms: Arms) -> Fit:
+    """Room for one arm at a time, with weights of 0."""
+    nodes, columns, count = arms.first_node[-1], len(arms.unknown), len(arms.models.kind)
+    return Fit(
+        place=np.zeros((3, count)),
+        miss=np.zeros((3, nodes, columns)),
+        rates=np.zeros((count, nodes, columns)),
+        gradient=np.zeros(count),
+        normal=np.zeros((count, count)),
+        nothing=np.zeros((count, count)),
+        weight=np.zeros(columns),
+    )
+
+
+@routine
+def _evaluate(problem, work, fit, b, twist, at, slopes):  # type: ignore[no-untyped-def]
+    """Write the residual of a place, and its slopes; returns the squared distance. `write_balance` was before."""
+    arms, room = problem.arms, work.room
+    for m in range(problem.limit.shape[1]):
+        work.pressure[b, m] = fit.place[at, m] * problem.limit[b, m]
+    set_pressure(arms, room.drive, work.pressure, b, 1.0)
+    total = 0.0
+    for segment in range(len(arms.first_node) - 1):
+        for i in range(arms.first_node[segment], arms.first_node[segment + 1]):
+            write_section(arms, room.drive, room.sections, b, segment, i, twist)
+            for c in range(len(arms.unknown)):
+                one = fit.weight[c] * (room.sections.reaction[i, c] + room.carried[i, c])
+                fit.miss[at, i, c] = one
+                total += one * one
+            if slopes:
+                write_rates(arms, room.drive, room.sections, b, segment, i, twist)
+                for m in range(problem.limit.shape[1]):
+                    for c in range(len(arms.unknown)):
+                        fit.rates[m, i, c] = fit.weight[c] * room.sections.rate[i, c, m] * problem.limit[b, m]
+    return total
+
+
+@part
+def _write_normal(fit):  # type: ignore[no-untyped-def]
+    for m in range(len(fit.gradient)):
+        for k in range(m + 1):
+            total = 0.0
+            for i in range(fit.rates.shape[1]):
+                for c in range(fit.rates.shape[2]):
+                    total += fit.rates[m, i, c] * fit.rates[k, i, c]
+            fit.normal[m, k] = fit.normal[k, m] = total
+        total = 0.0
+        for i in range(fit.rates.shape[1]):
+            for c in range(fit.rates.shape[2]):
+                total += fit.rates[m, i, c] * fit.miss[0, i, c]
+        fit.gradient[m] = total
+
+
+@part
+def _bend(problem, work, fit, b, twist):  # type: ignore[no-untyped-def]
+    """Write as the second place where the step leads, bent."""
+    box = work.box
+    count = len(box.step)
+    for m in range(count):
+        fit.place[1, m] = fit.place[0, m] + LOOK_AHEAD * box.step[m]
+    _evaluate(problem, work, fit, b, twist, 1, False)
+    for m in range(count):
+        box.held[m], total = box.step[m] == 0.0, 0.0
+        for i in range(fit.rates.shape[1]):
+            for c in range(fit.rates.shape[2]):
+                bent = (fit.miss[1, i, c] - fit.miss[0, i, c]) / LOOK_AHEAD  # and less the slope, half of r'' ahead
+                for k in range(count):
+                    bent -= fit.rates[k, i, c] * box.step[k]
+                total += fit.rates[m, i, c] * bent
+        box.right[m] = total / LOOK_AHEAD
+    side = length = 0.0
+    if factor_free(box):
+        solve_free(box)
+        for m in range(count):
+            side += box.right[m] ** 2
+            length += box.step[m] ** 2
+    bends = side <= BEND * BEND * length and length > 0.0
+    for m in range(count):
+        ahead = fit.place[0, m] + box.step[m]
+        if bends:
+            ahead -= box.right[m]
+        fit.place[1, m] = min(max(ahead, 0.0), 1.0)
+
+
+@routine
+def write_carried(problem, work, b, twist):  # type: ignore[no-untyped-def]
+    """Write what the sections of a shape (N, K) carry, once for all fits at it."""
+    for m in range(problem.limit.shape[1]):
+        work.pressure[b, m] = 0.0
+    set_pressure(problem.arms, work.room.drive, work.pressure, b, 1.0)
+    write_shape(problem.arms, problem.loads, work.room, b, twist, False)
+    write_balance(problem.arms, problem.loads, work.room, b, twist, 1.0, 0.0, 0.0)
+
+
+@routine
+def fit_wrenches(problem, work, fit, b, twist, steps, gain):  # type: ignore[no-untyped-def]
+    """Minimise the squared distance from the first place on, where `write_carried` was before.
+
+    Args:
+        steps: at most so many.
+        gain: a step that promises no more of the squared distance is the last.
+
+    Returns:
+        The squared distance at the first place, and whether the descent came to its end.
+    """
+    count = len(fit.gradient)
+    value = _evaluate(problem, work, fit, b, twist, 0, True)
+    _write_normal(fit)
+    damping = START_DAMPING
+    for _ in range(steps):
+        scale = largest_curvature(fit.normal)
+        promised = write_box_step(work.box, fit.gradient, fit.normal, fit.nothing, False, fit.place[0], damping * scale)
+        if not math.isfinite(value):
+            return value, False
+        if 2.0 * promised <= gain * value + NOTHING or damping > MOST_DAMPING:
+            return value, True
+        _bend(problem, work, fit, b, twist)
+        for m in range(count):
+            fit.place[2, m] = fit.place[0, m]
+            fit.place[0, m] = fit.place[1, m]
+        tried = _evaluate(problem, work, fit, b, twist, 1, False)
+        if tried < value:
+            value = _evaluate(problem, work, fit, b, twist, 0, True)
+            _write_normal(fit)
+            damping = max(0.1 * damping, LEAST_DAMPING)
+        else:
+            for m in range(count):
+                fit.place[0, m] = fit.place[2, m]
+            damping *= 5.0
+    return value, False
+
+
+class FitAnswers(NamedTuple):
+    """Fits of B arms.
+
+    Attributes:
+        place: (B, M) normalised pressures.
+        square: (B,) squared distances.
+        miss: (B, N, C) weighted residuals.
+        optimality: (B,) the largest entry of the projected gradient of half the squared distance.
+        done: (B,) whether the descents came to their ends.
+    """
+
+    place: Array
+    square: Array
+    miss: Array
+    optimality: Array
+    done: Array
+
+
+@kernel
+def fit_all(problem, shape, starts, steps, gain, first, last, work, fit, out):  # type: ignore[no-untyped-def]
+    """Fit the arms from one to another, without the last, from several starts each, and keep the best.
+
+    Args:
+        shape: (B, N, K) twists.
+        starts: (S, M) normalised pressures.
+        out: is written.
+    """
+    for b in range(first, last):
+        write_carried(problem, work, b, shape[b])
+        out.square[b] = math.inf
+        for s in range(len(starts)):
+            for m in range(len(fit.gradient)):
+                fit.place[0, m] = starts[s, m]
+            value, done = fit_wrenches(problem, work, fit, b, shape[b], steps, gain)
+            if value < out.square[b]:
+                _evaluate(problem, work, fit, b, shape[b], 0, True)
+                out.square[b], out.done[b] = value, done
+                _write_normal(fit)
+                out.optimality[b] = optimality(fit.gradient, fit.place[0])
+                for m in range(len(fit.gradient)):
+                    out.place[b, m] = fit.place[0, m]
+                for i in range(fit.miss.shape[1]):
+                    for c in range(fit.miss.shape[2]):
+                        out.miss[b, i, c] = fit.miss[0, i, c]

@@ -1,0 +1,86 @@
+"""Whether arms stay at equilibria, and what the answers may be trusted for."""
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torcharm._inputs import plain_number
+from torcharm.engine.continuation import FAILED
+from torcharm.engine.path import Found
+from torcharm.equilibrium.problem import Packed, Problem
+from torcharm.geometry.rod import actuator_twists, strain
+from torcharm.statics.balance import segments_of, tilt_stiffness
+from torcharm.statics.cross_section import cross_sections, per_actuator
+
+ROUNDING = 16
+"""Times the spacing of numbers: a strain beyond its range by no more is at its end."""
+EIGENVALUES_AT_ONCE = 4096
+"""Matrices whose inverses are held at once: 30 MB of 30 by 30."""
+
+
+def stays(packed: Packed, found: Found) -> NDArray[np.bool_]:
+    """(B,) whether arms stay at their equilibria when disturbed: all eigenvalues of J have a negative real part.
+
+    The number of positive pivots tells it where J is symmetric. It nearly is under dead forces: the bending law, and
+    wrenches that are taken at the start of an element, change it by some percent. An odd number of positive pivots is
+    a real positive eigenvalue for any J. Loads that follow the body and, in space, dead moments can make an arm flutter
+    with no positive pivot at all; there, and where an even number leaves it open, eigenvalues decide.
+    """
+    stable: NDArray[np.bool_] = (found.pivots == 0).all(-1) & (found.reached != FAILED)
+    loads = packed.loads
+    dimension = loads.offset.shape[2]
+    unsure = (found.pivots[:, 0] % 2 == 0) & (found.pivots[:, 0] > 0) & (found.pivots[:, 1] == 0)
+    if loads.follows.any():
+        unsure |= stable
+    elif dimension == 3 and loads.wrench.shape[1]:
+        unsure |= stable & (loads.wrench[..., dimension:] != 0).any((-2, -1))
+    rows = np.flatnonzero(unsure & (found.reached != FAILED))
+    for index in np.split(rows, range(EIGENVALUES_AT_ONCE, len(rows), EIGENVALUES_AT_ONCE)):
+        # The real parts of the inverse's eigenvalues have the same signs
+        values = np.linalg.eigvals(packed.inverse(found.twists, index)) if len(index) else np.zeros((0, 1))
+        stable[index] = values.real.max(-1) < 0
+    return stable
+
+
+def lengths_positive(problem: Problem, twists: Tensor) -> Tensor:
+    """(*batch) whether the lengths of the centreline and of all actuators are above 0: others are impossible."""
+    found = (twists[..., 0] > 0).all(-1)
+    for segment, shape in zip(segments_of(problem.arm)[0], twists.split(problem.nodes, -2), strict=True):
+        across = segment.radii if segment.dimension == 2 else segment.offsets
+        found = found & (actuator_twists(shape, across)[..., 0] > 0).all(-1).all(-1)
+    return found
+
+
+def strain_excess(problem: Problem, twists: Tensor) -> tuple[Tensor, Tensor]:
+    """The largest strain beyond its actuator's characterised range (*batch), and whether all strains and pressures
+    lie within theirs."""
+    excess, first = twists.new_zeros(twists.shape[:-2]), 0
+    within = torch.ones_like(excess, dtype=torch.bool)
+    for segment, shape in zip(segments_of(problem.arm)[0], twists.split(problem.nodes, -2), strict=True):
+        across = segment.radii if segment.dimension == 2 else segment.offsets
+        own = strain(actuator_twists(shape, across)[..., 0], segment.length.unsqueeze(-2))
+        low, high = (per_actuator([model.strain_range[end] for model in segment.actuators], own) for end in (0, 1))
+        beyond = torch.maximum(low - own, own - high).clamp(min=0).amax((-1, -2))
+        excess = torch.maximum(excess, beyond)
+        pressure = problem.pressure[..., first : first + segment.actuator_count]
+        first += segment.actuator_count
+        ends = [[plain_number(model.pressure_range[end]) for model in segment.actuators] for end in (0, 1)]
+        within = within & (pressure >= pressure.new_tensor(ends[0])).all(-1)
+        within = within & (pressure <= pressure.new_tensor(ends[1])).all(-1)
+    return excess, within & (excess <= ROUNDING * torch.finfo(excess.dtype).eps)
+
+
+def buckles_in_torsion(problem: Problem, twists: Tensor) -> Tensor:
+    """(*batch, N) where pushing actuators take all stiffness against torsion away: `Σ f_α ρ_α² l/l_α ≥ C`."""
+    found, first = [], 0
+    for segment, shape in zip(segments_of(problem.arm)[0], twists.split(problem.nodes, -2), strict=True):
+        pressure = problem.pressure[..., None, first : first + segment.actuator_count]
+        first += segment.actuator_count
+        if segment.torsion_stiffness is None:
+            found.append(torch.zeros_like(shape[..., 0], dtype=torch.bool))
+            continue
+        lost = tilt_stiffness(segment, cross_sections(segment, shape), pressure) * shape[..., 0]
+        found.append(lost >= segment.torsion_stiffness.unsqueeze(-1))
+    batch = torch.broadcast_shapes(*(value.shape[:-1] for value in found))
+    return torch.cat([value.expand(*batch, -1) for value in found], -1)

@@ -1,0 +1,130 @@
+"""Errors of the poses at pressures that were found, as functions of designs and tasks.
+
+What was found is a minimum over the pressures. By the envelope theorem the gradient of its cost is that with the
+pressures held, but for those at a limit, which move with it; the shape follows its balance by the implicit function
+theorem.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torcharm.engine.descent import FLOOR
+from torcharm.equilibrium.gradient import with_gradients
+from torcharm.geometry.rod import group_of
+from torcharm.pressure.pose_cost import pose_errors
+from torcharm.pressure.prepared import Prepared
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Of the shapes of a batch, with their gradients.
+
+    Attributes:
+        cost: (*batch) `Σ ω_i e_iᵀ K e_i` [m²].
+        shape_error: (*batch) `sqrt(Σ ω_i e_iᵀ K e_i / Σ ω_i)` [m].
+        tip_error, tip_rotation_error: (*batch) distance [m] and turn [rad] of the tip from the task's.
+        per_node: (*batch, N+1) `sqrt(e_iᵀ K e_i)` [m].
+        pose_errors: (*batch, N+1, 3 or 6) e_i [m, rad].
+        pressure: (*batch, M) [kPa].
+        twists: (*batch, N, K) [m, rad].
+    """
+
+    cost: Tensor
+    shape_error: Tensor
+    tip_error: Tensor
+    tip_rotation_error: Tensor
+    per_node: Tensor
+    pose_errors: Tensor
+    pressure: Tensor
+    twists: Tensor
+
+
+def errors_at(prepared: Prepared, place: Tensor, twists: Tensor, known: Tensor, stable: Tensor) -> Errors:
+    """The errors at equilibria that were found.
+
+    Args:
+        prepared: the problems, with their graphs.
+        place: (*batch, M) normalised pressures.
+        twists: (*batch, N, K) the equilibria there.
+        known: (*batch) which are minima; the gradients of the others are NaN, unless nothing depends on them.
+        stable: (*batch) which are stable equilibria; the errors of the others are infinite.
+    """
+    problem, diagonal = prepared.problem, prepared.cost.diagonal(twists, prepared.dimension)
+    limit = problem.pressure
+    pressure = torch.where(place >= 1, limit, place * limit.detach())  # what is at a limit moves with it
+    reached = with_gradients(replace(problem, pressure=pressure), twists, known)
+    wanted = prepared.poses(prepared.twists).expand(*problem.batch, *_pose_shape(prepared))
+    wanted = _Known.apply(wanted, known) if wanted.requires_grad else wanted
+    found = prepared.poses(reached)
+    error = pose_errors(found, wanted)
+    weight = prepared.cost.weights(prepared.nodes, error, prepared.dimension)
+    omega = weight.sum() / diagonal.sum()
+    square, floor = error.square(), FLOOR * _mean_length(prepared)
+    cost = (weight * square).sum((-2, -1))
+    split = prepared.dimension
+    tip = square[..., -1, :]
+    infinite = float("inf")
+    return Errors(
+        cost=_masked(cost, stable, infinite),
+        shape_error=_masked(root(cost / omega, floor), stable, infinite),
+        tip_error=_masked(root(tip[..., :split].sum(-1), floor), stable, infinite),
+        tip_rotation_error=_masked(root(tip[..., split:].sum(-1), floor), stable, infinite),
+        per_node=_masked(root((diagonal * square).sum(-1), floor.unsqueeze(-1)), stable, infinite),
+        pose_errors=_masked(error, stable, float("nan")),
+        pressure=pressure,
+        twists=reached,
+    )
+
+
+def _masked(value: Tensor, kept: Tensor, other: float) -> Tensor:
+    """Numbers (*batch, ...), but another where they are not kept (*batch)."""
+    return _Filled.apply(value, kept.view(kept.shape + (1,) * (value.ndim - kept.ndim)), other)
+
+
+def root(square: Tensor, floor: Tensor) -> Tensor:
+    """The square root; of what is no more than rounding, without a gradient: it would be one of size 1 of nothing."""
+    none = square.detach() <= floor.square()
+    known = torch.where(none, torch.ones_like(square), square).sqrt()
+    return torch.where(none, square.detach().sqrt(), known)
+
+
+def _pose_shape(prepared: Prepared) -> tuple[int, ...]:
+    columns = 3 if prepared.dimension == 2 else 6
+    return prepared.nodes + 1, *group_of(columns).POSE_SHAPE
+
+
+def _mean_length(prepared: Prepared) -> Tensor:
+    """(*batch) mean neutral length of the segments [m]."""
+    return prepared.shaped(prepared.problem.packed.scale.length)
+
+
+class _Filled(torch.autograd.Function):
+    """Numbers, with another in place of those that are not kept, whose gradients are asked for all the same."""
+
+    @staticmethod
+    def forward(ctx: Any, value: Tensor, kept: Tensor, other: float) -> Tensor:
+        return value.masked_fill(~kept, other)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
+        return gradient, None, None
+
+
+class _Known(torch.autograd.Function):
+    """Numbers (*batch, ...) whose gradient is NaN where it is asked for and not known."""
+
+    @staticmethod
+    def forward(ctx: Any, value: Tensor, known: Tensor) -> Tensor:
+        ctx.save_for_backward(known)
+        return value.clone()
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
+        (known,) = ctx.saved_tensors
+        asked = (gradient != 0).flatten(known.ndim).any(-1)
+        lost = (asked & ~known).view(known.shape + (1,) * (gradient.ndim - known.ndim))
+        return gradient.masked_fill(lost, float("nan")), None

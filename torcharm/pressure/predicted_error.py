@@ -1,0 +1,175 @@
+"""How far off the task an arm will be: predicted from the equilibria near the task's shape.
+
+Put down at the task's shape with pressures p, the arm moves to where its balance `R(z, p) = 0` holds. The predicted
+error is the least cost of the poses there, over the pressures within their limits and the equilibria that are stable.
+No load is raised from zero, as the search does. In return a shape that is predicted need not be the one that the arm
+reaches when
+it is loaded: under compression there are several.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torcharm.arm import ArmDesign
+from torcharm.arm_series import ArmSeries
+from torcharm.engine.descent import OPTIMUM
+from torcharm.engine.predictions import SCREENED, Predictions, predict_all
+from torcharm.engine.pressure_model import make_work
+from torcharm.engine.threads import spread
+from torcharm.engine.wrench_fit import make_fit
+from torcharm.equilibrium.solve import TOLERANCE
+from torcharm.equilibrium.stability import lengths_positive, strain_excess
+from torcharm.pressure.errors import errors_at
+from torcharm.pressure.pose_cost import PoseCost
+from torcharm.pressure.prepared import Prepared, detached, prepare, stays_at
+from torcharm.task import Task
+
+WORDS = ("converged", "not reached", "not converged", "unstable", "impossible")
+"""What may be said of a prediction. Not reached: a stable minimum, but loading the arm from zero leads elsewhere. Not
+converged:
+a stable equilibrium, but perhaps not the best pressure: at a kink of a force model, or where stability ends.
+Unstable: no stable equilibrium was found. Impossible: the task's shape leaves an actuator no length."""
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedError:
+    """What `predict_error` found, of shape (*design batch, *task batch).
+
+    Attributes:
+        tip_error, tip_rotation_error: distance [m] and turn [rad] of the tip from the task's; infinite, as all errors
+            are, where no stable equilibrium was found.
+        shape_error: the weighted mean over the poses, `sqrt(Σ ω_i e_iᵀ K e_i / Σ ω_i)` [m].
+        cost: `Σ ω_i e_iᵀ K e_i` [m²], what is minimised. Where a stable equilibrium was found and the descent did not
+            converge,
+            it is what that pressure reaches: others may do better.
+        per_node: (..., N+1) `sqrt(e_iᵀ K e_i)` of each pose [m].
+        pose_errors: (..., N+1, 3 or 6) e_i, the target seen from the pose predicted [m, rad]; NaN where no stable
+            equilibrium was found.
+        pressure: (..., M) that reaches it [kPa]; where nothing was found, the last that was tried.
+        twists: (..., N, K) of the shape predicted [m, rad].
+        optimality: largest slope of `sqrt(cost)` by a normalised pressure [m], of those that the limits leave free.
+        converged: whether the optimality is within 1e-7 of the arm's length, at a stable equilibrium. A minimum at a
+            kink of a force model, or where stability ends, does not count as converged.
+        stable: whether the task is possible (every actuator's length is above 0), and the equilibrium is stable, with
+            such lengths.
+        reached: whether it is stable, and `solve_equilibrium` leads there along one branch from zero load.
+        strain_excess: largest strain beyond its actuator's characterised range at the shape predicted, 0 if none is.
+        in_range: whether every strain, and every pressure found, lies in the characterised range.
+        possible: whether every length of the task's shape is above 0.
+    """
+
+    tip_error: Tensor
+    tip_rotation_error: Tensor
+    shape_error: Tensor
+    cost: Tensor
+    per_node: Tensor
+    pose_errors: Tensor
+    pressure: Tensor
+    twists: Tensor
+    optimality: Tensor
+    converged: Tensor
+    stable: Tensor
+    reached: Tensor
+    strain_excess: Tensor
+    in_range: Tensor
+    possible: Tensor
+
+    @property
+    def status(self) -> str | NDArray[Any]:
+        """What to think of it, in a word of `WORDS`: one, or an array of them."""
+        code = np.where(self.reached.numpy(force=True), 0, 1)
+        for rank, flag in enumerate((self.converged, self.stable, self.possible), 2):
+            code = np.where(flag.numpy(force=True), code, rank)
+        return WORDS[int(code)] if code.ndim == 0 else np.array(WORDS)[code]
+
+
+def predict_error(arm: ArmDesign | ArmSeries, task: Task, pose_cost: PoseCost | None = None) -> PredictedError:
+    """The least pose error that each design can be expected to reach on each task, without a forward solve.
+
+    Errors, cost and pose errors are differentiable once in radii, offsets, lengths, limits, twists, loads, masses, the
+    base pose
+    and whatever force models hold: by the envelope theorem the pressures found are held, but for those at a limit,
+    which move with it, and the shape follows its balance. Of the cost, and of the shape error, that is the gradient of
+    the minimum; of the others, that at these pressures. At a kink of a force model they are those of one side. That
+    holds at a minimum only: **gradients of predictions that are not converged are NaN**, unless nothing depends on
+        them, as where
+    `torch.where(found.converged, found.cost, 0.0)` leaves them out.
+
+    Args:
+        arm: designs, of any batch shape; or segments in series.
+        task: shapes and loads, of any batch shape; every design meets every task.
+        pose_cost: what is minimised; None is the paper's `PoseCost()`.
+
+    Raises:
+        ValueError: an argument is none of those allowed, or arm and task do not fit.
+    """
+    prepared = prepare(arm, task, pose_cost)
+    plain = detached(prepared)
+    found = _found(plain)
+    with torch.no_grad():
+        possible = lengths_positive(plain.problem, plain.twists).expand(prepared.batch)
+    place, twists = plain.shaped(found.place), plain.shaped(found.twists)
+    stable = plain.shaped(stays_at(plain, found.place, found.twists, found.stable)) & possible
+    converged = plain.shaped(found.ended == OPTIMUM) & stable
+    errors = errors_at(prepared, place, twists, converged, stable)
+    with torch.no_grad():
+        excess, within = strain_excess(plain.at(place), twists)
+    columns = (
+        errors.tip_error,
+        errors.tip_rotation_error,
+        errors.shape_error,
+        errors.cost,
+        errors.per_node,
+        errors.pose_errors,
+        errors.pressure,
+        errors.twists,
+        plain.shaped(found.slope),
+        converged,
+        stable,
+        plain.shaped(found.reached) & stable,
+        excess.expand(prepared.batch),
+        within.expand(prepared.batch),
+        possible,
+    )
+    return PredictedError(*(prepared.given_back(column) for column in columns))
+
+
+def _found(prepared: Prepared) -> Predictions:
+    """What the engine finds."""
+    problem, shape = prepared.engine, prepared.start
+    count, actuators = problem.limit.shape
+    sobol = torch.quasirandom.SobolEngine(actuators).draw(1 + SCREENED[-1], dtype=torch.float64)
+    draws = sobol[1:].numpy()
+    start = np.zeros((0, *shape.shape[1:]))
+    out = Predictions(
+        place=np.zeros((count, actuators)),
+        twists=np.zeros_like(shape),
+        half_cost=np.zeros(count),
+        slope=np.zeros(count),
+        ended=np.zeros(count, dtype=np.int64),
+        stable=np.zeros(count, dtype=np.bool_),
+        reached=np.zeros(count, dtype=np.bool_),
+    )
+    pressure = np.zeros_like(problem.limit)
+
+    def work(first: int, last: int) -> None:
+        room, fit = make_work(problem.arms, pressure), make_fit(problem.arms)
+        fit.weight[:] = _weights(prepared)
+        predict_all(problem, shape, draws, start, TOLERANCE, first, last, room, fit, out)
+
+    spread(count, work)
+    return out
+
+
+def _weights(prepared: Prepared) -> NDArray[np.float64]:
+    """(C,) roots of the weights of forces [1/N] and moments [1/(N·m)] where pressures are looked for that hold a
+    shape: a moment counts as the force that has it at the largest offset."""
+    problem = prepared.engine
+    linear = np.array([column < prepared.dimension for column in problem.arms.unknown])
+    reach = max(float(problem.scale.reach.max(initial=0.0)), 1e-3)
+    return np.where(linear, 1.0, 1.0 / reach)

@@ -1,0 +1,114 @@
+"""The paper's pressure search: one pressure at a time through scipy, for validation."""
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torcharm._inputs import check_choice
+from torcharm.engine.continuation import CONTINUED, FAILED, WARM
+from torcharm.engine.pressure_model import Problem as EngineProblem
+from torcharm.engine.searches import Searches
+from torcharm.equilibrium.problem import Packed
+from torcharm.equilibrium.solve import TOLERANCE
+from torcharm.equilibrium.stability import stays
+from torcharm.pressure.outcome import nothing_found
+from torcharm.pressure.pose_cost import pose_errors
+from torcharm.pressure.prepared import Prepared
+from torcharm.pressure.starts import spread_points
+
+SCIPY_METHODS = ("L-BFGS-B", "SLSQP", "TNC", "trust-constr", "Nelder-Mead", "Powell", "COBYLA")
+NOTHING = 1e3
+"""A cost [m²] for pressures without equilibrium: more than any arm's, and finite for scipy's sake."""
+SAME_COST = 1e-6
+"""Difference of the cost that scipy ended at and that from zero load, over 1 m² or itself, that counts as none."""
+STEP = 1e-7
+"""Of normalised pressures, for the slope of the cost at the end: its error is that of equilibria solved to 1e-10 of
+the load, over the step."""
+
+Numbers = NDArray[np.float64]
+
+
+def search_one_by_one(prepared: Prepared, starts: int, seed: int, method: str, progress: bool | None) -> Searches:
+    """Search one task after the other; Ctrl-C raises."""
+    from rich.progress import track
+
+    check_choice("scipy_method", method, SCIPY_METHODS)
+    out = nothing_found(prepared, starts)
+    places = spread_points(starts, prepared.engine.limit.shape[1], seed)
+    with torch.no_grad():
+        targets = prepared.poses(prepared.twists)
+        tail = targets.shape[prepared.twists.ndim - 2 :]
+        targets = targets.expand(*prepared.batch, *tail).reshape(-1, *tail)
+        for b in track(range(len(out.how)), "pressure search", disable=progress is False, transient=True):
+            _search(_Task(prepared, b, targets[b]), places, method, out)
+    return out
+
+
+class _Task:
+    """One pair of a design and a task, with the cost of its poses at normalised pressures."""
+
+    def __init__(self, prepared: Prepared, b: int, target: Tensor) -> None:
+        self.prepared, self.b, self.target = prepared, b, target
+        self.whole: EngineProblem = prepared.engine
+        self.packed = _row(prepared.problem.packed, b)
+        self.limit = self.whole.limit[b]
+        self.warm = np.zeros((0, *prepared.shape.shape[1:]))
+
+    def solve(self, place: Numbers, warm: bool) -> tuple[float, Numbers, int]:
+        """The cost at an equilibrium, its twists, and how it is reached; from the last one if warm."""
+        packed = Packed(
+            self.packed.arms, self.packed.loads, self.packed.scale, (np.clip(place, 0, 1) * self.limit)[None]
+        )
+        found = packed.find(self.warm if warm else self.warm[:0], TOLERANCE)
+        if found.reached[0] == FAILED or not bool(stays(packed, found)[0]):
+            return NOTHING, found.twists[0], FAILED
+        error = pose_errors(self.prepared.poses(torch.from_numpy(found.twists[0])), self.target)
+        return float(self.prepared.cost(error)), found.twists[0], int(found.reached[0])
+
+    def cost(self, place: Numbers) -> float:
+        """The cost, warm-started by the last equilibrium."""
+        value, twists, how = self.solve(place, warm=True)
+        if how != FAILED:
+            self.warm = twists[None]
+        return value
+
+    def slope(self, place: Numbers) -> Numbers:
+        """The cost's slope by normalised pressures, by differences within the box."""
+        slope = np.zeros_like(place)
+        for m in range(len(place)):
+            high, low = place.copy(), place.copy()
+            high[m], low[m] = min(place[m] + STEP, 1.0), max(place[m] - STEP, 0.0)
+            slope[m] = (self.cost(high) - self.cost(low)) / (high[m] - low[m])
+        return slope
+
+
+def _row(packed: Packed, b: int) -> Packed:
+    """One of the problems."""
+    arms, loads, row = packed.arms, packed.loads, slice(b, b + 1)
+    each = {name: getattr(arms, name)[row] for name in ("y", "z", "neutral", "torsion", "link")}
+    load = {name: getattr(loads, name)[row] for name in ("base", "wrench", "offset", "weight")}
+    scale = packed.scale._replace(**{name: value[row] for name, value in packed.scale._asdict().items()})
+    return Packed(arms._replace(**each), loads._replace(**load), scale, packed.pressure[row])
+
+
+def _search(task: _Task, places: Numbers, method: str, out: Searches) -> None:
+    """Write what is found for one task."""
+    from scipy.optimize import minimize
+
+    b, best = task.b, np.inf
+    for s, start in enumerate(places):
+        task.warm = task.warm[:0]
+        answer = minimize(task.cost, start, method=method, bounds=[(0.0, 1.0)] * len(start))
+        place = np.clip(answer.x, 0.0, 1.0)
+        value, twists, how = task.solve(place, warm=False)
+        out.start_cost[b, s] = value if how != FAILED else np.inf
+        if how == FAILED or value >= best:
+            continue
+        best, same = value, abs(value - float(answer.fun)) <= SAME_COST * (1.0 + value)
+        out.place[b], out.twists[b], out.half_cost[b] = place, twists, 0.5 * value
+        out.how[b], out.at_end[b] = how, bool(answer.success) and same and how in (CONTINUED, WARM)
+    if np.isfinite(best):
+        task.warm = out.twists[b][None]
+        slope, place = task.slope(out.place[b]), out.place[b]
+        out.optimality[b] = np.abs(place - np.clip(place - slope, 0.0, 1.0)).max()

@@ -1,0 +1,211 @@
+"""Pressure search: the pressure that brings an arm closest to a task, through its forward mechanics."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torcharm._inputs import check_choice, check_count, check_flag
+from torcharm.arm import ArmDesign
+from torcharm.arm_series import ArmSeries
+from torcharm.engine.continuation import CONTINUED, FAILED
+from torcharm.engine.pressure_model import make_work
+from torcharm.engine.search_room import make_search
+from torcharm.engine.searches import LOT, Searches, search_all
+from torcharm.engine.threads import spread
+from torcharm.equilibrium.solve import TOLERANCE, NotConvergedError
+from torcharm.equilibrium.stability import strain_excess
+from torcharm.pressure.errors import errors_at
+from torcharm.pressure.outcome import nothing_found
+from torcharm.pressure.pose_cost import PoseCost
+from torcharm.pressure.prepared import Prepared, detached, prepare, stays_at
+from torcharm.pressure.starts import spread_points
+from torcharm.task import Task
+
+METHODS = ("multistart", "scipy")
+STARTS = {"multistart": 8, "scipy": 1}
+ROUNDS = 3
+"""Lost ends of descents from which a search goes on along a boundary."""
+WORDS = ("converged", "snapped", "not converged", "not found")
+"""What may be said of a search. Snapped: the arm gets there by a snap, not along one branch from zero load. Not
+converged: an equilibrium
+that is reached, but the descent did not come to its end, or leads on to where continuation does not follow: the
+pressure then is next to a jump. Not found: no start led to a stable equilibrium."""
+
+
+@dataclass(frozen=True, eq=False)
+class PressureSearch:
+    """What `search_pressure` found; `batch` is (*design batch, *task batch).
+
+    Attributes:
+        pressure: (*batch, M) the best [kPa].
+        tip_error, tip_rotation_error: (*batch) distance [m] and turn [rad] of the tip from the task's; infinite, as all
+            errors are, where no equilibrium was found.
+        shape_error: (*batch) the weighted mean over the poses, `sqrt(Σ ω_i e_iᵀ K e_i / Σ ω_i)` [m].
+        cost: (*batch) `Σ ω_i e_iᵀ K e_i` [m²], what is minimised.
+        per_node: (*batch, N+1) `sqrt(e_iᵀ K e_i)` of each pose [m].
+        pose_errors: (*batch, N+1, 3 or 6) e_i [m, rad].
+        twists: (*batch, N, K) the equilibrium at this pressure [m, rad].
+        optimality: (*batch) the largest entry of the cost's projected gradient, by normalised pressures [m²]. At a
+            kink of a force model it does not vanish.
+        converged: (*batch) whether it is a stable equilibrium along one branch from zero load, the descent to it came
+            to its end, and none led to a better one that continuation does not reach.
+        continued: (*batch) whether continuation from zero load reaches it along one branch.
+        stable: (*batch) whether the arm stays there.
+        strain_excess: (*batch) largest strain beyond its actuator's characterised range, 0 if none is.
+        in_range: (*batch) whether every strain and pressure lies in the characterised range.
+        start_cost: (*batch, S) what each start came to by itself; infinite where it failed, NaN where it was spared as
+            others had agreed.
+    """
+
+    pressure: Tensor
+    tip_error: Tensor
+    tip_rotation_error: Tensor
+    shape_error: Tensor
+    cost: Tensor
+    per_node: Tensor
+    pose_errors: Tensor
+    twists: Tensor
+    optimality: Tensor
+    converged: Tensor
+    continued: Tensor
+    stable: Tensor
+    strain_excess: Tensor
+    in_range: Tensor
+    start_cost: Tensor
+
+    @property
+    def spread(self) -> Tensor:
+        """(*batch) median cost of the starts that succeeded, less the best: 0 if most starts agree; NaN if none did."""
+        known = torch.where(self.start_cost.isfinite(), self.start_cost, self.start_cost.new_tensor(float("nan")))
+        return known.nanmedian(-1).values - self.cost
+
+    @property
+    def status(self) -> str | NDArray[Any]:
+        """What to think of it, in a word of `WORDS`: one, or an array of them."""
+        code = np.where(self.converged.numpy(force=True), 0, 2)
+        code = np.where(self.continued.numpy(force=True), code, 1)
+        code = np.where(self.stable.numpy(force=True), code, 3)
+        return WORDS[int(code)] if code.ndim == 0 else np.array(WORDS)[code]
+
+
+def search_pressure(
+    arm: ArmDesign | ArmSeries,
+    task: Task,
+    method: str = "multistart",
+    *,
+    starts: int | None = None,
+    rounds: int = ROUNDS,
+    pose_cost: PoseCost | None = None,
+    shear_stiffness: float | None = None,
+    seed: int = 0,
+    scipy_method: str = "L-BFGS-B",
+    progress: bool | None = None,
+    raise_on_failure: bool = False,
+) -> PressureSearch:
+    """The pressure within the limits that brings each design closest to each task.
+
+    Minimises `Σ_i ω_i e_iᵀ K e_i` over `p ∈ [0, p̄]`, with the errors e_i of `ĝ_i(p)⁻¹ g_i*` and ĝ(p) the equilibrium
+    under the task's load. The cost is not convex: both methods find local minima, the best of several starts. The shape
+    returned is the one that continuation from zero load reaches (see `solve_equilibrium`).
+
+    "multistart" descends by Levenberg and Marquardt's steps in the box, along stable equilibria: from the task's
+    shape, and from pressures that are promising to first order there or spread over the box, until three descents
+    agree. Ends are confirmed by continuation. Under compression it may lead elsewhere: an arm buckles to one side or
+    to the other, and the best pressures often lie where that is decided. There the cost jumps. The boundary is found
+    by Newton's method, as where the equilibria on the way bifurcate, and the search goes on along it; it is not
+    `converged`. "scipy" is the paper's baseline, one equilibrium at a time: `scipy.optimize.minimize` with finite
+    differences, from the middle of the box and, for more starts, from points spread over it.
+
+    Differentiable as `predict_error` is, by the envelope theorem; where the search is not converged, gradients are
+    NaN, unless nothing depends on them.
+
+    Args:
+        arm: designs, of any batch shape; or segments in series.
+        task: tasks, of any batch shape; every design meets every task.
+        method: "multistart" or "scipy".
+        starts: S, the number of descents at most; None takes 8 (multistart) or 1 (scipy).
+        rounds: searches along boundaries at most (multistart).
+        pose_cost: what is minimised; None is the paper's `PoseCost()`.
+        shear_stiffness: as for `solve_equilibrium`.
+        seed: of the pressures that are drawn.
+        scipy_method: a bounded method of `scipy.optimize.minimize`.
+        progress: whether to show a bar; None shows one for "scipy", on a terminal.
+        raise_on_failure: makes it an error if any search does not converge.
+
+    Raises:
+        ValueError: an argument is none of those allowed, or arm and task do not fit.
+        NotConvergedError: see `raise_on_failure`.
+    """
+    check_choice("method", method, METHODS)
+    check_count("rounds", rounds, 0)
+    count = STARTS[method] if starts is None else check_count("starts", starts, 1)
+    check_count("seed", seed, 0)
+    check_flag("raise_on_failure", raise_on_failure)
+    if progress is not None:
+        check_flag("progress", progress)
+    prepared = prepare(arm, task, pose_cost, shear_stiffness)
+    plain = detached(prepared)
+    if method == "scipy":
+        from torcharm.pressure.scipy_baseline import search_one_by_one
+
+        found = search_one_by_one(plain, count, seed, scipy_method, progress)
+    else:
+        found = _found(plain, count, rounds, seed)
+    result = _result(prepared, plain, found)
+    failed = result.converged.numel() - int(result.converged.sum())
+    if raise_on_failure and failed:
+        raise NotConvergedError(f"{failed} of {result.converged.numel()} searches did not converge")
+    return result
+
+
+def _result(prepared: Prepared, plain: Prepared, found: Searches) -> PressureSearch:
+    """What is said of what was found."""
+    place, twists = plain.shaped(found.place), plain.shaped(found.twists)
+    stable = plain.shaped(stays_at(plain, found.place, found.twists, found.how != FAILED))
+    continued = plain.shaped(found.how == CONTINUED) & stable
+    converged = plain.shaped(found.at_end) & continued
+    errors = errors_at(prepared, place, twists, converged, stable)
+    with torch.no_grad():
+        excess, within = (value.expand(plain.batch) for value in strain_excess(plain.at(place), twists))
+    columns = (
+        errors.pressure,
+        errors.tip_error,
+        errors.tip_rotation_error,
+        errors.shape_error,
+        errors.cost,
+        errors.per_node,
+        errors.pose_errors,
+        errors.twists,
+        plain.shaped(found.optimality),
+        converged,
+        continued,
+        stable,
+        excess,
+        within,
+        plain.shaped(found.start_cost),
+    )
+    return PressureSearch(*(prepared.given_back(column) for column in columns))
+
+
+def _found(prepared: Prepared, starts: int, rounds: int, seed: int) -> Searches:
+    """What the engine finds."""
+    problem, shape, out = prepared.engine, prepared.start, nothing_found(prepared, starts)
+    size = problem.limit.shape[1]
+    pool = torch.rand(LOT * starts, size, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    pool = (1.2 * pool - 0.1).clamp(0, 1)  # the bounds are where optima like to be
+    places = spread_points(starts // 2 + 2, size, seed)
+    places[1:] = np.clip(1.6 * places[1:] - 0.3, 0.0, 1.0)
+    places[1] = 0.0  # no pressure at all
+    start, pressure = np.zeros((0, *shape.shape[1:])), np.zeros_like(problem.limit)
+
+    def work(first: int, last: int) -> None:
+        room = make_work(problem.arms, pressure)
+        search = make_search(problem.arms, starts, len(pool), starts + len(places))
+        search_all(problem, shape, pool.numpy(), places, rounds, start, TOLERANCE, first, last, room, search, out)
+
+    spread(len(shape), work)
+    return out

@@ -1,0 +1,104 @@
+"""The balance of every element: what its section provides, less what its loads require.
+
+`R = a - w` in the components z in which the arm gives way: lengths and bending curvatures, κ_x of an arm with
+stiffness against torsion, shear of one with stiffness against shear. In torch, differentiable in everything; the engine
+solves the same balance for the models that it knows.
+"""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torcharm.arm import ArmDesign
+from torcharm.arm_series import ArmSeries, RigidLink
+from torcharm.load import ExternalLoad
+from torcharm.statics.cross_section import CrossSections, actuator_force, cross_sections
+from torcharm.statics.external_load import required_wrench
+
+RIGID = 1e30
+"""Stiffness against torsion [N·m²] of a segment that does not twist in an arm that does: by it no load of this world
+twists a segment by what rounding leaves of a number, and its products stay finite."""
+
+
+def segments_of(arm: ArmDesign | ArmSeries) -> tuple[tuple[ArmDesign, ...], tuple[RigidLink | None, ...]]:
+    """The segments of an arm, and the link or None behind each."""
+    return (arm.segments, arm.links) if isinstance(arm, ArmSeries) else ((arm,), (None,))
+
+
+def unknown_columns(arm: ArmDesign | ArmSeries, shear_stiffness: float | None) -> tuple[int, ...]:
+    """The columns of a twist in which an arm gives way, in ascending order."""
+    sheared = shear_stiffness is not None
+    if arm.dimension == 2:
+        return (0, 1, 2) if sheared else (0, 2)
+    twisted = any(segment.torsion_stiffness is not None for segment in segments_of(arm)[0])
+    return (0, *((1, 2) if sheared else ()), *((3,) if twisted else ()), 4, 5)
+
+
+def balance_residual(
+    arm: ArmDesign | ArmSeries,
+    twists: Tensor,
+    pressure: Tensor,
+    load: ExternalLoad,
+    base_pose: Tensor,
+    nodes: Sequence[int],
+    wrench_at: str,
+    shear_stiffness: float | None = None,
+) -> Tensor:
+    """R (..., N, C) [N, N·m] at twists (..., N, 3 or 6) and pressures (..., M) [kPa].
+
+    Args:
+        arm: designs whose batch broadcasts.
+        twists: of the elements, segment after segment [m, rad].
+        pressure: of the actuators, segment after segment.
+        load: all that loads the arm.
+        base_pose: (..., 3) or (..., 4, 4).
+        nodes: number of elements of each segment.
+        wrench_at: "start" or "middle", as of `required_wrench`.
+        shear_stiffness: k [N/m] of each actuator, for the reaction `-k Σ_α γ`; None is rigid.
+    """
+    segments, links = segments_of(arm)
+    required = required_wrench(
+        twists,
+        load,
+        base_pose,
+        wrench_at=wrench_at,
+        segment_nodes=nodes,
+        mass=[segment.mass for segment in segments],
+        links=links,
+    )
+    columns = list(unknown_columns(arm, shear_stiffness))
+    parts, first = [], 0
+    shapes = twists.split(list(nodes), -2)
+    for segment, shape in zip(segments, shapes, strict=True):
+        own = pressure[..., None, first : first + segment.actuator_count]
+        first += segment.actuator_count
+        parts.append(_reaction(segment, shape, own, shear_stiffness)[..., columns])
+    batch = torch.broadcast_shapes(*(part.shape[:-2] for part in parts))
+    return torch.cat([part.expand(*batch, *part.shape[-2:]) for part in parts], -2) - required[..., columns]
+
+
+def _reaction(segment: ArmDesign, twists: Tensor, pressure: Tensor, shear_stiffness: float | None) -> Tensor:
+    """What one segment's sections provide (..., N, 3 or 6); 0 in the components that are constraints."""
+    sections = cross_sections(segment, twists)
+    force, *moments = sections.reaction(pressure).unbind(-1)
+    stiffness = 0.0 if shear_stiffness is None else shear_stiffness * segment.actuator_count
+    shear = [(-stiffness * twists[..., k]).expand_as(force) for k in range(1, segment.dimension)]
+    torsion = [] if segment.dimension == 2 else [_torsion(segment, sections, twists, pressure).expand_as(force)]
+    return torch.stack((force, *shear, *torsion, *moments), -1)
+
+
+def _torsion(segment: ArmDesign, sections: CrossSections, twists: Tensor, pressure: Tensor) -> Tensor:
+    """`m_x = κ_x (Σ f_α ρ_α²/l_α - C/l)` (..., N) [N·m]."""
+    stiffness = RIGID if segment.torsion_stiffness is None else segment.torsion_stiffness.unsqueeze(-1)
+    lost = tilt_stiffness(segment, sections, pressure)
+    return twists[..., 3] * (lost - stiffness / twists[..., 0])
+
+
+def tilt_stiffness(segment: ArmDesign, sections: CrossSections, pressure: Tensor) -> Tensor:
+    """`Σ f_α ρ_α²/l_α` (..., N) [N·m]: the stiffness against torsion that pushing actuators take away, as true
+    lengths tilt their forces. The arm buckles in torsion where it reaches C/l."""
+    force = actuator_force(sections.actuators, sections.strain, pressure)
+    length = segment.length.unsqueeze(-2) * (1 + sections.strain)
+    square = segment.offsets.square().sum(-1).unsqueeze(-2)
+    return (force * square / length).sum(-1)
