@@ -38,8 +38,8 @@ class Row:
         part: "prediction" or "snapped".
         seed: of the design.
         actuators: of the arm, B for bellows and M for muscles.
-        source: of a task, whether its shape is "drawn", or an "equilibrium" of the arm; of a snapped arm, whether it
-            was solved "compiled" or "plain".
+        source: of a task, whether its shape is "drawn", or an "equilibrium" of the arm; of a snapped arm,
+            "engine".
         claimed: the predicted error [m]; of snapped arms, their imbalance.
         found: the searched error [m], NaN where nothing was searched; of snapped arms, the largest real part of an
             eigenvalue of J.

@@ -33,7 +33,7 @@ METRICS = ("absolute", "relative", "predicted error")
 
 @dataclass(frozen=True)
 class Row:
-    """One arm under one load. Unattainabilities in N, errors as square roots of the search's cost in m."""
+    """One arm under one load. Unattainabilities in N; predicted and reached shape errors in m."""
 
     arm: str
     load: int
@@ -71,8 +71,8 @@ class Answers:
 
     @property
     def reached(self) -> Tensor:
-        """Square root of the search's cost [m]; NaN where the search did not converge."""
-        return torch.where(self.search.converged, self.search.cost, torch.nan).sqrt()
+        """The search's shape error [m]; NaN where the search did not converge."""
+        return torch.where(self.search.converged, self.search.shape_error, torch.nan)
 
     def metric(self, name: str) -> Tensor:
         """One of `METRICS`."""
@@ -134,7 +134,7 @@ def measure(task: ta.Task, baseline_loads: int) -> tuple[list[Answers], list[Fig
         Figure("both", "time: published search / hulls", PAPER_SECONDS["search"] / PAPER_SECONDS["hulls"], "times")
     )
     for one, slow in zip(answers, baseline, strict=True):
-        gap = one.search.cost[:baseline_loads].sqrt() - slow.cost.sqrt()
+        gap = one.search.shape_error[:baseline_loads] - slow.shape_error
         summary.append(Figure(one.name, "reached, multistart - scipy, largest", gap.max().item(), "m"))
     return answers, summary
 
