@@ -62,7 +62,7 @@ def test_damaged_code_is_compiled_anew(tmp_path, monkeypatch, ending):
     try:
 
         def answer():
-            function = compilation.jit(cube)
+            function = compilation.kernel(cube)
             return function(3.0), sum(function.stats.cache_hits.values())
 
         assert answer() == (28.0, 0)
@@ -85,7 +85,7 @@ def test_code_that_cannot_be_kept_runs(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     compilation._folder.cache_clear()
     try:
-        function = compilation.jit(cube)
+        function = compilation.kernel(cube)
         monkeypatch.setattr(os, "replace", full)
         assert function(2.0) == 9.0
     finally:

@@ -26,7 +26,7 @@ def test_where_code_is_kept(tmp_path, monkeypatch):
         patch.setattr(compilation.Path, "mkdir", refuse)
         compilation._folder.cache_clear()
         assert compilation._folder() is None
-        square = compilation.jit(lambda x: x * x)
+        square = compilation.kernel(lambda x: x * x)
         assert square(3.0) == 9.0
     compilation._folder.cache_clear()
 

@@ -192,14 +192,6 @@ def linear_stiffness(stiffness: "Number | Bending") -> Number | None:
     return None if bending_model(stiffness) is not None else _number(stiffness)  # type: ignore[arg-type]
 
 
-def is_bent(stiffness: "Number | Bending") -> bool:
-    """Whether there is a bending moment, or one whose gradient is asked for."""
-    linear = linear_stiffness(stiffness)
-    if bending_model(stiffness) is not None or linear is None:
-        return True
-    return linear.requires_grad or bool(linear != 0) if isinstance(linear, Tensor) else linear != 0
-
-
 def active_moment(stiffness: "Number | Bending", curvature: Tensor) -> Tensor:
     """τ_1 [N·m]."""
     model = bending_model(stiffness)

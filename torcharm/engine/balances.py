@@ -1,8 +1,16 @@
 """The balance of batches of arms at given shapes: residuals, solutions with its slope, and its rates."""
 
-from torcharm.engine.compilation import kernel
+from torcharm.engine.compilation import kernel, part
 from torcharm.engine.newton_step import solve, write_balance, write_shape
 from torcharm.engine.sections import set_pressure
+
+
+@part
+def write_arm(arms, loads, pressures, twists, b, factor, room, slopes):  # type: ignore[no-untyped-def]
+    """Write arm b's shape and balance, and its slopes by pressure if they are wanted."""
+    set_pressure(arms, room.drive, pressures, b, 1.0)
+    write_shape(arms, loads, room, b, twists[b], slopes)
+    write_balance(arms, loads, room, b, twists[b], factor, 0.0, 0.0)
 
 
 @kernel
@@ -17,9 +25,7 @@ def balances(arms, loads, pressures, twists, factor, room, residual, pivots):  #
         pivots: (B, 2) is written: numbers of positive pivots of J, and of zero ones.
     """
     for b in range(len(pressures)):
-        set_pressure(arms, room.drive, pressures, b, 1.0)
-        write_shape(arms, loads, room, b, twists[b], False)
-        write_balance(arms, loads, room, b, twists[b], factor, 0.0, 0.0)
+        write_arm(arms, loads, pressures, twists, b, factor, room, False)
         for i in range(residual.shape[1]):
             for c in range(residual.shape[2]):
                 residual[b, i, c] = room.residual[i, c]
@@ -38,9 +44,7 @@ def solve_rows(arms, loads, pressures, twists, rows, room, right):  # type: igno
     """
     for at in range(len(rows)):
         b = rows[at]
-        set_pressure(arms, room.drive, pressures, b, 1.0)
-        write_shape(arms, loads, room, b, twists[b], False)
-        write_balance(arms, loads, room, b, twists[b], 1.0, 0.0, 0.0)
+        write_arm(arms, loads, pressures, twists, b, 1.0, room, False)
         for x in range(right.shape[1]):
             solve(arms, loads, room, right[at, x])
 
@@ -49,9 +53,7 @@ def solve_rows(arms, loads, pressures, twists, rows, room, right):  # type: igno
 def rates(arms, loads, pressures, twists, factor, room, by_pressure, by_load):  # type: ignore[no-untyped-def]
     """Write ∂R/∂p (B, M, N, C) [N, N·m by kPa] and ∂R/∂λ (B, N, C), at shapes as of `balances`."""
     for b in range(len(pressures)):
-        set_pressure(arms, room.drive, pressures, b, 1.0)
-        write_shape(arms, loads, room, b, twists[b], True)
-        write_balance(arms, loads, room, b, twists[b], factor, 0.0, 0.0)
+        write_arm(arms, loads, pressures, twists, b, factor, room, True)
         for i in range(by_load.shape[1]):
             for c in range(by_load.shape[2]):
                 by_load[b, i, c] = room.carried[i, c]

@@ -12,21 +12,6 @@ from typing import Any, TypeVar
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def jit(function: F) -> F:
-    """Compiled at the first call, and kept on disk, anew where that is damaged; dividing by zero is no error."""
-    return _compiled(function, cache=True)
-
-
-def jit_part(function: F) -> F:
-    """The same of what compiled functions call: kept with these, and not to be called from Python."""
-    return _compiled(function, cache=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-
-
-def inlined(function: F) -> F:
-    """The same, as a part of compiled functions: where a call takes as long as what it does."""
-    return _compiled(function, cache=True, forceinline=True)
-
-
 def kernel(function: F) -> F:
     """Compiled at the first call, and kept on disk. It holds no references to arrays, which saves half of the time.
 

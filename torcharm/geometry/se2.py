@@ -49,35 +49,6 @@ def cosine_ratio(angle: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
     return torch.where(small, near * _series(near.square(), 2), 2.0 * (safe / 2).sin().square() / safe)
 
 
-def sine_ratio_slope(angle: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
-    """The derivative of `sin(x)/x`, `(cos x - sin(x)/x)/x`, through zero."""
-    small = angle.abs() < _SERIES_RADIUS
-    safe = torch.where(small, torch.ones_like(angle), angle)
-    near = torch.where(small, angle, torch.zeros_like(angle))
-    return torch.where(small, -near * _slope_series(near.square(), 3), (safe.cos() - safe.sin() / safe) / safe)
-
-
-def cosine_ratio_slope(angle: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
-    """The derivative of `(1 - cos x)/x`, `(sin x - (1 - cos x)/x)/x`, through zero."""
-    small = angle.abs() < _SERIES_RADIUS
-    safe = torch.where(small, torch.ones_like(angle), angle)
-    near = torch.where(small, angle, torch.zeros_like(angle))
-    far = (safe.sin() - 2.0 * (safe / 2).sin().square() / safe) / safe
-    return torch.where(small, _slope_series(near.square(), 2), far)
-
-
-def _slope_series(square: Tensor, first_factorial: int) -> Tensor:
-    """Σ_k (-x²)^k (2k + first_factorial - 1) / (2k + first_factorial)!, by Horner."""
-    terms = [
-        (-1) ** k * (2 * k + first_factorial - 1) / math.factorial(2 * k + first_factorial)
-        for k in range(_SERIES_TERMS)
-    ]
-    total = torch.full_like(square, terms[-1])
-    for term in reversed(terms[:-1]):
-        total = total * square + term
-    return total
-
-
 def turned(angle: Float[Tensor, "..."], vector: Float[Tensor, "... 2"]) -> Float[Tensor, "... 2"]:
     """The vector turned by the angle [rad], counter-clockwise."""
     cos, sin = angle.cos(), angle.sin()

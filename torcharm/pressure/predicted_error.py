@@ -3,8 +3,7 @@
 Put down at the task's shape with pressures p, the arm moves to where its balance `R(z, p) = 0` holds. The predicted
 error is the least cost of the poses there, over the pressures within their limits and the equilibria that are stable.
 No load is raised from zero, as the search does. In return a shape that is predicted need not be the one that the arm
-reaches when
-it is loaded: under compression there are several.
+reaches when it is loaded: under compression there are several.
 """
 
 from dataclasses import dataclass
@@ -31,8 +30,7 @@ from torcharm.task import Task
 
 WORDS = ("converged", "not reached", "not converged", "unstable", "impossible")
 """What may be said of a prediction. Not reached: a stable minimum, but loading the arm from zero leads elsewhere. Not
-converged:
-a stable equilibrium, but perhaps not the best pressure: at a kink of a force model, or where stability ends.
+converged: a stable equilibrium, but perhaps not the best pressure: at a kink of a force model, or where stability ends.
 Unstable: no stable equilibrium was found. Impossible: the task's shape leaves an actuator no length."""
 
 
@@ -45,8 +43,7 @@ class PredictedError:
             are, where no stable equilibrium was found.
         shape_error: the weighted mean over the poses, `sqrt(Σ ω_i e_iᵀ K e_i / Σ ω_i)` [m].
         cost: `Σ ω_i e_iᵀ K e_i` [m²], what is minimised. Where a stable equilibrium was found and the descent did not
-            converge,
-            it is what that pressure reaches: others may do better.
+            converge, it is what that pressure reaches: others may do better.
         per_node: (..., N+1) `sqrt(e_iᵀ K e_i)` of each pose [m].
         pose_errors: (..., N+1, 3 or 6) e_i, the target seen from the pose predicted [m, rad]; NaN where no stable
             equilibrium was found.
@@ -91,14 +88,12 @@ class PredictedError:
 def predict_error(arm: ArmDesign | ArmSeries, task: Task, pose_cost: PoseCost | None = None) -> PredictedError:
     """The least pose error that each design can be expected to reach on each task, without a forward solve.
 
-    Errors, cost and pose errors are differentiable once in radii, offsets, lengths, limits, twists, loads, masses, the
-    base pose
-    and whatever force models hold: by the envelope theorem the pressures found are held, but for those at a limit,
-    which move with it, and the shape follows its balance. Of the cost, and of the shape error, that is the gradient of
-    the minimum; of the others, that at these pressures. At a kink of a force model they are those of one side. That
-    holds at a minimum only: **gradients of predictions that are not converged are NaN**, unless nothing depends on
-        them, as where
-    `torch.where(found.converged, found.cost, 0.0)` leaves them out.
+    Errors, cost and pose errors are differentiable once in radii, offsets, lengths, limits, twists, loads, masses,
+    the base pose and whatever force models hold: by the envelope theorem the pressures found are held, but for those
+    at a limit, which move with it, and the shape follows its balance. Of the cost, and of the shape error, that is
+    the gradient of the minimum; of the others, that at these pressures. At a kink of a force model they are those of
+    one side. That holds at a minimum only: **gradients of predictions that are not converged are NaN**, unless
+    nothing depends on them, as where `torch.where(found.converged, found.cost, 0.0)` leaves them out.
 
     Args:
         arm: designs, of any batch shape; or segments in series.

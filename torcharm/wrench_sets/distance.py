@@ -5,10 +5,7 @@ its gradient by everything, parameters of force models too, is that of this expr
 and the pressures p held (those at a limit or at a model's kink move with it).
 """
 
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import torch
@@ -17,14 +14,13 @@ from torch import Tensor
 from torcharm.actuators import Actuator, pressure_knots
 from torcharm.engine.forces import SAMPLED, Models, models_of
 from torcharm.engine.node_sets import Answers, Sections, distance_kernel, make_room
+from torcharm.engine.threads import spread
 from torcharm.statics.cross_section import CrossSections, actuator_force, group_alike
 from torcharm.wrench_sets.curves import sample_pieces
 from torcharm.wrench_sets.design_task_grid import RequiredWrench
 
 CERTIFIED = 1e-8
 """The gap, as a part of a problem's size, up to which a distance counts as known: what rounding leaves in bad cases."""
-WORTH_A_THREAD = 64
-"""Designs below which a thread takes longer to start than to work."""
 OFF = 5e-7
 """By this part of a problem's size a distance by cubic pieces may be off that by the forces at the points found: more,
 and a model that only torch knows bends too much for its pieces."""
@@ -132,18 +128,6 @@ def components_scale(scale: tuple[float, float], components: int) -> np.ndarray:
 def as_array(value: Tensor) -> np.ndarray:  # type: ignore[type-arg]
     """A tensor as the engine takes it: float64, on the CPU, without its graph."""
     return np.ascontiguousarray(value.detach().cpu().double().numpy())
-
-
-def spread(count: int, work: Callable[[int, int], None]) -> None:
-    """Work on parts of a batch, from a first to a last, in as many threads as torch takes."""
-    threads = min(torch.get_num_threads(), max(1, count // WORTH_A_THREAD))
-    if threads == 1:
-        work(0, count)
-        return
-    bounds = np.linspace(0, count, threads + 1).astype(int).tolist()
-    with ThreadPoolExecutor(threads) as pool:
-        for done in [pool.submit(work, *pair) for pair in pairwise(bounds)]:
-            done.result()
 
 
 def _sampled(sections: CrossSections, kind: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]

@@ -15,9 +15,10 @@ from torch import Tensor
 from torcharm.engine.distance import TOUCHING
 from torcharm.engine.node_sets import make_room
 from torcharm.engine.ray import Ends, make_ray, ray_kernel
+from torcharm.engine.threads import spread
 from torcharm.statics.cross_section import CrossSections
 from torcharm.wrench_sets.design_task_grid import RequiredWrench
-from torcharm.wrench_sets.distance import CERTIFIED, as_array, beyond_planes, engine_sections, spread
+from torcharm.wrench_sets.distance import CERTIFIED, as_array, beyond_planes, engine_sections
 from torcharm.wrench_sets.once import once
 
 
