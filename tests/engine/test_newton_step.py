@@ -110,7 +110,7 @@ def test_the_residual_is_the_reaction_less_what_loads_require(name):
     reaction = torch.cat([reaction_wrench(*parts) for parts in zip(segments, twists, pressure, strict=True)])
     hull = HULL[required.shape[-1]]
     found, _ = case.balance()
-    rows = [case.arms.unknown.index(column) for column in hull]
+    rows = [list(case.arms.unknown).index(column) for column in hull]
     np.testing.assert_allclose(found[:, rows], reaction - required[:, hull], rtol=0, atol=1e-12)
 
 

@@ -21,6 +21,7 @@ from torcharm.actuators.inspection import follows
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.engine.forces import Models, models_of
+from torcharm.engine.references import by_reference
 from torcharm.engine.tables import Tables, is_sampled, tables_of
 from torcharm.statics.balance import RIGID, segments_of, unknown_columns
 
@@ -30,12 +31,13 @@ POSE_NUMBERS = {2: 4, 3: 12}
 """P for an arm in the plane and in space."""
 
 
+@by_reference
 class Arms(NamedTuple):
     """B arms of the same M actuators in S segments of N elements in all.
 
     Attributes:
-        column: (K) the columns of a twist. Its length and the next one's are known when kernels are compiled.
-        unknown: (C) those that are unknown, in ascending order; the arm is rigid in the others.
+        size: K.
+        unknown: (C,) columns of a twist that are unknown, in ascending order; the arm is rigid in the others.
         models: the actuators' force models.
         tables: those of them, and of their bending laws, that are sampled.
         active: (M,) bending stiffness a kilopascal [N·m²/kPa].
@@ -49,8 +51,8 @@ class Arms(NamedTuple):
         first_actuator, first_node: (S + 1,) where the segments' actuators and elements begin, and end.
     """
 
-    column: tuple[int, ...]
-    unknown: tuple[int, ...]
+    size: int
+    unknown: Array
     models: Models
     tables: Tables
     active: Array
@@ -65,6 +67,7 @@ class Arms(NamedTuple):
     first_node: Array
 
 
+@by_reference
 class Loads(NamedTuple):
     """What loads B arms at Q places, and gravity. All of it grows with one load factor.
 
@@ -149,8 +152,8 @@ def arms_of(
             link[:, index] = _flat(pose_rows(one.end(arm.dimension)), batch, 1)
     sizes = [segment.actuator_count for segment in segments]
     return Arms(
-        tuple(range(3 if arm.dimension == 2 else 6)),
-        unknown_columns(arm, shear_stiffness),
+        3 if arm.dimension == 2 else 6,
+        np.array(unknown_columns(arm, shear_stiffness)),
         models,
         tables_of(every, models, highest),
         *_bending(every),

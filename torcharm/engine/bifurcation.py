@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torcharm.engine.arms import Arms
-from torcharm.engine.compilation import part, routine
+from torcharm.engine.compilation import part
 from torcharm.engine.newton_step import solve, write_balance, write_shape
 from torcharm.engine.path import copy_twists
+from torcharm.engine.references import by_reference
 from torcharm.engine.sections import set_pressure
 
 Array = NDArray[Any]
@@ -32,6 +33,7 @@ FOUND, DONE = 1e-3, 1e-6
 """Newton step at which the saddle counts as found, and at which nothing more is done."""
 
 
+@by_reference
 class Saddle(NamedTuple):
     """Room for one bifurcation: the saddle and two equilibria beside.
 
@@ -62,7 +64,7 @@ class Saddle(NamedTuple):
 
 def make_saddle(arms: Arms) -> Saddle:
     """Room for one arm's."""
-    nodes, size, columns, count = arms.first_node[-1], len(arms.column), len(arms.unknown), len(arms.models.kind)
+    nodes, size, columns, count = arms.first_node[-1], arms.size, len(arms.unknown), len(arms.models.kind)
     return Saddle(
         np.zeros((3, count)),
         np.zeros((3, nodes, size)),
@@ -77,7 +79,7 @@ def make_saddle(arms: Arms) -> Saddle:
     )
 
 
-@routine
+@part
 def write_changes(problem, work, saddle, b, k):  # type: ignore[no-untyped-def]
     """Write Newton's step and the changes by load factor and place at one of the three equilibria."""
     arms, loads, room = problem.arms, problem.loads, work.room
@@ -116,7 +118,7 @@ def _move(arms, saddle, k, factor, change):  # type: ignore[no-untyped-def]
             saddle.twists[k, i, arms.unknown[c]] += factor * change[i, c]
 
 
-@routine
+@part
 def _advance(problem, work, saddle, b, beside):  # type: ignore[no-untyped-def]
     """One Newton step to the saddle, or with the first evaluation to the equilibria beside; returns its size."""
     arms, aside = problem.arms, ASIDE / problem.scale.length[b]
@@ -167,7 +169,7 @@ def _advance(problem, work, saddle, b, beside):  # type: ignore[no-untyped-def]
     return size
 
 
-@routine
+@part
 def find_saddle(problem, work, saddle, b, steps):  # type: ignore[no-untyped-def]
     """Newton's method to the saddle from the first place, twists and load factor; whether it is found.
 

@@ -9,7 +9,7 @@ import math
 
 from torcharm.engine.bifurcation import find_saddle, times_measure, write_changes
 from torcharm.engine.box_step import largest_curvature
-from torcharm.engine.compilation import part, routine
+from torcharm.engine.compilation import part
 from torcharm.engine.continuation import FAILED
 from torcharm.engine.descent import descend
 from torcharm.engine.newton_step import first_angular
@@ -71,7 +71,7 @@ def _write_way(search, place, sign):  # type: ignore[no-untyped-def]
         search.way[m] /= max(math.sqrt(length), 1e-9)
 
 
-@routine
+@part
 def find_boundary(problem, work, search, b, at):  # type: ignore[no-untyped-def]
     """Write the boundary next to a point, with the normal into its side, and the way there; whether it is found.
 
@@ -129,7 +129,7 @@ def _write_trial(work, search, base, margin):  # type: ignore[no-untyped-def]
         work.points.place[AIM, m] = min(max(base[m] + margin * search.way[m], 0.0), 1.0)
 
 
-@routine
+@part
 def _try(problem, work, search, b, start, tolerance):  # type: ignore[no-untyped-def]
     """See what is reached at a trial's place; whether it is better than where the search is, which goes there then."""
     if reach_and_keep(problem, work, search, b, AIM, TRIED, start, tolerance) == FAILED:
@@ -142,7 +142,7 @@ def _try(problem, work, search, b, start, tolerance):  # type: ignore[no-untyped
     return True
 
 
-@routine
+@part
 def _slide(problem, work, search, b, start, tolerance):  # type: ignore[no-untyped-def]
     """Go along the boundary that is known, by part of a descent along its tangent; whether that leads anywhere."""
     points, saddle, count = work.points, search.saddle, work.points.place.shape[1]
@@ -190,7 +190,7 @@ def _slide(problem, work, search, b, start, tolerance):  # type: ignore[no-untyp
     return False
 
 
-@routine
+@part
 def _shorten(problem, work, search, b, start, tolerance):  # type: ignore[no-untyped-def]
     """Go part of the way to where the free descent led; whether that is better."""
     points = work.points
@@ -203,7 +203,7 @@ def _shorten(problem, work, search, b, start, tolerance):  # type: ignore[no-unt
     return False
 
 
-@routine
+@part
 def _release(problem, work, search, b, start, tolerance):  # type: ignore[no-untyped-def]
     """Descend freely from the current point, and see what is reached where that leads: whether it is the same shape."""
     points = work.points
@@ -218,7 +218,7 @@ def _release(problem, work, search, b, start, tolerance):  # type: ignore[no-unt
     return how != FAILED and distance_of(problem, work, b, end, ENDED) <= SAME_SHAPE
 
 
-@routine
+@part
 def follow_boundary(problem, work, search, b, start, tolerance):  # type: ignore[no-untyped-def]
     """Search on from the current point; whether the best point is the end of a descent then that is reached itself."""
     points, at_end = work.points, False
@@ -244,7 +244,7 @@ def follow_boundary(problem, work, search, b, start, tolerance):  # type: ignore
     return at_end
 
 
-@routine
+@part
 def cross_boundary(problem, work, search, b, j, start, tolerance):  # type: ignore[no-untyped-def]
     """Write as the current point one across the boundary from a lost end, whether there is any.
 

@@ -5,7 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from torcharm.engine.compilation import part, routine
+from torcharm.engine.compilation import part
+from torcharm.engine.references import by_reference
 
 Array = NDArray[Any]
 
@@ -17,6 +18,7 @@ INWARD = 1e-12
 """Of the steepest slope at the place: what is less is rounding, and frees no variable from its bound."""
 
 
+@by_reference
 class BoxStep(NamedTuple):
     """Room for steps of M variables.
 
@@ -104,7 +106,7 @@ def _write_slope(box, gradient):  # type: ignore[no-untyped-def]
         box.slope[m] = total
 
 
-@routine
+@part
 def write_box_step(box, gradient, curvature, extra, use_extra, place, damping):  # type: ignore[no-untyped-def]
     """Write the step that minimises `g·s + ½ s·(H + d 1) s` within the box; returns the decrease that it promises.
 

@@ -11,12 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torcharm.engine.arms import Arms
-from torcharm.engine.compilation import part, routine
+from torcharm.engine.compilation import part
 from torcharm.engine.elements import write_centroid, write_motion
+from torcharm.engine.references import by_reference
 
 Array = NDArray[Any]
 
 
+@by_reference
 class Share(NamedTuple):
     """What loads add to a wrench W: `dW = by_start η + by_own dz` where an element's start moves by η, its twist by dz.
 
@@ -31,6 +33,7 @@ class Share(NamedTuple):
     by_own: Array
 
 
+@by_reference
 class Spot(NamedTuple):
     """Room for where a load sits.
 
@@ -57,13 +60,13 @@ class Spot(NamedTuple):
 
 def make_share(arms: Arms) -> Share:
     """Room for what is added to one wrench."""
-    size, columns = len(arms.column), len(arms.unknown)
+    size, columns = arms.size, len(arms.unknown)
     return Share(np.zeros(size), np.zeros((size, size)), np.zeros((size, columns)))
 
 
 def make_spot(arms: Arms) -> Spot:
     """Room for one load."""
-    size, columns = len(arms.column), len(arms.unknown)
+    size, columns = arms.size, len(arms.unknown)
     dimension = 2 if size == 3 else 3
     return Spot(
         np.zeros((2, arms.link.shape[2])),
@@ -92,7 +95,7 @@ def clear_share(share):  # type: ignore[no-untyped-def]
 def _write_change(arms, spot, x, y, z, turn_x, turn_y, turn_z):  # type: ignore[no-untyped-def]
     """Write the change of a load's wrench where its place moves by (x, y, z) and its body turns."""
     load, place, change = spot.load, spot.place, spot.change
-    if len(arms.column) == 3:
+    if arms.size == 3:
         change[0] = change[1] = 0.0
         change[2] = x * load[0, 1] - y * load[0, 0]
         if spot.follows[0]:
@@ -112,10 +115,10 @@ def _write_change(arms, spot, x, y, z, turn_x, turn_y, turn_z):  # type: ignore[
         change[5] += turn_x * load[1, 1] - turn_y * load[1, 0] + place[0] * change[1] - place[1] * change[0]
 
 
-@routine
+@part
 def _add(arms, spot, share, scale, portion):  # type: ignore[no-untyped-def]
     """Add a portion of a load: its wrench as it is, and its changes times a scale."""
-    load, place, size = spot.load, spot.place, len(arms.column)
+    load, place, size = spot.load, spot.place, arms.size
     factor = scale * portion
     if size == 3:
         share.wrench[0] += portion * load[0, 0]
@@ -157,7 +160,7 @@ def _take_load(arms, loads, spot, b, q, pose, i):  # type: ignore[no-untyped-def
     """Write force and moment of a load at a pose, and its place."""
     spot.follows[0] = loads.follows[q]
     wrench, offset = loads.wrench, loads.offset
-    if len(arms.column) == 3:
+    if arms.size == 3:
         f_x, f_y = wrench[b, q, 0], wrench[b, q, 1]
         if loads.follows[q]:
             f_x, f_y = pose[i, 0] * f_x - pose[i, 1] * f_y, pose[i, 1] * f_x + pose[i, 0] * f_y
@@ -189,7 +192,7 @@ def _clear_motion(arms, spot):  # type: ignore[no-untyped-def]
             spot.turn[d, c] = 0.0
 
 
-@routine
+@part
 def add_load_at_end(arms, loads, spot, share, b, q, pose, i, scale):  # type: ignore[no-untyped-def]
     """Add a load that moves with the end of an element, the pose of row i, to what lies beyond that end."""
     _take_load(arms, loads, spot, b, q, pose, i)
@@ -201,7 +204,7 @@ def add_load_at_end(arms, loads, spot, share, b, q, pose, i, scale):  # type: ig
 def _slide_of(arms, slide, move, m, place, sign):  # type: ignore[no-untyped-def]
     """Add the motion of a place on a body, which moves as `move[m]`, to a slide (D, C)."""
     for c in range(len(arms.unknown)):
-        if len(arms.column) == 3:
+        if arms.size == 3:
             slide[0, c] += sign * (move[m, 0, c] - move[m, 2, c] * place[1])
             slide[1, c] += sign * (move[m, 1, c] + move[m, 2, c] * place[0])
         else:
@@ -211,7 +214,7 @@ def _slide_of(arms, slide, move, m, place, sign):  # type: ignore[no-untyped-def
             slide[2, c] += sign * (move[m, 2, c] + w_x * place[1] - w_y * place[0])
 
 
-@routine
+@part
 def add_load_inside(arms, loads, room, b, q, i, twist, part_of_arc, scale):  # type: ignore[no-untyped-def]
     """Add a load inside of element i to what lies before the element, and to what its own section carries.
 
@@ -241,7 +244,7 @@ def add_load_inside(arms, loads, room, b, q, i, twist, part_of_arc, scale):  # t
     _add(arms, spot, room.section, scale, fraction)
 
 
-@routine
+@part
 def add_own_weight(arms, loads, room, b, segment, i, twist, part_of_arc, scale):  # type: ignore[no-untyped-def]
     """Add an element's weight at its centroid, of which its section carries all, or at "middle" the outer half."""
     spot = room.spot

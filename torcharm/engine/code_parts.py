@@ -26,40 +26,30 @@ class _WithoutRun:
 
 
 class PartLibrary(JITCodeLibrary):
-    """Code of one function and of those that it calls, to be linked into that of a kernel."""
+    """Code of one function, to be linked into that of a kernel with those that it calls."""
 
     @property
     def codegen(self) -> Any:
         """The code generator."""
         return _WithoutRun(self._codegen)
 
-    def _optimize_final_module(self) -> None:
-        """Leave it to the kernel."""
-
-    def _finalize_final_module(self) -> None:
-        """Make the code ready to be linked, and none to be run."""
-        self._finalize_dynamic_globals()
-        self._finalized = True
-
-
-class RoutineLibrary(PartLibrary):
-    """The same, of a function that is not expanded where it is called."""
-
-    def add_llvm_module(self, module: Any) -> None:
-        """Add the function's own code."""
-        for function in module.functions:
-            if not function.is_declaration and not _is_expanded(function):
-                function.add_function_attribute("noinline")
-        super().add_llvm_module(module)
-
-
-def _is_expanded(function: Any) -> bool:
-    """Whether a function is marked as one that is expanded where it is called."""
-    return any(b"alwaysinline" in attribute for attribute in function.attributes)
+    def finalize(self) -> None:
+        """Leave it to the kernel to link, to optimise and to run the code."""
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.linkage.name == "external":
+                function.linkage = "linkonce_odr"
+        self._shared_module, self._finalized = self._final_module, True
 
 
 class KernelLibrary(JITCodeLibrary):
     """Code of a kernel with all of its parts, which are its own."""
+
+    def add_linking_library(self, library: Any) -> None:
+        """Add a part, and the parts that it calls."""
+        if library not in self._linking_libraries:
+            super().add_linking_library(library)
+            for called in library._linking_libraries if isinstance(library, PartLibrary) else ():
+                self.add_linking_library(called)
 
     def _optimize_final_module(self) -> None:
         """Once, without copies of loops that would be for long ones: here they run over a few actuators or elements."""
@@ -87,12 +77,6 @@ class PartCompiler(_Compiler):
     """For what is expanded where it is called."""
 
     kind = PartLibrary
-
-
-class RoutineCompiler(_Compiler):
-    """For what stands once in a kernel."""
-
-    kind = RoutineLibrary
 
 
 class KernelCompiler(_Compiler):

@@ -20,39 +20,22 @@ def kernel(function: F) -> F:
     return _compiled(function, cache=True, _nrt=False)
 
 
-def routine(function: F) -> F:
-    """A large part of kernels, compiled once and called: for what is long, or stands in several places."""
-    return _compiled(
-        function, cache=False, _nrt=False, forceinline=False, no_cpython_wrapper=True, no_cfunc_wrapper=True
-    )
-
-
-def spliced(function: F) -> F:
-    """A part of kernels whose source is put where it is called, and compiled with that: saves compiling it alone."""
-    return _compiled(function, cache=False, _nrt=False, inline="always")
-
-
 def part(function: F) -> F:
-    """A part of kernels, compiled into each place that calls it."""
-    return _compiled(
-        function, cache=False, _nrt=False, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True
-    )
+    """A part of kernels, compiled once for all that call it."""
+    return _compiled(function, cache=False, _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
 def _compiled(function: F, **options: Any) -> F:
     import numba
 
     from torcharm.engine.code_cache import guard
-    from torcharm.engine.code_parts import KernelCompiler, PartCompiler, RoutineCompiler, once_for_all_numbers
+    from torcharm.engine.code_parts import KernelCompiler, PartCompiler, once_for_all_numbers
 
     config: Any = numba.config
     # numba takes code from disk unless the function's own file has changed; that of what it calls may have
     chosen, folder = config.CACHE_DIR, _folder()
     every: dict[str, Any] = {"nogil": True, "error_model": "numpy", **options}
-    if every.get("no_cpython_wrapper"):  # what only compiled functions call
-        every["pipeline_class"] = PartCompiler if every.get("forceinline") else RoutineCompiler
-    elif every["cache"] and not every.get("forceinline"):
-        every["pipeline_class"] = KernelCompiler
+    every["pipeline_class"] = KernelCompiler if every["cache"] else PartCompiler
     every["cache"] = every["cache"] and folder is not None
     try:
         config.CACHE_DIR = folder or chosen
@@ -61,7 +44,7 @@ def _compiled(function: F, **options: Any) -> F:
             compiled._set_uuid(_name(unwrap(function)))
         if every["cache"]:
             guard(compiled)
-        if every.get("pipeline_class") is RoutineCompiler:
+        if every.get("no_cpython_wrapper"):
             once_for_all_numbers(compiled)
         return compiled
     finally:

@@ -14,7 +14,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from torcharm.engine.compilation import kernel, routine, spliced
+from torcharm.engine.compilation import kernel, part
 from torcharm.engine.newton_step import factor_section, solve, write_balance, write_shape
 from torcharm.engine.path import (
     copy_twists,
@@ -63,7 +63,7 @@ CONTINUED, SNAPPED, WARM, FAILED = range(4)
 """How an equilibrium was reached: along one branch; from its end, by a snap; from a warm start; or not."""
 
 
-@routine
+@part
 def write_step(arms, loads, room, path, b, factor, linear_shift, angular_shift):  # type: ignore[no-untyped-def]
     """Write the residual and Newton's step at the trial, with a shift on the diagonal of J.
 
@@ -91,7 +91,7 @@ def write_step(arms, loads, room, path, b, factor, linear_shift, angular_shift):
     _solve(arms, loads, room, path, path.newton)
 
 
-@spliced
+@part
 def _solve(arms, loads, room, path, change):  # type: ignore[no-untyped-def]
     if path.loaded[0]:
         solve(arms, loads, room, change)
@@ -108,7 +108,7 @@ def _solve(arms, loads, room, path, change):  # type: ignore[no-untyped-def]
             change[i, c] *= matrix[i, c, c]
 
 
-@routine
+@part
 def write_tangent(arms, loads, room, path, pressures, b):  # type: ignore[no-untyped-def]
     """Write the change of the unknowns by the factor on the load, or without load on the pressure."""
     for segment in range(len(arms.first_node) - 1):
@@ -127,7 +127,7 @@ def write_tangent(arms, loads, room, path, pressures, b):  # type: ignore[no-unt
     _solve(arms, loads, room, path, path.ahead)
 
 
-@spliced
+@part
 def _branch(loads, room):  # type: ignore[no-untyped-def]
     """What stays the same along a branch: the number of unstable directions, or whether it is odd if loads follow."""
     for q in range(len(loads.follows)):
@@ -136,7 +136,7 @@ def _branch(loads, room):  # type: ignore[no-untyped-def]
     return room.pivots[0]
 
 
-@routine
+@part
 def follow(arms, loads, scale, pressures, room, path, b, tolerance):  # type: ignore[no-untyped-def]
     """Follow the branch of the trial from nothing to all of the load, or of the pressure; returns whether it arrives.
 
@@ -208,7 +208,7 @@ def follow(arms, loads, scale, pressures, room, path, b, tolerance):  # type: ig
     return False
 
 
-@routine
+@part
 def come_to_rest(arms, loads, scale, room, path, b, damping, tolerance):  # type: ignore[no-untyped-def]
     """Follow the trial by pseudo-transient continuation under all of the load; returns whether it comes to rest.
 
@@ -234,12 +234,12 @@ def come_to_rest(arms, loads, scale, room, path, b, damping, tolerance):  # type
     return False
 
 
-@spliced
+@part
 def _begin(arms, room, path, pressures, b):  # type: ignore[no-untyped-def]
     """Begin with straight segments of their mean neutral lengths, without pressure or load."""
     for segment in range(len(arms.first_node) - 1):
         first, total = arms.first_node[segment], 0.0
-        for c in range(len(arms.column)):
+        for c in range(arms.size):
             path.trial[first, c] = 0.0
         for a in range(arms.first_actuator[segment], arms.first_actuator[segment + 1]):
             total += arms.neutral[b, a]
@@ -248,18 +248,18 @@ def _begin(arms, room, path, pressures, b):  # type: ignore[no-untyped-def]
     path.loaded[0] = False
 
 
-@spliced
+@part
 def _take_load(arms, path):  # type: ignore[no-untyped-def]
     """From one element a segment to all of them, for the load."""
     for segment in range(len(arms.first_node) - 1):
         first, last = arms.first_node[segment], arms.first_node[segment + 1]
         for i in range(first + 1, last):
-            for c in range(len(arms.column)):
+            for c in range(arms.size):
                 path.trial[i, c] = path.trial[first, c]
     path.loaded[0], path.fastest[0] = True, 0.0
 
 
-@spliced
+@part
 def find_equilibrium(arms, loads, scale, pressures, start, room, path, b, tolerance):  # type: ignore[no-untyped-def]
     """Write the equilibrium of arm b as the trial; returns how it was reached.
 

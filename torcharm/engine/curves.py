@@ -21,6 +21,7 @@ from torcharm.engine.forces import (
     muscle_corners,
     polynomial_row,
 )
+from torcharm.engine.references import by_reference
 
 Array = np.ndarray[Any, Any]
 
@@ -42,6 +43,7 @@ SETTLED = 1e-10
 """By this part of the limit a last step may still move a pressure: its square counts."""
 
 
+@by_reference
 class Curves(NamedTuple):
     """The curves of M actuators at one node, of at most K pieces each.
 

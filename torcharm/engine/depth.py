@@ -12,6 +12,7 @@ import numpy as np
 
 from torcharm.engine.compilation import part
 from torcharm.engine.distance import TOUCHING, nearest_part
+from torcharm.engine.references import by_reference
 from torcharm.engine.sharpen import FAR
 
 Array = np.ndarray[Any, Any]
@@ -31,6 +32,7 @@ NEVER = 1e300
 """The distance that is given to faces without area, which no depth is measured to."""
 
 
+@by_reference
 class Polytope(NamedTuple):
     """A polytope with V corners and F faces, and room to work in.
 

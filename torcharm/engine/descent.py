@@ -10,7 +10,7 @@ longer than the arm follows.
 import math
 
 from torcharm.engine.box_step import largest_curvature, optimality, write_box_step
-from torcharm.engine.compilation import part, routine
+from torcharm.engine.compilation import part
 from torcharm.engine.path import copy_twists, move_size
 from torcharm.engine.pressure_model import (
     HALF_COST,
@@ -133,7 +133,7 @@ def _update_secant(work, here, there):  # type: ignore[no-untyped-def]
             extra[m, k] += missed[m] * missed[k] / along
 
 
-@routine
+@part
 def descend(problem, work, b, here, there, free):  # type: ignore[no-untyped-def]
     """Follow the cost of arm b down from the point of a slot.
 
@@ -206,7 +206,7 @@ def descend(problem, work, b, here, there, free):  # type: ignore[no-untyped-def
     return here, ended
 
 
-@routine
+@part
 def _refine(problem, work, b, here, free):  # type: ignore[no-untyped-def]
     """Solve the equilibrium of a slot closely; whether it is still one. If not, the slot's value is infinite."""
     copy_twists(work.path.trial, work.points.twists[here])

@@ -16,6 +16,7 @@ import numpy as np
 
 from torcharm.engine.compilation import part
 from torcharm.engine.curves import furthest
+from torcharm.engine.references import by_reference
 
 Array = np.ndarray[Any, Any]
 
@@ -27,6 +28,7 @@ TOUCHING = 16 * float(np.finfo(np.float64).eps)
 """A distance of less than this part of the problem's size is rounding, and 0."""
 
 
+@by_reference
 class Simplex(NamedTuple):
     """A point, the simplex of the set's points nearest to it, and room to work in.
 

@@ -61,7 +61,7 @@ def write_motion(arms, start, i, end, j, move, m, twist, share):  # type: ignore
         twist: (N, K).
         share: of the segment's arc.
     """
-    if len(arms.column) == 3:
+    if arms.size == 3:
         _planar_motion(arms, start, i, end, j, move, m, twist, share)
     else:
         _spatial_motion(arms, start, i, end, j, move, m, twist, share)
@@ -170,7 +170,7 @@ def write_centroid(arms, start, i, place, slide, twist, share):  # type: ignore[
         slide: (D, C) is written.
         twist, share: as of `write_motion`.
     """
-    if len(arms.column) == 3:
+    if arms.size == 3:
         turn, last = twist[i, 2] * share, len(arms.unknown) - 1
         length, shear = twist[i, 0] * share, twist[i, 1] * share
         t = turn * turn
@@ -217,7 +217,7 @@ def _spatial_centroid(arms, start, i, place, slide, twist, share):  # type: igno
 def write_link(arms, pose, i, b, segment):  # type: ignore[no-untyped-def]
     """Move a pose to the end of the link behind a segment."""
     link = arms.link
-    if len(arms.column) == 3:
+    if arms.size == 3:
         c0, s0, x, y = pose[i, 0], pose[i, 1], link[b, segment, 2], link[b, segment, 3]
         c1, s1 = link[b, segment, 0], link[b, segment, 1]
         pose[i, 2] += c0 * x - s0 * y
@@ -242,7 +242,7 @@ def write_lever(arms, pose, i, lever, m):  # type: ignore[no-untyped-def]
 
     Its transpose takes a wrench about the world's origin to the body's components.
     """
-    if len(arms.column) == 3:
+    if arms.size == 3:
         last = len(arms.unknown) - 1
         c0, s0, x, y = pose[i, 0], pose[i, 1], pose[i, 2], pose[i, 3]
         lever[m, 0, 0], lever[m, 1, 0], lever[m, 2, 0] = c0, s0, 0.0

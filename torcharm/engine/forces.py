@@ -13,6 +13,7 @@ from torcharm._inputs import plain_number
 from torcharm.actuators import Actuator, McKibben, PolynomialActuator, mckibben
 from torcharm.actuators.inspection import follows
 from torcharm.engine.compilation import part
+from torcharm.engine.references import by_reference
 
 Array = np.ndarray[Any, Any]
 
@@ -29,6 +30,7 @@ STRETCHED_FROM = 0.0
 """The strain from which a muscle's force is a power of pressure; below, lines between corners."""
 
 
+@by_reference
 class Models(NamedTuple):
     """The force models of M actuators.
 

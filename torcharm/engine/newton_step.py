@@ -31,16 +31,10 @@ from torcharm.engine.carried_load import (
     make_share,
     make_spot,
 )
-from torcharm.engine.compilation import part, spliced
+from torcharm.engine.compilation import part
 from torcharm.engine.elements import write_lever, write_link, write_motion
-from torcharm.engine.sections import (
-    Drive,
-    Sections,
-    make_drive,
-    make_sections,
-    write_rates,
-    write_section,
-)
+from torcharm.engine.references import by_reference
+from torcharm.engine.sections import Drive, Sections, make_drive, make_sections, write_rates, write_section
 
 Array = NDArray[Any]
 
@@ -49,6 +43,7 @@ SINGULAR = 64 * np.finfo(np.float64).eps
 which steps are 0."""
 
 
+@by_reference
 class Room(NamedTuple):
     """Room to work in, for one thread: what belongs to one arm.
 
@@ -98,7 +93,7 @@ class Room(NamedTuple):
 
 def make_room(arms: Arms) -> Room:
     """Room for one arm of these."""
-    nodes, size, columns, numbers = arms.first_node[-1], len(arms.column), len(arms.unknown), arms.link.shape[2]
+    nodes, size, columns, numbers = arms.first_node[-1], arms.size, len(arms.unknown), arms.link.shape[2]
     move, half_move, lever = np.zeros((3, nodes, size, columns))
     carried, residual = np.zeros((2, nodes, columns))
     spread, turned = np.zeros((2, size, size))
@@ -127,7 +122,7 @@ def make_room(arms: Arms) -> Room:
     )
 
 
-@spliced
+@part
 def write_shape(arms, loads, room, b, twist, slopes):  # type: ignore[no-untyped-def]
     """Write poses and motions, and the sections' reactions at their pressures, for twists (N, K).
 
@@ -161,10 +156,10 @@ def first_loaded_row(arms, loads):  # type: ignore[no-untyped-def]
     for q in range(len(loads.follows)):
         if loads.follows[q]:
             return 0
-    return 2 if len(arms.column) == 3 else 3
+    return 2 if arms.size == 3 else 3
 
 
-@spliced
+@part
 def write_balance(arms, loads, room, b, twist, factor, linear_shift, angular_shift):  # type: ignore[no-untyped-def]
     """Write the residual, and factor its slope J less a shift on its diagonal, where `write_shape` was before.
 
@@ -173,7 +168,7 @@ def write_balance(arms, loads, room, b, twist, factor, linear_shift, angular_shi
         factor: λ on all loads.
         linear_shift, angular_shift: on the diagonal of J in linear and in angular components, 0 for J itself.
     """
-    size, first_row = len(arms.column), first_loaded_row(arms, loads)
+    size, first_row = arms.size, first_loaded_row(arms, loads)
     room.pivots[0] = room.pivots[1] = 0
     for r in range(size):
         room.wrench[r] = 0.0
@@ -213,7 +208,7 @@ def write_balance(arms, loads, room, b, twist, factor, linear_shift, angular_shi
 @part
 def first_angular(arms):  # type: ignore[no-untyped-def]
     """The first column of a twist that turns."""
-    return 2 if len(arms.column) == 3 else 3
+    return 2 if arms.size == 3 else 3
 
 
 @part
@@ -244,7 +239,7 @@ def _take_share(room):  # type: ignore[no-untyped-def]
 @part
 def _write_residual(arms, room, i, factor, inside):  # type: ignore[no-untyped-def]
     """Write what a section carries, its residual, and K of the wrench that it carries."""
-    size, turned, total = len(arms.column), room.turned, room.sum
+    size, turned, total = arms.size, room.turned, room.sum
     for r in range(size):
         total[r] = room.wrench[r]
         if inside:
@@ -278,7 +273,7 @@ def _write_residual(arms, room, i, factor, inside):  # type: ignore[no-untyped-d
 @part
 def _write_slopes(arms, room, i, first_row, middle, inside):  # type: ignore[no-untyped-def]
     """Write L in `factor`, G in `feed`, and in `pull` how the element's own unknowns change the wrench before it."""
-    size, columns, turned = len(arms.column), len(arms.unknown), room.turned
+    size, columns, turned = arms.size, len(arms.unknown), room.turned
     for r in range(first_row, size):
         for c in range(columns):
             total = 0.0
@@ -343,7 +338,7 @@ def _factor(arms, room, i):  # type: ignore[no-untyped-def]
 @part
 def _eliminate(arms, room, i, first_row):  # type: ignore[no-untyped-def]
     """Make `feed` of G the product L⁻¹ G, and take the element's own unknowns out of S."""
-    size, columns, matrix, feed = len(arms.column), len(arms.unknown), room.factor, room.feed
+    size, columns, matrix, feed = arms.size, len(arms.unknown), room.factor, room.feed
     for c in range(columns):
         for e in range(c):
             for k in range(size):
@@ -362,10 +357,10 @@ def _eliminate(arms, room, i, first_row):  # type: ignore[no-untyped-def]
             room.spread[r, k] = total
 
 
-@spliced
+@part
 def solve(arms, loads, room, change):  # type: ignore[no-untyped-def]
     """Replace a right-hand side (N, C) by `J⁻¹` times it; J as factored by `write_balance`."""
-    size, columns, nodes = len(arms.column), len(arms.unknown), change.shape[0]
+    size, columns, nodes = arms.size, len(arms.unknown), change.shape[0]
     first_row, matrix, total = first_loaded_row(arms, loads), room.factor, room.sum
     for r in range(size):
         total[r] = 0.0

@@ -10,11 +10,13 @@ from torcharm.engine.curves import Curves, copy_curve, make_curves, most_pieces,
 from torcharm.engine.depth import Polytope, make_polytope, signed_distance_part
 from torcharm.engine.distance import GAP, Simplex, curve_support, make_simplex, nearest_part
 from torcharm.engine.forces import Models
+from torcharm.engine.references import by_reference
 from torcharm.engine.sharpen import BEYOND, sharpen_part
 
 Array = np.ndarray[Any, Any]
 
 
+@by_reference
 class Sections(NamedTuple):
     """The actuators at the cross-sections of B designs on P shapes of N nodes.
 
@@ -41,6 +43,7 @@ class Sections(NamedTuple):
     mass: Array
 
 
+@by_reference
 class Room(NamedTuple):
     """Room to work in, for one thread.
 
@@ -60,6 +63,7 @@ class Room(NamedTuple):
     start: Array
 
 
+@by_reference
 class Answers(NamedTuple):
     """What is found, for B designs, P shapes, L loads and N nodes.
 

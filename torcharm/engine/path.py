@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torcharm.engine.arms import Arms
-from torcharm.engine.compilation import part, spliced
+from torcharm.engine.compilation import part
 from torcharm.engine.newton_step import first_angular
+from torcharm.engine.references import by_reference
 from torcharm.statics.balance import RIGID
 
 Array = NDArray[Any]
@@ -21,6 +22,7 @@ STIFFEST = 1e-9 * RIGID
 """Stiffness [N·m] that is not an arm's own but stands for a direction in which it is rigid."""
 
 
+@by_reference
 class Scale(NamedTuple):
     """What imbalances and moves of B arms are measured by.
 
@@ -35,6 +37,7 @@ class Scale(NamedTuple):
     reach: Array
 
 
+@by_reference
 class Path(NamedTuple):
     """Room for one path.
 
@@ -63,6 +66,7 @@ class Path(NamedTuple):
     fastest: Array
 
 
+@by_reference
 class Found(NamedTuple):
     """Equilibria of B arms.
 
@@ -83,28 +87,28 @@ class Found(NamedTuple):
 
 def make_path(arms: Arms) -> Path:
     """Room for one arm's path."""
-    nodes, size, columns = arms.first_node[-1], len(arms.column), len(arms.unknown)
+    nodes, size, columns = arms.first_node[-1], arms.size, len(arms.unknown)
     trial, base, quick = np.zeros((3, nodes, size))
     tangent, bend, newton, ahead, rush = np.zeros((5, nodes, columns))
     loaded, stays = np.zeros((2, 1), dtype=np.bool_)
     return Path(trial, base, tangent, bend, newton, ahead, loaded, stays, quick, rush, np.zeros(2))
 
 
-@spliced
+@part
 def elements_under_way(arms, path, segment):  # type: ignore[no-untyped-def]
     """The first of a segment's elements, and the one after its last; without load one stands for all."""
     first = arms.first_node[segment]
     return first, arms.first_node[segment + 1] if path.loaded[0] else first + 1
 
 
-@spliced
+@part
 def scales(scale, room, b):  # type: ignore[no-untyped-def]
     """By what imbalances of forces and of moments are measured."""
     force = max(scale.load[b], STIFF_STRAIN * room.sections.stiffness[0])
     return force, max(scale.load[b] * scale.length[b], STIFF_STRAIN * room.sections.stiffness[1])
 
 
-@spliced
+@part
 def imbalance(arms, scale, room, path, b):  # type: ignore[no-untyped-def]
     """The largest residual: of forces over the load scale, of moments over that times the length. NaN if one is."""
     most = 0.0
@@ -135,7 +139,7 @@ def move_size(arms, scale, path, b, change):  # type: ignore[no-untyped-def]
                     stretch = max(stretch, abs(value))
                     continue
                 bend = max(bend, abs(value))
-                if arms.unknown[c] == len(arms.column) - 1:
+                if arms.unknown[c] == arms.size - 1:
                     turn_z += value * share
                 elif arms.unknown[c] == 4:
                     turn_y += value * share
@@ -146,7 +150,7 @@ def move_size(arms, scale, path, b, change):  # type: ignore[no-untyped-def]
     return size if math.isfinite(stretch + bend + turn_x + turn_y + turn_z) else math.nan
 
 
-@spliced
+@part
 def move(arms, path, factor):  # type: ignore[no-untyped-def]
     """Add a factor times Newton's step to the trial."""
     for segment in range(len(arms.first_node) - 1):
@@ -156,7 +160,7 @@ def move(arms, path, factor):  # type: ignore[no-untyped-def]
                 path.trial[i, arms.unknown[c]] += factor * path.newton[i, c]
 
 
-@spliced
+@part
 def copy_twists(out, given):  # type: ignore[no-untyped-def]
     """Write twists (N, K)."""
     for i in range(out.shape[0]):
@@ -164,7 +168,7 @@ def copy_twists(out, given):  # type: ignore[no-untyped-def]
             out[i, c] = given[i, c]
 
 
-@spliced
+@part
 def own_stiffness(arms, room, path):  # type: ignore[no-untyped-def]
     """The largest slopes of sections' reactions by their own unknowns, of linear and of angular components."""
     linear = angular = 1e-9

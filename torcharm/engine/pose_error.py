@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torcharm.engine.arms import Arms
-from torcharm.engine.compilation import part, routine
+from torcharm.engine.compilation import part
+from torcharm.engine.references import by_reference
 
 Array = NDArray[Any]
 
@@ -25,6 +26,7 @@ SMALL_TURN = 1e-8
 """Squared angle [rad²] below which the last factor of J⁻¹ is 1/12: it differs from that by a 720th of the square."""
 
 
+@by_reference
 class Goal(NamedTuple):
     """What B arms aim at, at the ends of their N elements.
 
@@ -38,6 +40,7 @@ class Goal(NamedTuple):
     weight: Array
 
 
+@by_reference
 class Errors(NamedTuple):
     """Room for the errors of one arm.
 
@@ -52,11 +55,11 @@ class Errors(NamedTuple):
 
 def make_errors(arms: Arms, directions: int) -> Errors:
     """Room for changes in so many directions."""
-    size = len(arms.column)
+    size = arms.size
     return Errors(np.zeros((1 + directions, arms.first_node[-1], size)), np.zeros(size))
 
 
-@routine
+@part
 def write_errors(arms, goal, room, b, twist, change, directions, errors):  # type: ignore[no-untyped-def]
     """Write the errors as the first of the changes corrects them, and what the others change.
 
@@ -67,7 +70,7 @@ def write_errors(arms, goal, room, b, twist, change, directions, errors):  # typ
         directions: X, or fewer.
     """
     motion, value = errors.motion, errors.value
-    size, planar = len(arms.column), len(arms.column) == 3
+    size, planar = arms.size, arms.size == 3
     for x in range(1 + directions):
         for k in range(size):
             motion[k] = 0.0

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from torcharm.engine.compilation import kernel, part, routine
+from torcharm.engine.compilation import kernel, part
 from torcharm.engine.continuation import CONTINUED
 from torcharm.engine.descent import CLOSE, FLOOR, NO_START, descend, error_slope
 from torcharm.engine.path import copy_twists, move_size
@@ -25,6 +25,7 @@ from torcharm.engine.pressure_model import (
     write_newton,
     write_point,
 )
+from torcharm.engine.references import by_reference
 from torcharm.engine.wrench_fit import fit_wrenches, write_carried
 
 Array = NDArray[Any]
@@ -45,6 +46,7 @@ SAME_SHAPE = 1e-2
 """Difference of two shapes, as of `move_size`, that counts as none: other equilibria are much further away."""
 
 
+@by_reference
 class Predictions(NamedTuple):
     """What B descents found.
 
@@ -134,7 +136,7 @@ def _near(problem, work, b, at, share):  # type: ignore[no-untyped-def]
     return FLOOR < error < share
 
 
-@routine
+@part
 def _predict(problem, work, fit, b, shape, draws):  # type: ignore[no-untyped-def]
     """The slot of the best point that is found, and how its descent ended."""
     points, best, ended, free = work.points, 0, NO_START, False

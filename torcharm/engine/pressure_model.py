@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from torcharm.engine.arms import Arms, Loads
 from torcharm.engine.box_step import BoxStep, make_box_step
-from torcharm.engine.compilation import part, routine
+from torcharm.engine.compilation import part
 from torcharm.engine.continuation import FAILED, find_equilibrium
 from torcharm.engine.newton_step import Room, first_angular, make_room, solve, write_balance, write_shape
 from torcharm.engine.path import Path, Scale, copy_twists, make_path, move_size
 from torcharm.engine.pose_error import Errors, Goal, make_errors, write_errors
+from torcharm.engine.references import by_reference
 from torcharm.engine.sections import set_pressure, write_rates
 
 Array = NDArray[Any]
@@ -36,6 +37,7 @@ HALF_COST, LAST_MOVE, STABLE = range(3)
 equilibrium is stable, with every length above 0."""
 
 
+@by_reference
 class Problem(NamedTuple):
     """B arms, and what their poses are to be.
 
@@ -51,6 +53,7 @@ class Problem(NamedTuple):
     limit: Array
 
 
+@by_reference
 class Points(NamedTuple):
     """Normalised pressures of one arm, with the equilibria and the models of half the cost there; a slot for each.
 
@@ -71,6 +74,7 @@ class Points(NamedTuple):
     curvature: Array
 
 
+@by_reference
 class Work(NamedTuple):
     """Room for one thread.
 
@@ -103,7 +107,7 @@ class Work(NamedTuple):
 
 def make_work(arms: Arms, pressure: Array) -> Work:
     """Room for one arm at a time; pressures as of `Work`."""
-    nodes, size, columns, count = arms.first_node[-1], len(arms.column), len(arms.unknown), len(arms.models.kind)
+    nodes, size, columns, count = arms.first_node[-1], arms.size, len(arms.unknown), len(arms.models.kind)
     points = Points(
         np.zeros((SLOTS, count)),
         np.zeros((SLOTS, nodes, size)),
@@ -132,7 +136,7 @@ def make_work(arms: Arms, pressure: Array) -> Work:
 @part
 def lengths_positive(arms, b, twist):  # type: ignore[no-untyped-def]
     """Whether the centreline's and all actuators' lengths are above 0 at twists (N, K)."""
-    planar, last = len(arms.column) == 3, len(arms.column) - 1
+    planar, last = arms.size == 3, arms.size - 1
     for segment in range(len(arms.first_node) - 1):
         for i in range(arms.first_node[segment], arms.first_node[segment + 1]):
             if not twist[i, 0] > 0.0:
@@ -171,7 +175,7 @@ def take_place(problem, work, b, at):  # type: ignore[no-untyped-def]
     work.path.loaded[0] = True
 
 
-@routine
+@part
 def write_newton(problem, work, b):  # type: ignore[no-untyped-def]
     """Write Newton's step at the path's trial as its first change; returns the norm of the imbalance [N]."""
     arms, loads, room, path = problem.arms, problem.loads, work.room, work.path
@@ -189,7 +193,7 @@ def write_newton(problem, work, b):  # type: ignore[no-untyped-def]
     return math.sqrt(total)
 
 
-@routine
+@part
 def approach(problem, work, b, close):  # type: ignore[no-untyped-def]
     """Newton's method for the balance from the path's trial, at pressures that are set.
 
@@ -226,7 +230,7 @@ def approach(problem, work, b, close):  # type: ignore[no-untyped-def]
     return math.inf
 
 
-@routine
+@part
 def write_point(problem, work, b, at, size):  # type: ignore[no-untyped-def]
     """Write the model of a slot at the path's trial, of which Newton's step of that size is known."""
     arms, room, path, points = problem.arms, work.room, work.path, work.points
@@ -277,7 +281,7 @@ def add_wall(work, at):  # type: ignore[no-untyped-def]
             points.curvature[at, m, k] += work.wall[m] * work.wall[k]
 
 
-@routine
+@part
 def expected_cost(problem, work, b, at, shape):  # type: ignore[no-untyped-def]
     """Half the cost at the place of a slot after one Newton step from a shape (N, K); infinite if it is no number."""
     take_place(problem, work, b, at)
@@ -291,7 +295,7 @@ def expected_cost(problem, work, b, at, shape):  # type: ignore[no-untyped-def]
     return 0.5 * total if math.isfinite(total) else math.inf
 
 
-@routine
+@part
 def evaluate_point(problem, work, b, at, close):  # type: ignore[no-untyped-def]
     """Write the model of a slot at its place, at the equilibrium near the path's trial; whether that is found."""
     take_place(problem, work, b, at)
@@ -304,7 +308,7 @@ def evaluate_point(problem, work, b, at, close):  # type: ignore[no-untyped-def]
     return math.isfinite(work.points.known[at, HALF_COST])
 
 
-@routine
+@part
 def load_from_zero(problem, work, b, start, tolerance):  # type: ignore[no-untyped-def]
     """Write as the path's trial where continuation from zero load leads at the pressures; returns how, as
     `find_equilibrium`."""
@@ -323,7 +327,7 @@ def distance_of(problem, work, b, at, to):  # type: ignore[no-untyped-def]
     return move_size(problem.arms, problem.scale, work.path, b, change[0])
 
 
-@routine
+@part
 def reach(problem, work, b, at, to, start, tolerance):  # type: ignore[no-untyped-def]
     """Write the point of slot `to` at the place of another, at the equilibrium that continuation from zero load
     reaches.

@@ -17,6 +17,7 @@ import numpy as np
 from torcharm.engine.compilation import kernel, part
 from torcharm.engine.distance import GAP, TOUCHING, curve_support, nearest_part
 from torcharm.engine.node_sets import aim, keep_answer, measure, write_node
+from torcharm.engine.references import by_reference
 from torcharm.engine.sharpen import BEYOND, sharpen_part
 
 Array = np.ndarray[Any, Any]
@@ -32,6 +33,7 @@ FOUND, MISSED, UNBOUNDED = 0, 1, 2
 """What became of a ray."""
 
 
+@by_reference
 class Ray(NamedTuple):
     """Room for one ray: where it starts and its direction, (D,) each."""
 
@@ -39,6 +41,7 @@ class Ray(NamedTuple):
     direction: Array
 
 
+@by_reference
 class Ends(NamedTuple):
     """Where rays enter (even rows) and leave (odd rows) the sets of B designs, P shapes, L loads and N nodes.
 

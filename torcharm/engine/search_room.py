@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from torcharm.engine.arms import Arms
 from torcharm.engine.bifurcation import Saddle, make_saddle
-from torcharm.engine.compilation import part, routine
+from torcharm.engine.compilation import part
 from torcharm.engine.path import copy_twists
 from torcharm.engine.pressure_model import HALF_COST, SLOTS, copy_point, reach
+from torcharm.engine.references import by_reference
 
 Array = NDArray[Any]
 
@@ -24,6 +25,7 @@ LOST = 6
 """Ends of descents that are kept, as load continuation leads elsewhere there."""
 
 
+@by_reference
 class Search(NamedTuple):
     """Room for one search.
 
@@ -64,7 +66,7 @@ class Search(NamedTuple):
 
 def make_search(arms: Arms, starts: int, pool: int, loaded: int) -> Search:
     """Room for one arm at a time."""
-    nodes, size, columns, count = arms.first_node[-1], len(arms.column), len(arms.unknown), len(arms.models.kind)
+    nodes, size, columns, count = arms.first_node[-1], arms.size, len(arms.unknown), len(arms.models.kind)
     return Search(
         np.zeros((SLOTS, nodes, size)),
         np.zeros((SLOTS, nodes, columns)),
@@ -101,7 +103,7 @@ def improves(work, at, on):  # type: ignore[no-untyped-def]
     return work.points.known[at, HALF_COST] < work.points.known[on, HALF_COST] * (1.0 - 1e-12)
 
 
-@routine
+@part
 def reach_and_keep(problem, work, search, b, at, to, start, tolerance):  # type: ignore[no-untyped-def]
     """As `reach`, with what the load continuation passed."""
     how = reach(problem, work, b, at, to, start, tolerance)

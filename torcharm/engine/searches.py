@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from torcharm.engine.boundary_search import SAME_SHAPE, WORTH, cross_boundary, follow_boundary
 from torcharm.engine.box_step import optimality
-from torcharm.engine.compilation import kernel, part, routine
+from torcharm.engine.compilation import kernel, part
 from torcharm.engine.continuation import FAILED
 from torcharm.engine.descent import CLOSE, RUNNING, descend
 from torcharm.engine.path import copy_twists
@@ -25,6 +25,7 @@ from torcharm.engine.pressure_model import (
     evaluate_point,
     expected_cost,
 )
+from torcharm.engine.references import by_reference
 from torcharm.engine.search_room import (
     AIM,
     BEST,
@@ -47,6 +48,7 @@ SAME_PLACE = 1e-4
 """Difference of two places that counts as none: the costs of minima differ by a 1e-8th then."""
 
 
+@by_reference
 class Searches(NamedTuple):
     """What B searches found.
 
@@ -88,7 +90,7 @@ def _best_of(values, first, last):  # type: ignore[no-untyped-def]
     return best
 
 
-@routine
+@part
 def _load_places(problem, work, search, b, shape, pool, spread, start, tolerance):  # type: ignore[no-untyped-def]
     """Load the arm at the most promising place of each lot of the pool, and at those that are spread over the box."""
     points = work.points
@@ -135,7 +137,7 @@ def _same_place(points, a, b):  # type: ignore[no-untyped-def]
     return gap < SAME_PLACE
 
 
-@routine
+@part
 def _multistart(problem, work, search, b, shape, pool, spread, start, tolerance):  # type: ignore[no-untyped-def]
     """Descend from all starts, and confirm the ends; whether the best point is one."""
     points, at_end, agreed = work.points, False, 0
@@ -166,7 +168,7 @@ def _multistart(problem, work, search, b, shape, pool, spread, start, tolerance)
     return at_end
 
 
-@routine
+@part
 def _search(problem, work, search, b, shape, pool, spread, rounds, start, tolerance):  # type: ignore[no-untyped-def]
     """Write the best point; whether it is the end of a descent, and none led to a better one."""
     points = work.points

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torcharm.engine.arms import Arms
-from torcharm.engine.compilation import part, routine
+from torcharm.engine.compilation import part
 from torcharm.engine.forces import _TRACE, MUSCLE, POLYNOMIAL, muscle
+from torcharm.engine.references import by_reference
 from torcharm.engine.tables import BENDING_CELLS, CURVIEST
 from torcharm.statics.cross_section import STRAIGHT
 
@@ -23,6 +24,7 @@ SQUEEZED = 1e-6
 """Of its neutral length: where an actuator's length is held for material curvatures, as of `rod.material_curvature`."""
 
 
+@by_reference
 class Drive(NamedTuple):
     """M actuators at their pressures.
 
@@ -42,6 +44,7 @@ class Drive(NamedTuple):
     level: Array
 
 
+@by_reference
 class Sections(NamedTuple):
     """Reactions at N elements.
 
@@ -120,7 +123,7 @@ def _between(x, width, f0, d0, f1, d1):  # type: ignore[no-untyped-def]
     return f0 + x * (d0 + x * (c + x * d)), d0 + x * (2.0 * c + 3.0 * x * d)
 
 
-@routine
+@part
 def _set_level(tables, level, a, p):  # type: ignore[no-untyped-def]
     """Write a sampled model's values at its strains at one pressure."""
     s = tables.force[a]
@@ -200,7 +203,7 @@ def held(length, neutral):  # type: ignore[no-untyped-def]
 @part
 def write_section(arms, drive, sections, b, segment, i, twist):  # type: ignore[no-untyped-def]
     """Write the reaction of element i of a segment, and its slopes by the unknowns; twists (N, K)."""
-    if len(arms.column) == 3:
+    if arms.size == 3:
         _planar_section(arms, drive, sections, b, segment, i, twist)
     else:
         _spatial_section(arms, drive, sections, b, segment, i, twist)
@@ -331,12 +334,12 @@ def _spatial_section(arms, drive, sections, b, segment, i, twist):  # type: igno
 def write_rates(arms, drive, sections, b, segment, i, twist):  # type: ignore[no-untyped-def]
     """Write the slopes of element i's reaction by the pressures of its segment."""
     size = len(arms.unknown)
-    planar = len(arms.column) == 3
+    planar = arms.size == 3
     length = twist[i, 0]
     for a in range(arms.first_actuator[segment], arms.first_actuator[segment + 1]):
         y, z, neutral = arms.y[b, a], arms.z[b, a], arms.neutral[b, a]
-        k_y = 0.0 if planar else twist[i, len(arms.column) - 2]
-        k_z = twist[i, len(arms.column) - 1]
+        k_y = 0.0 if planar else twist[i, arms.size - 2]
+        k_z = twist[i, arms.size - 1]
         own = length + z * k_y - y * k_z
         rate = axial_force_rate(arms, drive, a, (own - neutral) / neutral)
         safe, _ = held(own, neutral)

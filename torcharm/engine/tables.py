@@ -25,6 +25,7 @@ from torcharm.actuators.bending import (
 from torcharm.actuators.inspection import follows, same_model
 from torcharm.actuators.protocol import pressure_knots
 from torcharm.engine.forces import SAMPLED, Models
+from torcharm.engine.references import by_reference
 
 Array = NDArray[Any]
 
@@ -43,6 +44,7 @@ CURVIEST, BENDING_CELLS = 80.0, 640
 cells for it: eighths of a radian a metre."""
 
 
+@by_reference
 class Tables(NamedTuple):
     """Sampled models of M actuators: S of forces on E strains and P pressures, T of bending laws.
 

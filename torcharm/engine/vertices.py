@@ -12,11 +12,13 @@ import numpy as np
 from torcharm.engine.compilation import kernel, part
 from torcharm.engine.depth import signed_distance_part
 from torcharm.engine.distance import nearest_part
+from torcharm.engine.references import by_reference
 from torcharm.engine.sharpen import leave_as_it_is
 
 Array = np.ndarray[Any, Any]
 
 
+@by_reference
 class VertexAnswers(NamedTuple):
     """What is found, for B hulls with L points each.
 

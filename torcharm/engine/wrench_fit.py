@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from torcharm.engine.arms import Arms
 from torcharm.engine.box_step import factor_free, largest_curvature, optimality, solve_free, write_box_step
-from torcharm.engine.compilation import kernel, part, routine
+from torcharm.engine.compilation import kernel, part
 from torcharm.engine.newton_step import write_balance, write_shape
+from torcharm.engine.references import by_reference
 from torcharm.engine.sections import set_pressure, write_rates, write_section
 
 Array = NDArray[Any]
@@ -30,6 +31,7 @@ BEND = 0.75
 Sethna)."""
 
 
+@by_reference
 class Fit(NamedTuple):
     """Room for one fit.
 
@@ -65,7 +67,7 @@ def make_fit(arms: Arms) -> Fit:
     )
 
 
-@routine
+@part
 def _evaluate(problem, work, fit, b, twist, at, slopes):  # type: ignore[no-untyped-def]
     """Write the residual of a place, and its slopes; returns the squared distance. `write_balance` was before."""
     arms, room = problem.arms, work.room
@@ -135,7 +137,7 @@ def _bend(problem, work, fit, b, twist):  # type: ignore[no-untyped-def]
         fit.place[1, m] = min(max(ahead, 0.0), 1.0)
 
 
-@routine
+@part
 def write_carried(problem, work, b, twist):  # type: ignore[no-untyped-def]
     """Write what the sections of a shape (N, K) carry, once for all fits at it."""
     for m in range(problem.limit.shape[1]):
@@ -145,7 +147,7 @@ def write_carried(problem, work, b, twist):  # type: ignore[no-untyped-def]
     write_balance(problem.arms, problem.loads, work.room, b, twist, 1.0, 0.0, 0.0)
 
 
-@routine
+@part
 def fit_wrenches(problem, work, fit, b, twist, steps, gain):  # type: ignore[no-untyped-def]
     """Minimise the squared distance from the first place on, where `write_carried` was before.
 
@@ -183,6 +185,7 @@ def fit_wrenches(problem, work, fit, b, twist, steps, gain):  # type: ignore[no-
     return value, False
 
 
+@by_reference
 class FitAnswers(NamedTuple):
     """Fits of B arms.
 

@@ -105,7 +105,7 @@ class Packed:
             start: (B, N, K) twists of warm starts, or of none (0, N, K).
             tolerance: of the load scale.
         """
-        count, nodes, size = len(self.pressure), self.arms.first_node[-1], len(self.arms.column)
+        count, nodes, size = len(self.pressure), self.arms.first_node[-1], self.arms.size
         found = Found(
             np.zeros((count, nodes, size)),
             np.zeros(count),
