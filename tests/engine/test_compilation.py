@@ -53,13 +53,21 @@ def test_code_on_disk_is_of_these_sources(tmp_path, monkeypatch):
 
 
 def test_a_later_process_compiles_nothing(tmp_path):
-    """Also of kernels that hold parts made for a dimension, which numba tells apart by names."""
+    """Also of kernels that hold parts made for a dimension, which numba tells apart by names; and who waits is told."""
+    told = []
     for _ in range(2):
-        subprocess.run(
-            [sys.executable, "-c", EVALUATE], env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}, check=True
-        )
+        screen, terminal = os.openpty()
+        env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+        subprocess.run([sys.executable, "-c", EVALUATE], env=env, check=True, stderr=terminal)
+        os.write(terminal, b"end")
+        told.append(os.read(screen, 10000).decode())
+        os.close(screen)
+        os.close(terminal)
         kept = sorted(path.name for path in tmp_path.rglob("*.nbc"))
         assert len(kept) == len({name.split("-")[0] for name in kept}) > 0
+    assert told[0].startswith("torcharm compiles its engine, once: about ")
+    assert told[0].count("torcharm") == 1
+    assert told[1] == "end"
 
 
 EVALUATE = """

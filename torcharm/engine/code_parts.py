@@ -1,15 +1,21 @@
 """How kernels and their parts are compiled: parts to intermediate code alone, which kernels translate with their own.
 
 Of its own, numba optimises each function together with all that it calls, and makes machine code of it, once more for
-every level of calls; and what is called in several places it may expand in each of them. Here large parts stand once
-in a kernel, as functions that only the kernel sees, so that arguments that are not used cost nothing.
+every level of calls. Here each kernel links its parts once, as functions that only it sees, and optimises the whole.
 """
 
+import sys
+from functools import cache
 from typing import Any
 
+from llvmlite import ir  # type: ignore[import-untyped]
+from llvmlite.binding import create_pass_builder, create_pipeline_tuning_options  # type: ignore[import-untyped]
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.types import unliteral
+
+SECONDS = 10
+"""Of one core, for the kernels of a kind of question: sets, equilibria, predictions, searches."""
 
 
 class _WithoutRun:
@@ -33,12 +39,25 @@ class PartLibrary(JITCodeLibrary):
         """The code generator."""
         return _WithoutRun(self._codegen)
 
+    def add_ir_module(self, module: Any) -> None:
+        """Add the function's own code."""
+        _say_what_is_there(module, self._codegen.target_data)
+        super().add_ir_module(module)
+
     def finalize(self) -> None:
         """Leave it to the kernel to link, to optimise and to run the code."""
         for function in self._final_module.functions:
             if not function.is_declaration and function.linkage.name == "external":
                 function.linkage = "linkonce_odr"
         self._shared_module, self._finalized = self._final_module, True
+
+
+def _say_what_is_there(module: Any, sizes: Any) -> None:
+    """Arguments that are references may be read before it is known that they need be: so before a loop, not within."""
+    for function in module.functions:
+        for argument in function.args:
+            if isinstance(argument.type, ir.PointerType) and isinstance(argument.type.pointee, ir.LiteralStructType):
+                argument.attributes.dereferenceable = argument.type.pointee.get_abi_size(sizes)
 
 
 class KernelLibrary(JITCodeLibrary):
@@ -56,33 +75,40 @@ class KernelLibrary(JITCodeLibrary):
         for function in self._final_module.functions:
             if not function.is_declaration and function.linkage.name == "linkonce_odr":
                 function.linkage = "internal"
-        builder = self._codegen._pass_builder(loop_vectorize=False, slp_vectorize=False)
-        builder._pto.loop_unrolling = builder._pto.loop_interleaving = False
+        options = create_pipeline_tuning_options(speed_level=3)
+        options.loop_unrolling = options.loop_interleaving = options.loop_vectorization = options.slp_vectorization = (
+            False
+        )
+        builder = create_pass_builder(self._codegen._tm, options)
         builder.getModulePassManager().run(self._final_module, builder)
 
 
-class _Compiler(Compiler):
-    """numba's compiler, with a library of another kind."""
+class PartCompiler(Compiler):
+    """For parts: numba's compiler, with a library of another kind."""
 
-    kind: type[JITCodeLibrary]
+    kind: type[JITCodeLibrary] = PartLibrary
 
     def __init__(self, typingctx: Any, targetctx: Any, library: Any, *rest: Any) -> None:
         own = self.kind(targetctx.codegen(), self.kind.__name__) if library is None else library
-        if library is None and self.kind is KernelLibrary:
-            own.enable_object_caching()
         super().__init__(typingctx, targetctx, own, *rest)
 
 
-class PartCompiler(_Compiler):
-    """For what is expanded where it is called."""
-
-    kind = PartLibrary
-
-
-class KernelCompiler(_Compiler):
+class KernelCompiler(PartCompiler):
     """For kernels."""
 
     kind = KernelLibrary
+
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
+        self.state.library.enable_object_caching()
+        _say_so()
+
+
+@cache
+def _say_so() -> None:
+    """Tell who waits at a terminal what for, once."""
+    if sys.stderr is not None and sys.stderr.isatty():
+        print(f"torcharm compiles its engine, once: about {SECONDS} s", file=sys.stderr, flush=True)
 
 
 def once_for_all_numbers(dispatcher: Any) -> None:
