@@ -152,7 +152,7 @@ def _slide(problem, work, search, b, start, tolerance):  # type: ignore[no-untyp
         work.wall[m] = stiffness * search.edge_normal[m]
         work.wall_at[0] += work.wall[m] * points.place[0, m]
     add_wall(work, 0)
-    along, _ = descend(problem, work, b, 0, 1, False)
+    along, _ = descend(problem, work, b, 0, 1, False, math.inf)
     hoped = points.known[along, HALF_COST]
     work.wall_at[0] = 0.0
     for m in range(count):
@@ -208,7 +208,7 @@ def _release(problem, work, search, b, start, tolerance):  # type: ignore[no-unt
     """Descend freely from the current point, and see what is reached where that leads: whether it is the same shape."""
     points = work.points
     copy_point(points, 0, CURRENT)
-    end, _ = descend(problem, work, b, 0, 1, False)
+    end, _ = descend(problem, work, b, 0, 1, False, math.inf)
     points.known[ENDED, HALF_COST] = math.inf
     for m in range(points.place.shape[1]):
         search.aim[m] = points.place[end, m]

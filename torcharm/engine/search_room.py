@@ -10,13 +10,14 @@ from torcharm.engine.arms import Arms
 from torcharm.engine.bifurcation import Saddle, make_saddle
 from torcharm.engine.compilation import part, routine
 from torcharm.engine.path import copy_twists
-from torcharm.engine.pressure_model import HALF_COST, SLOTS, copy_point, reach
+from torcharm.engine.pressure_model import HALF_COST, copy_point, reach
 
 Array = NDArray[Any]
 
 BEST, CURRENT, ENDED, TRIED, AIM, BETWEEN = 2, 3, 4, 5, 6, 7
 """Slots: the best point that is reached from zero load; where a search along a boundary is; what is reached at the end
-of a descent; what is reached at a trial; and places of trials. The first two slots are those of descents."""
+of a descent; what is reached at a trial; and places of trials. The first two slots are those of descents, those after the last
+hold where the arm was loaded at first, at an infinite cost once a descent began there."""
 SAME_END = 0.02
 """Difference of the places of two lost ends that counts as none: kinks of force models hold descents up here and
 there."""
@@ -28,13 +29,11 @@ class Search(NamedTuple):
     """Room for one search.
 
     Attributes:
-        quick, rush, factor: (SLOTS, N, K), (SLOTS, N, C), (SLOTS,) of points that were reached: the equilibrium
+        quick, rush, factor: (Q, N, K), (Q, N, C), (Q,) of points that were reached: the equilibrium
             on the way at which the arm gave way most, its change by the load factor, and that factor.
-        how: (SLOTS,) how points were reached, as `find_equilibrium`.
+        how: (Q,) how points were reached, as `find_equilibrium`.
         start_cost: (S,) what each start came to [m²]; NaN where it was not needed.
         expected: (P,) half the costs of places, after a Newton step from the shape.
-        loaded_value, loaded_place: (L,) half costs and (L, M) places at which the arm was loaded; infinite once a
-            descent began there.
         lost_value, lost_place: (LOST,) half costs and (LOST, M) places of lost ends, from the best on.
         saddle: room for bifurcations.
         edge_place, edge_twists, edge_factor, edge_normal, edge_shift: the boundary that was found, as of `Saddle`.
@@ -48,8 +47,6 @@ class Search(NamedTuple):
     how: Array
     start_cost: Array
     expected: Array
-    loaded_value: Array
-    loaded_place: Array
     lost_value: Array
     lost_place: Array
     saddle: Saddle
@@ -62,18 +59,16 @@ class Search(NamedTuple):
     way: Array
 
 
-def make_search(arms: Arms, starts: int, pool: int, loaded: int) -> Search:
+def make_search(arms: Arms, starts: int, pool: int, slots: int) -> Search:
     """Room for one arm at a time."""
     nodes, size, columns, count = arms.first_node[-1], len(arms.column), len(arms.unknown), len(arms.models.kind)
     return Search(
-        np.zeros((SLOTS, nodes, size)),
-        np.zeros((SLOTS, nodes, columns)),
-        np.zeros(SLOTS),
-        np.zeros(SLOTS, dtype=np.int64),
+        np.zeros((slots, nodes, size)),
+        np.zeros((slots, nodes, columns)),
+        np.zeros(slots),
+        np.zeros(slots, dtype=np.int64),
         np.zeros(starts),
         np.zeros(pool),
-        np.zeros(loaded),
-        np.zeros((loaded, count)),
         np.zeros(LOST),
         np.zeros((LOST, count)),
         make_saddle(arms),

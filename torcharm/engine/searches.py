@@ -19,8 +19,11 @@ from torcharm.engine.continuation import FAILED
 from torcharm.engine.descent import CLOSE, RUNNING, descend
 from torcharm.engine.path import copy_twists
 from torcharm.engine.pressure_model import (
+    EVALUATIONS,
     HALF_COST,
+    SLOTS,
     STABLE,
+    copy_point,
     distance_of,
     evaluate_point,
     expected_cost,
@@ -97,15 +100,14 @@ def _load_places(problem, work, search, b, shape, pool, spread, start, tolerance
     for k in range(lots + len(spread)):
         q = _best_of(search.expected, k * LOT, (k + 1) * LOT) if k < lots else 0
         for m in range(points.place.shape[1]):
-            points.place[AIM, m] = search.loaded_place[k, m] = pool[q, m] if k < lots else spread[k - lots, m]
-        reach_and_keep(problem, work, search, b, AIM, 0, start, tolerance)
-        search.loaded_value[k] = points.known[0, HALF_COST]
-        if improves(work, 0, BEST):
-            keep_point(work, search, BEST, 0)
+            points.place[AIM, m] = pool[q, m] if k < lots else spread[k - lots, m]
+        reach_and_keep(problem, work, search, b, AIM, SLOTS + k, start, tolerance)
+        if improves(work, SLOTS + k, BEST):
+            keep_point(work, search, BEST, SLOTS + k)
 
 
 @part
-def _begin(problem, work, search, b, s, shape, pool, start, tolerance):  # type: ignore[no-untyped-def]
+def _begin(problem, work, search, b, s, shape, pool):  # type: ignore[no-untyped-def]
     """Write the first slot: the start of descent s. Returns whether there is any.
 
     The first is at the shape itself, with the pressures of the pool that are best there to first order; then come the
@@ -113,18 +115,15 @@ def _begin(problem, work, search, b, s, shape, pool, start, tolerance):  # type:
     """
     points = work.points
     if s > 0:
-        k = _best_of(search.loaded_value, 0, len(search.loaded_value))
-        if not search.loaded_value[k] < math.inf:
-            return False
-        search.loaded_value[k] = math.inf
-        for m in range(points.place.shape[1]):
-            points.place[AIM, m] = search.loaded_place[k, m]
-        return reach_and_keep(problem, work, search, b, AIM, 0, start, tolerance) != FAILED
+        k = _best_of(points.known[:, HALF_COST], SLOTS, len(points.known))
+        copy_point(points, 0, k)
+        points.known[k, HALF_COST] = math.inf
+        return points.known[0, HALF_COST] < math.inf
     q = _best_of(search.expected, 0, len(pool))
     for m in range(points.place.shape[1]):
         points.place[0, m] = pool[q, m]
     copy_twists(work.path.trial, shape)
-    return evaluate_point(problem, work, b, 0, CLOSE) and points.known[0, STABLE] > 0.0
+    return evaluate_point(problem, work, b, 0, CLOSE, EVALUATIONS) and points.known[0, STABLE] > 0.0
 
 
 @part
@@ -144,9 +143,9 @@ def _multistart(problem, work, search, b, shape, pool, spread, start, tolerance)
         if agreed >= AGREE:
             break
         search.start_cost[s] = math.inf
-        if not _begin(problem, work, search, b, s, shape, pool, start, tolerance):
+        if not _begin(problem, work, search, b, s, shape, pool):
             continue
-        end, ended = descend(problem, work, b, 0, 1, False)
+        end, ended = descend(problem, work, b, 0, 1, False, points.known[BEST, HALF_COST])
         if not math.isfinite(points.known[end, HALF_COST]):
             continue
         if at_end and _same_place(points, end, BEST) and distance_of(problem, work, b, end, BEST) <= SAME_SHAPE:

@@ -12,7 +12,7 @@ from torcharm._inputs import check_choice, check_count, check_flag
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.engine.continuation import CONTINUED, FAILED
-from torcharm.engine.pressure_model import make_work
+from torcharm.engine.pressure_model import SLOTS, make_work
 from torcharm.engine.search_room import make_search
 from torcharm.engine.searches import LOT, Searches, search_all
 from torcharm.engine.threads import spread
@@ -201,10 +201,11 @@ def _found(prepared: Prepared, starts: int, rounds: int, seed: int) -> Searches:
     places[1:] = np.clip(1.6 * places[1:] - 0.3, 0.0, 1.0)
     places[1] = 0.0  # no pressure at all
     start, pressure = np.zeros((0, *shape.shape[1:])), np.zeros_like(problem.limit)
+    slots = SLOTS + starts + len(places)
 
     def work(first: int, last: int) -> None:
-        room = make_work(problem.arms, pressure)
-        search = make_search(problem.arms, starts, len(pool), starts + len(places))
+        room = make_work(problem.arms, pressure, slots)
+        search = make_search(problem.arms, starts, len(pool), slots)
         search_all(problem, shape, pool.numpy(), places, rounds, start, TOLERANCE, first, last, room, search, out)
 
     spread(len(shape), work)
