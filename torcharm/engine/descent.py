@@ -24,8 +24,8 @@ LEAST_GAIN = 1e-4
 """Of the decrease that the model promised; a step that gains less is refused."""
 FIRST_DAMPING = 1e-3
 """Of the model's largest curvature."""
-LARGEST_DAMPING = 1e9
-"""Of the same: a step so short that rounding decides whether it went down."""
+LARGEST_DAMPING = 1e5
+"""Of the same: steps so short lead nowhere, as at a kink of a force model or where stability ends."""
 BLIND_DAMPING = 0.03
 """Of the same, at least, after a step to where there is no stable equilibrium: the model says nothing of those."""
 PATIENCE = 4
@@ -137,13 +137,14 @@ def _update_secant(work, here, there):  # type: ignore[no-untyped-def]
 
 
 @routine
-def descend(problem, work, b, here, there, free, best):  # type: ignore[no-untyped-def]
+def descend(problem, work, b, here, there, free, best, steps):  # type: ignore[no-untyped-def]
     """Follow the cost of arm b down from the point of a slot.
 
     Args:
         here: slot of the point, as of `evaluate_point`, and another one to try steps in.
         free: whether to go through equilibria that are not stable, as there are no others.
         best: a value that is known: a descent that is not about to go below it is given up.
+        steps: at most.
 
     Returns:
         The slot of the best point, with its equilibrium closely solved, and how the descent ended.
@@ -157,7 +158,7 @@ def descend(problem, work, b, here, there, free, best):  # type: ignore[no-untyp
             work.extra[m, k] = 0.0
     augmented, growth, taken, before = False, 2.0, 0, points.known[here, HALF_COST]
     damping, ended = FIRST_DAMPING * largest_curvature(points.curvature[here]), RUNNING
-    for _ in range(STEPS):
+    for _ in range(steps):
         scale, value = largest_curvature(points.curvature[here]), points.known[here, HALF_COST]
         promised = write_box_step(
             box, points.gradient[here], points.curvature[here], work.extra, augmented, points.place[here], damping

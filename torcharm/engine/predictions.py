@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from torcharm.engine.compilation import kernel, part, routine
 from torcharm.engine.continuation import CONTINUED
-from torcharm.engine.descent import CLOSE, FLOOR, NO_START, descend, error_slope
+from torcharm.engine.descent import CLOSE, FLOOR, NO_START, STEPS, descend, error_slope
 from torcharm.engine.path import copy_twists, move_size
 from torcharm.engine.pressure_model import (
     EVALUATIONS,
@@ -158,7 +158,7 @@ def _predict(problem, work, fit, b, shape, draws):  # type: ignore[no-untyped-de
                 continue
             if not _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, best, here):
                 continue
-        other, how = descend(problem, work, b, here, here + 1, free, math.inf)
+        other, how = descend(problem, work, b, here, here + 1, free, math.inf, STEPS)
         if turn == 0:
             best, ended = other, how
         elif _better(points, other, best):

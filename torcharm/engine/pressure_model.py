@@ -27,8 +27,8 @@ LARGE_MOVE = 1.0
 SUFFICIENT = 1e-4
 """Share of the decrease of the imbalance that a Newton step promises; a step that saves less is halved."""
 EVALUATIONS, FEW_EVALUATIONS = 12, 5
-"""Of the balance at one equilibrium, at most: from a shape that is no equilibrium, and from nearby, where Newton's method
-takes one to four unless there is none."""
+"""Of the balance at one equilibrium, at most: from a shape that is no equilibrium, and from nearby, where Newton's
+method takes one to four unless there is none."""
 SLOTS = 8
 """Points that are kept: where a descent is and where it tries to go, the best, and others on the way."""
 HALF_COST, LAST_MOVE, STABLE = range(3)

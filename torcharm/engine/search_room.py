@@ -10,19 +10,24 @@ from torcharm.engine.arms import Arms
 from torcharm.engine.bifurcation import Saddle, make_saddle
 from torcharm.engine.compilation import part, routine
 from torcharm.engine.path import copy_twists
-from torcharm.engine.pressure_model import HALF_COST, copy_point, reach
+from torcharm.engine.pressure_model import HALF_COST, copy_point, distance_of, reach
 
 Array = NDArray[Any]
 
-BEST, CURRENT, ENDED, TRIED, AIM, BETWEEN = 2, 3, 4, 5, 6, 7
+BEST, CURRENT, ENDED, TRIED, AIM, NEAR, FIRST_LOST = 2, 3, 4, 5, 6, 7, 8
 """Slots: the best point that is reached from zero load; where a search along a boundary is; what is reached at the end
-of a descent; what is reached at a trial; and places of trials. The first two slots are those of descents, those after the last
-hold where the arm was loaded at first, at an infinite cost once a descent began there."""
+of a descent; a trial; places of trials; one that is reached on the near side of a boundary; and the first of LOST
+ends of descents, behind which as many hold where these began. The first two slots are those of descents."""
+SAME_BRANCH = 0.1
+"""Difference of two shapes, as of `move_size`, of equilibria of one branch at places that are near: other branches are
+further away."""
 SAME_END = 0.02
 """Difference of the places of two lost ends that counts as none: kinks of force models hold descents up here and
 there."""
 LOST = 6
 """Ends of descents that are kept, as load continuation leads elsewhere there."""
+LOADED = FIRST_LOST + 2 * LOST
+"""The first slot of points at which the arm was loaded at first."""
 
 
 class Search(NamedTuple):
@@ -34,10 +39,8 @@ class Search(NamedTuple):
         how: (Q,) how points were reached, as `find_equilibrium`.
         start_cost: (S,) what each start came to [m²]; NaN where it was not needed.
         expected: (P,) half the costs of places, after a Newton step from the shape.
-        lost_value, lost_place: (LOST,) half costs and (LOST, M) places of lost ends, from the best on.
         saddle: room for bifurcations.
         edge_place, edge_twists, edge_factor, edge_normal, edge_shift: the boundary that was found, as of `Saddle`.
-        aim: (M,) where the free descent from the current point led.
         way: (M,) room.
     """
 
@@ -47,15 +50,12 @@ class Search(NamedTuple):
     how: Array
     start_cost: Array
     expected: Array
-    lost_value: Array
-    lost_place: Array
     saddle: Saddle
     edge_place: Array
     edge_twists: Array
     edge_factor: Array
     edge_normal: Array
     edge_shift: Array
-    aim: Array
     way: Array
 
 
@@ -69,15 +69,13 @@ def make_search(arms: Arms, starts: int, pool: int, slots: int) -> Search:
         np.zeros(slots, dtype=np.int64),
         np.zeros(starts),
         np.zeros(pool),
-        np.zeros(LOST),
-        np.zeros((LOST, count)),
         make_saddle(arms),
         np.zeros(count),
         np.zeros((nodes, size)),
         np.zeros(1),
         np.zeros(count),
         np.zeros((count, nodes, columns)),
-        *np.zeros((2, count)),
+        np.zeros(count),
     )
 
 
@@ -108,24 +106,20 @@ def reach_and_keep(problem, work, search, b, at, to, start, tolerance):  # type:
 
 
 @part
-def keep_lost(work, search, at):  # type: ignore[no-untyped-def]
-    """Keep the end of a descent among those that are lost, from the best on, unless it is worse than all or there:
+def keep_lost(problem, work, search, b, at, begun):  # type: ignore[no-untyped-def]
+    """Keep the end of a descent, and where it began, among those that are lost, unless it is worse than all or there:
     whether it is."""
-    value, place = work.points.known[at, HALF_COST], work.points.place[at]
-    for j in range(LOST):
+    points, worst = work.points, FIRST_LOST
+    for j in range(FIRST_LOST, FIRST_LOST + LOST):
         gap = 0.0
-        for m in range(len(place)):
-            gap = max(gap, abs(search.lost_place[j, m] - place[m]))
-        if gap < SAME_END and search.lost_value[j] < math.inf:
+        for m in range(points.place.shape[1]):
+            gap = max(gap, abs(points.place[j, m] - points.place[at, m]))
+        known = gap < SAME_END and points.known[j, HALF_COST] < math.inf
+        if known and distance_of(problem, work, b, at, j) <= SAME_BRANCH:
             return True
-    for j in range(LOST):
-        if value < search.lost_value[j]:
-            for k in range(LOST - 1, j, -1):
-                search.lost_value[k] = search.lost_value[k - 1]
-                for m in range(len(place)):
-                    search.lost_place[k, m] = search.lost_place[k - 1, m]
-            search.lost_value[j] = value
-            for m in range(len(place)):
-                search.lost_place[j, m] = place[m]
-            return False
+        if points.known[j, HALF_COST] > points.known[worst, HALF_COST]:
+            worst = j
+    if points.known[at, HALF_COST] < points.known[worst, HALF_COST]:
+        copy_point(points, worst, at)
+        keep_point(work, search, worst + LOST, begun)
     return False
