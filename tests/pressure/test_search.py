@@ -54,6 +54,24 @@ def test_no_converged_search_of_two_actuators_is_worse_than_a_grid(kinds):
     assert bool(found.converged.any())
 
 
+@pytest.mark.parametrize(
+    ("name", "load", "cost_of_scipy"),
+    [
+        ("antagonistic", 77, 0.002698),  # L-BFGS-B's
+        ("bellows", 16, 0.46367),  # SLSQP's
+        ("bellows", 31, 0.250585),  # SLSQP's
+    ],
+)
+def test_along_a_boundary_no_seed_does_worse_than_scipy(name, load, cost_of_scipy):
+    arm = ARMS[name]()
+    task = ta.Task(ta.affine_curvature(-3.0, 3.0), ta.sample_loads(100)[load])
+    for seed in range(8):
+        found = ta.search_pressure(arm, task, seed=seed)
+        assert float(found.cost) <= cost_of_scipy, seed
+        loaded = ta.solve_equilibrium(arm, found.pressure, task.tip_load)
+        torch.testing.assert_close(loaded.twists, found.twists, rtol=0, atol=1e-7)
+
+
 def test_gradients_of_the_cost_are_those_of_the_minimum():
     given, task = ta.bellows_arm(), ta.Task(ta.affine_curvature(-1.0, 2.0), [1.0, -2.0, 0.3])
 

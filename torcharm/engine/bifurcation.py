@@ -29,8 +29,8 @@ ASIDE = 1e-4
 differences falls with them, that of rounding grows."""
 LARGEST = 0.3
 """Newton step in these units, at most: further away the saddle of another bifurcation is found."""
-FOUND, DONE = 1e-3, 1e-6
-"""Newton step at which the saddle counts as found, and at which nothing more is done."""
+FOUND = 1e-3
+"""Newton step at which the saddle counts as found: what is left is of the order of its square."""
 
 
 @by_reference
@@ -123,8 +123,7 @@ def _advance(problem, work, saddle, b, beside):  # type: ignore[no-untyped-def]
     """One Newton step to the saddle, or with the first evaluation to the equilibria beside; returns its size."""
     arms, aside = problem.arms, ASIDE / problem.scale.length[b]
     count, slope, change = saddle.place.shape[1], saddle.slope, saddle.change
-    for turn in range(3):
-        k = 2 - turn  # the saddle itself comes last, and its changes are kept
+    for k in range(2 if beside else 0, -1, -1):  # the saddle itself comes last, and its changes are kept
         write_changes(problem, work, saddle, b, k)
         for i in range(change.shape[1]):
             for c in range(change.shape[2]):
@@ -176,15 +175,10 @@ def find_saddle(problem, work, saddle, b, steps):  # type: ignore[no-untyped-def
     Args:
         steps: of Newton's method, at most.
     """
-    for k in range(1, 3):
-        copy_twists(saddle.twists[k], saddle.twists[0])
-        saddle.factor[k] = saddle.factor[0]
-        for m in range(saddle.place.shape[1]):
-            saddle.place[k, m] = saddle.place[0, m]
     size = math.inf
     for step in range(steps + 1):
         size = _advance(problem, work, saddle, b, step > 0)
-        if step > 0 and not size > DONE:
+        if step > 0 and not size > FOUND:
             break
     length, along, sound = 0.0, 0.0, 0.0
     for m in range(saddle.place.shape[1]):

@@ -1,8 +1,9 @@
-"""Search along the boundary of what load continuation reaches, where a descent leads over it.
+"""Search along the boundary of what load continuation reaches, where a descent led over it.
 
-The best pressure is on the boundary then, or near. A descent along its tangent, set back on it, is the next place; a
-little away from it continuation can be followed. Where no bifurcation is found, the way to where the descent led is
-divided.
+The best pressure on the branch of the descent is on the boundary then, or near. A descent along its tangent, set back
+on it, is the next place; all are evaluated at equilibria nearby. What comes of it is loaded from zero, a little away
+from the boundary, where continuation can be followed. Where that leads elsewhere still, another boundary is in between,
+and the search goes on along that.
 """
 
 import math
@@ -11,59 +12,66 @@ from torcharm.engine.bifurcation import find_saddle, times_measure, write_change
 from torcharm.engine.box_step import largest_curvature
 from torcharm.engine.compilation import part
 from torcharm.engine.continuation import FAILED
-from torcharm.engine.descent import descend
+from torcharm.engine.descent import STEPS, descend
 from torcharm.engine.newton_step import first_angular
 from torcharm.engine.path import copy_twists
-from torcharm.engine.pressure_model import HALF_COST, add_wall, copy_point, distance_of
+from torcharm.engine.pressure_model import (
+    FEW_EVALUATIONS,
+    HALF_COST,
+    STABLE,
+    add_wall,
+    copy_point,
+    distance_of,
+    evaluate_point,
+)
 from torcharm.engine.search_room import (
     AIM,
     BEST,
-    BETWEEN,
     CURRENT,
     ENDED,
+    LOST,
+    NEAR,
+    SAME_BRANCH,
     TRIED,
     improves,
+    keep_lost,
     keep_point,
     reach_and_keep,
 )
 
 SAME_SHAPE = 1e-4
 """Difference of two shapes, as of `move_size`, that counts as none: both are solved to within 1e-8."""
-ROUNDS = 10
-"""Steps along a boundary, at most: most searches gain nothing after three, some follow a long curved one."""
-RELEASES = 3
-"""Free descents from what was found along a boundary, at most: where it ends, or bends away, they lead on."""
+ROUNDS, SLIDE_STEPS = 12, 8
+"""Descents along a boundary, at most, and steps of each, after which it is found again: it is curved."""
+BOUNDARIES = 3
+"""Boundaries that are followed one after the other, at most."""
 WORTH = 1e-4
 """Share of the cost that a step along a boundary must save to be followed by another, or a lost end by a search."""
-NEWTON_STEPS, AGAIN_STEPS = 8, 4
+HALVINGS = 4
+"""Of the way between two points on either side of a boundary, from which Newton's method does not find it."""
+NEWTON_STEPS, AGAIN_STEPS = 12, 6
 """To the boundary; and from there to another place on it."""
-STIFF = 1e4
-"""Of the wall in a descent along a boundary, over the largest curvature: across it a descent goes a ten-thousandth of
-the way."""
-SATISFIED = 3e-4
-"""Share of the cost that a descent along the boundary must promise: the places that are tried cost more than that."""
-PARTS = (1.0, 0.4, 0.15, 0.05)
+STIFF = 300.0
+"""Of the wall in a descent along a boundary, over the largest curvature: across it a descent goes a 300th of the way,
+and is set back. The stiffer it is, the shorter are the first steps along it."""
+PARTS = (1.0, 0.3, 0.1)
 """Parts of a step along the boundary that are tried."""
-MARGINS = (1e-4, 1e-3, 4e-3)
-"""Distances from the boundary that are tried, in lengths of the box: continuation is the harder to follow the closer
-it is."""
-BLIND_MARGINS = (4e-3, -4e-3, -2e-2)
-"""The same where the boundary is not found again, as where it has ended: on either side of where it would be."""
-CROSS, FLIPS = (3e-4, 1e-3, 4e-3, 1.6e-2), (0.01, 0.03, 0.1, 0.3)
-"""Steps across a boundary, from it, and from a place somewhere on the other side, in lengths of the box."""
-SHORTENED = (0.9, 0.7, 0.4, 0.1)
-"""Parts of the way to where a free descent led, that are tried where no boundary is known, or none leads on."""
+CLOSE = 1e-4
+"""Newton step left to equilibria along the boundary, as of `move_size`."""
+MARGINS = (5e-5, 1e-3, 1e-2)
+"""Distances from the boundary, in lengths of the box: the first is kept along it, and from there and then from the
+others the arm is loaded. Continuation is the harder to follow the closer it is."""
 STEEP = 1e-3
 """Least share of a step that goes across a boundary: along a bound of the box that nearly touches it there is no way
 back."""
 
 
 @part
-def _write_way(search, place, sign):  # type: ignore[no-untyped-def]
-    """Write the way away from the boundary, or across it, along bounds of the box."""
+def _write_way(search, place):  # type: ignore[no-untyped-def]
+    """Write the way away from the boundary, along bounds of the box."""
     length = 0.0
     for m in range(len(place)):
-        n = sign * search.edge_normal[m]
+        n = search.edge_normal[m]
         inner = n if (place[m] > 0.0 or n > 0.0) and (place[m] < 1.0 or n < 0.0) else 0.0
         search.way[m] = inner
         length += inner * inner
@@ -72,11 +80,27 @@ def _write_way(search, place, sign):  # type: ignore[no-untyped-def]
 
 
 @part
-def find_boundary(problem, work, search, b, at):  # type: ignore[no-untyped-def]
-    """Write the boundary next to a point, with the normal into its side, and the way there; whether it is found.
+def _keep_boundary(search, forwards):  # type: ignore[no-untyped-def]
+    """Keep the boundary that was found, with the normal into a half space."""
+    saddle, side = search.saddle, 0.0
+    for m in range(len(forwards)):
+        side += saddle.normal[m] * forwards[m]
+    for m in range(len(forwards)):
+        search.edge_place[m] = saddle.place[0, m]
+        search.edge_normal[m] = -saddle.normal[m] if side < 0.0 else saddle.normal[m]
+        copy_twists(search.edge_shift[m], saddle.shift[m])
+    copy_twists(search.edge_twists, saddle.twists[0])
+    search.edge_factor[0] = saddle.factor[0]
 
-    Where it is not, the place is the point's, and the normal is the direction in which the arm gives way more where it
-    gives way most: next to a bifurcation all changes are along one vector.
+
+@part
+def _find_boundary(problem, work, search, b, at, sign):  # type: ignore[no-untyped-def]
+    """Write the boundary next to a point that was reached; whether it is found.
+
+    The normal is into the point's own side, or, if the sign is -1, to the other.
+
+    It is looked for in the direction in which the arm gives way more where it gives way most: next to a bifurcation all
+    changes are along one vector.
     """
     saddle, points = search.saddle, work.points
     square, angular = 0.0, first_angular(problem.arms)
@@ -93,179 +117,182 @@ def find_boundary(problem, work, search, b, at):  # type: ignore[no-untyped-def]
     copy_twists(saddle.twists[0], search.quick[at])
     saddle.factor[0] = search.factor[at]
     for m in range(points.place.shape[1]):
-        saddle.place[0, m] = search.edge_place[m] = points.place[at, m]
+        saddle.place[0, m] = points.place[at, m]
     write_changes(problem, work, saddle, b, 0)
     length = 0.0
     for m in range(points.place.shape[1]):
         search.edge_normal[m] = times_measure(saddle, work.change[1 + m])
         length += search.edge_normal[m] ** 2
     if not math.isfinite(length) or length == 0.0:
-        for m in range(points.place.shape[1]):
-            search.edge_normal[m] = search.way[m] = 0.0
         return False
     for m in range(points.place.shape[1]):
-        search.edge_normal[m] /= math.sqrt(length)
-    _write_way(search, points.place[at], 1.0)
+        search.edge_normal[m] /= sign * math.sqrt(length)
+    _write_way(search, points.place[at])
     for m in range(points.place.shape[1]):
         saddle.way[m] = search.way[m]
     if not find_saddle(problem, work, saddle, b, NEWTON_STEPS):
         return False
-    side = 0.0
-    for m in range(points.place.shape[1]):
-        side += saddle.normal[m] * search.edge_normal[m]
-    for m in range(points.place.shape[1]):
-        search.edge_place[m] = saddle.place[0, m]
-        search.edge_normal[m] = -saddle.normal[m] if side < 0.0 else saddle.normal[m]
-        copy_twists(search.edge_shift[m], saddle.shift[m])
-    copy_twists(search.edge_twists, saddle.twists[0])
-    search.edge_factor[0] = saddle.factor[0]
+    _keep_boundary(search, search.edge_normal)
     return True
 
 
 @part
-def _write_trial(work, search, base, margin):  # type: ignore[no-untyped-def]
-    """Write the place of a trial, a margin along the way from a base, in the box."""
-    for m in range(len(base)):
-        work.points.place[AIM, m] = min(max(base[m] + margin * search.way[m], 0.0), 1.0)
+def _between(problem, work, search, b, start, tolerance):  # type: ignore[no-untyped-def]
+    """Write the boundary between the near point and where the current point's place leads; whether it is found.
+
+    Newton's method is tried from both; then the way between them is halved. The current point becomes the near one
+    if the boundary is found from there.
+    """
+    points = work.points
+    if reach_and_keep(problem, work, search, b, CURRENT, ENDED, start, tolerance) == FAILED:
+        return False
+    nearer = False
+    for k in range(1 + HALVINGS):
+        if not nearer and _find_boundary(problem, work, search, b, ENDED, -1.0):
+            return True
+        if (nearer or k == 0) and _find_boundary(problem, work, search, b, NEAR, 1.0):
+            copy_point(points, CURRENT, NEAR)
+            return True
+        for m in range(points.place.shape[1]):
+            points.place[AIM, m] = 0.5 * (points.place[NEAR, m] + points.place[ENDED, m])
+        if reach_and_keep(problem, work, search, b, AIM, TRIED, start, tolerance) == FAILED:
+            return False
+        if improves(work, TRIED, BEST):
+            keep_point(work, search, BEST, TRIED)
+        nearer = distance_of(problem, work, b, TRIED, NEAR) < distance_of(problem, work, b, TRIED, ENDED)
+        keep_point(work, search, NEAR if nearer else ENDED, TRIED)
+    return False
 
 
 @part
-def _try(problem, work, search, b, start, tolerance):  # type: ignore[no-untyped-def]
-    """See what is reached at a trial's place; whether it is better than where the search is, which goes there then."""
-    if reach_and_keep(problem, work, search, b, AIM, TRIED, start, tolerance) == FAILED:
-        return False
-    if improves(work, TRIED, BEST):
-        keep_point(work, search, BEST, TRIED)
-    if not improves(work, TRIED, CURRENT):
-        return False
-    keep_point(work, search, CURRENT, TRIED)
-    return True
+def _write_trial(work, search, margin):  # type: ignore[no-untyped-def]
+    """Write the place of a trial, a margin along the way from the boundary, in the box."""
+    place = work.points.place[AIM]
+    for m in range(len(place)):
+        place[m] = min(max(search.edge_place[m], 0.0), 1.0)
+    _write_way(search, place)
+    for m in range(len(place)):
+        place[m] = min(max(place[m] + margin * search.way[m], 0.0), 1.0)
 
 
 @part
-def _slide(problem, work, search, b, start, tolerance):  # type: ignore[no-untyped-def]
-    """Go along the boundary that is known, by part of a descent along its tangent; whether that leads anywhere."""
-    points, saddle, count = work.points, search.saddle, work.points.place.shape[1]
+def _descend_along(problem, work, search, b):  # type: ignore[no-untyped-def]
+    """The slot to which a descent from the current point leads along the boundary's tangent, a margin away."""
+    points = work.points
     copy_point(points, 0, CURRENT)
     stiffness = math.sqrt(STIFF * largest_curvature(points.curvature[0]))
-    for m in range(count):
-        work.wall[m] = stiffness * search.edge_normal[m]
-        work.wall_at[0] += work.wall[m] * points.place[0, m]
-    add_wall(work, 0)
-    along, _ = descend(problem, work, b, 0, 1, False)
-    hoped = points.known[along, HALF_COST]
-    work.wall_at[0] = 0.0
-    for m in range(count):
-        work.wall[m] = 0.0
-        points.place[BETWEEN, m] = points.place[along, m]
-    if not hoped < (1.0 - SATISFIED) * points.known[CURRENT, HALF_COST]:
-        return False
-    steep = 0.0
-    _write_way(search, points.place[CURRENT], 1.0)
-    for m in range(count):
-        steep += search.edge_normal[m] * search.way[m]
-        saddle.way[m] = search.way[m]
-    for part_of_it in PARTS:
-        across = 0.0
-        for m in range(count):
-            across += search.edge_normal[m] * part_of_it * (points.place[BETWEEN, m] - search.edge_place[m])
-        copy_twists(saddle.twists[0], search.edge_twists)
-        saddle.factor[0] = search.edge_factor[0]
-        for m in range(count):
-            move = part_of_it * (points.place[BETWEEN, m] - search.edge_place[m])
-            move -= saddle.way[m] * across / max(steep, STEEP)
-            saddle.place[0, m] = points.place[AIM, m] = search.edge_place[m] + move
-            for i in range(saddle.measure.shape[0]):
-                for c in range(saddle.measure.shape[1]):
-                    saddle.twists[0, i, problem.arms.unknown[c]] += search.edge_shift[m, i, c] * move
-        found = find_saddle(problem, work, saddle, b, AGAIN_STEPS)
-        _write_way(search, points.place[AIM], 1.0)
-        for m in range(count):
-            base = saddle.place[0, m] if found else points.place[AIM, m]
-            saddle.place[1, m] = min(max(base, 0.0), 1.0)
-        for k in range(len(MARGINS)):
-            _write_trial(work, search, saddle.place[1], MARGINS[k] if found else BLIND_MARGINS[k])
-            if _try(problem, work, search, b, start, tolerance):
-                return True
-    return False
-
-
-@part
-def _shorten(problem, work, search, b, start, tolerance):  # type: ignore[no-untyped-def]
-    """Go part of the way to where the free descent led; whether that is better."""
-    points = work.points
-    for part_of_it in SHORTENED:
-        for m in range(points.place.shape[1]):
-            here = points.place[CURRENT, m]
-            points.place[AIM, m] = here + part_of_it * (search.aim[m] - here)
-        if _try(problem, work, search, b, start, tolerance):
-            return True
-    return False
-
-
-@part
-def _release(problem, work, search, b, start, tolerance):  # type: ignore[no-untyped-def]
-    """Descend freely from the current point, and see what is reached where that leads: whether it is the same shape."""
-    points = work.points
-    copy_point(points, 0, CURRENT)
-    end, _ = descend(problem, work, b, 0, 1, False)
-    points.known[ENDED, HALF_COST] = math.inf
+    work.wall_at[0] = stiffness * MARGINS[0]
     for m in range(points.place.shape[1]):
-        search.aim[m] = points.place[end, m]
+        work.wall[m] = stiffness * search.edge_normal[m]
+        work.wall_at[0] += work.wall[m] * search.edge_place[m]
+    add_wall(work, 0)
+    along, _ = descend(problem, work, b, 0, 1, False, math.inf, SLIDE_STEPS)
+    work.wall_at[0] = 0.0
+    for m in range(points.place.shape[1]):
+        work.wall[m] = 0.0
+    return along
+
+
+@part
+def _set_back(problem, work, search, b, along, part_of_it):  # type: ignore[no-untyped-def]
+    """Go part of the way to a slot's place, set back on the boundary: write what is next to it on the branch as the
+    point of a trial, whether there is any. The boundary is not yet kept."""
+    points, saddle, count = work.points, search.saddle, work.points.place.shape[1]
+    _write_way(search, points.place[along])
+    steep = across = 0.0
+    for m in range(count):
+        saddle.way[m] = search.way[m]
+        steep += search.edge_normal[m] * search.way[m]
+        across += search.edge_normal[m] * part_of_it * (points.place[along, m] - search.edge_place[m])
+    copy_twists(saddle.twists[0], search.edge_twists)
+    saddle.factor[0] = search.edge_factor[0]
+    for m in range(count):
+        move = part_of_it * (points.place[along, m] - search.edge_place[m])
+        move -= saddle.way[m] * across / max(steep, STEEP)
+        saddle.place[0, m] = search.edge_place[m] + move
+        for i in range(saddle.measure.shape[0]):
+            for c in range(saddle.measure.shape[1]):
+                saddle.twists[0, i, problem.arms.unknown[c]] += search.edge_shift[m, i, c] * move
+    if not find_saddle(problem, work, saddle, b, AGAIN_STEPS):
+        return False
+    begun = along if part_of_it == 1.0 else CURRENT
+    copy_twists(work.path.trial, points.twists[begun])
+    for m in range(count):
+        place = min(max(saddle.place[0, m], 0.0), 1.0) + MARGINS[0] * search.way[m]
+        points.place[TRIED, m] = min(max(place, 0.0), 1.0)
+        move = points.place[TRIED, m] - points.place[begun, m]
+        for i in range(saddle.measure.shape[0]):
+            for c in range(saddle.measure.shape[1]):
+                work.path.trial[i, problem.arms.unknown[c]] += points.rates[begun, m, i, c] * move
+    return evaluate_point(problem, work, b, TRIED, CLOSE, FEW_EVALUATIONS) and points.known[TRIED, STABLE] > 0.0
+
+
+@part
+def _slide(problem, work, search, b):  # type: ignore[no-untyped-def]
+    """Descend along the boundary that is known, from the branch of the current point; whether that leads anywhere."""
+    points, value = work.points, math.inf
+    for _ in range(ROUNDS):
+        before, along = value, _descend_along(problem, work, search, b)
+        if not math.isfinite(points.known[along, HALF_COST]):
+            break
+        for part_of_it in PARTS:
+            if not _set_back(problem, work, search, b, along, part_of_it):
+                continue
+            if points.known[TRIED, HALF_COST] < value:
+                value = points.known[TRIED, HALF_COST]
+                copy_point(points, CURRENT, TRIED)
+                _keep_boundary(search, search.edge_normal)
+                break
+        if not value < (1.0 - WORTH) * before:
+            break
+    return math.isfinite(value)
+
+
+@part
+def release(problem, work, search, b, at, start, tolerance):  # type: ignore[no-untyped-def]
+    """Descend freely from a slot, and load the arm at the end; whether that is the best point then, of the same shape.
+
+    An end that is not reached is kept.
+    """
+    points = work.points
+    copy_point(points, 0, at)
+    end, _ = descend(problem, work, b, 0, 1, False, math.inf, STEPS)
     if not math.isfinite(points.known[end, HALF_COST]):
         return False
     how = reach_and_keep(problem, work, search, b, end, ENDED, start, tolerance)
-    return how != FAILED and distance_of(problem, work, b, end, ENDED) <= SAME_SHAPE
-
-
-@part
-def follow_boundary(problem, work, search, b, start, tolerance):  # type: ignore[no-untyped-def]
-    """Search on from the current point; whether the best point is the end of a descent then that is reached itself."""
-    points, at_end = work.points, False
-    for _ in range(RELEASES):
-        same = _release(problem, work, search, b, start, tolerance)
-        if improves(work, ENDED, BEST):
-            keep_point(work, search, BEST, ENDED)
-            at_end = same
-        if same:
-            break
-        released = points.known[CURRENT, HALF_COST]
-        for _ in range(ROUNDS):
-            before = points.known[CURRENT, HALF_COST]
-            went = find_boundary(problem, work, search, b, CURRENT)
-            went = went and _slide(problem, work, search, b, start, tolerance)
-            went = went or _shorten(problem, work, search, b, start, tolerance)
-            if went and not improves(work, BEST, CURRENT):
-                at_end = False
-            if not went or points.known[CURRENT, HALF_COST] > (1.0 - WORTH) * before:
-                break
-        if points.known[CURRENT, HALF_COST] > (1.0 - WORTH) * released:
-            break
-    return at_end
-
-
-@part
-def cross_boundary(problem, work, search, b, j, start, tolerance):  # type: ignore[no-untyped-def]
-    """Write as the current point one across the boundary from a lost end, whether there is any.
-
-    What is reached at the end lies on the other side than the equilibrium to which the descent led.
-    """
-    points, saddle = work.points, search.saddle
-    for m in range(points.place.shape[1]):
-        points.place[AIM, m] = search.lost_place[j, m]
-    if reach_and_keep(problem, work, search, b, AIM, ENDED, start, tolerance) == FAILED:
+    same = how != FAILED and distance_of(problem, work, b, end, ENDED) <= SAME_SHAPE
+    if not same:
+        keep_lost(problem, work, search, b, end, at)
+    if not improves(work, ENDED, BEST):
         return False
-    known = find_boundary(problem, work, search, b, ENDED)
-    for m in range(points.place.shape[1]):
-        saddle.place[1, m] = min(max(search.edge_place[m], 0.0), 1.0)
-    _write_way(search, saddle.place[1], -1.0)
-    for k in range(len(CROSS)):
-        _write_trial(work, search, saddle.place[1], CROSS[k] if known else FLIPS[k])
-        if reach_and_keep(problem, work, search, b, AIM, TRIED, start, tolerance) == FAILED:
-            continue
-        if times_measure(saddle, search.rush[TRIED]) < 0.0:
-            keep_point(work, search, CURRENT, TRIED)
-            if improves(work, TRIED, BEST):
+    keep_point(work, search, BEST, ENDED)
+    return same
+
+
+@part
+def follow_boundary(problem, work, search, b, at, start, tolerance):  # type: ignore[no-untyped-def]
+    """Search along the boundary that a lost end is behind; whether the best point is the end of a descent then."""
+    points = work.points
+    copy_point(points, CURRENT, at)
+    keep_point(work, search, NEAR, at + LOST)
+    for _ in range(BOUNDARIES):
+        if not _between(problem, work, search, b, start, tolerance):
+            break
+        if not _slide(problem, work, search, b):  # the branch may end where the descent has
+            copy_point(points, CURRENT, NEAR)
+            if not _slide(problem, work, search, b):
+                break
+        for margin in MARGINS:
+            _write_trial(work, search, margin)
+            if reach_and_keep(problem, work, search, b, AIM, TRIED, start, tolerance) == FAILED:
+                continue
+            better = improves(work, TRIED, BEST)
+            if better:
                 keep_point(work, search, BEST, TRIED)
-            return True
+            if distance_of(problem, work, b, CURRENT, TRIED) > SAME_BRANCH:
+                continue
+            inwards = 0.0
+            for m in range(points.place.shape[1]):
+                inwards += points.gradient[TRIED, m] * search.edge_normal[m]
+            return better and inwards < 0.0 and release(problem, work, search, b, TRIED, start, tolerance)
     return False

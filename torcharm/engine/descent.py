@@ -13,6 +13,7 @@ from torcharm.engine.box_step import largest_curvature, optimality, write_box_st
 from torcharm.engine.compilation import part
 from torcharm.engine.path import copy_twists, move_size
 from torcharm.engine.pressure_model import (
+    FEW_EVALUATIONS,
     HALF_COST,
     LAST_MOVE,
     STABLE,
@@ -23,8 +24,8 @@ LEAST_GAIN = 1e-4
 """Of the decrease that the model promised; a step that gains less is refused."""
 FIRST_DAMPING = 1e-3
 """Of the model's largest curvature."""
-LARGEST_DAMPING = 1e9
-"""Of the same: a step so short that rounding decides whether it went down."""
+LARGEST_DAMPING = 1e5
+"""Of the same: steps so short lead nowhere, as at a kink of a force model or where stability ends."""
 BLIND_DAMPING = 0.03
 """Of the same, at least, after a step to where there is no stable equilibrium: the model says nothing of those."""
 PATIENCE = 4
@@ -37,6 +38,8 @@ LONGEST_MOVE = 0.7
 branch."""
 STEPS = 60
 """Of a descent, at most: more were not seen to lead on."""
+HOPE = 2.0
+"""Times what the last PATIENCE steps saved: what is still to be had, at most."""
 WORTH = 1e-5
 """Share of the value that PATIENCE steps must save to go on: at a kink of a force model there is no more to be had,
 however long one tries."""
@@ -134,12 +137,14 @@ def _update_secant(work, here, there):  # type: ignore[no-untyped-def]
 
 
 @part
-def descend(problem, work, b, here, there, free):  # type: ignore[no-untyped-def]
+def descend(problem, work, b, here, there, free, best, steps):  # type: ignore[no-untyped-def]
     """Follow the cost of arm b down from the point of a slot.
 
     Args:
         here: slot of the point, as of `evaluate_point`, and another one to try steps in.
         free: whether to go through equilibria that are not stable, as there are no others.
+        best: a value that is known: a descent that is not about to go below it is given up.
+        steps: at most.
 
     Returns:
         The slot of the best point, with its equilibrium closely solved, and how the descent ended.
@@ -153,7 +158,7 @@ def descend(problem, work, b, here, there, free):  # type: ignore[no-untyped-def
             work.extra[m, k] = 0.0
     augmented, growth, taken, before = False, 2.0, 0, points.known[here, HALF_COST]
     damping, ended = FIRST_DAMPING * largest_curvature(points.curvature[here]), RUNNING
-    for _ in range(STEPS):
+    for _ in range(steps):
         scale, value = largest_curvature(points.curvature[here]), points.known[here, HALF_COST]
         promised = write_box_step(
             box, points.gradient[here], points.curvature[here], work.extra, augmented, points.place[here], damping
@@ -166,7 +171,7 @@ def descend(problem, work, b, here, there, free):  # type: ignore[no-untyped-def
         elif not promised > 0.0:
             ended = NO_GAIN
         elif taken == PATIENCE:
-            if value > (1.0 - WORTH) * before:
+            if value > (1.0 - WORTH) * before or value - HOPE * (before - value) > best:
                 ended = NO_GAIN
             taken, before = 0, value
         if ended != RUNNING:
@@ -181,7 +186,7 @@ def descend(problem, work, b, here, there, free):  # type: ignore[no-untyped-def
         for m in range(count):
             change = max(change, abs(box.step[m]))
         close = min(max(SHARP * change, CLOSEST), CLOSE)
-        found = evaluate_point(problem, work, b, there, close)
+        found = evaluate_point(problem, work, b, there, close, FEW_EVALUATIONS)
         found = found and (free or points.known[there, STABLE] > 0.0)
         if not found:
             damping = max(damping * growth, BLIND_DAMPING * scale)
@@ -210,7 +215,7 @@ def descend(problem, work, b, here, there, free):  # type: ignore[no-untyped-def
 def _refine(problem, work, b, here, free):  # type: ignore[no-untyped-def]
     """Solve the equilibrium of a slot closely; whether it is still one. If not, the slot's value is infinite."""
     copy_twists(work.path.trial, work.points.twists[here])
-    found = evaluate_point(problem, work, b, here, CLOSEST)
+    found = evaluate_point(problem, work, b, here, CLOSEST, FEW_EVALUATIONS)
     if not (found and (free or work.points.known[here, STABLE] > 0.0)):
         work.points.known[here, HALF_COST] = math.inf
         return False

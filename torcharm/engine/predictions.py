@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from torcharm.engine.compilation import kernel, part
 from torcharm.engine.continuation import CONTINUED
-from torcharm.engine.descent import CLOSE, FLOOR, NO_START, descend, error_slope
+from torcharm.engine.descent import CLOSE, FLOOR, NO_START, STEPS, descend, error_slope
 from torcharm.engine.path import copy_twists, move_size
 from torcharm.engine.pressure_model import (
+    EVALUATIONS,
     HALF_COST,
     STABLE,
     copy_point,
@@ -88,7 +89,7 @@ def _start(problem, work, b, shape, draws):  # type: ignore[no-untyped-def]
             for m in range(points.place.shape[1]):
                 points.place[at, m] = 0.5 if tried < 0 else draws[tried, m]
             copy_twists(work.path.trial, shape)
-            evaluate_point(problem, work, b, at, CLOSE)
+            evaluate_point(problem, work, b, at, CLOSE, EVALUATIONS)
             if at == 1 and _better(points, 1, 0):
                 copy_point(points, 0, 1)
             tried += 1
@@ -125,7 +126,7 @@ def _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, be
                 points.place[to, m] = points.place[at, m]
     if found:
         copy_twists(path.trial, shape)
-        evaluate_point(problem, work, b, to, CLOSE)
+        evaluate_point(problem, work, b, to, CLOSE, EVALUATIONS)
     return found
 
 
@@ -159,7 +160,7 @@ def _predict(problem, work, fit, b, shape, draws):  # type: ignore[no-untyped-de
                 continue
             if not _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, best, here):
                 continue
-        other, how = descend(problem, work, b, here, here + 1, free)
+        other, how = descend(problem, work, b, here, here + 1, free, math.inf, STEPS)
         if turn == 0:
             best, ended = other, how
         elif _better(points, other, best):

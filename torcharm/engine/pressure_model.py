@@ -27,9 +27,9 @@ LARGE_MOVE = 1.0
 """Longest Newton step, as of `move_size`: about a radian, or a third of the length."""
 SUFFICIENT = 1e-4
 """Share of the decrease of the imbalance that a Newton step promises; a step that saves less is halved."""
-EVALUATIONS = 12
-"""Of the balance at one equilibrium, at most: Newton's method from nearby takes one to four, from a shape that is no
-equilibrium a dozen."""
+EVALUATIONS, FEW_EVALUATIONS = 12, 5
+"""Of the balance at one equilibrium, at most: from a shape that is no equilibrium, and from nearby, where Newton's
+method takes one to four unless there is none."""
 SLOTS = 8
 """Points that are kept: where a descent is and where it tries to go, the best, and others on the way."""
 HALF_COST, LAST_MOVE, STABLE = range(3)
@@ -105,16 +105,16 @@ class Work(NamedTuple):
     pressure: Array
 
 
-def make_work(arms: Arms, pressure: Array) -> Work:
-    """Room for one arm at a time; pressures as of `Work`."""
+def make_work(arms: Arms, pressure: Array, slots: int = SLOTS) -> Work:
+    """Room for one arm at a time, and so many points; pressures as of `Work`."""
     nodes, size, columns, count = arms.first_node[-1], arms.size, len(arms.unknown), len(arms.models.kind)
     points = Points(
-        np.zeros((SLOTS, count)),
-        np.zeros((SLOTS, nodes, size)),
-        np.zeros((SLOTS, count, nodes, columns)),
-        np.zeros((SLOTS, 3)),
-        np.zeros((SLOTS, count)),
-        np.zeros((SLOTS, count, count)),
+        np.zeros((slots, count)),
+        np.zeros((slots, nodes, size)),
+        np.zeros((slots, count, nodes, columns)),
+        np.zeros((slots, 3)),
+        np.zeros((slots, count)),
+        np.zeros((slots, count, count)),
     )
     return Work(
         make_room(arms),
@@ -194,7 +194,7 @@ def write_newton(problem, work, b):  # type: ignore[no-untyped-def]
 
 
 @part
-def approach(problem, work, b, close):  # type: ignore[no-untyped-def]
+def approach(problem, work, b, close, evaluations):  # type: ignore[no-untyped-def]
     """Newton's method for the balance from the path's trial, at pressures that are set.
 
     A step no larger than `close` is the last, and is not taken: it stands as the first change. Steps are at most
@@ -203,7 +203,7 @@ def approach(problem, work, b, close):  # type: ignore[no-untyped-def]
     """
     arms, path = problem.arms, work.path
     last, factor, step = math.inf, 1.0, 0.0
-    for _ in range(EVALUATIONS):
+    for _ in range(evaluations):
         norm = write_newton(problem, work, b)
         size = move_size(arms, problem.scale, path, b, work.change[0])
         if not math.isfinite(size):
@@ -296,10 +296,10 @@ def expected_cost(problem, work, b, at, shape):  # type: ignore[no-untyped-def]
 
 
 @part
-def evaluate_point(problem, work, b, at, close):  # type: ignore[no-untyped-def]
+def evaluate_point(problem, work, b, at, close, evaluations):  # type: ignore[no-untyped-def]
     """Write the model of a slot at its place, at the equilibrium near the path's trial; whether that is found."""
     take_place(problem, work, b, at)
-    size = approach(problem, work, b, close)
+    size = approach(problem, work, b, close, evaluations)
     if not math.isfinite(size):
         work.points.known[at, HALF_COST], work.points.known[at, STABLE] = math.inf, 0.0
         return False

@@ -10,19 +10,25 @@ from torcharm.engine.arms import Arms
 from torcharm.engine.bifurcation import Saddle, make_saddle
 from torcharm.engine.compilation import part
 from torcharm.engine.path import copy_twists
-from torcharm.engine.pressure_model import HALF_COST, SLOTS, copy_point, reach
+from torcharm.engine.pressure_model import HALF_COST, copy_point, distance_of, reach
 from torcharm.engine.references import by_reference
 
 Array = NDArray[Any]
 
-BEST, CURRENT, ENDED, TRIED, AIM, BETWEEN = 2, 3, 4, 5, 6, 7
+BEST, CURRENT, ENDED, TRIED, AIM, NEAR, FIRST_LOST = 2, 3, 4, 5, 6, 7, 8
 """Slots: the best point that is reached from zero load; where a search along a boundary is; what is reached at the end
-of a descent; what is reached at a trial; and places of trials. The first two slots are those of descents."""
+of a descent; a trial; places of trials; one that is reached on the near side of a boundary; and the first of LOST
+ends of descents, behind which as many hold where these began. The first two slots are those of descents."""
+SAME_BRANCH = 0.1
+"""Difference of two shapes, as of `move_size`, of equilibria of one branch at places that are near: other branches are
+further away."""
 SAME_END = 0.02
 """Difference of the places of two lost ends that counts as none: kinks of force models hold descents up here and
 there."""
 LOST = 6
 """Ends of descents that are kept, as load continuation leads elsewhere there."""
+LOADED = FIRST_LOST + 2 * LOST
+"""The first slot of points at which the arm was loaded at first."""
 
 
 @by_reference
@@ -30,17 +36,13 @@ class Search(NamedTuple):
     """Room for one search.
 
     Attributes:
-        quick, rush, factor: (SLOTS, N, K), (SLOTS, N, C), (SLOTS,) of points that were reached: the equilibrium
+        quick, rush, factor: (Q, N, K), (Q, N, C), (Q,) of points that were reached: the equilibrium
             on the way at which the arm gave way most, its change by the load factor, and that factor.
-        how: (SLOTS,) how points were reached, as `find_equilibrium`.
+        how: (Q,) how points were reached, as `find_equilibrium`.
         start_cost: (S,) what each start came to [m²]; NaN where it was not needed.
         expected: (P,) half the costs of places, after a Newton step from the shape.
-        loaded_value, loaded_place: (L,) half costs and (L, M) places at which the arm was loaded; infinite once a
-            descent began there.
-        lost_value, lost_place: (LOST,) half costs and (LOST, M) places of lost ends, from the best on.
         saddle: room for bifurcations.
         edge_place, edge_twists, edge_factor, edge_normal, edge_shift: the boundary that was found, as of `Saddle`.
-        aim: (M,) where the free descent from the current point led.
         way: (M,) room.
     """
 
@@ -50,41 +52,32 @@ class Search(NamedTuple):
     how: Array
     start_cost: Array
     expected: Array
-    loaded_value: Array
-    loaded_place: Array
-    lost_value: Array
-    lost_place: Array
     saddle: Saddle
     edge_place: Array
     edge_twists: Array
     edge_factor: Array
     edge_normal: Array
     edge_shift: Array
-    aim: Array
     way: Array
 
 
-def make_search(arms: Arms, starts: int, pool: int, loaded: int) -> Search:
+def make_search(arms: Arms, starts: int, pool: int, slots: int) -> Search:
     """Room for one arm at a time."""
     nodes, size, columns, count = arms.first_node[-1], arms.size, len(arms.unknown), len(arms.models.kind)
     return Search(
-        np.zeros((SLOTS, nodes, size)),
-        np.zeros((SLOTS, nodes, columns)),
-        np.zeros(SLOTS),
-        np.zeros(SLOTS, dtype=np.int64),
+        np.zeros((slots, nodes, size)),
+        np.zeros((slots, nodes, columns)),
+        np.zeros(slots),
+        np.zeros(slots, dtype=np.int64),
         np.zeros(starts),
         np.zeros(pool),
-        np.zeros(loaded),
-        np.zeros((loaded, count)),
-        np.zeros(LOST),
-        np.zeros((LOST, count)),
         make_saddle(arms),
         np.zeros(count),
         np.zeros((nodes, size)),
         np.zeros(1),
         np.zeros(count),
         np.zeros((count, nodes, columns)),
-        *np.zeros((2, count)),
+        np.zeros(count),
     )
 
 
@@ -115,24 +108,20 @@ def reach_and_keep(problem, work, search, b, at, to, start, tolerance):  # type:
 
 
 @part
-def keep_lost(work, search, at):  # type: ignore[no-untyped-def]
-    """Keep the end of a descent among those that are lost, from the best on, unless it is worse than all or there:
+def keep_lost(problem, work, search, b, at, begun):  # type: ignore[no-untyped-def]
+    """Keep the end of a descent, and where it began, among those that are lost, unless it is worse than all or there:
     whether it is."""
-    value, place = work.points.known[at, HALF_COST], work.points.place[at]
-    for j in range(LOST):
+    points, worst = work.points, FIRST_LOST
+    for j in range(FIRST_LOST, FIRST_LOST + LOST):
         gap = 0.0
-        for m in range(len(place)):
-            gap = max(gap, abs(search.lost_place[j, m] - place[m]))
-        if gap < SAME_END and search.lost_value[j] < math.inf:
+        for m in range(points.place.shape[1]):
+            gap = max(gap, abs(points.place[j, m] - points.place[at, m]))
+        known = gap < SAME_END and points.known[j, HALF_COST] < math.inf
+        if known and distance_of(problem, work, b, at, j) <= SAME_BRANCH:
             return True
-    for j in range(LOST):
-        if value < search.lost_value[j]:
-            for k in range(LOST - 1, j, -1):
-                search.lost_value[k] = search.lost_value[k - 1]
-                for m in range(len(place)):
-                    search.lost_place[k, m] = search.lost_place[k - 1, m]
-            search.lost_value[j] = value
-            for m in range(len(place)):
-                search.lost_place[j, m] = place[m]
-            return False
+        if points.known[j, HALF_COST] > points.known[worst, HALF_COST]:
+            worst = j
+    if points.known[at, HALF_COST] < points.known[worst, HALF_COST]:
+        copy_point(points, worst, at)
+        keep_point(work, search, worst + LOST, begun)
     return False

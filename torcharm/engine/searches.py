@@ -12,15 +12,17 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from torcharm.engine.boundary_search import SAME_SHAPE, WORTH, cross_boundary, follow_boundary
+from torcharm.engine.boundary_search import SAME_SHAPE, WORTH, follow_boundary, release
 from torcharm.engine.box_step import optimality
 from torcharm.engine.compilation import kernel, part
 from torcharm.engine.continuation import FAILED
-from torcharm.engine.descent import CLOSE, RUNNING, descend
+from torcharm.engine.descent import CLOSE, RUNNING, STEPS, descend
 from torcharm.engine.path import copy_twists
 from torcharm.engine.pressure_model import (
+    EVALUATIONS,
     HALF_COST,
     STABLE,
+    copy_point,
     distance_of,
     evaluate_point,
     expected_cost,
@@ -29,8 +31,9 @@ from torcharm.engine.references import by_reference
 from torcharm.engine.search_room import (
     AIM,
     BEST,
-    CURRENT,
     ENDED,
+    FIRST_LOST,
+    LOADED,
     LOST,
     improves,
     keep_lost,
@@ -42,7 +45,7 @@ Array = NDArray[Any]
 
 LOT = 4
 """Places of which the arm is loaded at one: that of the least expected cost."""
-AGREE = 6
+AGREE = 4
 """Descents that must end where others have before the rest is spared."""
 SAME_PLACE = 1e-4
 """Difference of two places that counts as none: the costs of minima differ by a 1e-8th then."""
@@ -99,34 +102,34 @@ def _load_places(problem, work, search, b, shape, pool, spread, start, tolerance
     for k in range(lots + len(spread)):
         q = _best_of(search.expected, k * LOT, (k + 1) * LOT) if k < lots else 0
         for m in range(points.place.shape[1]):
-            points.place[AIM, m] = search.loaded_place[k, m] = pool[q, m] if k < lots else spread[k - lots, m]
-        reach_and_keep(problem, work, search, b, AIM, 0, start, tolerance)
-        search.loaded_value[k] = points.known[0, HALF_COST]
-        if improves(work, 0, BEST):
-            keep_point(work, search, BEST, 0)
+            points.place[AIM, m] = pool[q, m] if k < lots else spread[k - lots, m]
+        reach_and_keep(problem, work, search, b, AIM, LOADED + k, start, tolerance)
+        if improves(work, LOADED + k, BEST):
+            keep_point(work, search, BEST, LOADED + k)
 
 
 @part
-def _begin(problem, work, search, b, s, shape, pool, start, tolerance):  # type: ignore[no-untyped-def]
-    """Write the first slot: the start of descent s. Returns whether there is any.
+def _begin(problem, work, search, b, s, shape, pool, above):  # type: ignore[no-untyped-def]
+    """Write the first slot: the start of descent s. Returns the slot of the point that was loaded; or -1.
 
-    The first is at the shape itself, with the pressures of the pool that are best there to first order; then come the
-    places at which the arm was loaded, from the best on.
+    The first is at the shape itself, with the pressures of the pool that are best there to first order: the best point
+    that was loaded stands for it. Then come the places at which the arm was loaded, from the best on.
     """
     points = work.points
     if s > 0:
-        k = _best_of(search.loaded_value, 0, len(search.loaded_value))
-        if not search.loaded_value[k] < math.inf:
-            return False
-        search.loaded_value[k] = math.inf
-        for m in range(points.place.shape[1]):
-            points.place[AIM, m] = search.loaded_place[k, m]
-        return reach_and_keep(problem, work, search, b, AIM, 0, start, tolerance) != FAILED
+        best = -1
+        for k in range(LOADED, len(points.known)):
+            if above < points.known[k, HALF_COST] < (points.known[best, HALF_COST] if best >= 0 else math.inf):
+                best = k
+        if best >= 0:
+            copy_point(points, 0, best)
+        return best
     q = _best_of(search.expected, 0, len(pool))
     for m in range(points.place.shape[1]):
         points.place[0, m] = pool[q, m]
     copy_twists(work.path.trial, shape)
-    return evaluate_point(problem, work, b, 0, CLOSE) and points.known[0, STABLE] > 0.0
+    found = evaluate_point(problem, work, b, 0, CLOSE, EVALUATIONS) and points.known[0, STABLE] > 0.0
+    return BEST if found else -1
 
 
 @part
@@ -140,15 +143,18 @@ def _same_place(points, a, b):  # type: ignore[no-untyped-def]
 @part
 def _multistart(problem, work, search, b, shape, pool, spread, start, tolerance):  # type: ignore[no-untyped-def]
     """Descend from all starts, and confirm the ends; whether the best point is one."""
-    points, at_end, agreed = work.points, False, 0
+    points, at_end, agreed, above = work.points, False, 0, -1.0
     _load_places(problem, work, search, b, shape, pool, spread, start, tolerance)
     for s in range(len(search.start_cost)):
         if agreed >= AGREE:
             break
         search.start_cost[s] = math.inf
-        if not _begin(problem, work, search, b, s, shape, pool, start, tolerance):
+        begun = _begin(problem, work, search, b, s, shape, pool, above)
+        if begun < 0:
             continue
-        end, ended = descend(problem, work, b, 0, 1, False)
+        if s > 0:
+            above = points.known[begun, HALF_COST]
+        end, ended = descend(problem, work, b, 0, 1, False, points.known[BEST, HALF_COST], STEPS)
         if not math.isfinite(points.known[end, HALF_COST]):
             continue
         if at_end and _same_place(points, end, BEST) and distance_of(problem, work, b, end, BEST) <= SAME_SHAPE:
@@ -157,7 +163,7 @@ def _multistart(problem, work, search, b, shape, pool, spread, start, tolerance)
             continue
         how = reach_and_keep(problem, work, search, b, end, ENDED, start, tolerance)
         same = how != FAILED and distance_of(problem, work, b, end, ENDED) <= SAME_SHAPE
-        if not same and keep_lost(work, search, end):
+        if not same and keep_lost(problem, work, search, b, end, begun):
             agreed += 1
         if how == FAILED:
             continue
@@ -174,27 +180,23 @@ def _search(problem, work, search, b, shape, pool, spread, rounds, start, tolera
     points = work.points
     for s in range(len(search.start_cost)):
         search.start_cost[s] = math.nan
-    for j in range(LOST):
-        search.lost_value[j] = math.inf
-        for m in range(points.place.shape[1]):
-            search.lost_place[j, m] = math.nan
+    for j in range(FIRST_LOST, FIRST_LOST + LOST):
+        points.known[j, HALF_COST] = math.inf
     points.known[BEST, HALF_COST] = math.inf
     at_end = _multistart(problem, work, search, b, shape, pool, spread, start, tolerance)
     work.path.stays[0] = False
-    for j in range(-1, min(rounds, LOST)):
-        if j < 0:
-            if at_end or rounds == 0 or not math.isfinite(points.known[BEST, HALF_COST]):
-                continue
-            keep_point(work, search, CURRENT, BEST)
-        else:
-            if not search.lost_value[j] < (1.0 - WORTH) * points.known[BEST, HALF_COST]:
-                break
-            if not cross_boundary(problem, work, search, b, j, start, tolerance):
-                continue
-        before = points.known[BEST, HALF_COST]
-        ended = follow_boundary(problem, work, search, b, start, tolerance)
-        at_end = ended if ended or points.known[BEST, HALF_COST] < before else at_end
-    return at_end and not search.lost_value[0] < (1.0 - WORTH) * points.known[BEST, HALF_COST]
+    if rounds > 0 and not at_end and math.isfinite(points.known[BEST, HALF_COST]):
+        at_end = release(problem, work, search, b, BEST, start, tolerance)
+    lost = points.known[_best_of(points.known[:, HALF_COST], FIRST_LOST, FIRST_LOST + LOST), HALF_COST]
+    for _ in range(rounds):
+        before, j = points.known[BEST, HALF_COST], _best_of(points.known[:, HALF_COST], FIRST_LOST, FIRST_LOST + LOST)
+        if not points.known[j, HALF_COST] < (1.0 - WORTH) * before:
+            break
+        ended = follow_boundary(problem, work, search, b, j, start, tolerance)
+        points.known[j, HALF_COST] = math.inf
+        if points.known[BEST, HALF_COST] < before:
+            at_end = ended
+    return at_end and not lost < (1.0 - WORTH) * points.known[BEST, HALF_COST]
 
 
 @kernel

@@ -13,7 +13,7 @@ from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.engine.continuation import CONTINUED, FAILED
 from torcharm.engine.pressure_model import make_work
-from torcharm.engine.search_room import make_search
+from torcharm.engine.search_room import LOADED, make_search
 from torcharm.engine.searches import LOT, Searches, search_all
 from torcharm.engine.threads import spread
 from torcharm.equilibrium.solve import TOLERANCE, NotConvergedError
@@ -27,8 +27,8 @@ from torcharm.task import Task
 
 METHODS = ("multistart", "scipy")
 STARTS = {"multistart": 8, "scipy": 1}
-ROUNDS = 3
-"""Lost ends of descents from which a search goes on along a boundary."""
+ROUNDS = 4
+"""Ends of descents that continuation does not reach, from which a search goes on along a boundary."""
 WORDS = ("converged", "snapped", "not converged", "not found")
 """What may be said of a search. Snapped: the arm gets there by a snap, not along one branch from zero load. Not
 converged: an equilibrium
@@ -57,8 +57,8 @@ class PressureSearch:
         stable: (*batch) whether the arm stays there.
         strain_excess: (*batch) largest strain beyond its actuator's characterised range, 0 if none is.
         in_range: (*batch) whether every strain and pressure lies in the characterised range.
-        start_cost: (*batch, S) what each start came to by itself; infinite where it failed, NaN where it was spared as
-            others had agreed.
+        start_cost: (*batch, S) what each start came to by itself, before it was given up or at its end; infinite where
+            it failed, NaN where it was spared as others had agreed.
     """
 
     pressure: Tensor
@@ -113,8 +113,9 @@ def search_pressure(
     returned is the one that continuation from zero load reaches (see `solve_equilibrium`).
 
     "multistart" descends by Levenberg and Marquardt's steps in the box, along stable equilibria: from the task's
-    shape, and from pressures that are promising to first order there or spread over the box, until three descents
-    agree. Ends are confirmed by continuation. Under compression it may lead elsewhere: an arm buckles to one side or
+    shape, and from pressures that are promising to first order there or spread over the box, until four descents
+    agree; one that will not come below the best that is known is given up. Ends are confirmed by continuation. Under
+    compression it may lead elsewhere: an arm buckles to one side or
     to the other, and the best pressures often lie where that is decided. There the cost jumps. The boundary is found
     by Newton's method, as where the equilibria on the way bifurcate, and the search goes on along it; it is not
     `converged`. "scipy" is the paper's baseline, one equilibrium at a time: `scipy.optimize.minimize` with finite
@@ -195,16 +196,18 @@ def _found(prepared: Prepared, starts: int, rounds: int, seed: int) -> Searches:
     """What the engine finds."""
     problem, shape, out = prepared.engine, prepared.start, nothing_found(prepared, starts)
     size = problem.limit.shape[1]
-    pool = torch.rand(LOT * starts, size, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    half = starts // 2
+    pool = torch.rand(LOT * (half + 2), size, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
     pool = (1.2 * pool - 0.1).clamp(0, 1)  # the bounds are where optima like to be
-    places = spread_points(starts // 2 + 2, size, seed)
+    places = spread_points(max(half, 2), size, seed)
     places[1:] = np.clip(1.6 * places[1:] - 0.3, 0.0, 1.0)
     places[1] = 0.0  # no pressure at all
     start, pressure = np.zeros((0, *shape.shape[1:])), np.zeros_like(problem.limit)
+    slots = LOADED + len(pool) // LOT + len(places)
 
     def work(first: int, last: int) -> None:
-        room = make_work(problem.arms, pressure)
-        search = make_search(problem.arms, starts, len(pool), starts + len(places))
+        room = make_work(problem.arms, pressure, slots)
+        search = make_search(problem.arms, starts, len(pool), slots)
         search_all(problem, shape, pool.numpy(), places, rounds, start, TOLERANCE, first, last, room, search, out)
 
     spread(len(shape), work)
