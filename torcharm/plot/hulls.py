@@ -114,7 +114,7 @@ def make_scene(arm: ArmDesign, task: Task, relative: bool, hull: str, samples: i
     metric = "relative" if relative else "absolute"
     distance = getattr(evaluate(arm, task, (metric,), hull=hull, samples=samples), f"{metric}_per_node")
     vertices = wrench_hulls(arm, task.twists, relative=relative, hull=hull, samples=samples).vertices
-    required = required_wrench(task.twists, task.tip_load, task.base_pose)[..., HULL[3]]
+    required = required_wrench(task.twists, task.tip_load, task.base_pose, wrench_at=task.wrench_at)[..., HULL[3]]
     labels = (r"force $f_x$ [N]", r"moment $m$ [N·m]")
     if relative:
         required = required - required[..., :1, :]

@@ -82,7 +82,7 @@ def _metrics(names: list[str], evaluated: Sequence[Attainability], tasks: int) -
     """For each metric that any arm has, those arms' values (tasks)."""
     metrics: dict[str, dict[str, Array]] = {}
     for metric, index in product(CHOICES, range(len(names))):
-        value = getattr(evaluated[index], metric)
+        value = getattr(evaluated[index], "shape_error" if metric == PREDICTED else metric)
         if value is not None:
             if value.numel() != tasks:
                 given = f"got shape {tuple(value.shape)}"
