@@ -40,6 +40,9 @@ def test_the_examples_fit_the_types(tmp_path):
     path = tmp_path / "readme.py"
     path.write_text("\n".join(BLOCKS), encoding="utf-8")
     options = ["--ignore-missing-imports", "--check-untyped-defs"]
-    options += ["--disable-error-code", "union-attr"]  # what was asked for is there, and nobody asks again in an example
+    options += [
+        "--disable-error-code",
+        "union-attr",
+    ]  # what was asked for is there, and nobody asks again in an example
     said, errors, code = api.run([str(path), "--config-file=", *options])
     assert (errors, code) == ("", 0), said

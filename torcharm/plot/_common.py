@@ -20,6 +20,15 @@ Mask = NDArray[np.bool_]
 ARM_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#F0E442")
 ARM_LINES = ("-", "--", ":", "-.")
 ATTAINABLE, UNATTAINABLE = "#000000", "#D55E00"
+VERDICT_STYLES = {  # colour, marker, and whether that is filled
+    "held": (ATTAINABLE, "o", True),
+    "not excluded": (ATTAINABLE, "o", True),
+    "missed": (UNATTAINABLE, "x", True),
+    "excluded": (UNATTAINABLE, "x", True),
+    "excluded by range": ("#999999", "s", False),
+    "undecided": ("#0072B2", "^", False),
+    "impossible": ("#882255", "*", True),
+}
 KIND_STYLES = {"bellows": ("#56B4E9", 4.5), "muscle": ("#882255", 2.5), "other": ("#999999", 3.5)}  # colour, width
 SMOOTHING = 8  # points drawn on each segment, so that a segment of constant curvature is seen to be an arc
 LONGEST_ARROW = 0.3  # of the largest force, as a share of the centreline's length
