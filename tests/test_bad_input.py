@@ -245,7 +245,6 @@ CASES = {
     "ta.evaluate(arm, task, weights=2.0)": ("weights", "2.0"),
     "ta.evaluate(arm, task, chunk_size=0)": ("chunk_size", "0"),
     "ta.evaluate(arm, task, chunk_size=2.5)": ("chunk_size", "2.5"),
-    "ta.evaluate(arm, task.to(torch.float32))": ("task", "torch.float32"),
     # hulls and distances
     "ta.wrench_hulls(arm, twists, hull='round')": ("hull", "'round'"),
     "ta.wrench_hulls(arm, twists, samples=1)": ("samples", "1"),

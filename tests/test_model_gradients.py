@@ -131,7 +131,7 @@ RESULTS: dict[str, Callable] = {
     "by scipy": metric("absolute", distance="scipy", samples=3),
     "relative in chunks": metric("relative", chunk_size=1),
     "signed relative": metric("relative", signed=True),
-    "predicted": lambda arm: ta.evaluate(pair(arm), GENTLE, metrics="predicted_error").predicted_error,
+    "predicted": lambda arm: ta.evaluate(pair(arm), GENTLE, metrics="predicted_error").shape_error,
     "equilibrium": equilibrium(),
     "sheared equilibrium": equilibrium(shear_stiffness=1e3),
     "capacity": lambda arm: ta.load_capacity(arm, TASK).t_max_per_node,

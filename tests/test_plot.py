@@ -366,82 +366,72 @@ class TestStudyFigure:
         return plot.study_figure(arms, "a task", task, results, **kwargs), results
 
     @pytest.mark.parametrize("count", [1, 2, 4])
-    def test_a_column_an_arm_and_a_panel_a_metric(self, count, tmp_path):
+    def test_errors_on_top_a_column_an_arm_and_two_nodes_of_each(self, count, tmp_path):
         figure, _ = self.draw(self.ARMS[:count])
-        kinds = [axes.name for axes in figure.axes]
-        assert kinds == ["rectilinear", "3d"] * count + ["rectilinear"] * 2
+        assert [axes.name for axes in figure.axes] == ["rectilinear"] * (1 + 3 * count)
         figure.savefig(tmp_path / "study.png", dpi=30)
         assert not plt.get_fignums()
 
-    def test_titles_say_what_was_found(self):
-        figure, (first, second) = self.draw(self.ARMS[:3:2])
-        held = (first.absolute == 0).sum()
-        title = figure.axes[0].get_title()
-        assert f"antagonistic: absolute median {np.median(first.absolute):.3g} N, {held} of 30 attainable" in title
-        assert f"relative median {np.median(first.relative):.3g} N" in title
-        assert "extrapolates" not in title
-        least, most = np.median(first.absolute), np.median(second.absolute)
-        assert least < most
-        ranking = f"antagonistic {least:.3g} N, single {most:.3g} N"
-        assert figure.get_suptitle() == f"a task\nmedian absolute unattainability: {ranking}"
-
-    def test_titles_say_what_lies_outside_the_models(self):
-        bent = ta.Task(ta.affine_curvature(-3.0, 3.0, length=0.5, nodes=8), LOADS)
-        figure, (result,) = self.draw(self.ARMS[:1], bent)
-        excess = f"{result.strain_excess.max():.2g}"
-        assert f"extrapolates: strain {excess} beyond range" in figure.axes[0].get_title()
-        pressed = ta.ArmDesign([-0.05, 0.05], 0.5, [ta.Bellows()] * 2, [100.0, 100.0])
-        figure, _ = self.draw([("pressed", pressed)])
-        assert "extrapolates: pressure limits" in figure.axes[0].get_title()
-
-    def test_loads_are_told_apart_by_what_was_found(self):
-        figure, (result,) = self.draw(self.ARMS[:1])
-        held = result.absolute == 0
-        missed, kept = arrows(figure.axes[0])
-        assert rows(np.stack((kept.U, kept.V), -1)) == rows(LOADS[held, :2])
-        assert rows(np.stack((missed.U, missed.V), -1)) == rows(LOADS[~held, :2])
-        assert len(sequences(figure.axes[1], "attainable", 8)) == held.sum()
-
-    def test_arms_are_drawn_at_one_scale(self):
-        figure, _ = self.draw(self.ARMS[:3])
-        deep = [axes for axes in figure.axes if axes.name == "3d"]
-        assert len({(axes.get_ylim(), axes.get_zlim()) for axes in deep}) == 1
-
-    def test_histograms_hold_the_medians(self):
+    def test_every_task_is_a_mark_by_its_verdict(self):
         figure, results = self.draw(self.ARMS[:2])
-        for axes, metric in zip(figure.axes[-2:], ("absolute", "relative"), strict=True):
-            medians = [float(np.median(getattr(result, metric))) for result in results]
-            assert [line.get_xdata()[0] for line in axes.lines] == pytest.approx(medians)
-            assert axes.get_xlabel() == f"{metric} unattainability [N]"
+        marks = {}
+        for found in figure.axes[0].collections:
+            marks.setdefault(found.get_gid(), []).append(np.asarray(found.get_offsets()))
+        for word in set(marks):
+            drawn = np.sort(np.concatenate(marks[word])[:, 0])
+            errors = [1e3 * result.tip_error[torch.as_tensor(result.verdict == word)].numpy() for result in results]
+            finite = np.sort(np.concatenate(errors))
+            finite = finite[np.isfinite(finite)]
+            np.testing.assert_allclose(drawn[: len(finite)], np.maximum(finite, 0.01))
+        assert sum(len(part) for parts in marks.values() for part in parts) == 60
+        assert figure.axes[0].get_xlabel().startswith("predicted tip error [mm]")
+
+    def test_titles_count_the_verdicts(self):
+        figure, results = self.draw(self.ARMS[:2])
+        arms = [axes for axes in figure.axes if axes.get_xlabel() == "x [m]"]
+        for axes, (name, _), result in zip(arms, self.ARMS, results, strict=False):
+            assert axes.get_title().startswith(f"{name}: ")
+            for word in set(result.verdict):
+                assert f"{(result.verdict == word).sum()} {word}" in axes.get_title()
+
+    def test_the_predicted_shape_is_that_of_the_median_load(self):
+        figure, (result,) = self.draw(self.ARMS[:1])
+        (line,) = (line for axes in figure.axes for line in axes.lines if line.get_gid() == "predicted")
+        index = int(line.get_label().split("load ")[1].split(":")[0]) - 1
+        error = result.tip_error
+        assert float(error[index]) == pytest.approx(float(error[error.isfinite()].median()))
+        end = ta.poses(result.prediction.twists[index])[-1, :2]
+        np.testing.assert_allclose(line.get_xydata()[-1], end, atol=1e-12)
+
+    def test_nodes_are_the_base_and_the_worst_at_one_scale(self):
+        figure, results = self.draw(self.ARMS[:3])
+        panels = [axes for axes in figure.axes if axes.get_xlabel().startswith("force")]
+        assert len({(axes.get_xlim(), axes.get_ylim()) for axes in panels}) == 1
+        for result, first, second in zip(results, panels[::2], panels[1::2], strict=True):
+            assert "node 1 of 8" in first.get_title()
+            worst = int(result.node_miss.mean(0).argmax())
+            assert f"node {worst + 1 if worst else 8} of 8" in second.get_title()
+
+    def test_sets_alone_show_newtons(self):
+        arms = self.ARMS[:2]
+        results = [ta.evaluate(arm, TASK, ("absolute",)) for _, arm in arms]
+        figure = plot.study_figure(arms, "a task", TASK, results)
+        assert figure.axes[0].get_xlabel().startswith("absolute unattainability [N]")
+        held = int(results[0].not_excluded.sum())
+        (arm,) = (axes for axes in figure.axes if axes.get_title().startswith("antagonistic: "))
+        assert f"{held} not excluded" in arm.get_title()
 
     def test_first_of_several_shapes(self):
         shapes = ta.affine_curvature([-0.5, 0.5], 0.5, length=0.5, nodes=8)
-        figure, (result,) = self.draw(self.ARMS[:1], ta.Task(shapes[:, None], LOADS))
-        assert "drawn: the first of 2 shapes, 30 of 60 tasks; numbers: all tasks" in figure.get_suptitle()
-        assert f"{(result.absolute == 0).sum()} of 60 attainable" in figure.axes[0].get_title()
-        assert len(sequences(figure.axes[1], "attainable", 8)) == (result.absolute[0] == 0).sum()
-        assert rows(forces(figure.axes[0])) == rows(LOADS[:, :2])
+        figure, _ = self.draw(self.ARMS[:1], ta.Task(shapes[:, None], LOADS))
+        assert "drawn: the first of 2 shapes, 30 of 60 tasks" in figure.get_suptitle()
+        (arm,) = (axes for axes in figure.axes if axes.get_xlabel() == "x [m]")
+        assert rows(forces(arm)) == rows(LOADS[:, :2])
 
-    def test_metrics_missing(self, tmp_path):
-        results = [ta.evaluate(arm, TASK) for _, arm in self.ARMS[:2]]
-        results[0] = dataclasses.replace(results[0], absolute=None)
-        figure = plot.study_figure(self.ARMS[:2], "a task", TASK, results)
-        assert figure.axes[0].get_title().startswith("antagonistic: relative median")
-        absolute, relative = figure.axes[-2:]
-        assert (len(absolute.lines), len(relative.lines)) == (1, 2)
-        assert absolute.lines[0].get_color() == relative.lines[1].get_color()  # an arm keeps its colour
-        results = [dataclasses.replace(result, absolute=None, relative=None) for result in results]
-        figure = plot.study_figure(self.ARMS[:2], "a task", TASK, results)
-        assert len(figure.axes) == 4
-        assert figure.axes[0].get_title() == "antagonistic: no metric evaluated"
-        figure.savefig(tmp_path / "study.png", dpi=30)
-
-    def test_nothing_finite(self):
-        result = ta.evaluate(self.ARMS[0][1], TASK)
+    def test_nothing_finite(self, tmp_path):
+        result = ta.evaluate(self.ARMS[0][1], TASK, ("absolute",))
         lost = dataclasses.replace(result, absolute=torch.full_like(result.absolute, float("nan")))
-        figure = plot.study_figure(self.ARMS[:1], "a task", TASK, [lost])
-        figure.canvas.draw()
-        assert "median nan N, 0 of 30 attainable, 30 not finite" in figure.axes[0].get_title()
+        plot.study_figure(self.ARMS[:1], "a task", TASK, [lost]).savefig(tmp_path / "study.png", dpi=30)
 
     def test_errors_name_the_field(self):
         arm = ta.antagonistic_arm()
@@ -454,5 +444,5 @@ class TestStudyFigure:
             plot.study_figure([("a", ta.antagonistic_arm(torch.tensor([0.05, 0.08])))], "a task", TASK, [result])
         with pytest.raises(ValueError, match=r"^evaluated: must hold one entry for each of the 1 results, got 2"):
             plot.study_figure([("a", arm)], "a task", TASK, [result] * 2)
-        with pytest.raises(ValueError, match=r"^evaluated\[0\].absolute: must hold one value for each of 5 tasks, got"):
+        with pytest.raises(ValueError, match=r"^evaluated\[0\]: must hold one value for each of 5 tasks, got"):
             plot.study_figure([("a", arm)], "a task", ta.Task(TWISTS, LOADS[:5]), [result])

@@ -10,11 +10,12 @@ from typer.testing import CliRunner
 
 import torcharm as ta
 from torcharm import cli
-from torcharm.study import evaluate_study, parse_study, summarise, write_results
+from torcharm.study import evaluate_study, parse_study, write_results
 
 D = torch.float64
 LOADS = torch.tensor([15.0, 15.0, 3.0], dtype=D)
 METRICS = ("absolute", "relative", "predicted_error")
+NAMES = {"predicted_error": "shape_error"}  # of what a metric yields, where that is another
 
 
 def uniform(generator, low, high, *shape):
@@ -65,14 +66,14 @@ def test_where_no_equilibrium_is_found_the_error_is_infinite_and_its_gradient_no
     prediction = found.prediction
     lost = ~prediction.stable
     assert int(lost.sum()) >= 5, lost
-    assert bool((found.predicted_error.isinf() == lost).all())
-    assert bool((found.predicted_error_per_node[lost] == math.inf).all())
+    assert bool((found.shape_error.isinf() == lost).all())
+    assert bool((found.prediction.per_node[lost] == math.inf).all())
     assert bool(prediction.pose_errors[lost].isnan().all())
     assert not bool((found.converged & lost).any())
     unknown = ~found.converged
-    (slope,) = torch.autograd.grad(found.predicted_error.sum(), radii, retain_graph=True)
+    (slope,) = torch.autograd.grad(found.shape_error.sum(), radii, retain_graph=True)
     assert bool((slope[:, 0].isnan() == unknown).all())
-    kept = torch.where(found.converged, found.predicted_error, 0.0)
+    kept = torch.where(found.converged, found.shape_error, 0.0)
     (slope,) = torch.autograd.grad(kept.sum(), radii)
     assert bool(slope.isfinite().all())
 
@@ -87,7 +88,7 @@ def test_an_unknown_gradient_leaves_those_of_other_tasks_alone():
         found = ta.evaluate(design, ta.Task(ta.affine_curvature(1.0, 1.5), loads[chosen]), metrics=("predicted_error",))
         known = found.converged
         assert 3 <= int(known.sum()) < len(known) or len(known) == 8
-        slopes.append(torch.autograd.grad(found.predicted_error[known].sum(), radii)[0])
+        slopes.append(torch.autograd.grad(found.shape_error[known].sum(), radii)[0])
     assert bool(slopes[0].isfinite().all())
     torch.testing.assert_close(slopes[0], slopes[1], rtol=1e-6, atol=1e-9)
 
@@ -112,7 +113,7 @@ class Own:
 def test_models_that_resist_nothing_or_have_no_number_hold_nothing(stiffness, radii, load):
     arm = ta.ArmDesign(radii, 0.5, [Own(stiffness)] * len(radii))
     found = ta.evaluate(arm, ta.Task(ta.affine_curvature(0.0, 0.5, nodes=4), load), metrics=("predicted_error",))
-    assert float(found.predicted_error) == math.inf
+    assert float(found.shape_error) == math.inf
     assert not bool(found.converged)
     solved = ta.solve_equilibrium(arm, torch.zeros(len(radii), dtype=D), load, 4)
     assert not bool(solved.stable)
@@ -125,10 +126,10 @@ def test_small_predictions_are_confirmed_by_the_search():
         arm = random_arm(generator, count)
         task = random_tasks(generator, arm, 10)
         found = ta.evaluate(arm, task, metrics=("predicted_error",))
-        small = (found.predicted_error < 1e-3) & found.converged & found.prediction.reached
+        small = (found.shape_error < 1e-3) & found.converged & found.prediction.reached
         if bool(small.any()):
             searched = ta.search_pressure(arm, ta.Task(task.twists[small], task.tip_load[small]), starts=4)
-            assert bool(((searched.cost.sqrt() - found.predicted_error[small]).abs() <= 0.01).all())
+            assert bool(((searched.cost.sqrt() - found.shape_error[small]).abs() <= 0.01).all())
         looked_at += int(small.sum())
     assert looked_at >= 10
 
@@ -217,8 +218,8 @@ def test_impossible_shapes_are_infinitely_far_and_leave_the_others_alone(options
             continue
         assert found.impossible.tolist() == [False, True, True]
         for metric in options.get("metrics", METRICS[:2]):
-            assert getattr(found, metric).isfinite().tolist() == [True, False, False], metric
-            assert getattr(found, metric)[1:].tolist() == [math.inf] * 2
+            assert getattr(found, NAMES.get(metric, metric)).isfinite().tolist() == [True, False, False], metric
+            assert getattr(found, NAMES.get(metric, metric))[1:].tolist() == [math.inf] * 2
         assert not bool((found.in_range | found.converged)[1:].any())
         assert found.prediction is None or not bool(found.prediction.stable[1:].any())
         assert bool((found.strain_excess[1:] > 0.05).all())
@@ -280,8 +281,8 @@ name = "bent"
 shape = { kind = "affine", slope = 1.43, intercept = -0.27, length = 0.439, nodes = 6 }
 loads = [[-8.89, 6.93, 1.18]]
 [[task]]
-name = "degrees"
-shape = { kind = "affine", slope = 0.0, intercept = 90.0 }
+name = "coiled"
+shape = { kind = "affine", slope = 0.0, intercept = 12.0 }
 loads = [[0, -1, 0]]
 [[task]]
 name = "at rest"
@@ -293,37 +294,33 @@ metrics = ["predicted_error"]
 
 
 def test_a_study_counts_and_writes_only_what_can_be_trusted(tmp_path):
-    results = evaluate_study(parse_study(STUDY))
-    summaries = [summarise(result) for result in results]
-    assert [summary.attainable["predicted_error"] for summary in summaries[:4]] == [0] * 4
-    assert [summary.impossible for summary in summaries] == [0, 0, 0, 1, 0, 0]
-    assert summaries[0].unpredicted == 1
-    assert summaries[5].all_attainable == 1
+    results = list(evaluate_study(parse_study(STUDY)))
+    verdicts = [result.verdicts[0] for result in results]
+    assert verdicts[0] == "undecided"
+    assert verdicts[2:4] == ["impossible", "impossible"] or verdicts[3] == "impossible"
+    assert verdicts[5] == "held"
+    assert "held" not in verdicts[:4]
     write_results(tmp_path / "out.csv", results)
     with (tmp_path / "out.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    first, last = rows[0], rows[5]
-    flags = ("attainable", "impossible", "converged", "stable", "reached", "pressure_1_kPa", "pressure_2_kPa")
-    assert [first[name] for name in flags] == ["false", "false", "false", "false", "false", "", ""]
-    assert first["predicted_error"] == "inf"
-    assert [rows[3][name] for name in flags[:4]] == ["false", "true", "false", "false"]
-    assert [last[name] for name in flags[:4]] == ["true", "false", "true", "true"]
-    found = results[5].attainability.predicted_pressure[0].tolist()
-    assert [float(last[name]) for name in flags[5:]] == found
+    first, coiled, last = rows[0], rows[3], rows[5]
+    assert [first[name] for name in ("tip_error_mm", "pressure_1_kPa", "pressure_2_kPa")] == ["", "", ""]
+    assert first["reason"] == "no stable equilibrium near the task's shape was found"
+    assert "would have no length" in coiled["reason"]
+    assert coiled["status"] == "impossible"
+    assert last["reason"] == ""
+    found = results[5].attainability.pressure[0].tolist()
+    assert [float(last[name]) for name in ("pressure_1_kPa", "pressure_2_kPa")] == found
 
 
-def test_the_command_asks_about_units(tmp_path):
+def test_the_command_says_what_is_impossible_and_asks_about_units(tmp_path):
     path = tmp_path / "study.toml"
     path.write_text(STUDY, encoding="utf-8")
     done = CliRunner().invoke(cli.app, ["evaluate", str(path)], env={"COLUMNS": "300"})
     assert done.exit_code == 0, done.output
-    (line,) = [line for line in done.stdout.splitlines() if line.startswith("Impossible")]
-    assert "muscle" not in line
-    assert "pair on degrees" in line
-    assert "bent" not in line
-    assert "not degrees" in line
-    assert "not millimetres" in line
-    assert "No stable equilibrium was found for" in done.stdout
-    path.write_text(STUDY.replace("90.0", "0.9"), encoding="utf-8")
-    again = CliRunner().invoke(cli.app, ["evaluate", str(path)], env={"COLUMNS": "300"})
-    assert "Impossible" not in again.stdout
+    assert "pair, load 1: actuator 2 would have no length at node 1" in done.stdout
+    assert "impossible: an actuator would have no length." in done.stdout
+    path.write_text(STUDY.replace("12.0", "90.0"), encoding="utf-8")
+    refused = CliRunner().invoke(cli.app, ["evaluate", str(path)], env={"COLUMNS": "300"})
+    assert refused.exit_code == 2
+    assert "are curvatures in degrees?" in refused.stderr

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from torcharm.actuators.model_file import load_actuator, save_actuator
     from torcharm.actuators.recordings import read_pressure, read_tester
     from torcharm.actuators.uncertainty import TensorPolynomial, coefficient_tensor, standard_deviation
-    from torcharm.attainability import Attainability, evaluate
+    from torcharm.attainability import Attainability, PoseTolerance, evaluate
     from torcharm.equilibrium import Equilibrium, NotConvergedError, solve_equilibrium
     from torcharm.optimise import (
         Architectures,
@@ -81,6 +81,7 @@ __all__ = [
     "PointLoad",
     "PolynomialActuator",
     "PoseCost",
+    "PoseTolerance",
     "PredictedError",
     "PressureFit",
     "PressureSearch",
@@ -150,6 +151,7 @@ _LATER = {
     "OptimisedDesign": "optimise",
     "PlannedShape": "planning",
     "PoseCost": "pressure.pose_cost",
+    "PoseTolerance": "attainability",
     "PredictedError": "pressure.predicted_error",
     "PressureFit": "pressure.wrench_fit",
     "PressureSearch": "pressure.search",

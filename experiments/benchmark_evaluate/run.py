@@ -120,7 +120,7 @@ def validation(quick: bool) -> Iterator[Measurement]:
     for case, settings in {"exact": {}, "edges, 3 points": {"hull": "edges", "samples": 3}}.items():
 
         def ours(settings: dict[str, object] = settings) -> list[Tensor | None]:
-            return [ta.evaluate(arm, task, ("absolute",), **settings).absolute_per_node for arm in arms]  # type: ignore[arg-type]
+            return [ta.evaluate(arm, task, ("absolute",), **settings).absolute_per_node for arm in arms]
 
         spent = seconds(ours, 3 if quick else 51)
         yield Measurement(part, f"torcharm, {case}", "time", spent * 1e3, "ms")

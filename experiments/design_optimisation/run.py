@@ -144,9 +144,9 @@ def predicted(arm: str, design: ta.ArmDesign, quick: bool) -> Iterator[Row]:
         for moment, one in (("before", result.given), ("in range", result.starts[0]), ("after", result.best)):
             found = ta.evaluate(one, task, ("absolute", "predicted_error"))
             assert found.absolute is not None
-            assert found.predicted_error is not None
+            assert found.shape_error is not None
             yield Row("predicted", arm, name, f"absolute {moment}", float(found.absolute.mean()), "N")
-            yield Row("predicted", arm, name, f"predicted error {moment}", float(found.predicted_error.mean()), "m")
+            yield Row("predicted", arm, name, f"predicted error {moment}", float(found.shape_error.mean()), "m")
         yield Row("predicted", arm, name, "seconds", result.seconds, "s")
         if not quick:
             searched = ta.verify_design(result, task)

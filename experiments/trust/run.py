@@ -121,8 +121,8 @@ def predictions(total: int, console: Console) -> Iterator[Row]:
         arm, kinds = draw_arm(generator, 1 + seed % 4)
         task, sources = draw_tasks(generator, arm)
         found = ta.evaluate(arm, task, metrics=("predicted_error",))
-        assert found.predicted_error is not None
-        claimed, flags = found.predicted_error, prediction_flags(found)
+        assert found.shape_error is not None
+        claimed, flags = found.shape_error, prediction_flags(found)
         wanted = [index for index in range(EACH) if float(claimed[index]) < BELOW and not flags[index]]
         searched = torch.full_like(claimed, math.nan)
         if wanted:

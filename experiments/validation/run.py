@@ -123,7 +123,7 @@ def measure(task: ta.Task, baseline_loads: int) -> tuple[list[Answers], list[Fig
     baseline = timed("search, scipy", lambda arm: ta.search_pressure(arm, few, method="scipy", progress=True))
     spent["search, scipy"] *= count / (len(arms) * baseline_loads)
     answers = [
-        Answers(name, arm, hull, prediction.predicted_error, found)
+        Answers(name, arm, hull, prediction.shape_error, found)
         for (name, arm), hull, prediction, found in zip(arms.items(), hulls, predicted, searched, strict=True)
     ]
     summary = [Figure("both", f"time: {what}, {count} tasks", value, "s") for what, value in spent.items()]

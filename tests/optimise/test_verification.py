@@ -26,7 +26,7 @@ def test_predicted_error_falls_when_it_is_the_objective() -> None:
     objective = Objective(metric="predicted_error")
     found = optimise_design(ta.antagonistic_arm(), TASK, objective=objective, starts=1, iterations=3, tolerance=1e-5)
     assert found.value < float(found.start_values[0])
-    error = ta.evaluate(found.best, TASK, ("predicted_error",)).predicted_error
+    error = ta.evaluate(found.best, TASK, ("predicted_error",)).shape_error
     assert error is not None
     assert found.value == pytest.approx(float(error.mean()), rel=1e-6)
     torch.testing.assert_close(found.after["predicted_error"], error.reshape(1), rtol=1e-6, atol=1e-9)

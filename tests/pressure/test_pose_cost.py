@@ -57,4 +57,10 @@ def test_weights_that_do_not_fit_the_nodes():
     with pytest.raises(ValueError, match="node_weights: must be one of ramp, uniform, tip, or 3 or 4 numbers, got 2"):
         ta.PoseCost((1.0, 2.0)).weights(3, like)
     with pytest.raises(ValueError, match="a pose that moves"):
-        ta.PoseCost("ramp").weights(1, like)
+        ta.PoseCost((1.0, 0.0, 0.0)).weights(2, like)
+
+
+@pytest.mark.parametrize("words", ["ramp", "uniform", "tip"])
+def test_the_end_of_a_single_element_is_all_that_counts(words):
+    found = ta.PoseCost(words).weights(1, torch.zeros((), dtype=torch.float64))
+    assert found[:, 0].tolist() == [0.0, 1.0]

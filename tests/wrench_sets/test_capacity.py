@@ -298,8 +298,6 @@ def test_arguments_out_of_bounds(options, message):
 def test_arm_and_task_must_fit():
     with unchecked(), pytest.raises(ValueError, match="task: must be of type Task"):
         ta.load_capacity(ta.antagonistic_arm(), REACHED.twists)
-    with pytest.raises(ValueError, match="task: must have the arm's dtype"):
-        ta.load_capacity(ta.antagonistic_arm(), REACHED.to(torch.float32))
 
 
 def test_moments_at_no_pressure_move_the_hull():
@@ -424,3 +422,10 @@ def test_an_impossible_shape_bears_nothing():
     assert not found.attainable[1]
     assert not found.converged[1]
     assert not found.in_range[1]
+
+
+def test_arm_and_task_of_different_dtype_are_promoted():
+    arm, rounded = ta.antagonistic_arm(), REACHED.to(torch.float32)
+    found, same = ta.load_capacity(arm, rounded), ta.load_capacity(arm, rounded.to(torch.float64))
+    assert found.factor.dtype == torch.float64
+    assert torch.equal(found.factor, same.factor)

@@ -1,5 +1,7 @@
 """`torcharm evaluate`: a study evaluated, as tables, a file and pictures."""
 
+import json
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -11,50 +13,87 @@ import typer
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
     check_outputs,
+    check_result_format,
     count,
     figure_paths,
     mistakes,
     open_console,
+    progress,
     save_all,
+    say,
 )
 from torcharm.files import check_writable
-
-_PREDICTED = "predicted_error"  # torcharm.attainability, which loads torch, must wait
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from torcharm.study import NamedTask, Settings, Study, StudyResult, Summary
+    from torcharm.study import NamedTask, Study, StudyResult, Summary
 
 
 def evaluate(
     study: Annotated[
-        Path | None, typer.Argument(help="A study, as TOML. Without one, the paper's validation.", show_default=False)
+        Path | None, typer.Argument(help="A study, as TOML. Without one, the example of torcharm init.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", help="Write a CSV file: a row for every arm, task and load.")
+        Path | None, typer.Option("--out", help="Write a row for every arm, task and load, to a file .csv or .json.")
     ] = None,
     figure: Annotated[
         Path | None,
         typer.Option("--figure", help=f"Draw the tasks, to a file ending in {', '.join(FIGURE_FORMATS)}."),
     ] = None,
+    sums: Annotated[bool, typer.Option("--sums", help="Show the paper's sums over the nodes, too.")] = False,
+    paper: Annotated[bool, typer.Option("--paper", help="Evaluate the paper's validation.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the rows of --out as JSON, and no tables.")] = False,
 ) -> None:
-    """Evaluate every arm of a study on every task and show a table for each task."""
+    """Evaluate every arm of a study on every task: how far off, held or not, and why not."""
     with mistakes():
+        if paper and study is not None:
+            raise ValueError(f"--paper: stands alone, got the study {study} too")
         check_outputs(study, out, figure)
-        from torcharm.study import evaluate_study, load_study, paper_study
+        check_result_format(out)
+        from torcharm.study import evaluate_study, example_study, load_study, paper_study
 
-        plan = paper_study() if study is None else load_study(study)
+        plan = paper_study() if paper else example_study() if study is None else load_study(study)
         for path in [] if figure is None else figure_paths(figure, plan.tasks):
             check_writable(path, "--figure")
         started = time.perf_counter()
-        results = evaluate_study(plan)
-        seconds = time.perf_counter() - started
-
+        results: list[StudyResult] = []
+        total, interrupted = len(plan.tasks) * len(plan.arms), False
+        with progress("evaluating", total) as advance:
+            try:
+                for result in evaluate_study(plan):
+                    results.append(result)
+                    advance()
+            except KeyboardInterrupt:  # what is finished is shown and written all the same
+                interrupted = True
         console = open_console()
-        _report(console, plan, results, seconds)
+        if as_json:
+            _print_json(results)
+        else:
+            _report(console, plan, results, time.perf_counter() - started, sums or paper)
+            for line in [] if paper else _next_steps(study, results):
+                say(console, line)
         save_all(console, _outputs(plan, results, out, figure))
+        if interrupted:
+            raise KeyboardInterrupt
+
+
+def _next_steps(study: Path | None, results: Sequence["StudyResult"]) -> Iterator[str]:
+    """What a person may try now."""
+    yield ""
+    if study is None:
+        yield "Next: torcharm init writes this example, with comments, to study.toml: put in your own"
+        yield "arms and tasks. torcharm evaluate study.toml --figure picture.png draws them."
+    elif any(word in ("missed", "excluded by range") for result in results for word in result.verdicts or ()):
+        yield f"Next: torcharm optimise {study} looks for radii and lengths that come nearer,"
+        yield f"torcharm search {study} for the pressures that do, loading from rest."
+
+
+def _print_json(results: Sequence["StudyResult"]) -> None:
+    from torcharm.study import result_rows
+
+    typer.echo(json.dumps([row for result in results for row in result_rows(result)], indent=1))
 
 
 def _outputs(
@@ -63,12 +102,14 @@ def _outputs(
     from torcharm.study import write_results
 
     if out is not None:
-        rows = sum(result.attainable.numel() for result in results)
-        yield out, lambda path: write_results(path, results), f" ({count(rows, 'row')})."
+        rows = sum(result.loads for result in results)
+        ending = out.suffix
+        yield out, lambda path: write_results(path, results, ending), f" ({count(rows, 'row')})."
     if figure is not None:
         for place, task in zip(figure_paths(figure, plan.tasks), plan.tasks, strict=True):
             shown = [result for result in results if result.task is task]
-            yield place, partial(_draw, task=task, results=shown), f" ({task.name})."
+            if shown:
+                yield place, partial(_draw, task=task, results=shown), f" ({task.name})."
 
 
 def _draw(path: Path, task: "NamedTask", results: Sequence["StudyResult"]) -> None:
@@ -78,113 +119,113 @@ def _draw(path: Path, task: "NamedTask", results: Sequence["StudyResult"]) -> No
     study_figure(arms, task.name, task.task, [result.attainability for result in results]).savefig(path)
 
 
-def _report(console: "Console", plan: "Study", results: Sequence["StudyResult"], seconds: float) -> None:
+def _report(console: "Console", plan: "Study", results: Sequence["StudyResult"], seconds: float, sums: bool) -> None:
     from rich.text import Text
 
     from torcharm.study import summarise
 
-    summaries = [summarise(result) for result in results]
     console.print(Text(plan.name, style="bold").append(plan.description and f"  {plan.description}", style="not bold"))
     for task in plan.tasks:
-        chosen = [(r, s) for r, s in zip(results, summaries, strict=True) if r.task is task]
+        chosen = [(result, summarise(result)) for result in results if result.task is task]
+        if not chosen:
+            continue
         nodes, loads = count(task.task.nodes, "node"), count(chosen[0][1].loads, "load")
         console.print()
         console.print(Text("Task ").append(task.name, style="bold").append(f", {nodes}, {loads}"))
         console.print()
-        console.print(_table(chosen, plan.settings))
+        console.print(_table(chosen, sums))
+        for result, summary in chosen:
+            if summary.example is not None:
+                load, why = summary.example
+                console.print(f"{result.arm.name}, load {load}: {why}.", soft_wrap=False)
     console.print()
-    console.print(_legend(plan.settings, results[0].node_metric))
-    console.print()
-    for note in _notes(results, summaries):
-        console.print(note)
+    for line in _legend(plan, results, sums):
+        console.print(line)
     arms, tasks = count(len(plan.arms), "arm"), count(len(plan.tasks), "task")
-    evaluations = count(sum(summary.loads for summary in summaries), "evaluation")
+    evaluations = count(sum(result.loads for result in results), "evaluation")
     console.print(f"{arms} on {tasks}: {evaluations} in {seconds:.2g} s.")
 
 
-def _table(rows: Sequence[tuple["StudyResult", "Summary"]], settings: "Settings") -> "Table":
+def _table(rows: Sequence[tuple["StudyResult", "Summary"]], sums: bool) -> "Table":
     from rich import box
     from rich.table import Table
     from rich.text import Text
 
-    zero = "≤ 0" if settings.signed else "= 0"
-    metrics = settings.metrics
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
-    table.add_column("arm", overflow="fold")
-    for metric in metrics:
-        table.add_column("predicted\n[mm]" if metric == _PREDICTED else f"{metric}\nmedian", justify="right")
-    first = metrics[0]
-    tolerable = first == _PREDICTED  # nothing else was asked for
-    table.add_column("predicted\n≤ 1 mm" if tolerable else f"{first}\n{zero}", justify="right")
-    if len(set(metrics) - {_PREDICTED}) > 1:
-        table.add_column(f"both\n{zero}", justify="right")
-    table.add_column("worst\nnode", justify="right")
-    table.add_column("strain\nout of range", no_wrap=True)
+    columns = list(_columns(rows[0][1], sums))
+    table.add_column("arm", overflow="fold", max_width=24)
+    for title in columns:
+        table.add_column(title, justify="right", no_wrap=True)
+    predicted = rows[0][1].verdicts is not None
+    if predicted:
+        table.add_column("not held", overflow="fold")
     for result, summary in rows:
-        table.add_row(Text(result.arm.name), *_cells(summary, metrics))
+        cells = list(_columns(summary, sums).values())
+        table.add_row(Text(result.arm.name), *cells, *([_not_held(summary)] if predicted else []))
     return table
 
 
-def _cells(summary: "Summary", metrics: Sequence[str]) -> Iterator[str]:
-    for metric in metrics:
-        yield f"{summary.median[metric] * (1000 if metric == _PREDICTED else 1):.4g}"
-    yield str(summary.attainable[metrics[0]])
-    if len(set(metrics) - {_PREDICTED}) > 1:
-        yield str(summary.all_attainable)
-    yield "-" if summary.worst_node is None else str(summary.worst_node)
-    yield f"yes, by {summary.strain_excess:.2g}" if _strained(summary) else "no"
+def _columns(summary: "Summary", sums: bool) -> dict[str, str]:
+    """The cells of a row by their titles; medians over loads."""
+    median, cells = summary.median, {}
+    if summary.verdicts is not None:
+        cells["held"] = f"{summary.held} of {summary.loads}"
+        cells["tip off\n[mm]"] = _number(1e3 * median["tip_error"])
+        cells["turned\n[°]"] = _number(math.degrees(median["tip_rotation_error"]))
+    elif summary.not_excluded is not None:
+        cells["not\nexcluded"] = f"{summary.not_excluded} of {summary.loads}"
+    if summary.not_excluded is not None:
+        worst = "-" if summary.worst_node is None else f"{summary.worst_node}: {summary.worst_miss:.2g}"
+        cells["worst node:\nlacks [N]"] = worst
+    if sums or summary.verdicts is None:
+        cells |= {f"{name}\nsum [N]": _number(median[name]) for name in ("absolute", "relative") if name in median}
+    return cells
 
 
-def _strained(summary: "Summary") -> bool:
-    """Whether strains are out of range by more than rounding."""
-    return summary.strain_excess > 1e-9
+def _number(value: float) -> str:
+    """Three digits, and no exponent where none is needed."""
+    return f"{value:.0f}" if 100 <= value < 1e5 else f"{value:.3g}"
 
 
-def _legend(settings: "Settings", node_metric: str | None) -> "Table":
-    from rich.table import Table
-
-    metrics, power = settings.metrics, "squared distance" if settings.power == 2 else "distance"
-    legend = Table.grid(padding=(0, 2))
-    basis = "wrenches" if "absolute" in metrics else "differences from the wrench at node 1"
-    if metrics[0] != _PREDICTED:
-        legend.add_row(metrics[0], f"{power} of the required {basis} from the attainable ones, summed over the nodes")
-        if metrics[:2] == ("absolute", "relative"):
-            legend.add_row("relative", "the same for differences from the wrench at node 1, the base")
-        legend.add_row("unit", _unit(settings))
-        below = "; below, minus the smallest margin" if settings.signed else ""
-        legend.add_row(f"{'≤' if settings.signed else '='} 0", f"number of loads that are attainable{below}")
-    if _PREDICTED in metrics:
-        legend.add_row("predicted", "shape error to expect, the square root of its cost Σ ω (x² + y² + 0.05 θ²)")
-    if node_metric is not None:
-        legend.add_row("worst node", f"has the largest mean {node_metric} distance; node 1 is the base")
-    return legend
+def _not_held(summary: "Summary") -> str:
+    assert summary.verdicts is not None
+    return ", ".join(f"{number} {word}" for word, number in summary.verdicts.items() if word != "held") or "-"
 
 
-def _unit(settings: "Settings") -> str:
-    squared = settings.power == 2
+def _legend(plan: "Study", results: Sequence["StudyResult"], sums: bool) -> Iterator[str]:
+    """What the columns mean, in a line each."""
+    if not results:
+        return
+    found = results[0].attainability
+    if found.prediction is not None:
+        tip = plan.settings.tolerance.tip
+        near = "2 % of the length" if tip is None else f"{1e3 * tip:g} mm"
+        turn = math.degrees(plan.settings.tolerance.rotation)
+        yield f"held: tip and shape within {near}, turned within {turn:.3g}°; medians over loads."
+        words = {word for result in results for word in result.verdicts or ()}
+        for word, meaning in _MEANINGS.items():
+            if word in words:
+                yield f"{word}: {meaning}."
+    else:
+        yield "not excluded: no node lacks a wrench, which is necessary but not sufficient."
+    if found.node_miss is not None:
+        yield "worst node: lacks most, on average, of the wrench that it needs; 1 is the base."
+    if sums or found.prediction is None:
+        yield f"sums over nodes: {_sums(plan)}."
+
+
+_MEANINGS = {
+    "missed": "a converged prediction beyond that",
+    "excluded by range": "beyond characterised strains or pressures: figures extrapolate",
+    "undecided": "not converged, or no stable shape that loading leads to",
+    "impossible": "an actuator would have no length",
+}
+
+
+def _sums(plan: "Study") -> str:
+    settings = plan.settings
+    what = "squared distances" if settings.power == 2 else "distances"
     if settings.weights == (1.0, 1.0):
-        return f"{'N²' if squared else 'N'}, with 1 N·m counted as 1 N"
+        return f"{what} from attainable wrenches, 1 N·m as 1 N"
     force, moment = settings.weights
-    square = f"{force:g} f² + {moment:g} m²"
-    return f"that of {square if squared else f'sqrt({square})'}, with f in N and m in N·m"
-
-
-def _notes(results: Sequence["StudyResult"], summaries: Sequence["Summary"]) -> Iterator[str]:
-    where = dict.fromkeys(
-        f"{result.arm.name} on {result.task.name}"
-        for result, summary in zip(results, summaries, strict=True)
-        if summary.impossible
-    )
-    if where:
-        yield (
-            f"Impossible: an actuator of {', '.join(where)} would have no length. "
-            "Are curvatures in radians (not degrees), and lengths and radii in metres (not millimetres)?"
-        )
-    unpredicted = sum(summary.unpredicted for summary in summaries)
-    if unpredicted:
-        yield f"No stable equilibrium was found for {count(unpredicted, 'load')}: their predicted error is infinite."
-    if any(_strained(summary) for summary in summaries):
-        excess = max(summary.strain_excess for summary in summaries)
-        yield f"Strains are up to {excess:.2g} out of range: there the force models are extrapolated."
-    if not all(summary.limits_in_range for summary in summaries):
-        yield "Pressure limits are out of range: there the force models are extrapolated."
+    return f"{what} from attainable wrenches, {force:g} f² + {moment:g} m²"

@@ -59,6 +59,29 @@ def check_outputs(study: Path | None, out: Path | None, figure: Path | None) -> 
         raise ValueError(f"--figure: {figure}: is the file of --out, must be another")
 
 
+def check_result_format(out: Path | None) -> None:
+    """Raise a ValueError unless an output of results, if there is one, ends as a format of them."""
+    if out is None:
+        return
+    from torcharm.study import check_format
+
+    try:
+        check_format(out)
+    except ValueError as error:
+        raise ValueError(f"--out: {error}") from None
+
+
+@contextmanager
+def progress(what: str, total: int) -> Iterator[Callable[[], None]]:
+    """A bar on the standard error, of a terminal only, which the function that is given moves on by one."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda: bar.advance(task)
+
+
 def save_all(console: "Console", outputs: Iterable[tuple[Path, Callable[[Path], object], str]]) -> None:
     """Write each output whole and say so; a failure costs no other output, and is an error at the end.
 

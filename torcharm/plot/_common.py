@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign, check_planar
 from torcharm.geometry import rod
-from torcharm.task import Task, check_plain
+from torcharm.task import Task
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -20,6 +20,15 @@ Mask = NDArray[np.bool_]
 ARM_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#F0E442")
 ARM_LINES = ("-", "--", ":", "-.")
 ATTAINABLE, UNATTAINABLE = "#000000", "#D55E00"
+VERDICT_STYLES = {  # colour, marker, and whether that is filled
+    "held": (ATTAINABLE, "o", True),
+    "not excluded": (ATTAINABLE, "o", True),
+    "missed": (UNATTAINABLE, "x", True),
+    "excluded": (UNATTAINABLE, "x", True),
+    "excluded by range": ("#999999", "s", False),
+    "undecided": ("#0072B2", "^", False),
+    "impossible": ("#882255", "*", True),
+}
 KIND_STYLES = {"bellows": ("#56B4E9", 4.5), "muscle": ("#882255", 2.5), "other": ("#999999", 3.5)}  # colour, width
 SMOOTHING = 8  # points drawn on each segment, so that a segment of constant curvature is seen to be an arc
 LONGEST_ARROW = 0.3  # of the largest force, as a share of the centreline's length
@@ -45,14 +54,25 @@ def one_design(field: str, arm: ArmDesign) -> ArmDesign:
 
 def first_shape(task: Task) -> tuple[Task, Mask, int]:
     """The task's first shape with the loads on it, which of the flattened tasks these are, and how many shapes."""
-    check_plain(task)
+    _check_drawable(task)
     if 0 in task.batch_shape:
         raise ValueError(f"task: must hold at least one shape and load, got batch shape {tuple(task.batch_shape)}")
     twists = task.twists.detach().expand(*task.batch_shape, -1, -1).reshape(-1, task.nodes, 3)
     tip_load = task.tip_load.detach().expand(*task.batch_shape, 3).reshape(-1, 3)
     same = (twists == twists[0]).flatten(1).all(1)
     shapes = 1 if bool(same.all()) else len(torch.unique(twists, dim=0))
-    return Task(twists[0], tip_load[same], task.base_pose), same.cpu().numpy(), shapes
+    first = Task(twists[0], tip_load[same], task.base_pose, wrench_at=task.wrench_at)
+    return first, same.cpu().numpy(), shapes
+
+
+def _check_drawable(task: Task) -> None:
+    """Raise unless a task is planar, of one segment, with a tip load alone: nothing else is drawn yet."""
+    if task.dimension == 3:
+        raise ValueError(f"task: must be planar, twists (..., N, 3), got {tuple(task.twists.shape)}")
+    if task.load.gravity or task.load.points:
+        raise ValueError("load: must be a tip load alone here, got gravity or point loads")
+    if task.segment_nodes is not None and len(task.segment_nodes) > 1:
+        raise ValueError(f"segment_nodes: must be one segment here, got {task.segment_nodes}")
 
 
 def one_shape(task: Task) -> Task:
@@ -69,7 +89,7 @@ def choose(task: Task, loads: Sequence[int] | None) -> Task:
     chosen = list(range(count) if loads is None else loads)
     if not chosen or not set(chosen) <= set(range(count)):
         raise ValueError(f"loads: must be one or more integers from 0 to {count - 1}, got {chosen!r:.60}")
-    return Task(task.twists, task.tip_load[chosen], task.base_pose)
+    return Task(task.twists, task.tip_load[chosen], task.base_pose, wrench_at=task.wrench_at)
 
 
 def axes_or_new(ax: Axes | None, projection: str = "rectilinear") -> Any:

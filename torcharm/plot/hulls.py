@@ -86,14 +86,9 @@ def node_hull(
     if isinstance(node, bool) or not isinstance(node, int) or not 1 <= node <= task.nodes:
         raise ValueError(f"node: must be an integer from 1 (base) to {task.nodes}, got {node!r}")
     scene = make_scene(one_design("arm", arm), one_shape(task), relative, hull, samples)
-    ring, point, inside = scene.hulls[node - 1], scene.required[:, node - 1], scene.inside[:, node - 1]
     axes = axes_or_new(ax)
-    axes.fill(*ring.T, facecolor=colour, alpha=0.25, label="pressures provide")
-    axes.plot(*ring.T, color=colour, marker=".", markersize=3)
-    for kept, name, ink, marker in ((inside, "inside", ATTAINABLE, "o"), (~inside, "outside", UNATTAINABLE, "x")):
-        label = f"required, {name}: {kept.sum()} of {len(kept)}"
-        axes.plot(*point[kept].T, color=ink, marker=marker, markersize=5, linestyle="", label=label)
-    axes.set(xlabel=scene.labels[0], ylabel=scene.labels[1], title=f"node {node} of {task.nodes}")
+    draw_node(axes, scene, node - 1, colour)
+    axes.set_title(f"node {node} of {task.nodes}")
     axes.legend(loc="best")
     return axes
 
@@ -114,13 +109,35 @@ def make_scene(arm: ArmDesign, task: Task, relative: bool, hull: str, samples: i
     metric = "relative" if relative else "absolute"
     distance = getattr(evaluate(arm, task, (metric,), hull=hull, samples=samples), f"{metric}_per_node")
     vertices = wrench_hulls(arm, task.twists, relative=relative, hull=hull, samples=samples).vertices
-    required = required_wrench(task.twists, task.tip_load, task.base_pose)[..., HULL[3]]
+    required = required_wrench(task.twists, task.tip_load, task.base_pose, wrench_at=task.wrench_at)[..., HULL[3]]
     labels = (r"force $f_x$ [N]", r"moment $m$ [N·m]")
     if relative:
         required = required - required[..., :1, :]
         labels = (r"force $f_x - f_{x,1}$ [N]", r"moment $m - m_1$ [N·m]")
     closed = torch.cat((vertices, vertices[:, :1]), 1)
     return Scene(array(closed), array(required), array(distance) <= 0, labels)
+
+
+def draw_node(axes: Axes, scene: Scene, index: int, colour: str) -> None:
+    """The set of one node, counted from 0, and what the loads require of it."""
+    ring, point, inside = scene.hulls[index], scene.required[:, index], scene.inside[:, index]
+    axes.fill(*ring.T, facecolor=colour, alpha=0.25, label="pressures provide")
+    axes.plot(*ring.T, color=colour, marker=".", markersize=3)
+    for kept, name, ink, marker in ((inside, "inside", ATTAINABLE, "o"), (~inside, "outside", UNATTAINABLE, "x")):
+        label = f"required, {name}: {kept.sum()} of {len(kept)}"
+        axes.plot(*point[kept].T, color=ink, marker=marker, markersize=4, linestyle="", label=label)
+    axes.set(xlabel=scene.labels[0], ylabel=scene.labels[1])
+
+
+def limit_node_axes(panels: Sequence[Axes], scenes: Sequence[Scene]) -> None:
+    """The same limits for all panels, around the sets and most of what is required: some loads ask for far more."""
+    sets = np.concatenate([scene.hulls.reshape(-1, 2) for scene in scenes])
+    required = np.concatenate([scene.required.reshape(-1, 2) for scene in scenes])
+    ends = np.stack([*np.percentile(required, (2, 98), 0), sets.min(0), sets.max(0)])
+    room = np.maximum(0.06 * np.ptp(ends, 0), 1e-3)
+    force, moment = np.stack((ends.min(0) - room, ends.max(0) + room)).T
+    for panel in panels:
+        panel.set(xlim=tuple(force), ylim=tuple(moment))
 
 
 def draw_hulls(axes: Any, scene: Scene, attainable: Mask, colour: str) -> None:

@@ -1,19 +1,32 @@
-"""One page that compares arms on a task."""
+"""One page that compares arms on a task: how far off they are first, then the arms, then why."""
 
 from collections.abc import Sequence
-from itertools import product
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 
 from torcharm.arm import ArmDesign
-from torcharm.attainability import CHOICES, PREDICTED, Attainability
-from torcharm.plot._common import ARM_COLOURS, ATTAINABLE, UNATTAINABLE, Array, array, first_shape, one_design
+from torcharm.attainability import VERDICTS, Attainability
+from torcharm.geometry import rod
+from torcharm.plot._common import (
+    ARM_COLOURS,
+    ATTAINABLE,
+    SMOOTHING,
+    VERDICT_STYLES,
+    Array,
+    Mask,
+    array,
+    first_shape,
+    one_design,
+)
 from torcharm.plot.arms import draw_arm, draw_loads
-from torcharm.plot.histograms import draw_histogram, median, summary
-from torcharm.plot.hulls import draw_hulls, limit_axes, make_scene
+from torcharm.plot.hulls import draw_node, limit_node_axes, make_scene
 from torcharm.task import Task
+
+LEAST = 0.01
+"""What is off by less [mm or N] is drawn there: a logarithmic axis has no zero."""
 
 
 def study_figure(
@@ -24,96 +37,147 @@ def study_figure(
     *,
     hull: str = "exact",
     samples: int | None = None,
-    unit: str = "N",
 ) -> Figure:
     """One page that compares arms on one task, for `figure.savefig(path)`.
 
-    A column for each arm: the arm at the shape with the loads on it, and its absolute hulls along the arm with
-    the requirements, at one scale for all arms. Below, histograms of the metrics that were evaluated. Of several
-    shapes the first is drawn; titles and histograms are about all tasks.
+    On top how far off each arm's tip is, a mark for each task by its verdict; where no error was predicted, what the
+    nodes lack in sum. Below a column for each arm: the arm at the shape with the loads on it, and where it is
+    predicted to be under the load with the median error; and the attainable sets of the base and of the node that
+    lacks most, with what the loads require. Of several shapes the first is drawn.
 
     Args:
         results: names and designs.
         task_name: for the title.
         task, evaluated: tasks of any batch shape, and what `evaluate` found on them for each arm.
         hull, samples: as they were given to `evaluate`.
-        unit: of the metrics.
 
     Raises:
         ValueError: results, task and evaluated do not fit each other, or a name comes twice.
     """
     first, drawn, shapes = first_shape(task)
     arms = {name: one_design(f"results[{index}]", arm) for index, (name, arm) in enumerate(results)}
+    _check(results, arms, evaluated, len(drawn))
+    columns = len(arms)
+    figure = Figure(figsize=(max(9.0, 5.0 * columns), 10.0 + 0.3 * columns), layout="constrained")
+    rows: Any = figure.subfigures(3, 1, height_ratios=(1.2 + 0.4 * columns, 5.0, 3.2))
+    note = f"; drawn: the first of {shapes} shapes, {drawn.sum()} of {len(drawn)} tasks" if shapes > 1 else ""
+    figure.suptitle(f"{task_name}{note}", fontsize="large", fontweight="bold")
+    _draw_errors(rows[0].add_subplot(), list(arms), evaluated)
+    scenes = [make_scene(arm, first, False, hull, samples) for arm in arms.values()]
+    pairs = [_two_nodes(found, first.nodes) for found in evaluated]
+    panels = list(rows[2].subplots(1, 2 * columns, squeeze=False)[0])
+    for column, (name, arm) in enumerate(arms.items()):
+        found, axes = evaluated[column], rows[1].add_subplot(1, columns, column + 1)
+        axes.set_title(f"{name}: {_counts(found)}", fontsize="medium")
+        draw_arm(axes, arm, first)
+        draw_loads(axes, first, np.ones(len(first.tip_load), bool), ATTAINABLE, width=0.003)
+        _draw_predicted(axes, first, found, drawn)
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, fontsize="small", frameon=False)
+        for place, node in enumerate(pairs[column]):
+            panel = panels[2 * column + place]
+            draw_node(panel, scenes[column], node, ARM_COLOURS[column % len(ARM_COLOURS)])
+            inside = scenes[column].inside[:, node]
+            counted = f"{inside.sum()} of {len(inside)} inside"
+            panel.set_title(f"{name}, node {node + 1} of {first.nodes}\n{counted}", fontsize="small")
+    limit_node_axes(panels, scenes)
+    handles, labels = panels[0].get_legend_handles_labels()
+    labels = [label.split(":")[0] for label in labels]  # how many is in the titles
+    rows[2].legend(handles, labels, loc="outside lower center", ncols=3, fontsize="small", frameon=False)
+    return figure
+
+
+def _check(
+    results: Sequence[tuple[str, ArmDesign]], arms: dict[str, ArmDesign], evaluated: Sequence[Attainability], tasks: int
+) -> None:
+    """Raise a ValueError unless arms have names of their own and results of all tasks."""
     if not arms or len(arms) < len(results):
         raise ValueError(f"results: must be one or more arms of different names, got {[name for name, _ in results]}")
     if len(evaluated) != len(arms):
         raise ValueError(f"evaluated: must hold one entry for each of the {len(arms)} results, got {len(evaluated)}")
-    metrics = _metrics(list(arms), evaluated, len(drawn))
-    width = max(10.0, 5.2 * len(arms), 4.8 * len(metrics))
-    figure = Figure(figsize=(width, 14.0 if metrics else 10.5), layout="constrained")
-    rows = 2 if metrics else 1
-    panels: Any = figure.subfigures(rows, 1, squeeze=False, height_ratios=(3, 1)[:rows])[:, 0]
-    title = [task_name, *_ranking(metrics, unit)]
-    if shapes > 1:
-        title.append(f"drawn: the first of {shapes} shapes, {drawn.sum()} of {len(drawn)} tasks; numbers: all tasks")
-    figure.suptitle("\n".join(title), fontsize="large", fontweight="bold")
-    scenes = [make_scene(arm, first, False, hull, samples) for arm in arms.values()]
-    for column, ((name, arm), scene) in enumerate(zip(arms.items(), scenes, strict=True)):
-        values = metrics.get("absolute", {}).get(name)
-        attainable = scene.inside.all(-1) if values is None else values[drawn] <= 0
-        axes = panels[0].add_subplot(2, len(arms), column + 1)
-        axes.set_title("\n".join(_findings(name, metrics, evaluated[column], unit)), fontsize="medium")
-        draw_arm(axes, arm, first)
-        draw_loads(axes, first, ~attainable, UNATTAINABLE, width=0.003, prefix="not attainable: ")
-        draw_loads(axes, first, attainable, ATTAINABLE, width=0.006, prefix="attainable: ")
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, fontsize="small", frameon=False)
-        deep = panels[0].add_subplot(2, len(arms), len(arms) + column + 1, projection="3d")
-        draw_hulls(deep, scene, attainable, ARM_COLOURS[column % len(ARM_COLOURS)])
-        limit_axes(deep, scenes)
-    for place, (metric, found) in enumerate(metrics.items()):
-        axes = panels[1].add_subplot(1, len(metrics), place + 1)
-        quantity, own, scale = _quantity(metric, unit)
-        scaled = {name: scale * value for name, value in found.items()}
-        draw_histogram(axes, scaled, list(arms), quantity, own, metric != PREDICTED)
-    return figure
+    for index, found in enumerate(evaluated):
+        if found.strain_excess.numel() != tasks:
+            given = f"got shape {tuple(found.strain_excess.shape)}"
+            raise ValueError(f"evaluated[{index}]: must hold one value for each of {tasks} tasks, {given}")
 
 
-def _metrics(names: list[str], evaluated: Sequence[Attainability], tasks: int) -> dict[str, dict[str, Array]]:
-    """For each metric that any arm has, those arms' values (tasks)."""
-    metrics: dict[str, dict[str, Array]] = {}
-    for metric, index in product(CHOICES, range(len(names))):
-        value = getattr(evaluated[index], metric)
-        if value is not None:
-            if value.numel() != tasks:
-                given = f"got shape {tuple(value.shape)}"
-                raise ValueError(f"evaluated[{index}].{metric}: must hold one value for each of {tasks} tasks, {given}")
-            metrics.setdefault(metric, {})[names[index]] = array(value).ravel()
-    return metrics
+def _draw_errors(axes: Any, names: Sequence[str], evaluated: Sequence[Attainability]) -> None:
+    """A row of marks for each arm, one for each task, with its median and how many are held."""
+    predicted = all(found.prediction is not None for found in evaluated)
+    values = [_off(found) if predicted else _lacking(found) for found in evaluated]
+    finite = np.concatenate([value[np.isfinite(value)] for value in values])
+    most = 2 * max(finite.max(initial=LEAST), 10 * LEAST)
+    drawn: set[str] = set()
+    for row, (value, found) in enumerate(zip(values, evaluated, strict=True)):
+        words = _words(found)
+        spread = row + 0.22 * np.sin(2.4 * np.arange(len(value)))  # apart, so that marks of equal errors are seen
+        place = np.clip(np.where(np.isfinite(value), value, most), LEAST, most)
+        for word, (colour, marker, filled) in VERDICT_STYLES.items():
+            chosen = words == word
+            if chosen.any():
+                face = colour if filled else "none"
+                label = word if word not in drawn else None
+                inks = {"color": colour} if marker == "x" else {"edgecolors": colour, "facecolors": face}
+                axes.scatter(place[chosen], spread[chosen], 28, marker=marker, label=label, gid=word, **inks)
+                drawn.add(word)
+        middle = float(np.clip(np.median(place), LEAST, most))
+        axes.plot([middle] * 2, [row - 0.38, row + 0.38], color="black", linewidth=2)
+        axes.annotate(f" {middle:.3g}", (middle, row - 0.4), fontsize="small", va="bottom", ha="left")
+    if predicted:
+        tip = float(evaluated[0].tolerance.lengths(evaluated[0].arm)[0].max())
+        axes.axvline(1e3 * tip, color="black", linestyle=":", linewidth=1, label=f"tolerance, {1e3 * tip:.3g} mm")
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    least = max(LEAST, finite[finite > 0].min(initial=most))
+    axes.set(xlim=(least / 1.5, 1.3 * most), ylim=(len(names) - 0.45, -0.6), yticks=range(len(names)))
+    axes.set_yticklabels(names)
+    what = "predicted tip error [mm]" if predicted else "absolute unattainability [N]"
+    axes.set_xlabel(f"{what}; bars are medians; at the right edge, none was found")
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small", frameon=False)
 
 
-def _ranking(metrics: dict[str, dict[str, Array]], unit: str) -> list[str]:
-    """Which arm misses least, so that the message needs no caption."""
-    for metric, found in metrics.items():
-        quantity, own, scale = _quantity(metric, unit)
-        ranked = sorted(found, key=lambda name: (np.isnan(median(found[name])), median(found[name])))
-        medians = (f"{name} {median(found[name]) * scale:.3g} {own}" for name in ranked)
-        return [f"median {quantity}: " + ", ".join(medians)]
-    return []
+def _off(found: Attainability) -> Array:
+    """The tip's error of each task [mm]."""
+    assert found.tip_error is not None
+    return 1e3 * array(found.tip_error).ravel()
 
 
-def _findings(name: str, metrics: dict[str, dict[str, Array]], result: Attainability, unit: str) -> list[str]:
-    found = []
-    for metric, values in metrics.items():
-        if name in values:
-            _, own, scale = _quantity(metric, unit)
-            found.append(f"{metric.replace('_', ' ')} {summary(scale * values[name], own, metric != PREDICTED)}")
-    lines = [f"{name}: {found[0] if found else 'no metric evaluated'}", *found[1:]]
-    if not bool(result.in_range.all()):
-        excess = float(result.strain_excess.max())
-        lines.append("extrapolates: " + (f"strain {excess:.2g} beyond range" if excess > 0 else "pressure limits"))
-    return lines
+def _lacking(found: Attainability) -> Array:
+    """What the nodes lack of each task [N], in sum; by the first metric that there is."""
+    value = found.relative if found.absolute is None else found.absolute
+    return np.full(found.strain_excess.numel(), np.nan) if value is None else array(value).ravel()
 
 
-def _quantity(metric: str, unit: str) -> tuple[str, str, float]:
-    """What a metric is called and shown in, and the factor to that unit."""
-    return ("predicted shape error", "mm", 1000.0) if metric == PREDICTED else (f"{metric} unattainability", unit, 1.0)
+def _words(found: Attainability) -> Any:
+    """The verdict on each task; of sets alone, whether it is excluded."""
+    if found.verdict is not None:
+        return np.ravel(np.asarray(found.verdict))
+    return np.where(found.not_excluded.numpy(force=True).ravel(), "not excluded", "excluded")
+
+
+def _counts(found: Attainability) -> str:
+    words = list(_words(found))
+    order = (*VERDICTS, "not excluded", "excluded")
+    return ", ".join(f"{words.count(word)} {word}" for word in order if word in words)
+
+
+def _two_nodes(found: Attainability, nodes: int) -> tuple[int, int]:
+    """The base, and the node that lacks most on average, or the last one where that is the base or none."""
+    miss = found.node_miss
+    mean = np.zeros(nodes) if miss is None else np.nan_to_num(array(miss).reshape(-1, nodes).mean(0), posinf=0.0)
+    worst = int(mean.argmax())
+    return 0, worst or nodes - 1
+
+
+def _draw_predicted(axes: Any, first: Task, found: Attainability, drawn: Mask) -> None:
+    """The predicted centreline under the load whose error is the median of those found, of the shape that is drawn."""
+    if found.prediction is None:
+        return
+    error = np.where(drawn, _off(found), np.inf)
+    known = np.flatnonzero(np.isfinite(error))
+    if not len(known):
+        return
+    index = int(known[np.argsort(error[known])[(len(known) - 1) // 2]])
+    twists = found.prediction.twists.detach().reshape(-1, *found.prediction.twists.shape[-2:])[index]
+    line = array(rod.poses(twists.repeat_interleave(SMOOTHING, 0), first.base_pose))
+    label = f"predicted under load {index + 1}: tip off by {error[index]:.3g} mm"
+    axes.plot(*line[:, :2].T, color="#D55E00", linewidth=2, linestyle="--", label=label, gid="predicted")

@@ -80,17 +80,14 @@ class PoseCost:
                     f"got {count}"
                 )
             omega[:count] = given.to(like)
-        elif self.node_weights == "tip":
+        elif self.node_weights == "tip" or nodes == 1:  # the end of a single element is its only pose that moves
             omega[-1] = 1.0
         elif self.node_weights == "ramp":
             omega[:-1] = torch.linspace(0.0, 1.0, nodes, dtype=like.dtype, device=like.device)
         else:
             omega[:-1] = 1.0
         if not bool(omega[1:].any()):
-            alone = ", of which one segment has the base alone ('tip' weighs its end)" if nodes == 1 else ""
-            raise ValueError(
-                f"node_weights: must be above 0 at a pose that moves, got {shown(self.node_weights)}{alone}"
-            )
+            raise ValueError(f"node_weights: must be above 0 at a pose that moves, got {shown(self.node_weights)}")
         return omega
 
     def __call__(self, error: Tensor) -> Tensor:

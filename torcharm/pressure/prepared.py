@@ -24,7 +24,7 @@ from torcharm.geometry import rod
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.statics.balance import segments_of
 from torcharm.task import Task
-from torcharm.wrench_sets.design_task_grid import check_arm_and_task
+from torcharm.wrench_sets.design_task_grid import fitted
 
 Numbers = NDArray[Any]
 
@@ -124,7 +124,7 @@ def prepare(
     Raises:
         ValueError: arm and task do not fit, or another argument is none of those allowed.
     """
-    check_arm_and_task(arm, task)
+    arm, task = fitted(arm, task)
     cost = PoseCost() if cost is None else cost
     if not isinstance(cost, PoseCost):
         raise ValueError(f"pose_cost: must be a PoseCost, got {shown(cost)}")

@@ -1,7 +1,7 @@
 """Studies: a TOML file that names arms, tasks and how to evaluate them, and the tables that come of it.
 
     study = load_study("study.toml")
-    results = evaluate_study(study)
+    results = list(evaluate_study(study))
     write_results("results.csv", results)
 
 `example_text()` is a commented study that shows every section. Lengths are in metres, angles in
@@ -10,8 +10,16 @@ radians, forces in newtons, moments in newton-metres, pressures in kilopascals. 
 """
 
 from torcharm.study.data import NamedArm, NamedTask, Settings, Study
-from torcharm.study.reading import example_text, load_study, paper_study, parse_study
-from torcharm.study.results import StudyResult, Summary, evaluate_study, summarise, write_results
+from torcharm.study.reading import example_study, example_text, load_study, paper_study, parse_study
+from torcharm.study.results import (
+    StudyResult,
+    Summary,
+    check_format,
+    evaluate_study,
+    result_rows,
+    summarise,
+    write_results,
+)
 
 __all__ = [
     "NamedArm",
@@ -20,11 +28,14 @@ __all__ = [
     "Study",
     "StudyResult",
     "Summary",
+    "check_format",
     "evaluate_study",
+    "example_study",
     "example_text",
     "load_study",
     "paper_study",
     "parse_study",
+    "result_rows",
     "summarise",
     "write_results",
 ]

@@ -3,10 +3,10 @@
 from dataclasses import dataclass, field
 
 from torcharm.arm import ArmDesign
+from torcharm.attainability import CHOICES, PoseTolerance
 from torcharm.optimise import DesignSpace, Objective
 from torcharm.planning import Smoothness
 from torcharm.task import Task
-from torcharm.wrench_sets.node_distances import METRICS
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,8 @@ class NamedTask:
 class Settings:
     """How a study is evaluated: arguments of `torcharm.evaluate`, with its defaults."""
 
-    metrics: tuple[str, ...] = METRICS
+    metrics: tuple[str, ...] = CHOICES
+    tolerance: PoseTolerance = field(default_factory=PoseTolerance)
     hull: str = "exact"
     samples: int | None = None
     distance: str = "gjk"

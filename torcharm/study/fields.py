@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 
@@ -157,17 +157,6 @@ Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Name = Annotated[str, BeforeValidator(check_name), Field(description="a text of one line")]
 Range = Annotated[list[float], entries("lowest", "highest")]
-Lengths = Annotated[
-    Annotated[Positive, Tag("<other>")] | Annotated[list[Positive], Tag("<list>")],
-    Discriminator(by_list),
-    either("a number or a list of numbers [m]", int, float, list),
-]
-Limits = Annotated[
-    Annotated[NotNegative, Tag("<other>")] | Annotated[list[NotNegative], Tag("<list>")],
-    Discriminator(by_list),
-    either("a number or a list of numbers [kPa]", int, float, list),
-]
-
 
 # Messages
 

@@ -22,7 +22,8 @@ from torcharm.actuators import (
 )
 from torcharm.actuators.model_file import load_actuator
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
-from torcharm.attainability import CHOICES, check_measure
+from torcharm.attainability import CHOICES, PoseTolerance, check_measure
+from torcharm.attainability.questions import question_about_arm, question_about_shape
 from torcharm.files import read_file
 from torcharm.optimise import DesignSpace, Objective
 from torcharm.planning import Smoothness
@@ -104,6 +105,11 @@ def paper_study() -> Study:
     return parse_study(_shipped("validation.toml"), "torcharm/studies/validation.toml")
 
 
+def example_study() -> Study:
+    """The study that `example_text` shows: arms of both kinds, and tasks that some of them hold."""
+    return parse_study(example_text(), "torcharm/studies/example.toml")
+
+
 def example_text() -> str:
     """The text of a commented study to start from; `torcharm init` writes it."""
     return _shipped("example.toml")
@@ -126,7 +132,7 @@ def _study(table: StudyTable, folder: Path) -> Study:
     arms, tasks = [], []
     for index, entry in enumerate(table.arm):
         with within(field_path(["arm", index]), entry.name):
-            arms.append(NamedArm(entry.name, _design(entry, folder)))
+            arms.append(NamedArm(entry.name, _sensible(_design(entry, folder))))
     for index, job in enumerate(table.task):
         with within(field_path(["task", index]), job.name):
             tasks.append(NamedTask(job.name, _task(job)))
@@ -168,6 +174,14 @@ def _design(table: PaperArm | FreeArm, folder: Path) -> ArmDesign:
                 f"{name}: must hold one number for each of the {len(actuators)} actuators, got {len(value)}"
             )
     return ArmDesign(radii, table.length, actuators, [limit] if isinstance(limit, float) else limit)
+
+
+def _sensible(arm: ArmDesign) -> ArmDesign:
+    """The arm, unless its numbers are in other units."""
+    question = question_about_arm((arm,))
+    if question is not None:
+        raise ValueError(f'{question} A text with a unit, such as "50 mm", is understood')
+    return arm
 
 
 def _actuator(table: PaperActuator | FileActuator | PolynomialTable, index: int, folder: Path) -> Actuator:
@@ -213,19 +227,26 @@ def _task(table: ShapedTask | TwistTask) -> Task:
     else:
         curvature = cubic_curvature if isinstance(table.shape, CubicShape) else affine_curvature
         twists = curvature(**table.shape.model_dump(exclude={"kind"}))
+    question = question_about_shape(twists)
+    if question is not None:
+        field = "twists" if isinstance(table, TwistTask) else "shape"
+        raise ValueError(f'{field}: {question} A text with a unit, such as "48 cm" or "30 deg", is understood')
     if isinstance(table.loads, DrawnLoads):
         _check_values("loads.count", table.loads.count * len(twists), f"{table.loads.count} loads, {len(twists)} nodes")
         loads = sample_loads(table.loads.count, table.loads.scale, table.loads.seed)
     else:
         loads = torch.tensor(table.loads, dtype=torch.float64)
-    return Task(twists, loads, table.base_pose)
+    return Task(twists, loads, table.base_pose, wrench_at=table.wrench_at)
 
 
 def _settings(table: EvaluateTable) -> Settings:
     force, moment = table.weights
-    options = table.model_dump(exclude={"metrics", "weights"})
+    options = table.model_dump(exclude={"metrics", "weights", "tolerance", "rotation_tolerance"})
     return Settings(
-        metrics=tuple(name for name in CHOICES if name in table.metrics), weights=(force, moment), **options
+        metrics=tuple(name for name in CHOICES if name in table.metrics),
+        tolerance=PoseTolerance(table.tolerance, table.rotation_tolerance),
+        weights=(force, moment),
+        **options,
     )
 
 

@@ -1,21 +1,25 @@
-"""A study evaluated: every arm on every task, summed up in tables."""
+"""A study evaluated: every arm on every task, summed up in tables and written to files."""
 
 import csv
+import json
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from os import PathLike
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm.attainability import PREDICTED, Attainability, evaluate
-from torcharm.files import atomic_write, plain_cell
+from torcharm.attainability import VERDICTS, Attainability, evaluate
+from torcharm.files import atomic_write, is_stream, plain_cell
 from torcharm.study.data import NamedArm, NamedTask, Settings, Study
 from torcharm.wrench_sets.node_distances import METRICS
 
-TOLERABLE = 1e-3
-"""A predicted shape error [m] that counts as none."""
+RESULT_FORMATS = ("csv", "json")
+_MM, _DEG = 1e3, 180.0 / np.pi
 
 
 @dataclass(frozen=True)
@@ -33,176 +37,188 @@ class StudyResult:
     settings: Settings
     attainability: Attainability
 
-    def metric(self, name: str) -> Tensor:
-        """A metric that was asked for, (*task batch)."""
-        found: Tensor = getattr(self.attainability, name)
-        return found
+    @property
+    def loads(self) -> int:
+        """How many loads there are."""
+        return self.attainability.strain_excess.numel()
 
     @property
-    def attainable(self) -> Tensor:
-        """Whether no metric of wrenches that was asked for is above 0, (*task batch); a NaN is not attainable.
-
-        Where only the predicted error was asked for: whether it is at most `TOLERABLE`, converged, stable and reached
-        by loading. What did not converge is not attainable.
-        """
-        names = [name for name in self.settings.metrics if name in METRICS] or [PREDICTED]
-        return torch.stack([self.within(name) for name in names]).all(0)
-
-    def within(self, name: str) -> Tensor:
-        """Whether a metric that was asked for is at 0 (signed: or below), or the predicted error at most `TOLERABLE`,
-        and is to be trusted, (*task batch)."""
-        found = self.attainability
-        if name == PREDICTED:
-            prediction = found.prediction
-            assert prediction is not None
-            return (self.metric(name) <= TOLERABLE) & prediction.converged & prediction.stable & prediction.reached
-        return (self.metric(name) <= 0) & found.distances_converged
+    def verdicts(self) -> list[str] | None:
+        """One for each load; None where only sets were asked."""
+        found = self.attainability.verdict
+        return None if found is None else [str(word) for word in np.ravel(np.asarray(found))]
 
     @property
-    def node_metric(self) -> str | None:
-        """The metric by which nodes are compared: the first of those asked for that is known per node."""
-        known = (name for name in METRICS if getattr(self.attainability, f"{name}_per_node", None) is not None)
-        return next(known, None)
-
-    @property
-    def node_distance(self) -> Tensor | None:
-        """Distance of each node to its hull, (*task batch, N), by the node metric; 0 inside."""
-        if self.node_metric is None:
-            return None
-        distance: Tensor = getattr(self.attainability, f"{self.node_metric}_per_node")
-        return distance.clamp(min=0)
+    def reasons(self) -> list[str]:
+        """Why a load is not held, one for each; empty where it is."""
+        return [str(word) for word in np.ravel(np.asarray(self.attainability.reason))]
 
 
 @dataclass(frozen=True)
 class Summary:
-    """A result over all loads.
+    """A result over all loads; medians are over loads, of what was asked for.
 
     Attributes:
         loads: how many.
-        median: of each metric.
-        attainable: how many loads have each metric at 0 (signed: or below) and converged; the predicted error at
-            `TOLERABLE`, converged, stable and reached by loading.
-        all_attainable: how many loads are attainable, as of `StudyResult`.
-        worst_node: from 1, the node with the largest mean distance by the node metric; None if none misses.
-        strain_excess: largest strain beyond its actuator's characterised range, 0 if none is.
-        limits_in_range: whether the pressure limits lie in the characterised range.
-        impossible: how many loads are on a shape that leaves an actuator no length.
-        unpredicted: for how many loads, on shapes that are possible, no stable equilibrium was found by prediction.
+        verdicts: how many loads have each verdict, those that none has left out; None where only sets were asked.
+        not_excluded: how many loads sets do not exclude, of distances that converged; None where no set was asked.
+        median: of tip_error [m], tip_rotation_error [rad], shape_error [m], absolute and relative [N].
+        worst_node: from 1, the node with the largest mean distance from its set; None if none misses.
+        worst_miss: that mean distance [N].
+        example: a load from 1, the furthest off of those not held, and why it is not; None if all are held.
     """
 
     loads: int
+    verdicts: Mapping[str, int] | None
+    not_excluded: int | None
     median: Mapping[str, float]
-    attainable: Mapping[str, int]
-    all_attainable: int
     worst_node: int | None
-    strain_excess: float
-    limits_in_range: bool
-    impossible: int
-    unpredicted: int
+    worst_miss: float
+    example: tuple[int, str] | None
+
+    @property
+    def held(self) -> int:
+        """How many loads are held; where only sets were asked, how many they do not exclude."""
+        return (self.not_excluded or 0) if self.verdicts is None else self.verdicts.get("held", 0)
 
 
-def evaluate_study(study: Study) -> list[StudyResult]:
-    """Evaluate every arm on every task: task by task, in the study's order of arms."""
-    options = asdict(study.settings)
-    return [
-        StudyResult(arm, task, study.settings, evaluate(arm.design, task.task, **options))
-        for task in study.tasks
-        for arm in study.arms
-    ]
+def evaluate_study(study: Study) -> Iterator[StudyResult]:
+    """Evaluate every arm on every task, one after the other: task by task, in the study's order of arms."""
+    for task in study.tasks:
+        for arm in study.arms:
+            found = evaluate(arm.design, task.task, **vars(study.settings))
+            yield StudyResult(arm, task, study.settings, found)
 
 
 def summarise(result: StudyResult) -> Summary:
-    """Medians and counts over the loads of one result."""
-    found = result.attainability
-    values = {name: result.metric(name) for name in result.settings.metrics}
-    design = result.arm.design
-    characterised = design.max_pressure.new_tensor([model.pressure_range[1] for model in design.actuators])
-    distance, prediction, impossible = result.node_distance, found.prediction, found.impossible
+    """Counts and medians over the loads of one result."""
+    found, words = result.attainability, result.verdicts
+    columns = {name: getattr(found, name) for name in ("tip_error", "tip_rotation_error", "shape_error", *METRICS)}
+    values = {name: _flat(value) for name, value in columns.items() if value is not None}
+    miss = found.node_miss
+    by_node = None if miss is None else _flat(miss).reshape(-1, miss.shape[-1]).mean(0)
+    missing = by_node is not None and 0 < by_node.max() < np.inf
+    asked_sets = any(name in result.settings.metrics for name in METRICS)
     return Summary(
-        loads=result.attainable.numel(),
-        median={name: float(np.median(value.detach().cpu().numpy())) for name, value in values.items()},
-        attainable={name: int(result.within(name).sum()) for name in values},
-        all_attainable=int(result.attainable.sum()),
-        worst_node=None if distance is None else int(_worst_node(_mean_over_loads(distance))) or None,
-        strain_excess=float(found.strain_excess.max()),
-        limits_in_range=bool((design.max_pressure <= characterised).all()),
-        impossible=int(impossible.sum()),
-        unpredicted=0 if prediction is None else int((~prediction.stable & ~impossible).sum()),
+        loads=result.loads,
+        verdicts=None if words is None else {word: count for word in VERDICTS if (count := words.count(word))},
+        not_excluded=int(found.not_excluded.sum()) if asked_sets else None,
+        median={name: float(np.median(value)) for name, value in values.items()},
+        worst_node=int(by_node.argmax()) + 1 if by_node is not None and missing else None,
+        worst_miss=float(by_node.max()) if by_node is not None and missing else 0.0,
+        example=_example(result, values),
     )
 
 
-def write_results(path: str | PathLike[str], results: Sequence[StudyResult]) -> int:
-    """Write a CSV file with a row for every arm, task and load; returns the number of rows.
+def _example(result: StudyResult, values: Mapping[str, NDArray[Any]]) -> tuple[int, str] | None:
+    """Of the loads with the most frequent verdict but held, the one that is furthest off, and why."""
+    reasons, words = result.reasons, result.verdicts or ["" for _ in range(result.loads)]
+    open_loads = [index for index, reason in enumerate(reasons) if reason]
+    if not open_loads:
+        return None
+    most = Counter(words[index] for index in open_loads).most_common(1)[0][0]
+    size = next((values[name] for name in ("tip_error", *METRICS) if name in values), np.zeros(result.loads))
+    index = max((index for index in open_loads if words[index] == most), key=lambda one: size[one])
+    return index + 1, reasons[index]
 
-    The file appears whole, and what was there stays if it cannot be written. Names that a spreadsheet would take for
-    formulas, with =, +, - or @ first, get an apostrophe before them.
 
-    Columns: arm; task; load, counted from 1; force_x_N, force_y_N and moment_Nm at the tip; each
-    metric that was asked for (predicted_error in metres); worst_node, counted from 1, with the largest
-    distance by the first of the metrics of wrenches (empty if no node misses); attainable, as of
-    `StudyResult`; in_range, strain_excess, impossible and converged as in `Attainability`; and where the predicted
-    error was asked for: stable and reached, as in `PredictedError`, and the pressure that reaches it, pressure_1_kPa
-    and so on, one for each actuator, left empty where the arm has fewer than others or no stable equilibrium was found.
-    Numbers are written in full, truths as true and false.
+def write_results(path: str | PathLike[str], results: Sequence[StudyResult], ending: str | None = None) -> int:
+    """Write a file with a row for every arm, task and load, as CSV or JSON by its ending; returns the number of rows.
+
+    The file appears whole, and what was there stays if it cannot be written. In CSV, names that a spreadsheet would
+    take for formulas, with =, +, - or @ first, get an apostrophe before them, truths are true and false, and what does
+    not apply is empty.
+
+    Columns: arm; task; load, counted from 1; force_x_N, force_y_N and moment_Nm at the tip (in space six); verdict and
+    reason; tip_error_mm, tip_rotation_error_deg and shape_error_mm; worst_node, counted from 1, and worst_miss_N;
+    absolute_N and relative_N, the paper's sums; in_range, strain_excess and status, as in `Attainability`; and the
+    pressure that comes nearest, pressure_1_kPa and so on, one for each actuator.
 
     Raises:
-        ValueError: the results were not evaluated with the same metrics.
+        ValueError: the ending is none of `RESULT_FORMATS`.
         OSError: the file cannot be written.
     """
-    metrics = {result.settings.metrics for result in results}
-    if len(metrics) > 1:
-        raise ValueError(f"results: must have the same metrics, got {' and '.join(map(str, sorted(metrics)))}")
-    asked = next(iter(metrics), METRICS)
-    header = ["arm", "task", "load", "force_x_N", "force_y_N", "moment_Nm", *asked]
-    header += ["worst_node", "attainable", "in_range", "strain_excess", "impossible", "converged"]
-    if PREDICTED in asked:
-        most = max((result.arm.design.actuator_count for result in results), default=0)
-        header += ["stable", "reached", *(f"pressure_{index}_kPa" for index in range(1, most + 1))]
-    rows = [[*row, *[""] * (len(header) - len(row))] for result in results for row in _rows(result)]
+    json_wanted = check_format(path if ending is None else f"results{ending}") == "json"
+    rows = [row for result in results for row in result_rows(result)]
+    header = list(dict.fromkeys(name for row in rows for name in row))
     with atomic_write(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
+        if json_wanted:
+            json.dump(rows, file, indent=1)
+            file.write("\n")
+            return len(rows)
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
-        writer.writerows(rows)
+        writer.writerows([_cell(row.get(name)) for name in header] for row in rows)
     return len(rows)
 
 
-def _rows(result: StudyResult) -> Iterator[list[object]]:
+def check_format(path: str | PathLike[str]) -> str:
+    """The format of a file of results by its ending; a stream gets CSV.
+
+    Raises:
+        ValueError: it ends as none of `RESULT_FORMATS`.
+    """
+    ending = Path(path).suffix.lower().removeprefix(".")
+    if is_stream(path):
+        return "csv"
+    if ending not in RESULT_FORMATS:
+        raise ValueError(f"{path}: must end in .{' or .'.join(RESULT_FORMATS)}, got {ending or 'no ending'}")
+    return ending
+
+
+def result_rows(result: StudyResult) -> Iterator[dict[str, Any]]:
+    """A row for each load, with the columns of `write_results`; None where there is no value."""
     found, task = result.attainability, result.task.task
-    loads = task.tip_load.expand(*task.batch_shape, 3).reshape(-1, 3).tolist()
-    distance = result.node_distance
-    worst = [0] * len(loads) if distance is None else _worst_node(distance).flatten().tolist()
-    metrics = [result.metric(name).flatten().tolist() for name in result.settings.metrics]
-    flags = (result.attainable, found.in_range, found.impossible, found.converged)
-    attainable, within, impossible, converged = (_truths(flag) for flag in flags)
-    excess = found.strain_excess.flatten().tolist()
-    extra: list[list[object]] = [[] for _ in loads]
+    columns: dict[str, Sequence[Any]] = {"load": range(1, result.loads + 1)}
+    tip = task.tip_load.detach().expand(*task.batch_shape, -1).reshape(result.loads, -1)
+    components = _PLANAR if tip.shape[-1] == 3 else _SPATIAL
+    columns |= dict(zip(components, tip.mT.tolist(), strict=True))
+    words = result.verdicts
+    if words is not None:
+        columns |= {"verdict": words}
+    columns |= {"reason": result.reasons}
+    scaled = (("tip_error", "tip_error_mm", _MM), ("tip_rotation_error", "tip_rotation_error_deg", _DEG))
+    for name, title, scale in (*scaled, ("shape_error", "shape_error_mm", _MM)):
+        value = getattr(found, name)
+        if value is not None:
+            columns |= {title: _numbers(scale * value)}
+    if found.node_miss is not None and found.worst_node is not None and found.worst_miss is not None:
+        known = (found.worst_miss > 0) & found.worst_miss.isfinite()
+        node = (found.worst_node + 1).flatten().tolist()
+        columns |= {"worst_node": [n if k else None for n, k in zip(node, known.flatten().tolist(), strict=True)]}
+        columns |= {"worst_miss_N": _numbers(found.worst_miss)}
+    for name in METRICS:
+        value = getattr(found, name)
+        if value is not None:
+            columns |= {f"{name}_N": _numbers(value)}
+    columns |= {"in_range": found.in_range.flatten().tolist(), "strain_excess": _numbers(found.strain_excess)}
+    columns |= {"status": [str(word) for word in np.ravel(np.asarray(found.status))]}
     if found.prediction is not None:
-        prediction = found.prediction
-        stable, reached = _truths(prediction.stable), _truths(prediction.reached)
-        pressures = prediction.pressure.flatten(0, -2).tolist()
-        extra = [
-            [stays, arrived, *(row if stays == "true" else [])]
-            for stays, arrived, row in zip(stable, reached, pressures, strict=True)
-        ]
-    names = plain_cell(result.arm.name), plain_cell(result.task.name)
-    for index, load in enumerate(loads):
-        yield [
-            *(*names, index + 1, *load, *(column[index] for column in metrics)),
-            *(worst[index] or "", attainable[index], within[index], excess[index], impossible[index]),
-            *(converged[index], *extra[index]),
-        ]
+        stable = found.prediction.stable.reshape(-1).tolist()
+        for index, pressure in enumerate(found.prediction.pressure.detach().reshape(result.loads, -1).mT.tolist(), 1):
+            kept = [value if stays else None for value, stays in zip(pressure, stable, strict=True)]
+            columns |= {f"pressure_{index}_kPa": kept}
+    for values in zip(*columns.values(), strict=True):
+        yield {"arm": result.arm.name, "task": result.task.name, **dict(zip(columns, values, strict=True))}
 
 
-def _truths(flags: Tensor) -> list[str]:
-    return [str(flag).lower() for flag in flags.flatten().tolist()]
+_PLANAR = ("force_x_N", "force_y_N", "moment_Nm")
+_SPATIAL = ("force_x_N", "force_y_N", "force_z_N", "moment_x_Nm", "moment_y_Nm", "moment_z_Nm")
 
 
-def _mean_over_loads(distance: Tensor) -> Tensor:
-    """(N,) from (*task batch, N)."""
-    return distance.reshape(-1, distance.shape[-1]).mean(0)
+def _numbers(value: Tensor) -> list[float | None]:
+    """In a row; what is not finite is None, as JSON has no other word for it."""
+    return [number if np.isfinite(number) else None for number in _flat(value).tolist()]
 
 
-def _worst_node(distance: Tensor) -> Tensor:
-    """(...) From 1, the node with the largest of the distances (..., N) or the first NaN; 0 if all are 0 or inf."""
-    largest, index = distance.max(-1)
-    return torch.where((largest == 0) | largest.isinf(), 0, index + 1)
+def _flat(value: Tensor) -> NDArray[Any]:
+    return value.detach().cpu().numpy().ravel()
+
+
+def _cell(value: Any) -> Any:
+    """As CSV has it."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return plain_cell(value) if isinstance(value, str) else value

@@ -3,9 +3,10 @@
 import json
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
 from torcharm.attainability import CHOICES
+from torcharm.attainability.verdict import ROTATION
 from torcharm.geometry.rod import BASE_POSE
 from torcharm.optimise import METHODS, Objective
 from torcharm.optimise.objective import AGGREGATES
@@ -13,8 +14,6 @@ from torcharm.optimise.objective import METRICS as OBJECTIVES
 from torcharm.optimise.space import FIELDS, TIES
 from torcharm.study.data import Settings
 from torcharm.study.fields import (
-    Lengths,
-    Limits,
     Name,
     NotNegative,
     Positive,
@@ -30,8 +29,24 @@ from torcharm.study.fields import (
     kind_among,
     one_of,
     refuse,
+    shown_value,
 )
-from torcharm.wrench_sets.node_distances import METRICS
+from torcharm.study.units import (
+    Angle,
+    Length,
+    LengthRange,
+    Lengths,
+    Limits,
+    Load,
+    NotNegativeLength,
+    Pose,
+    PositiveAngle,
+    PositiveLength,
+    PositivePressure,
+    PressureRange,
+    Twist,
+)
+from torcharm.task import WRENCH_PLACES
 from torcharm.wrench_sets.vertex_sets import DISTANCES, HULLS
 
 
@@ -40,7 +55,7 @@ class BendingTable(Table):
 
     kind: Annotated[str, one_of(("linear", "constant")), Field(description="one of linear, constant")]
     stiffness: Annotated[float, Field(description="K, a number [N·m²]")]
-    reference_pressure: Positive | None = None
+    reference_pressure: PositivePressure | None = None
 
 
 class PaperActuator(Table):
@@ -49,7 +64,7 @@ class PaperActuator(Table):
     kind: str
     bending_stiffness: float | None = None
     bending: BendingTable | None = None
-    max_pressure: Positive | None = None
+    max_pressure: PositivePressure | None = None
     force_scale: float | None = None
 
 
@@ -69,8 +84,8 @@ class PolynomialTable(Table):
         Field(description="a list of [power of strain, power of pressure, coefficient]"),
     ]
     strain_range: Annotated[Range, Field(description="[lowest, highest], the strains that were characterised")]
-    pressure_range: Annotated[Range, Field(description="[lowest, highest], the pressures characterised [kPa]")]
-    max_pressure: Annotated[Positive, Field(description="the highest pressure in use [kPa]")]
+    pressure_range: Annotated[PressureRange, Field(description="[lowest, highest], the pressures characterised [kPa]")]
+    max_pressure: Annotated[PositivePressure, Field(description="the highest pressure in use [kPa]")]
     bending_stiffness: float | None = None
     bending: BendingTable | None = None
     force_scale: float | None = None
@@ -96,8 +111,8 @@ class PaperArm(Table):
 
     name: Name
     kind: Annotated[str, one_of(("antagonistic", "bellows", "mckibben"))]
-    outer_radius: NotNegative | None = None
-    inner_radius: NotNegative | None = None
+    outer_radius: NotNegativeLength | None = None
+    inner_radius: NotNegativeLength | None = None
     length: Lengths = 0.5
     max_pressure: Limits | None = None
 
@@ -107,7 +122,7 @@ class FreeArm(Table):
 
     name: Name
     radii: Annotated[
-        list[float], filled("a list of numbers [m]"), Field(description="a list of offsets, one for each actuator [m]")
+        list[Length], filled("a list of numbers [m]"), Field(description="a list of offsets, one for each actuator [m]")
     ]
     length: Annotated[Lengths, Field(description="a number, or a list of one for each actuator [m]")]
     actuators: Annotated[
@@ -129,17 +144,17 @@ class AffineShape(Table):
     """A shape of affine curvature."""
 
     kind: str
-    slope: Annotated[float, Field(description="a number [rad]")]
-    intercept: Annotated[float, Field(description="a number [rad]")]
-    length: Positive = 0.5
+    slope: Annotated[Angle, Field(description="a number [rad]")]
+    intercept: Annotated[Angle, Field(description="a number [rad]")]
+    length: PositiveLength = 0.5
     nodes: Annotated[int, Field(ge=1, le=10_000)] = 10
 
 
 class CubicShape(AffineShape):
     """A shape of cubic curvature."""
 
-    cubic: Annotated[float, Field(description="a number [rad]")]
-    quadratic: Annotated[float, Field(description="a number [rad]")]
+    cubic: Annotated[Angle, Field(description="a number [rad]")]
+    quadratic: Annotated[Angle, Field(description="a number [rad]")]
 
 
 ShapeTable = Annotated[
@@ -149,17 +164,23 @@ ShapeTable = Annotated[
 ]
 
 
+def _check_not_negative(value: list[float]) -> list[float]:
+    if min(value) < 0:
+        raise refuse(f"must be numbers of at least 0, got {shown_value(value)}")
+    return value
+
+
 class DrawnLoads(Table):
     """Random loads."""
 
     count: Annotated[int, Field(ge=1, le=1_000_000, description="a whole number of loads")]
-    scale: Annotated[list[NotNegative], entries("f_x", "f_y", "m")] = [20.0, 20.0, 2.0]
+    scale: Annotated[Load, AfterValidator(_check_not_negative)] = [20.0, 20.0, 2.0]
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 100
 
 
 LoadsTable = Annotated[
     Annotated[
-        list[Annotated[list[float], entries("f_x", "f_y", "m")]],
+        list[Load],
         filled("at least one load [f_x, f_y, m]"),
         Tag("<list>"),
     ]
@@ -168,7 +189,6 @@ LoadsTable = Annotated[
     either("a list of [f_x, f_y, m], or a table with count, scale and seed", list, dict),
 ]
 _loads_field = Field(description="a list of [f_x, f_y, m] [N, N, N·m], or a table with count, scale and seed")
-_BasePose = Annotated[list[float], entries("x", "y", "θ")]
 
 
 class ShapedTask(Table):
@@ -177,18 +197,18 @@ class ShapedTask(Table):
     name: Name
     shape: ShapeTable
     loads: Annotated[LoadsTable, _loads_field]
-    base_pose: _BasePose = list(BASE_POSE)
+    base_pose: Pose = list(BASE_POSE)
+    wrench_at: Annotated[str, one_of(WRENCH_PLACES)] = "middle"
 
 
 class TwistTask(Table):
     """A task with a shape by its twists."""
 
     name: Name
-    twists: Annotated[
-        list[Annotated[list[float], entries("l", "γ", "κ")]], filled("a list of [l, γ, κ], one for each node")
-    ]
+    twists: Annotated[list[Twist], filled("a list of [l, γ, κ], one for each node")]
     loads: Annotated[LoadsTable, _loads_field]
-    base_pose: _BasePose = list(BASE_POSE)
+    base_pose: Pose = list(BASE_POSE)
+    wrench_at: Annotated[str, one_of(WRENCH_PLACES)] = "middle"
 
 
 TaskTable = Annotated[
@@ -208,8 +228,10 @@ class EvaluateTable(Table):
     """How to evaluate."""
 
     metrics: Annotated[
-        list[Annotated[str, one_of(CHOICES)]], filled(f"a list of metrics, such as {json.dumps(METRICS)}")
-    ] = list(METRICS)
+        list[Annotated[str, one_of(CHOICES)]], filled(f"a list of metrics, such as {json.dumps(CHOICES)}")
+    ] = list(CHOICES)
+    tolerance: PositiveLength | None = None
+    rotation_tolerance: PositiveAngle = ROTATION
     hull: Annotated[str, one_of(HULLS)] = Settings.hull
     samples: Annotated[int, Field(ge=2, le=1_000_000)] | None = Settings.samples
     distance: Annotated[str, one_of(DISTANCES), BeforeValidator(_no_closed_form)] = Settings.distance
@@ -218,15 +240,12 @@ class EvaluateTable(Table):
     signed: bool = Settings.signed
 
 
-_Ends = Annotated[list[float], entries("lowest", "highest")]
-
-
 class BoundsTable(Table):
     """How far an optimiser may go."""
 
-    radii: _Ends | None = None
-    length: _Ends | None = None
-    max_pressure: _Ends | None = None
+    radii: LengthRange | None = None
+    length: LengthRange | None = None
+    max_pressure: PressureRange | None = None
 
 
 class OptimiseTable(Table):
@@ -238,7 +257,7 @@ class OptimiseTable(Table):
     ]
     tied: Annotated[str, one_of(TIES)] | None = None
     bounds: BoundsTable = BoundsTable()
-    spacing: NotNegative = 0.0
+    spacing: NotNegativeLength = 0.0
     ordered: bool = True
     in_range: bool = True
     metric: Annotated[str, one_of(OBJECTIVES)] = Objective.metric
@@ -257,13 +276,13 @@ class PlanTable(Table):
     """A tip pose for which shapes are to be found."""
 
     name: Name
-    tip_pose: Annotated[list[float], entries("x", "y", "θ"), Field(description="[x, y, θ] [m, m, rad]")]
-    tip_load: Annotated[list[float], entries("f_x", "f_y", "m"), Field(description="[f_x, f_y, m] [N, N, N·m]")]
+    tip_pose: Annotated[Pose, Field(description="[x, y, θ] [m, m, rad]")]
+    tip_load: Annotated[Load, Field(description="[f_x, f_y, m] [N, N, N·m]")]
     length_weight: NotNegative | None = None
-    reference_length: Positive | None = None
+    reference_length: PositiveLength | None = None
     nodes: Annotated[int, Field(ge=2, le=200)] = 10
     in_range: bool | None = None
-    base_pose: _BasePose = list(BASE_POSE)
+    base_pose: Pose = list(BASE_POSE)
 
 
 class StudyTable(Table):

@@ -19,8 +19,8 @@ from torcharm.statics.cross_section import CrossSections
 from torcharm.task import Task
 from torcharm.wrench_sets.design_task_grid import (
     DesignTaskGrid,
-    check_arm_and_task,
     design_task_grid,
+    fitted,
     limits_in_range,
     map_chunks,
 )
@@ -104,7 +104,7 @@ def load_capacity(
     check_choice("metric", metric, METRICS)
     if chunk_size is not None:
         check_count("chunk_size", chunk_size, 1)
-    check_arm_and_task(arm, task)
+    arm, task = fitted(arm, task)
     weight, payload = _weight_and_payload(task)
     grid = design_task_grid(arm, weight)
     direction = design_task_grid(arm, payload).required.external

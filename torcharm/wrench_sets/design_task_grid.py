@@ -115,8 +115,12 @@ def segments_of(arm: Arm) -> tuple[ArmDesign, ...]:
     return arm.segments if isinstance(arm, ArmSeries) else (arm,)
 
 
-def check_arm_and_task(arm: object, task: object) -> None:
-    """Raise a ValueError unless they are an arm and a task that fit: of one dimension, dtype, device and segments."""
+def fitted(arm: object, task: object) -> tuple[Arm, Task]:
+    """An arm and a task that fit: of one dimension, device and number of segments; in one dtype, as torch promotes.
+
+    Raises:
+        ValueError: they do not fit.
+    """
     refuse_transforms("arm, task")
     if not isinstance(arm, (ArmDesign, ArmSeries)):
         raise ValueError(f"arm: must be an ArmDesign or an ArmSeries, got {shown(arm)}")
@@ -128,11 +132,14 @@ def check_arm_and_task(arm: object, task: object) -> None:
     if len(task.segment_nodes or (0,)) != len(segments):
         raise ValueError(f"segment_nodes: must hold one number for each of {len(segments)} segments, got {shown(task)}")
     ours, theirs = segments[0].radii, task.twists
-    if ours.dtype != theirs.dtype or ours.device != theirs.device:
+    if ours.device != theirs.device:
         raise ValueError(
-            f"task: must have the arm's dtype and device, {ours.dtype} on {ours.device}, "
-            f"got {theirs.dtype} on {theirs.device}; use task.to(...)"
+            f"task: must be on the arm's device, {ours.device}, got {theirs.device}; use task.to({str(ours.device)!r})"
         )
+    if ours.dtype == theirs.dtype:
+        return arm, task
+    dtype = torch.promote_types(ours.dtype, theirs.dtype)
+    return arm.to(dtype), task.to(dtype)
 
 
 def design_task_grid(arm: Arm, task: Task) -> DesignTaskGrid:
@@ -141,7 +148,7 @@ def design_task_grid(arm: Arm, task: Task) -> DesignTaskGrid:
     Raises:
         ValueError: they do not fit.
     """
-    check_arm_and_task(arm, task)
+    arm, task = fitted(arm, task)
     segments = flat_segments(arm)
     counts = task.segment_nodes or (task.nodes,)
     ends = torch.tensor(counts).cumsum(0).tolist()

@@ -1,15 +1,16 @@
 """Can these designs hold these shapes under these loads, and by how much do they miss?"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
-from torcharm._inputs import check_choice, check_count, check_flag, shown
+from torcharm._inputs import check_choice, check_count, check_flag, check_number, shown
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
+from torcharm.attainability.result import Attainability
+from torcharm.attainability.verdict import PoseTolerance
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.task import Task
 from torcharm.wrench_sets.design_task_grid import design_task_grid, limits_in_range
@@ -24,52 +25,12 @@ CHOICES = (*METRICS, PREDICTED)
 """All metrics there are."""
 
 
-@dataclass(frozen=True, eq=False)
-class Attainability:
-    """What `evaluate` found; a metric that was not asked for is None.
-
-    Shapes are (*design batch, *task batch), with N nodes added per node. The unit of a distance
-    is that of `sqrt(k_f f² + k_m m²)`: with weights of one it mixes newtons and newton-metres, as
-    the paper does.
-
-    Attributes:
-        absolute, relative: unattainability summed over the nodes, 0 if attainable.
-        absolute_per_node, relative_per_node: each node's distance to its hull, not raised to a power.
-        predicted_error: the shape error to expect [m], a weighted mean over the poses; infinite where no stable
-            equilibrium was found.
-        predicted_error_per_node: (..., N+1) each pose's own part of it, `sqrt(eᵀ K e)` [m]; the last is the tip's.
-        predicted_pressure: (..., M) that reaches it [kPa].
-        prediction: all that is known of the predicted error, with what it takes to trust it.
-        strain_excess: largest strain beyond its actuator's characterised range, 0 if none is.
-        in_range: whether every strain, and every pressure limit, lies in the characterised range.
-        impossible: whether the shape leaves an actuator no length, or less, at some node: a strain of -1 or below, as
-            of curvatures in degrees or lengths in millimetres. All metrics are infinite there.
-        distances_converged: whether every distance is finite and known to within its promise: the gap between its
-            bounds is closed, or the solver's answer passed its check.
-        converged: the same, and whether the prediction, if it was asked for, converged to a stable shape. Only what
-            converged may be called attainable.
-    """
-
-    absolute: Tensor | None
-    relative: Tensor | None
-    absolute_per_node: Tensor | None
-    relative_per_node: Tensor | None
-    predicted_error: Tensor | None
-    predicted_error_per_node: Tensor | None
-    predicted_pressure: Tensor | None
-    prediction: "PredictedError | None"
-    strain_excess: Tensor
-    in_range: Tensor
-    impossible: Tensor
-    distances_converged: Tensor
-    converged: Tensor
-
-
 def evaluate(
     arm: ArmDesign | ArmSeries,
     task: Task,
-    metrics: Sequence[str] = METRICS,
+    metrics: Sequence[str] = CHOICES,
     *,
+    tolerance: PoseTolerance | float | None = None,
     hull: str = "exact",
     samples: int | None = None,
     distance: str | DistanceFunction = "gjk",
@@ -102,7 +63,9 @@ def evaluate(
     Args:
         arm: designs, of any batch shape; or segments in series.
         task: tasks, of any batch shape, of the arm's dimension. Loads that share a shape share its sets.
-        metrics: which of "absolute", "relative", "predicted_error" to compute.
+        metrics: which of "absolute", "relative", "predicted_error" to compute. Sets cost microseconds a task,
+            the predicted error, which the verdict needs, some hundred.
+        tolerance: how far off a pose may be and still counts as held; a number is the tip's [m].
         hull: "exact", or "edges" as the paper samples.
         samples: points on each edge of the pressure box (edges; the paper's 3), or on each actuator's curve where a
             solver needs vertices of exact sets; None chooses.
@@ -124,7 +87,7 @@ def evaluate(
     check_power(power)
     if chunk_size is not None:
         check_count("chunk_size", chunk_size, 1)
-    asked, scale = _metrics(metrics), scale_of(weights)
+    asked, scale, allowed = _metrics(metrics), scale_of(weights), _tolerance(tolerance)
     grid = design_task_grid(arm, task)
     measured = tuple(name for name in asked if name in METRICS)
     options = SetOptions(measured, scale, signed, _by_vertices(arm, hull, samples, distance, signed))
@@ -135,22 +98,28 @@ def evaluate(
     per_node = {name: grid.unflatten(nodes.distance[..., k, :]) for k, name in enumerate(measured)}
     firsts = [part.start for part in grid.nodes]
     total = {name: over_nodes(value, name, power, signed=signed, firsts=firsts) for name, value in per_node.items()}
-    trusted = converged if prediction is None else converged & prediction.converged & prediction.stable
     return Attainability(
         absolute=total.get("absolute"),
         relative=total.get("relative"),
         absolute_per_node=per_node.get("absolute"),
         relative_per_node=per_node.get("relative"),
-        predicted_error=None if prediction is None else prediction.shape_error,
-        predicted_error_per_node=None if prediction is None else prediction.per_node,
-        predicted_pressure=None if prediction is None else prediction.pressure,
         prediction=prediction,
         strain_excess=excess,
         in_range=(excess <= 16 * torch.finfo(excess.dtype).eps) & limits_in_range(grid) & ~impossible,
         impossible=impossible,
         distances_converged=converged,
-        converged=trusted,
+        signed=signed,
+        tolerance=allowed,
+        arm=arm,
+        task=task,
     )
+
+
+def _tolerance(tolerance: PoseTolerance | float | None) -> PoseTolerance:
+    """What counts as held; a number is the tip's."""
+    if tolerance is None or isinstance(tolerance, PoseTolerance):
+        return tolerance or PoseTolerance()
+    return PoseTolerance(tip=check_number("tolerance", tolerance, 0.0, strict=True))
 
 
 def _by_vertices(

@@ -1,0 +1,184 @@
+"""Verdicts: one word a task, and the reason why a task is not held."""
+
+import math
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+import torcharm as ta
+
+D = torch.float64
+ARM = ta.antagonistic_arm(0.05, 0.015, 0.5)
+BENT = ta.affine_curvature(0.0, 1.0)
+LOADS = ta.sample_loads(12, (4.0, 4.0, 0.4))
+
+
+@pytest.fixture(scope="module")
+def found():
+    return ta.evaluate(ARM, ta.Task(BENT, LOADS, wrench_at="middle"))
+
+
+def test_held_is_within_all_tolerances_and_sure(found):
+    tip = 0.02 * 0.5
+    sure = found.prediction.converged & found.prediction.stable & found.prediction.reached
+    near = (found.tip_error <= tip) & (found.shape_error <= tip) & (found.tip_rotation_error <= math.radians(5))
+    assert (found.verdict == "held").tolist() == (sure & near).tolist()
+    assert (found.verdict == "held").sum() > 6
+    assert [bool(reason) for reason in found.reason] == [word != "held" for word in found.verdict]
+
+
+@pytest.mark.parametrize(
+    ("field", "said"), [("tip", "tip off by"), ("rotation", "tip turned by"), ("shape", "shape off by")]
+)
+def test_each_tolerance_is_missed_alone(found, field, said):
+    """A tolerance of nothing makes a miss of everything that was held, and says which it was."""
+    strict = replace(found, tolerance=replace(ta.PoseTolerance(tip=1.0, rotation=3.0, shape=1.0), **{field: 1e-9}))
+    held = replace(found, tolerance=ta.PoseTolerance(tip=1.0, rotation=3.0, shape=1.0))
+    assert (strict.verdict[held.verdict == "held"] == "missed").all()
+    assert all(
+        reason.startswith(said) for reason, word in zip(strict.reason, strict.verdict, strict=True) if word == "missed"
+    )
+
+
+def test_a_number_is_the_tips_tolerance():
+    task = ta.Task(BENT, [0.0, 0.0, 0.0])
+    assert ta.evaluate(ARM, task, tolerance=0.005).tolerance == ta.PoseTolerance(tip=0.005)
+    for wrong in (0.0, -1.0, math.nan):
+        with pytest.raises(ValueError, match="tolerance: must be a finite number and above 0"):
+            ta.evaluate(ARM, task, tolerance=wrong)
+    with pytest.raises(ValueError, match=r"tolerance\.rotation: must be a finite number and above 0"):
+        ta.PoseTolerance(rotation=-1.0)
+
+
+def test_the_default_tolerance_grows_with_the_arm():
+    big = ta.antagonistic_arm(0.1, 0.03, 1.0)
+    tip, shape = ta.PoseTolerance().lengths(big)
+    assert float(tip) == float(shape) == pytest.approx(0.02)
+    both = ta.series([ARM, ta.RigidLink(length=0.1), ARM])
+    assert float(ta.PoseTolerance().lengths(both)[0]) == pytest.approx(0.02)
+
+
+def test_what_was_not_characterised_is_excluded():
+    squeezed = ta.evaluate(ARM, ta.Task(ta.affine_curvature(0.0, 1.0, length=0.44), [0.0, 0.0, 0.0]))
+    assert squeezed.verdict == "excluded by range"
+    assert squeezed.reason == "actuator 4 is strained to -0.22 at node 1, characterised from -0.17 to +0.67"
+    strong = ta.ArmDesign(ARM.radii, ARM.length, ARM.actuators, [95.0, 100.0, 100.0, 50.0])
+    driven = ta.evaluate(strong, ta.Task(BENT, [0.0, 0.0, 0.0]))
+    assert driven.verdict == "excluded by range"
+    assert driven.reason == "actuator 1 is driven to 95 kPa, characterised to 92 kPa"
+
+
+def test_what_is_not_found_is_undecided():
+    """A single muscle under compression: no stable equilibrium near the shape."""
+    arm = ta.ArmDesign([-0.052], 0.5, [ta.McKibben()])
+    task = ta.Task(ta.affine_curvature(0.2, -0.1, length=0.44, nodes=6), [0.0, 8.0, 0.0])
+    found = ta.evaluate(arm, task)
+    assert found.verdict == "undecided"
+    assert found.reason == "no stable equilibrium near the task's shape was found"
+
+
+@pytest.mark.parametrize(
+    ("twists", "question"),
+    [
+        (ta.affine_curvature(0.0, 60.0), "a bend of 60 rad, 9.55 turns: are curvatures in degrees?"),
+        (ta.affine_curvature(0.0, 0.5, length=480.0), "lengths of up to 480 m: are they in millimetres?"),
+        (
+            torch.tensor([[0.05, 0.0, 0.1]] * 10, dtype=D),
+            "each of 10 rows has l = 0.05 m, an element's part of 0.5 m: l and κ are those of the whole arm, "
+            "were they divided by the number of nodes?",
+        ),
+    ],
+)
+def test_wrong_units_are_asked_about(twists, question):
+    found = ta.evaluate(ARM, ta.Task(twists, [0.0, -1.0, 0.0]))
+    assert found.verdict in ("impossible", "excluded by range")
+    assert found.reason.endswith(question)
+
+
+def test_arms_in_millimetres_are_asked_about():
+    arm = ta.ArmDesign([-50.0, 50.0], 0.5, ta.Bellows())
+    found = ta.evaluate(arm, ta.Task(BENT, [0.0, -1.0, 0.0]))
+    assert found.verdict == "impossible"
+    assert found.reason.endswith("radii: 50 m, more than the arm is long: are they in millimetres?")
+
+
+def test_sets_alone_only_exclude():
+    task = ta.Task(BENT, torch.tensor([[0.0, 0.0, 0.0], [0.0, 300.0, 0.0]], dtype=D))
+    found = ta.evaluate(ARM, task, ("absolute",))
+    assert found.verdict is None
+    assert found.tip_error is found.shape_error is found.pressure is found.capacity_margin is None
+    assert found.not_excluded.tolist() == [True, False]
+    assert found.reason[0] == ""
+    worst = int(found.worst_node[1])
+    miss = float(found.absolute_per_node[1, worst])
+    assert miss == float(found.absolute_per_node[1].max()) == float(found.worst_miss[1])
+    assert found.reason[1] == f"node {worst + 1} lacks {miss:.3g} N"
+
+
+def test_the_margin_is_positive_inside():
+    task = ta.Task(BENT, torch.tensor([[0.0, 0.0, 0.0], [0.0, 300.0, 0.0]], dtype=D))
+    found = ta.evaluate(ARM, task, ("absolute",), signed=True)
+    torch.testing.assert_close(found.capacity_margin, -found.absolute_per_node.amax(-1))
+    assert found.capacity_margin[0] > 0 > found.capacity_margin[1]
+
+
+def test_batches_are_judged_one_by_one():
+    arms = ta.antagonistic_arm(torch.tensor([0.05, 0.08], dtype=D), 0.015, torch.tensor([0.5, 0.45], dtype=D))
+    task = ta.Task(torch.stack((BENT, ta.affine_curvature(0.0, 60.0))), LOADS[:1])
+    found = ta.evaluate(arms, task)
+    assert found.verdict.shape == found.reason.shape == (2, 2)
+    for design in range(2):
+        for shape in range(2):
+            one = ta.evaluate(arms[design], ta.Task(task.twists[shape], LOADS[0]))
+            assert one.verdict == found.verdict[design, shape]
+            assert one.reason == found.reason[design, shape]
+
+
+def test_segments_in_series_are_judged_as_one_arm():
+    arm = ta.series([ta.ArmDesign([-0.05, 0.05], 0.3, ta.Bellows()), ta.ArmDesign([-0.05, 0.05], 0.2, ta.Bellows())])
+    twists = torch.tensor([[0.3, 0.0, 0.0]] * 3 + [[0.15, 0.0, 0.0]] * 3, dtype=D)
+    found = ta.evaluate(arm, ta.Task(twists, [0.0, 0.0, 0.0], segment_nodes=(3, 3)))
+    assert found.verdict == "excluded by range"
+    assert found.reason == "actuator 3 is strained to -0.25 at node 4, characterised from -0.17 to +0.67"
+
+
+def test_a_table_of_all_that_was_found(found):
+    columns = found.to_dict()
+    assert columns["verdict"] == found.verdict.tolist()
+    assert columns["tip_error"] == found.tip_error.tolist()
+    assert columns["design"] == [0] * 12
+    assert columns["task"] == list(range(12))
+    assert [columns[f"pressure_{index}"][3] for index in range(1, 5)] == found.pressure[3].tolist()
+    assert {len(column) for column in columns.values()} == {12}
+    frame = pytest.importorskip("pandas").DataFrame(columns)
+    assert found.to_frame().equals(frame)
+
+
+def test_a_result_is_short_and_survives_pickle(found):
+    counts = dict(zip(*np.unique(found.verdict, return_counts=True), strict=True))
+    said = ", ".join(f"{count} {word}" for word, count in counts.items())
+    assert repr(found) == f"Attainability(batch (12,), {said})"
+    again = pickle.loads(pickle.dumps(found))
+    assert again.verdict.tolist() == found.verdict.tolist()
+    assert torch.equal(again.tip_error, found.tip_error)
+
+
+def test_errors_do_not_grow_with_the_number_of_nodes():
+    """The tip's and the shape's errors are those of the arm, not of its discretisation; the paper's sum grows."""
+    arm, load = ta.antagonistic_arm(), torch.tensor([0.0, 1.0, 0.2], dtype=D)
+    found = [
+        ta.evaluate(
+            arm, ta.Task(ta.affine_curvature(0.0, 2.5, nodes=nodes), load, wrench_at="middle"), "predicted_error"
+        )
+        for nodes in (10, 20, 40)
+    ]
+    tips = torch.stack([one.tip_error for one in found])
+    shapes = torch.stack([one.shape_error for one in found])
+    sums = torch.stack([one.prediction.cost for one in found])
+    assert float((tips / tips[-1] - 1).abs().max()) < 0.1
+    rest = (shapes[:2] / shapes[-1] - 1).abs()
+    assert rest[1] < 0.5 * rest[0] < 0.1  # the weights on nodes are those of an integral, to first order
+    assert float(sums[-1] / sums[0]) > 3

@@ -1,0 +1,48 @@
+"""The README: short, and its examples run and fit the types."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+MOST_WORDS = 1300
+
+
+def test_it_is_read_in_five_minutes():
+    assert len(README.split()) <= MOST_WORDS
+
+
+def test_links_lead_somewhere():
+    targets = re.findall(r"\]\((?!https?:)([^)#]+)", README)
+    assert targets
+    assert [target for target in targets if not (Path(__file__).parents[1] / target).exists()] == []
+
+
+def test_the_examples_run():
+    names: dict[str, object] = {}
+    for block in BLOCKS:
+        exec(block, names)
+    assert np.shape(names["found"].verdict) == ()
+    assert names["found"].tip_error.isfinite()
+    assert names["missing"].relative.shape == (200, 100)
+    assert names["radius"].grad.isfinite().all()
+    assert bool((names["radius"].grad != 0).any())
+    assert len(BLOCKS) >= 2
+    assert isinstance(names["arm"].length, torch.Tensor)
+
+
+def test_the_examples_fit_the_types(tmp_path):
+    api = pytest.importorskip("mypy.api")
+    path = tmp_path / "readme.py"
+    path.write_text("\n".join(BLOCKS), encoding="utf-8")
+    options = ["--ignore-missing-imports", "--check-untyped-defs"]
+    options += [
+        "--disable-error-code",
+        "union-attr",
+    ]  # what was asked for is there, and nobody asks again in an example
+    said, errors, code = api.run([str(path), "--config-file=", *options])
+    assert (errors, code) == ("", 0), said

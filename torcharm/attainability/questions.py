@@ -1,0 +1,70 @@
+"""Questions to a person whose numbers make sense in other units only."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torcharm.arm import ArmDesign
+
+LONGEST = 5.0
+"""A length of an arm or a shape [m] beyond which metres were hardly meant."""
+MOST_TURN = 4 * math.pi
+"""A bend of a whole segment [rad], two turns, beyond which radians were hardly meant."""
+PER_ELEMENT = 0.3
+"""By which share the length of a shape may differ from an element's of the arm to be taken for it."""
+
+
+def question(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[int]) -> str | None:
+    """Whether a design, or a shape for it, is in other units; None: they make sense.
+
+    Args:
+        segments: of one design.
+        twists: (N, 3 or 6) of all segments.
+        nodes: of each segment.
+    """
+    return question_about_arm(segments) or question_about_shape(twists) or _question_about_fit(segments, twists, nodes)
+
+
+def question_about_shape(twists: Tensor) -> str | None:
+    """Whether twists (..., N, 3 or 6) of one segment are in other units; None: they make sense."""
+    length, bend = twists[..., 0].detach(), _bend(twists)
+    if bool((length.abs() > LONGEST).any()):
+        return f"lengths of up to {length.abs().max():g} m: are they in millimetres?"
+    if bool((bend > MOST_TURN).any()):
+        most = float(bend.max())
+        return f"a bend of {most:g} rad, {most / (2 * math.pi):.3g} turns: are curvatures in degrees?"
+    return None
+
+
+def question_about_arm(segments: Sequence[ArmDesign]) -> str | None:
+    """Whether an arm's lengths and offsets are in other units; None: they make sense."""
+    for segment in segments:
+        length, offset = segment.length.detach(), segment.offsets.detach().norm(dim=-1)
+        if bool((length > LONGEST).any()):
+            return f"length: {length.max():g} m: is it in millimetres?"
+        beyond = offset > length
+        if bool(beyond.any()):
+            name = "radii" if segment.dimension == 2 else "offsets"
+            return f"{name}: {offset[beyond].max():g} m, more than the arm is long: are they in millimetres?"
+    return None
+
+
+def _question_about_fit(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[int]) -> str | None:
+    """Whether a shape's length is that of one element of the arm; None: it is not."""
+    for segment, own in zip(segments, twists.detach().split(list(nodes), -2), strict=True):
+        count, length = own.shape[-2], float(own[..., 0].mean())
+        whole = float(segment.length.detach().mean())
+        if count > 3 and abs(length * count / whole - 1) < PER_ELEMENT:
+            return (
+                f"each of {count} rows has l = {length:g} m, an element's part of {whole:g} m: "
+                "l and κ are those of the whole arm, were they divided by the number of nodes?"
+            )
+    return None
+
+
+def _bend(twists: Tensor) -> Tensor:
+    """(...) the mean size of the curvature along the shape [rad]."""
+    turn = twists.detach()[..., 2:] if twists.shape[-1] == 3 else twists.detach()[..., 3:]
+    return torch.linalg.vector_norm(turn, dim=-1).mean(-1)

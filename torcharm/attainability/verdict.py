@@ -1,0 +1,92 @@
+"""Verdicts: what a person may conclude from an evaluation, in a word for each task."""
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from torcharm._inputs import check_number
+from torcharm.arm import ArmDesign
+from torcharm.arm_series import ArmSeries
+from torcharm.wrench_sets.design_task_grid import segments_of
+
+if TYPE_CHECKING:
+    from torcharm.pressure.predicted_error import PredictedError
+
+VERDICTS = ("held", "missed", "excluded by range", "undecided", "impossible")
+"""Held: the predicted shape is within the tolerance, a converged stable equilibrium that loading leads to, with strains
+and pressures that were characterised. Missed: the same, beyond the tolerance. Excluded by range: strains or pressure
+limits are beyond what was characterised, so that every figure extrapolates. Undecided: the prediction did not converge,
+or no stable equilibrium was found, or loading leads to another one. Impossible: an actuator would have no length."""
+HELD, MISSED, EXCLUDED, UNDECIDED, IMPOSSIBLE = range(len(VERDICTS))
+
+LENGTH_SHARE = 0.02
+"""Of an arm's length, how far off its tip may be unless told otherwise. Force models are good to a few percent: to ask
+for less would be to ask the model for what it does not know."""
+ROTATION = math.radians(5.0)
+"""How far the tip may be turned unless told otherwise [rad]: that moves the end of a tool that is a quarter as long as
+the arm by the same 2 % of the arm's length."""
+
+
+@dataclass(frozen=True)
+class PoseTolerance:
+    """How far off a pose may be that still does the job.
+
+    Attributes:
+        tip: distance of the tip [m]; None is 2 % of the arm's neutral length.
+        rotation: turn of the tip [rad].
+        shape: mean distance of the shape, as `shape_error` [m]; None is the same as for the tip.
+
+    Raises:
+        ValueError: a tolerance is not a number above 0.
+    """
+
+    tip: float | None = None
+    rotation: float = ROTATION
+    shape: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("tip", "rotation", "shape"):
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, check_number(f"tolerance.{name}", value, 0.0, strict=True))
+
+    def lengths(self, arm: ArmDesign | ArmSeries) -> tuple[Tensor, Tensor]:
+        """(*design batch) tolerances of tip and shape [m] for arms of their lengths."""
+        own = LENGTH_SHARE * neutral_length(arm)
+        tip = own if self.tip is None else torch.full_like(own, self.tip)
+        return tip, tip if self.shape is None else torch.full_like(own, self.shape)
+
+
+def neutral_length(arm: ArmDesign | ArmSeries) -> Tensor:
+    """(*design batch) the sum over segments of their actuators' mean neutral length [m]."""
+    return torch.stack([segment.length.detach().mean(-1) for segment in segments_of(arm)]).sum(0)
+
+
+def judge(
+    arm: ArmDesign | ArmSeries,
+    prediction: "PredictedError",
+    tolerance: PoseTolerance,
+    in_range: Tensor,
+    impossible: Tensor,
+) -> Tensor:
+    """Indices into `VERDICTS` (*design batch, *task batch).
+
+    Args:
+        arm: the designs.
+        prediction: of all of them on all tasks.
+        tolerance: what counts as held.
+        in_range: whether the task's shape and the limits lie in the characterised range.
+        impossible: whether an actuator would have no length at the task's shape.
+    """
+    tasks = prediction.tip_error.ndim - len(arm.batch_shape)
+    tip, shape = (value.reshape(value.shape + (1,) * tasks) for value in tolerance.lengths(arm))
+    close = (prediction.tip_error <= tip) & (prediction.shape_error <= shape)
+    close = close & (prediction.tip_rotation_error <= tolerance.rotation)
+    sure = prediction.converged & prediction.stable & prediction.reached
+    found = torch.where(close, HELD, MISSED)
+    found = torch.where(sure, found, UNDECIDED)
+    found = torch.where(in_range & (prediction.in_range | ~prediction.stable), found, EXCLUDED)
+    return torch.where(impossible, IMPOSSIBLE, found)

@@ -1,0 +1,75 @@
+"""Numbers of a study file that may be texts with a unit, such as "420 mm" or "30 deg"."""
+
+import math
+import re
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Discriminator, Field, Tag
+
+from torcharm.study.fields import by_list, either, entries, refuse, shown_value
+
+LENGTH = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "in": 0.0254}
+ANGLE = {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180, "turn": 2 * math.pi}
+PRESSURE = {"kPa": 1.0, "Pa": 1e-3, "MPa": 1e3, "bar": 100.0, "mbar": 0.1, "psi": 6.894757293168361}
+FORCE = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "kgf": 9.80665, "gf": 9.80665e-3, "lbf": 4.4482216152605}
+MOMENT = {"N·m": 1.0, "N*m": 1.0, "N m": 1.0, "Nm": 1.0, "N·mm": 1e-3, "N*mm": 1e-3, "N mm": 1e-3, "Nmm": 1e-3}
+MASS = {"kg": 1.0, "g": 1e-3, "lb": 0.45359237}
+"""Factors to the unit in which numbers without one are read, which is the first of each."""
+
+_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)\s*")
+
+
+def parsed(value: Any, units: dict[str, float]) -> Any:
+    """The number that a text with one of the units stands for; what is no text stays what it is."""
+    if not isinstance(value, str):
+        return value
+    found = _NUMBER.fullmatch(value)
+    if found is None or found[2] not in units:
+        own, allowed = next(iter(units)), ", ".join(units)
+        raise refuse(f"must be a number [{own}] or a text of one and a unit ({allowed}), got {shown_value(value)}")
+    return float(found[1]) * units[found[2]]
+
+
+def in_unit(units: dict[str, float]) -> BeforeValidator:
+    """A number, or a text of a number and one of the units."""
+    return BeforeValidator(lambda value: parsed(value, units))
+
+
+Angle = Annotated[float, in_unit(ANGLE)]
+Length = Annotated[float, in_unit(LENGTH)]
+Force = Annotated[float, in_unit(FORCE)]
+Moment = Annotated[float, in_unit(MOMENT)]
+Pressure = Annotated[float, in_unit(PRESSURE)]
+PositiveAngle = Annotated[float, Field(gt=0), in_unit(ANGLE)]
+PositiveLength = Annotated[float, Field(gt=0), in_unit(LENGTH)]
+NotNegativeLength = Annotated[float, Field(ge=0), in_unit(LENGTH)]
+PositivePressure = Annotated[float, Field(gt=0), in_unit(PRESSURE)]
+NotNegativePressure = Annotated[float, Field(ge=0), in_unit(PRESSURE)]
+
+Lengths = Annotated[
+    Annotated[PositiveLength, Tag("<other>")] | Annotated[list[PositiveLength], Tag("<list>")],
+    Discriminator(by_list),
+    either("a number or a list of numbers [m]", int, float, str, list),
+]
+Limits = Annotated[
+    Annotated[NotNegativePressure, Tag("<other>")] | Annotated[list[NotNegativePressure], Tag("<list>")],
+    Discriminator(by_list),
+    either("a number or a list of numbers [kPa]", int, float, str, list),
+]
+LengthRange = Annotated[list[Length], entries("lowest", "highest")]
+PressureRange = Annotated[list[Pressure], entries("lowest", "highest")]
+
+
+def each_in(*columns: tuple[str, dict[str, float]]) -> Any:
+    """The type of a list of numbers that each have a name and units of their own."""
+
+    def check(value: Any) -> Any:
+        return [parsed(part, units) for part, (_, units) in zip(value, columns, strict=True)]
+
+    # What is written last is checked first: the number of entries, then each entry's unit
+    return Annotated[list[float], BeforeValidator(check), entries(*(name for name, _ in columns))]
+
+
+Load = each_in(("f_x", FORCE), ("f_y", FORCE), ("m", MOMENT))
+Pose = each_in(("x", LENGTH), ("y", LENGTH), ("θ", ANGLE))
+Twist = each_in(("l", LENGTH), ("γ", LENGTH), ("κ", ANGLE))
