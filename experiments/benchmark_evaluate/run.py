@@ -119,7 +119,7 @@ def validation(quick: bool) -> Iterator[Measurement]:
     task = ta.Task(SHAPE, ta.sample_loads(100))
     for case, settings in {"exact": {}, "edges, 3 points": {"hull": "edges", "samples": 3}}.items():
 
-        def ours(settings: dict[str, object] = settings) -> list[Tensor | None]:
+        def ours(settings: dict[str, Any] = settings) -> list[Tensor | None]:
             return [ta.evaluate(arm, task, ("absolute",), **settings).absolute_per_node for arm in arms]
 
         spent = seconds(ours, 3 if quick else 51)
