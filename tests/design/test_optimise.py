@@ -96,6 +96,8 @@ def test_the_best_is_never_worse_in_truth_than_the_given(seed: int) -> None:
     if bool(before.stable):
         assert float(after.shape_error) <= float(before.shape_error) * (1 + 1e-5)
     assert (found.best is arm) == found.status.startswith("given design kept")
+    apart = abs(found.value - float(after.shape_error)) > 0.2 * float(after.shape_error) + 0.01
+    assert apart <= (not found.status.startswith("better, as a pressure search confirms")), found.status
 
 
 def test_no_design_without_an_equilibrium_is_best() -> None:
@@ -205,8 +207,8 @@ def test_it_is_stopped_by_callback_time_and_interrupt() -> None:
 
     found = optimise_design(ARM, BENT, objective=NEWTONS, starts=4, callback=stop)
     assert (found.stopped, seen, found.evaluations) == ("callback", [1, 2, 3], 3)
-    assert len(found.reasons) == 1
-    assert found.reasons[0] == "stopped"
+    assert found.reasons[-1] == "stopped"
+    assert len(found.reasons) < 4
     timed = optimise_design(ARM, BENT, starts=200, iterations=60, seconds=0.5)
     assert timed.stopped == "time"
 

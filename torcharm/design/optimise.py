@@ -27,6 +27,8 @@ TOLERANCE = 1e-5
 """A gain not worth a step, as a share of the value at the start."""
 CANDIDATES = 3
 """Ends that are compared with the given design by a pressure search, the best first, until one is better."""
+AGREEMENT = (0.2, 0.01)
+"""Share of the searched error, and length [m], within which the predicted one counts as confirmed."""
 NOISE = 1e-6
 """By which share a value must be below another to be better: searches end at their tolerance."""
 
@@ -191,7 +193,10 @@ def _confirmed(problem: Problem, given: Arm, better: Sequence[End]) -> tuple[End
     for end in better:
         found.append(_search_value(problem, problem.designs.design(end.point)))
         if found[-1] < before * (1 - NOISE):
-            return end, f"better, as a pressure search confirms ({1e3 * before:.4g} → {1e3 * found[-1]:.4g} mm)"
+            numbers = f"{1e3 * before:.4g} → {1e3 * found[-1]:.4g} mm"
+            if abs(end.value - found[-1]) <= AGREEMENT[0] * found[-1] + AGREEMENT[1]:
+                return end, f"better, as a pressure search confirms ({numbers})"
+            return end, f"better, but a pressure search reaches {numbers} where {1e3 * end.value:.4g} mm is predicted"
     return None, (
         f"given design kept: a pressure search reaches {1e3 * before:.4g} mm with it, and {1e3 * min(found):.4g} mm "
         "with the best found within the constraints"
