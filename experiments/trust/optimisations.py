@@ -34,7 +34,7 @@ class Row:
         given, value: objective of the given and of the best design [m]; infinite where it is no candidate.
         given_searched, searched: what the pressure search reaches with the two [m].
         agrees: whether value and search agree.
-        told: whether the status says that they may not.
+        told: whether the status says that they may not, or that the given design was kept.
         status: of the result.
     """
 
@@ -86,7 +86,7 @@ def table(found: Sequence[Row]) -> Table:
     for name, number in (
         ("optimisations", len(found)),
         ("value and search agree within 20 % + 1 cm", len(found) - len(apart)),
-        ("... and the search of the result converged", sum(row.agrees and not row.told for row in found)),
+        ("... and the status says that it is better, and confirmed", sum(row.agrees and not row.told for row in found)),
         ("do not agree, and the status says why", sum(row.told for row in apart)),
         ("  of these no candidate was found", len(found) - len(finite)),
         ("do not agree, and nothing is said", sum(not row.told for row in apart)),
