@@ -3,6 +3,7 @@
 import csv
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -54,19 +55,39 @@ def _run(folder: Path, *arguments: str, text: str = STUDY) -> subprocess.Complet
 
 
 def test_optimise_shows_and_saves_a_better_arm(tmp_path: Path) -> None:
-    answer = _run(tmp_path, "optimise", "study.toml", "--out", "best.npz", "--figure", "best.png")
+    answer = _run(tmp_path, "optimise", "study.toml", "--out", "best.csv", "--figure", "best.png")
     assert answer.returncode == 0, answer.stderr
-    assert "Wrote best.npz" in answer.stdout
+    assert "Wrote best.csv" in answer.stdout
     assert (tmp_path / "best.png").stat().st_size > 1000
-    from torcharm.optimise import load_optimised
-
-    found = load_optimised(tmp_path / "best.npz")
+    with (tmp_path / "best.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["model"] for row in rows] == ["Bellows", "McKibben", "McKibben", "Bellows"]
+    assert [float(row["given_radius_m"]) for row in rows] == [-0.04, -0.01, 0.01, 0.04]
+    radii, length = ([float(row[name]) for row in rows] for name in ("radius_m", "length_m"))
     study = parse_study(STUDY)
-    values = [ta.evaluate(found.best, named.task, "absolute").absolute.flatten() for named in study.tasks]  # type: ignore[union-attr]
-    assert found.value == pytest.approx(float(torch.cat(values).mean()))
-    assert found.value < found.given_value
-    assert float(found.best.radii.diff().min()) > 0.005 - 1e-9
-    assert f"{found.value:.5g}" in answer.stdout
+    models = study.arms[0].design.actuators
+    best = ta.ArmDesign(torch.tensor(radii).double(), torch.tensor(length).double(), models)
+    errors = [
+        [ta.predict_error(arm, named.task).shape_error.flatten() for named in study.tasks]
+        for arm in (study.arms[0].design, best)
+    ]
+    given, value = (1e3 * float(torch.cat(each).mean()) for each in errors)
+    assert value < given
+    assert f"{given:.4g}" in answer.stdout
+    assert f"{value:.4g}" in answer.stdout
+    assert min(b - a for a, b in pairwise(radii)) > 0.005 - 1e-7
+    assert "antagonistic: better, as a pressure search confirms" in answer.stdout
+
+
+def test_one_plan_without_a_shape_costs_only_its_own_row(tmp_path: Path) -> None:
+    far = '[[plan]]\nname = "far"\ntip_pose = [3.0, 3.0, 0.0]\ntip_load = [6.0, 0.0, 0.0]\nnodes = 3\n\n'
+    answer = _run(
+        tmp_path, "plan", "study.toml", "--out", "shapes.csv", text=STUDY.replace("[[plan]]", far + "[[plan]]")
+    )
+    assert answer.returncode == 0, answer.stderr
+    assert "far, antagonistic: no shape: none of 3 elements was found" in answer.stdout
+    with (tmp_path / "shapes.csv").open(encoding="utf-8") as file:
+        assert {row["plan"] for row in csv.DictReader(file)} == {"shape 1"}
 
 
 def test_plan_writes_the_paper_s_shape(tmp_path: Path) -> None:
@@ -88,7 +109,7 @@ def test_plan_writes_the_paper_s_shape(tmp_path: Path) -> None:
         ("optimise", ("starts = 2", "startz = 2"), "optimise.startz: unknown key; did you mean starts?"),
         ("optimise", ('tied = "mirror"', 'tied = "mirrored"'), "optimise.tied: must be one of mirror, equal"),
         ("optimise", ("radii = [-0.09, 0.09]", "length = [0.1, 0.2]"), "no design within the bounds"),
-        ("optimise", ("spacing = 0.005", "ordered = false\nspacing = 0.005"), "ordered: must be True"),
+        ("optimise", ("spacing = 0.005", "spacing = 0.0"), "optimise.spacing"),
         ("plan", ("length_weight = 45.0\n", ""), "length_weight: must be given too"),
         ("plan", ("tip_pose = [0.35, -0.3, 0.0]", "tip_pose = [0.35]"), "plan[1].tip_pose: must be a list of 3"),
         ("plan", ("[[plan]]", "[[plans]]"), "plans"),
@@ -103,21 +124,15 @@ def test_mistakes_end_in_one_line(tmp_path: Path, command: str, change: tuple[st
     assert "Traceback" not in answer.stderr
 
 
-def test_results_go_to_npz_files(tmp_path: Path) -> None:
-    answer = _run(tmp_path, "optimise", "study.toml", "--out", "best.csv")
-    assert answer.returncode == 2
-    assert "must end in .npz" in answer.stderr
-
-
 def test_outputs_that_cannot_be_written_are_found_before_the_work(tmp_path: Path) -> None:
     two = STUDY.replace("[[task]]", '[[arm]]\nname = "other"\nkind = "bellows"\n\n[[task]]', 1)
-    (tmp_path / "best-2.npz").mkdir()
+    (tmp_path / "best-2.png").mkdir()
     for arguments, words in (
-        (("--out", "none/best.npz"), "--out: none/best.npz: the directory none does not exist"),
-        (("--out", "best.npz"), "--out: best-2.npz: is a directory"),
-        (("--checkpoint", "none/run.npz"), "--checkpoint: none/run-1.npz: the directory none does not exist"),
+        (("--out", "none/best.csv"), "--out: none/best.csv: the directory none does not exist"),
+        (("--figure", "best.png"), "--figure: best-2.png: is a directory"),
+        (("--checkpoint", "none/run.json"), "--checkpoint: none/run-1.json: the directory none does not exist"),
         (("--checkpoint", "study.toml"), "--checkpoint: study.toml: is the study itself"),
-        (("--out", "a.npz", "--checkpoint", "a.npz"), "--checkpoint: a.npz: is the file of --out"),
+        (("--out", "a.csv", "--checkpoint", "a.csv"), "--checkpoint: a.csv: is the file of --out"),
     ):
         answer = _run(tmp_path, "optimise", "study.toml", *arguments, text=two)
         assert answer.returncode == 2
@@ -143,14 +158,14 @@ main()
 def test_a_failing_save_costs_no_result(tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
     (tmp_path / "full.py").write_text(FULL, encoding="utf-8")
-    (tmp_path / "best.npz").write_text("old")
-    command = [sys.executable, "full.py", "optimise", "study.toml", "--out", "best.npz", "--checkpoint", "run.npz"]
+    (tmp_path / "best.csv").write_text("old")
+    command = [sys.executable, "full.py", "optimise", "study.toml", "--out", "best.csv", "--checkpoint", "run.json"]
     answer = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert answer.returncode == 2
-    assert "Value: mean absolute unattainability, of 3 tasks." in answer.stdout, "the results are shown"
+    assert "Value: mean predicted shape error [mm], of 3 tasks." in answer.stdout, "the results are shown"
     lines = [line for line in answer.stderr.splitlines() if line.startswith("torcharm:")]
     assert len(lines) == 2, answer.stderr
-    assert "checkpoint: run.npz could not be written: No space left" in lines[0]
-    assert "best.npz: cannot be written: No space left" in lines[1]
-    assert (tmp_path / "best.npz").read_text() == "old"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["best.npz", "full.py", "study.toml"]
+    assert "checkpoint: run.json could not be written: No space left" in lines[0]
+    assert "best.csv: cannot be written: No space left" in lines[1]
+    assert (tmp_path / "best.csv").read_text() == "old"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["best.csv", "full.py", "study.toml"]

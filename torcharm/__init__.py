@@ -29,18 +29,17 @@ if TYPE_CHECKING:
     from torcharm.actuators.recordings import read_pressure, read_tester
     from torcharm.actuators.uncertainty import TensorPolynomial, coefficient_tensor, standard_deviation
     from torcharm.attainability import Attainability, PoseTolerance, evaluate
-    from torcharm.equilibrium import Equilibrium, NotConvergedError, solve_equilibrium
-    from torcharm.optimise import (
+    from torcharm.design import (
         Architectures,
         DesignSpace,
         Objective,
         OptimisedDesign,
-        load_optimised,
         optimise_architectures,
         optimise_design,
         verify_design,
     )
-    from torcharm.planning import PlannedShape, Smoothness, plan_shape
+    from torcharm.design.shape_planning import PlannedShape, Smoothness, plan_shape
+    from torcharm.equilibrium import Equilibrium, NotConvergedError, solve_equilibrium
     from torcharm.pressure.pose_cost import PoseCost
     from torcharm.pressure.predicted_error import PredictedError, predict_error
     from torcharm.pressure.search import PressureSearch, search_pressure
@@ -107,7 +106,6 @@ __all__ = [
     "kkt_residuals",
     "load_actuator",
     "load_capacity",
-    "load_optimised",
     "mckibben_arm",
     "monotonicity",
     "nnls_distance",
@@ -138,8 +136,8 @@ _LATER = {
     "Attainability": "attainability",
     "distance_to_hull": "wrench_sets.vertices",
     "evaluate": "attainability",
-    "Architectures": "optimise",
-    "DesignSpace": "optimise",
+    "Architectures": "design",
+    "DesignSpace": "design",
     "Equilibrium": "equilibrium",
     "FitQuality": "actuators.characterisation",
     "FittedActuator": "actuators.characterisation",
@@ -147,16 +145,16 @@ _LATER = {
     "HullDistance": "wrench_sets.hull_distance",
     "LoadCapacity": "wrench_sets.capacity",
     "NotConvergedError": "equilibrium",
-    "Objective": "optimise",
-    "OptimisedDesign": "optimise",
-    "PlannedShape": "planning",
+    "Objective": "design",
+    "OptimisedDesign": "design",
+    "PlannedShape": "design.shape_planning",
     "PoseCost": "pressure.pose_cost",
     "PoseTolerance": "attainability",
     "PredictedError": "pressure.predicted_error",
     "PressureFit": "pressure.wrench_fit",
     "PressureSearch": "pressure.search",
     "Recording": "actuators.alignment",
-    "Smoothness": "planning",
+    "Smoothness": "design.shape_planning",
     "TensorPolynomial": "actuators.uncertainty",
     "WrenchHulls": "wrench_sets.wrench_set",
     "align": "actuators.alignment",
@@ -169,11 +167,10 @@ _LATER = {
     "kkt_residuals": "wrench_sets.hull_distance",
     "load_actuator": "actuators.model_file",
     "load_capacity": "wrench_sets.capacity",
-    "load_optimised": "optimise",
     "nnls_distance": "wrench_sets.reference",
-    "optimise_architectures": "optimise",
-    "optimise_design": "optimise",
-    "plan_shape": "planning",
+    "optimise_architectures": "design",
+    "optimise_design": "design",
+    "plan_shape": "design.shape_planning",
     "pool": "actuators.alignment",
     "predict_error": "pressure.predicted_error",
     "qp_distance": "wrench_sets.qp",
@@ -184,7 +181,7 @@ _LATER = {
     "slsqp_distance": "wrench_sets.reference",
     "solve_equilibrium": "equilibrium",
     "standard_deviation": "actuators.uncertainty",
-    "verify_design": "optimise",
+    "verify_design": "design",
     "wrench_hulls": "wrench_sets.wrench_set",
 }
 

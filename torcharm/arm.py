@@ -101,15 +101,19 @@ class ArmDesign:
         for name, value in {**dict.fromkeys(optional), **checked, "actuators": models}.items():
             object.__setattr__(self, name, value)
 
-    def with_values(self, radii: Tensor, length: Tensor, max_pressure: Tensor) -> "ArmDesign":
+    def with_values(
+        self, radii: Tensor, length: Tensor, max_pressure: Tensor, out_of_plane: Tensor | None = None
+    ) -> "ArmDesign":
         """Designs of the same actuators, from tensors (..., M) of one shape that are known to be sound: not checked.
 
-        What else there is stays, and must have that shape or broadcast to it.
+        What else there is stays, also offsets out of the plane unless given, and must have that shape or broadcast to
+        it.
         """
         design = object.__new__(type(self))
-        values = {"radii": radii, "length": length, "actuators": self.actuators, "max_pressure": max_pressure}
-        for name in ("out_of_plane", "diameter"):
-            value = getattr(self, name)
+        values: dict[str, Any] = {"radii": radii, "length": length, "max_pressure": max_pressure}
+        values["actuators"] = self.actuators
+        kept = {"out_of_plane": self.out_of_plane if out_of_plane is None else out_of_plane, "diameter": self.diameter}
+        for name, value in kept.items():
             values[name] = None if value is None else value.expand(radii.shape).to(radii)
         for name in ("mass", "torsion_stiffness"):
             value = getattr(self, name)

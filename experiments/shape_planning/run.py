@@ -17,7 +17,7 @@ from rich.table import Table
 import torcharm as ta
 from experiments.rows import write_rows
 from experiments.shape_planning import figure
-from torcharm.planning import PAPER_SHAPES
+from torcharm.design.shape_planning import PAPER_SHAPES
 
 HERE = Path(__file__).parent
 TIP_POSE = (0.35, -0.3, 0.0)

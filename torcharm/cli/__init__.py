@@ -63,5 +63,5 @@ app.command(epilog="Example: torcharm fit --instron run.csv --pressure run.txt -
 )
 app.command(epilog="Example: torcharm search study.toml --out pressures.csv")(search.search)
 app.command(epilog="Example: torcharm shape --pressure 20,30,20,25 --load 2,-3,0.1 --figure shape.png")(shape.shape)
-app.command(epilog="Example: torcharm optimise study.toml --out best.npz --figure history.png")(optimise.optimise)
+app.command(epilog="Example: torcharm optimise study.toml --out best.csv --figure best.png")(optimise.optimise)
 app.command(epilog="Example: torcharm plan study.toml --out shapes.csv")(plan.plan)

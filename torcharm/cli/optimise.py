@@ -1,5 +1,6 @@
 """`torcharm optimise`: every arm of a study made better on all its tasks together."""
 
+import csv
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -20,87 +21,65 @@ from torcharm.cli.terminal import (
     save_all,
     say,
 )
-from torcharm.files import check_writable
-
-PLAIN = ("converged", "confirmed by a pressure search")
-"""States of a result that need no word."""
+from torcharm.files import check_writable, plain_cell
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from torcharm.optimise import OptimisedDesign
+    from torcharm.design import OptimisedDesign, Progress
+
+Found = Sequence[tuple[str, "OptimisedDesign"]]
 
 
 def optimise(
     study: Annotated[Path, typer.Argument(help="A study, as TOML; its table [optimise] says what may change.")],
     out: Annotated[
-        Path | None,
-        typer.Option("--out", help="Save the results, to a file ending in .npz; numbered for several arms."),
+        Path | None, typer.Option("--out", help="Write a CSV file: a row for every arm and actuator, given and best.")
     ] = None,
     figure: Annotated[
         Path | None,
-        typer.Option("--figure", help=f"Draw designs and history, to a file ending in {', '.join(FIGURE_FORMATS)}."),
+        typer.Option("--figure", help=f"Draw errors and designs, to a file ending in {', '.join(FIGURE_FORMATS)}."),
     ] = None,
     checkpoint: Annotated[
-        Path | None, typer.Option("--checkpoint", help="Keep what is done in this file, and go on from it.")
+        Path | None, typer.Option("--checkpoint", help="Keep finished starts in this file, and go on from it.")
     ] = None,
 ) -> None:
     """Find better radii, lengths and limits for every arm of a study, on all its tasks together.
 
-    Ctrl-C ends the search and shows what was found until then.
+    Ctrl-C ends the optimisation and shows what was found until then.
     """
     with mistakes():
         check_outputs(study, out, figure)
         _check_checkpoint(study, out, figure, checkpoint)
-        if out is not None and out.suffix != ".npz":
-            raise ValueError(f"--out: {out}: must end in .npz")
-        from torcharm.optimise import optimise_design
+        from torcharm.design import optimise_design
         from torcharm.study import load_study
 
         plan = load_study(study)
-        how = plan.optimisation
+        how, total = plan.optimisation, len(plan.arms)
+        for option, path in (("--figure", figure), ("--checkpoint", checkpoint)):
+            for index in range(total if path is not None else 0):
+                check_writable(_numbered(path, index, total) or "", option)
         tasks = [named.task for named in plan.tasks]
         console = open_console()
-        total = len(plan.arms)
-        for option, path in (("--out", out), ("--figure", figure), ("--checkpoint", checkpoint)):
-            for index in range(total):
-                place = _numbered(path, index, total)
-                if place is not None:
-                    check_writable(place, option)
         results: list[tuple[str, OptimisedDesign]] = []
-        failed = []
         for index, arm in enumerate(plan.arms):
-            with _warnings_in_a_line():
+            with _warnings_in_a_line(), _shown_progress(arm.name) as told:
                 result = optimise_design(
                     arm.design,
                     tasks,
                     how.space,
                     how.objective,
-                    method=how.method,
                     starts=how.starts,
                     seed=how.seed,
                     iterations=how.iterations,
                     checkpoint=_numbered(checkpoint, index, total),
-                    progress=True,
+                    callback=told,
                 )
             results.append((arm.name, result))
-            try:
-                save_all(
-                    console, _outputs(arm.name, result, *(_numbered(path, index, total) for path in (out, figure)))
-                )
-            except ValueError as error:  # the results are shown all the same
-                failed.append(str(error))
             if result.stopped == "interrupted":
                 break
-        console.print(_table(results))
-        console.print()
-        loads = count(len(results[0][1].after["absolute"]), "task")
-        say(console, f"Value: {_value_words(results[0][1])}, of {loads}. Designs are in m and kPa.")
-        for name, result in results:
-            if result.status not in PLAIN:
-                say(console, f"{name}: {result.status}.")
-        if failed:
-            raise ValueError("; ".join(failed))
+        _tell(results)
+        save_all(console, _outputs(results, out, figure, total))
         if results[-1][1].stopped == "interrupted":
             fail("interrupted", INTERRUPTED)
 
@@ -111,24 +90,65 @@ def _check_checkpoint(study: Path, out: Path | None, figure: Path | None, checkp
             raise ValueError(f"--checkpoint: {checkpoint}: is {what}, must be another file")
 
 
+def _tell(results: Found) -> None:
+    from torcharm.design.result import objective_words
+
+    console = open_console()
+    console.print(_table(results))
+    console.print()
+    first = results[0][1]
+    words, tasks = objective_words(first.objective), count(len(first.after.stable), "task")
+    unit = "mm" if first.objective.unit == "m" else "N"
+    say(console, f"Value: {words} [{unit}], of {tasks}. Tip: mean predicted error [mm]. Designs are in mm and kPa.")
+    for name, result in results:
+        say(console, f"{name}: {result.status}.")
+        if result.violated and result.best is not result.given:
+            say(console, f"{name}: the given arm breaks: {'; '.join(result.violated)}.")
+        if result.active:
+            say(console, f"{name}: the best arm is held back by: {'; '.join(result.active)}.")
+
+
 def _outputs(
-    name: str, result: "OptimisedDesign", out: Path | None, figure: Path | None
+    results: Found, out: Path | None, figure: Path | None, total: int
 ) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
     if out is not None:
-        yield out, result.save, f" ({name})."
-    if figure is not None:
-        from torcharm.optimise.figure import optimisation_figure
+        yield out, lambda path: _write(path, results), "."
+    for index, (name, result) in enumerate(results if figure is not None else ()):
+        from torcharm.plot import optimisation_figure
 
-        yield figure, lambda path: optimisation_figure(result, name).savefig(path), f" ({name})."
+        drawn = optimisation_figure(result, name)
+        yield _numbered(figure, index, total) or Path(), drawn.savefig, f" ({name})."
 
 
 @contextmanager
 def _warnings_in_a_line() -> Iterator[None]:
-    """Warnings of a search as one line each on the standard error, as mistakes are told."""
+    """Warnings as one line each on the standard error, as mistakes are told."""
     with warnings.catch_warnings():
         warnings.simplefilter("always", RuntimeWarning)
         warnings.showwarning = lambda message, *_, **__: print("torcharm:", message, file=sys.stderr)
         yield
+
+
+@contextmanager
+def _shown_progress(name: str) -> "Iterator[Callable[[Progress], None]]":
+    """A progress bar on the standard error, if it is a terminal; yields what updates it."""
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("best {task.fields[value]}"),
+        TimeElapsedColumn(),
+    )
+    with Bar(*columns, console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bar:
+        task = bar.add_task(name, total=None, value="-")
+
+        def told(progress: "Progress") -> None:
+            bar.update(task, completed=progress.start, total=progress.starts, value=f"{progress.value:.4g}")
+
+        yield told
 
 
 def _numbered(path: Path | None, index: int, total: int) -> Path | None:
@@ -137,38 +157,44 @@ def _numbered(path: Path | None, index: int, total: int) -> Path | None:
     return path.with_stem(f"{path.stem}-{index + 1}")
 
 
-def _value_words(result: "OptimisedDesign") -> str:
-    objective = result.objective
-    over = {"mean": "mean", "worst": "largest", "cvar": f"mean of the worst {objective.tail:.0%}", "count": "count"}
-    if objective.metric == "predicted_error":
-        return f"{over[objective.over]} predicted shape error [m]"
-    relative = f" + {objective.relative_weight:g} relative" if objective.relative_weight else ""
-    return f"{over[objective.over]} absolute{relative} unattainability"
+def _write(path: Path, results: Found) -> None:
+    from torcharm.arm import ArmDesign
+
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        fields = ("radius_m", "length_m", "max_pressure_kPa")
+        writer.writerow(("arm", "actuator", "model", *(f"given_{name}" for name in fields), *fields))
+        for name, result in results:
+            columns = []
+            for arm in (result.given, result.best):
+                assert isinstance(arm, ArmDesign)  # studies hold no others
+                columns += [value.tolist() for value in (arm.radii, arm.length, arm.max_pressure)]
+            for index, values in enumerate(zip(*columns, strict=True)):
+                model = type(result.best.actuators[index]).__name__
+                writer.writerow((plain_cell(name), index + 1, plain_cell(model), *values))
 
 
-def _table(results: Sequence[tuple[str, "OptimisedDesign"]]) -> "Table":
+def _table(results: Found) -> "Table":
     from rich import box
     from rich.table import Table
     from rich.text import Text
 
+    from torcharm.arm import ArmDesign
+
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
     table.add_column("arm", overflow="fold")
-    for name in ("value\ngiven", "value\nbest"):
+    for name in ("value\ngiven", "value\nbest", "tip\ngiven", "tip\nbest"):
         table.add_column(name, justify="right")
-    for name in ("radii", "lengths", "limits", "strain\nin range", "ended"):
+    for name in ("radii", "lengths", "limits"):
         table.add_column(name, overflow="fold")
     for name, result in results:
-        best = result.best
-        columns = [" ".join(f"{value:.4g}" for value in field.tolist()) for field in (best.radii, best.length)]
-        limits = " ".join(f"{value:.3g}" for value in best.max_pressure.tolist())
-        ended = result.reasons[int(result.end_values.argmin())]
+        best, scale = result.best, 1e3 if result.objective.unit == "m" else 1.0
+        assert isinstance(best, ArmDesign)
         table.add_row(
             Text(name),
-            f"{result.given_value:.5g}",
-            f"{result.value:.5g}",
-            *columns,
-            limits,
-            "yes" if result.in_range else "no",
-            ended,
+            *(f"{scale * value:.4g}" for value in (result.given_value, result.value)),
+            *(f"{side.tip_mm:.4g}" for side in (result.before, result.after)),
+            *(" ".join(f"{1e3 * value:.1f}" for value in field.tolist()) for field in (best.radii, best.length)),
+            " ".join(f"{value:.3g}" for value in best.max_pressure.tolist()),
         )
     return table

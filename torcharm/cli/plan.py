@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from torcharm.cli.terminal import check_outputs, count, mistakes, open_console, save_all
+from torcharm.cli.terminal import check_outputs, count, mistakes, open_console, save_all, say
 from torcharm.files import plain_cell
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from torcharm.planning import PlannedShape
+    from torcharm.design.shape_planning import PlannedShape
 
 Found = tuple[str, str, "PlannedShape"]
 
@@ -27,7 +27,7 @@ def plan(
     """Find shapes through the tip poses of a study, for each of its arms."""
     with mistakes():
         check_outputs(study, out, None)
-        from torcharm.planning import plan_shape
+        from torcharm.design.shape_planning import plan_shape
         from torcharm.study import load_study
         from torcharm.study.fields import within
 
@@ -50,8 +50,13 @@ def plan(
                     )
                 found.append((wanted.name, arm.name, shape))
         console.print(_table(found))
+        missing = [one for one in found if not one[-1].found]
+        if missing:
+            console.print()
+        for plan_name, arm_name, shape in missing:
+            say(console, f"{plan_name}, {arm_name}: {shape.status}.")
         if out is not None:
-            rows = sum(len(shape.twists) for *_, shape in found)
+            rows = sum(len(shape.twists) for *_, shape in found if shape.found)
             save_all(console, [(out, lambda path: _write(path, found), f" ({count(rows, 'row')}).")])
 
 
@@ -68,6 +73,9 @@ def _table(found: Sequence[Found]) -> "Table":
     table.add_column("strain\nin range")
     for name, arm, shape in found:
         result = shape.attainability
+        if result is None:
+            table.add_row(Text(name), Text(arm), "no shape", *["-"] * 6)
+            continue
         metrics = ["-" if value is None else f"{float(value):.4g}" for value in (result.absolute, result.relative)]
         spans = [f"{float(column.min()):.3f}\n{float(column.max()):.3f}" for column in shape.twists.unbind(-1)]
         inside = "yes" if bool(result.in_range) else "no"
@@ -81,6 +89,6 @@ def _write(path: Path, found: Sequence[Found]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("plan", "arm", "node", "length_m", "shear_m", "curvature_rad"))
-        for name, arm, shape in found:
+        for name, arm, shape in (one for one in found if one[-1].found):
             for node, twist in enumerate(shape.twists.tolist(), 1):
                 writer.writerow((plain_cell(name), plain_cell(arm), node, *twist))

@@ -1,6 +1,6 @@
 """Pictures of arms, tasks, attainable sets and results.
 
-`import torcharm` loads no matplotlib; `from torcharm import plot` does. Except for `study_figure`, every function
+`import torcharm` loads no matplotlib; `from torcharm import plot` does. Except for the two figures, every function
 draws into the axes it is given, or makes some, and returns them. Nothing is shown, and no setting is changed.
 Colour is never the only cue: the attainable is black and solid or a dot, the rest vermillion and dashed or a cross.
 """
@@ -18,6 +18,7 @@ from torcharm.plot.arms import arm_shape, task_shape
 from torcharm.plot.histograms import unattainability_histogram
 from torcharm.plot.hulls import hulls_along_arm, node_hull
 from torcharm.plot.loads import attainable_load_map, load_grid, load_map, polar_load_grid
+from torcharm.plot.optimisation import optimisation_figure
 from torcharm.plot.study import study_figure
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "load_grid",
     "load_map",
     "node_hull",
+    "optimisation_figure",
     "polar_load_grid",
     "study_figure",
     "task_shape",

@@ -103,6 +103,19 @@ def predict_error(arm: ArmDesign | ArmSeries, task: Task, pose_cost: PoseCost | 
     Raises:
         ValueError: an argument is none of those allowed, or arm and task do not fit.
     """
+    return prediction(arm, task, pose_cost)
+
+
+def prediction(
+    arm: ArmDesign | ArmSeries, task: Task, pose_cost: PoseCost | None = None, *, held: bool = False
+) -> PredictedError:
+    """What `predict_error` returns.
+
+    Args:
+        arm, task, pose_cost: as there.
+        held: whether predictions that are stable but not converged have gradients, too: those at the pressures found,
+            which are held. They tell an optimiser what these pressures would reach, though not what the best would.
+    """
     prepared = prepare(arm, task, pose_cost)
     plain = detached(prepared)
     found = _found(plain)
@@ -111,7 +124,7 @@ def predict_error(arm: ArmDesign | ArmSeries, task: Task, pose_cost: PoseCost | 
     place, twists = plain.shaped(found.place), plain.shaped(found.twists)
     stable = plain.shaped(stays_at(plain, found.place, found.twists, found.stable)) & possible
     converged = plain.shaped(found.ended == OPTIMUM) & stable
-    errors = errors_at(prepared, place, twists, converged, stable)
+    errors = errors_at(prepared, place, twists, stable if held else converged, stable)
     with torch.no_grad():
         excess, within = strain_excess(plain.at(place), twists)
     columns = (

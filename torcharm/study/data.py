@@ -4,8 +4,10 @@ from dataclasses import dataclass, field
 
 from torcharm.arm import ArmDesign
 from torcharm.attainability import CHOICES, PoseTolerance
-from torcharm.optimise import DesignSpace, Objective
-from torcharm.planning import Smoothness
+from torcharm.design.objective import Objective
+from torcharm.design.optimise import ITERATIONS
+from torcharm.design.shape_planning import Smoothness
+from torcharm.design.space import DesignSpace
 from torcharm.task import Task
 
 
@@ -53,10 +55,9 @@ class Optimisation:
 
     space: DesignSpace = field(default_factory=DesignSpace)
     objective: Objective = field(default_factory=Objective)
-    method: str = "bfgs"
     starts: int = 8
     seed: int = 0
-    iterations: int | None = None
+    iterations: int = ITERATIONS
 
 
 @dataclass(frozen=True)

@@ -24,9 +24,10 @@ from torcharm.actuators.model_file import load_actuator
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
 from torcharm.attainability import CHOICES, PoseTolerance, check_measure
 from torcharm.attainability.questions import question_about_arm, question_about_shape
+from torcharm.design.objective import Objective
+from torcharm.design.shape_planning import Smoothness
+from torcharm.design.space import DesignSpace
 from torcharm.files import read_file
-from torcharm.optimise import DesignSpace, Objective
-from torcharm.planning import Smoothness
 from torcharm.study.data import NamedArm, NamedPlan, NamedTask, Optimisation, Settings, Study
 from torcharm.study.fields import field_path, first_mistake, one_line, shown_value, within
 from torcharm.study.tables import (
@@ -252,10 +253,9 @@ def _settings(table: EvaluateTable) -> Settings:
 
 def _optimisation(table: OptimiseTable) -> Optimisation:
     bounds = {name: (ends[0], ends[1]) for name, ends in table.bounds.model_dump(exclude_none=True).items()}
-    space = DesignSpace(tuple(table.free), table.tied, bounds, table.spacing, table.ordered, table.in_range)
-    names = ("metric", "relative_weight", "over", "tail", "threshold", "size_weight")
-    objective = Objective(**{name: getattr(table, name) for name in names})
-    return Optimisation(space, objective, table.method, table.starts, table.seed, table.iterations)
+    space = DesignSpace(tuple(table.free), table.tied, bounds, table.spacing, table.in_range)
+    objective = Objective(table.metric, table.over, relative_weight=table.relative_weight)
+    return Optimisation(space, objective, table.starts, table.seed, table.iterations)
 
 
 def _plan(table: PlanTable) -> NamedPlan:

@@ -7,11 +7,11 @@ from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
 from torcharm.attainability import CHOICES
 from torcharm.attainability.verdict import ROTATION
+from torcharm.design.objective import AGGREGATES, Objective
+from torcharm.design.objective import METRICS as OBJECTIVES
+from torcharm.design.optimise import ITERATIONS
+from torcharm.design.space import FIELDS, TIES
 from torcharm.geometry.rod import BASE_POSE
-from torcharm.optimise import METHODS, Objective
-from torcharm.optimise.objective import AGGREGATES
-from torcharm.optimise.objective import METRICS as OBJECTIVES
-from torcharm.optimise.space import FIELDS, TIES
 from torcharm.study.data import Settings
 from torcharm.study.fields import (
     Name,
@@ -257,19 +257,14 @@ class OptimiseTable(Table):
     ]
     tied: Annotated[str, one_of(TIES)] | None = None
     bounds: BoundsTable = BoundsTable()
-    spacing: NotNegativeLength = 0.0
-    ordered: bool = True
+    spacing: PositiveLength | None = None
     in_range: bool = True
     metric: Annotated[str, one_of(OBJECTIVES)] = Objective.metric
     relative_weight: NotNegative = Objective.relative_weight
     over: Annotated[str, one_of(AGGREGATES)] = Objective.over
-    tail: Annotated[float, Field(gt=0, le=1)] = Objective.tail
-    threshold: NotNegative = Objective.threshold
-    size_weight: NotNegative = Objective.size_weight
-    method: Annotated[str, one_of(METHODS)] = "bfgs"
     starts: Annotated[int, Field(ge=1, le=100_000)] = 8
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
-    iterations: Annotated[int, Field(ge=1)] | None = None
+    iterations: Annotated[int, Field(ge=1)] = ITERATIONS
 
 
 class PlanTable(Table):

@@ -1,34 +1,32 @@
-"""Shapes for a tip: the centreline through a tip pose that an arm can best hold, or that is smoothest.
-
-A shape of N segments is its lengths l_i and curvatures κ_i (no shear), 2N unknowns; the tip pose takes three.
-"""
+"""Shapes for a tip: the centreline through a tip pose that an arm can best hold, or that is smoothest."""
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from torcharm._inputs import TensorLike, as_floating, check_count, check_finite, shown
-from torcharm.arm import ArmDesign, check_planar
+from torcharm.arm import ArmDesign
 from torcharm.attainability import Attainability, evaluate
-from torcharm.geometry import rod
-from torcharm.geometry.rod import BASE_POSE
-from torcharm.optimise.objective import Objective
+from torcharm.design.objective import Objective, task_values
+from torcharm.design.space import Array
+from torcharm.geometry import rod, se3
 from torcharm.task import Task
 
 TIP_TOLERANCE = 1e-8
 """By how much a tip may miss its pose [m, rad] for a plan to count as one."""
 STRAIN_SLACK = 1e-7
 """By how much of a length [m] strains stay off the ends of their range."""
-_LENGTH_UNIT = 0.1  # lengths in it vary as much as curvatures do
-_PINNED = 1e-9
+LENGTH_UNIT = 0.1
+"""In which lengths are counted [m], so that they vary as much as curvatures do."""
+COLUMNS = {2: (0, 2), 3: (0, 4, 5)}
+"""Of a twist, those that a shape chooses: the length and the bending; shear and torsion are 0."""
 
-Array = npt.NDArray[np.float64]
 Cost = Callable[[Tensor], Tensor]
 
 
@@ -36,7 +34,7 @@ Cost = Callable[[Tensor], Tensor]
 class Smoothness:
     """The paper's heuristic: `a ‖l - l_ref‖ + ‖Δκ‖` over the lengths (N) and the steps (N-1) of curvature.
 
-    Euclidean norms, not squared, and a length of its own for each segment: so read, (45, 0.5 m) gives the published
+    Euclidean norms, not squared, and a length of its own for each element: so read, (45, 0.5 m) gives the published
     shape 1. A large a keeps all lengths at l_ref exactly.
 
     Attributes:
@@ -58,28 +56,33 @@ PAPER_SHAPES = (Smoothness(45.0, 0.5), Smoothness(20.0, 0.5), Smoothness(4.0, 0.
 """Of the paper's shape study."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PlannedShape:
     """A shape, and what it takes to trust it.
 
     Attributes:
-        twists: (N, 3) [m, m, rad].
-        tip_error: the largest entry of tip pose minus what was asked for [m, m, rad].
+        status: "found"; or "no shape: ..." with why: then numbers are NaN, and there is no attainability.
+        twists: (N, 3) or (N, 6) [m, rad].
+        tip_error: the largest entry of the tip's error, as of `pose_errors` [m, rad].
         cost: what was minimised.
-        stationarity: norm of the cost's gradient, balanced by the constraints as far as they can, over its norm
-            unbalanced: 0 at a minimum.
-        converged: whether the tip is met to 1e-8 and, for a heuristic, stationarity is below 1e-5. Unattainability
-            may have a kink at its minimum, where stationarity stays large.
         attainability: of the shape under the loads, as `evaluate` finds with the objective's options (for a
             heuristic, with its own).
     """
 
+    status: str
     twists: Tensor
     tip_error: float
     cost: float
-    stationarity: float
-    converged: bool
-    attainability: Attainability
+    attainability: Attainability | None
+
+    @property
+    def found(self) -> bool:
+        """Whether the tip is met to 1e-8, within the strain ranges if they are asked for."""
+        return self.status == "found"
+
+    def __repr__(self) -> str:
+        """Shapes and the outcome, no tensors."""
+        return f"PlannedShape(twists {tuple(self.twists.shape)}, cost {self.cost:.4g}, {self.status})"
 
 
 def plan_shape(
@@ -89,7 +92,7 @@ def plan_shape(
     objective: Objective | Smoothness | None = None,
     *,
     nodes: int = 10,
-    base_pose: TensorLike = BASE_POSE,
+    base_pose: TensorLike | None = None,
     in_range: bool | None = None,
     starts: int = 4,
     seed: int = 0,
@@ -97,19 +100,21 @@ def plan_shape(
 ) -> PlannedShape:
     """The shape through a tip pose that minimises an objective of one arm under tip loads.
 
-    scipy's SLSQP with torch's gradients from several starts, and a last Newton step onto the tip pose.
+    A shape of N elements is its lengths and curvatures, 2N unknowns in the plane and 3N in space; the tip takes three
+    or six. scipy's SLSQP with torch's gradients from several starts, and a last Newton step onto the tip pose. That no
+    shape was found is no error but said by the `status`.
 
     Args:
         arm: one design.
-        tip_pose: (3,) [m, m, rad] in the world frame. Headings are not wrapped: the arm turns by
+        tip_pose: (3,) [m, m, rad] or (4, 4) in the world frame. Headings in the plane are not wrapped: the arm turns by
             `tip heading - base heading` in all, so adding 2π asks for a loop more.
-        tip_load: (3,) or (..., 3) loads under which the shape is to be held [N, N, N·m]; several count
-            as the objective says.
-        objective: the objective of the shape as a task of this arm; None takes absolute plus relative unattainability,
-            of squared distances and without margins, so that any attainable shape will do. Margins ask for many more
-            iterations. Or a `Smoothness`, of which the arm and the loads have no part.
+        tip_load: (..., 3) or (..., 6) loads under which the shape is to be held [N, N·m]; several count as the
+            objective says.
+        objective: of the shape as a task of this arm; None takes absolute plus relative unattainability, of squared
+            distances and without margins, so that any attainable shape will do. Or a `Smoothness`, of which the arm
+            and the loads have no part.
         nodes: N.
-        base_pose: (3,) pose of node 1 [m, m, rad].
+        base_pose: (3,) or (4, 4) pose of node 1; None hangs the arm from the origin.
         in_range: whether all strains stay in the actuators' characterised range; None: unless the objective is
             a `Smoothness`.
         starts: the first start is the circular arc of the right turn; the others bend at random.
@@ -117,35 +122,55 @@ def plan_shape(
         iterations: of a start, at most.
 
     Raises:
-        ValueError: an argument is none of those allowed, or no shape meets the tip pose (and the strain ranges).
+        ValueError: an argument is none of those allowed.
     """
-    if not isinstance(arm, ArmDesign) or arm.batch_shape:
-        raise ValueError(f"arm: must be one design, got {shown(arm)}")
-    check_planar(arm)
-    if objective is not None and not isinstance(objective, (Objective, Smoothness)):
-        raise ValueError(f"objective: must be an Objective or a Smoothness, got {shown(objective)}")
-    check_count("nodes", nodes, 2)
+    problem, load = _problem(arm, tip_pose, tip_load, objective, nodes, base_pose, in_range)
     check_count("starts", starts, 1)
-    goal, base, load, _ = as_floating(tip_pose=tip_pose, base_pose=base_pose, tip_load=tip_load, arm=arm.radii)
-    for name, value in (("tip_pose", goal), ("base_pose", base)):
-        if value.shape != (3,):
-            raise ValueError(f"{name}: must have shape (3,), got {tuple(value.shape)}")
-        check_finite(name, value)
-    judge = Objective(power=2, relative_weight=1.0, margin=False) if objective is None else objective
-    limited = not isinstance(judge, Smoothness) if in_range is None else in_range
-    problem = _TipProblem(arm, goal.double(), base.double(), nodes, _strain_rows(arm, nodes) if limited else None)
+    judge = Objective("unattainability", power=2, relative_weight=1.0, margin=False) if objective is None else objective
     if isinstance(judge, Smoothness):
         plans = [_smoothest(problem, judge, iterations)]
     else:
-        plans = _best_held(
-            problem, judge, Task(torch.zeros(nodes, 3).to(arm.radii), load, base), starts, seed, iterations
-        )
+        shaped = Task(torch.zeros(nodes, problem.columns).to(arm.radii), load, problem.base.to(arm.radii))
+        plans = _best_held(problem, judge, shaped, starts, seed, iterations)
     met = [plan for plan in plans if problem.violation(plan[0]) < TIP_TOLERANCE]
     if not met:
-        ranges = " with all strains in the actuators' characterised range" if limited else ""
-        raise ValueError(f"tip_pose: no shape of {nodes} segments was found that meets {goal.tolist()}{ranges}")
+        return _no_shape(problem)
     unknowns, cost = min(met, key=lambda plan: float(plan[1](torch.from_numpy(plan[0]))))
     return _plan(problem, judge, unknowns, cost, load)
+
+
+def _problem(
+    arm: ArmDesign,
+    tip_pose: TensorLike,
+    tip_load: TensorLike,
+    objective: Objective | Smoothness | None,
+    nodes: int,
+    base_pose: TensorLike | None,
+    in_range: bool | None,
+) -> "tuple[_TipProblem, Tensor]":
+    if not isinstance(arm, ArmDesign) or arm.batch_shape:
+        raise ValueError(f"arm: must be one design, got {shown(arm)}")
+    if objective is not None and not isinstance(objective, (Objective, Smoothness)):
+        raise ValueError(f"objective: must be an Objective or a Smoothness, got {shown(objective)}")
+    check_count("nodes", nodes, 2)
+    columns = 3 if arm.dimension == 2 else 6
+    base = rod.hanging(arm.radii, columns) if base_pose is None else base_pose
+    goal, start, load, _ = as_floating(tip_pose=tip_pose, base_pose=base, tip_load=tip_load, arm=arm.radii)
+    shape = rod.group_of(columns).POSE_SHAPE
+    for name, value in (("tip_pose", goal), ("base_pose", start)):
+        if value.shape != shape:
+            raise ValueError(f"{name}: must have shape {shape} for this arm, got {tuple(value.shape)}")
+        check_finite(name, value)
+    limited = not isinstance(objective, Smoothness) if in_range is None else in_range
+    strains = _strain_rows(arm, nodes) if limited else None
+    return _TipProblem(arm, goal.double().cpu(), start.double().cpu(), nodes, columns, strains), load
+
+
+def _no_shape(problem: "_TipProblem") -> PlannedShape:
+    none = torch.full((problem.nodes, problem.columns), torch.nan).to(problem.arm.radii)
+    ranges = "" if problem.strains is None else " with all strains in the actuators' characterised range"
+    words = f"no shape: none of {problem.nodes} elements was found that meets the tip pose{ranges}"
+    return PlannedShape(words, none, math.nan, math.nan, None)
 
 
 def _plan(
@@ -153,23 +178,21 @@ def _plan(
 ) -> PlannedShape:
     at = torch.from_numpy(unknowns)
     twists = problem.twists(at).to(problem.arm.radii)
-    task = Task(twists, load, problem.base.to(twists))
+    task = Task(twists, load.to(twists), problem.base.to(twists))
+    options: dict[str, Any] = {}
     if isinstance(judge, Objective):
-        attainability = judge.results(problem.arm, (task,))[0]
-    else:
-        attainability = evaluate(problem.arm, task)
+        options = {"weights": judge.weights, "power": judge.power}
     error = float(np.abs(problem.tip_miss(unknowns)).max())
-    stationarity = _stationarity(problem, cost, unknowns)
-    converged = error < TIP_TOLERANCE and (isinstance(judge, Objective) or stationarity < 1e-5)
-    return PlannedShape(twists, error, float(cost(at)), stationarity, converged, attainability)
+    return PlannedShape("found", twists, error, float(cost(at)), evaluate(problem.arm, task, **options))
 
 
 @dataclass(frozen=True, eq=False)
 class _TipProblem:
-    """Unknowns z = (l / 0.1 m, κ) of a shape, and their constraints.
+    """Unknowns z of a shape, lengths (N, in units of 0.1 m) and then curvatures (N, or 2 N), and their constraints.
 
     Attributes:
-        goal, base: (3,) poses.
+        goal, base: poses.
+        columns: of a twist, 3 or 6.
         strains: rows A and bounds b of `A z ≤ b`; None without.
     """
 
@@ -177,23 +200,36 @@ class _TipProblem:
     goal: Tensor
     base: Tensor
     nodes: int
+    columns: int
     strains: tuple[Array, Array] | None
 
+    @property
+    def bends(self) -> slice:
+        """Of the unknowns, the curvatures."""
+        return slice(self.nodes, None)
+
     def twists(self, unknowns: Tensor) -> Tensor:
-        length, curvature = unknowns[: self.nodes] * _LENGTH_UNIT, unknowns[self.nodes :]
-        return torch.stack((length, torch.zeros_like(length), curvature), -1)
+        """(N, 3 or 6)."""
+        length, *bends = unknowns.unflatten(0, (-1, self.nodes))
+        whole = [torch.zeros_like(length) for _ in range(self.columns)]
+        for column, value in zip(COLUMNS[self.arm.dimension], (length * LENGTH_UNIT, *bends), strict=True):
+            whole[column] = value
+        return torch.stack(whole, -1)
 
     def _miss(self, unknowns: Tensor) -> Tensor:
-        return rod.poses(self.twists(unknowns), self.base)[-1] - self.goal
+        tip = rod.poses(self.twists(unknowns), self.base)[self.nodes]
+        if self.columns == 3:
+            return tip - self.goal
+        gap = se3.compose(se3.inverse(self.goal), tip)
+        return torch.cat((se3.position(gap), se3.log(gap)[3:]))
 
     def tip_miss(self, unknowns: Array) -> Array:
-        """(3,) [m, m, rad]."""
+        """(3,) or (6,) [m, rad]."""
         return self._miss(torch.from_numpy(unknowns)).numpy()
 
     def tip_jacobian(self, unknowns: Array) -> Array:
-        """(3, 2N)."""
-        found = torch.autograd.functional.jacobian(self._miss, torch.from_numpy(unknowns))
-        return np.asarray(found)
+        """(3, 2N) or (6, 3N)."""
+        return np.asarray(torch.autograd.functional.jacobian(self._miss, torch.from_numpy(unknowns)))
 
     def violation(self, unknowns: Array) -> float:
         """Of the tip pose, and of strains."""
@@ -205,7 +241,7 @@ class _TipProblem:
         z = unknowns.copy()
         for _ in range(steps):
             miss = self.tip_miss(z)
-            if np.abs(miss).max() < 1e-14:
+            if np.abs(miss).max() < 1e-14 or not np.isfinite(miss).all():
                 break
             z[free] -= np.linalg.pinv(self.tip_jacobian(z)[:, free]) @ miss
         return z
@@ -231,13 +267,12 @@ class _TipProblem:
             sound = bool(found.isfinite()) and bool(slope.isfinite().all())
             return (found.item() / scale, slope.numpy()[free] / scale) if sound else (1e30, np.zeros_like(part))
 
-        limits = [
-            {
-                "type": "eq",
-                "fun": lambda part: self.tip_miss(whole(part)),
-                "jac": lambda part: self.tip_jacobian(whole(part))[:, free],
-            }
-        ]
+        tip = {
+            "type": "eq",
+            "fun": lambda part: self.tip_miss(whole(part)),
+            "jac": lambda part: self.tip_jacobian(whole(part))[:, free],
+        }
+        limits = [tip]
         if self.strains is not None:
             rows, bound = self.strains
             limits.append(
@@ -249,24 +284,31 @@ class _TipProblem:
 
 
 def _strain_rows(arm: ArmDesign, nodes: int) -> tuple[Array, Array]:
-    """`(1 + ε₋) l̂ ≤ l - r κ ≤ (1 + ε₊) l̂` for every actuator at every node, over the unknowns."""
-    radii, neutral = arm.radii.detach().double().numpy(), arm.length.detach().double().numpy()
-    rows, bounds = [], []
-    for index, model in enumerate(arm.actuators):
-        own = np.hstack((_LENGTH_UNIT * np.eye(nodes), -radii[index] * np.eye(nodes)))
-        for sign, edge in zip((-1.0, 1.0), model.strain_range, strict=True):
+    """`(1 + ε₋) l̂ ≤ l + z κ_y - y κ_z ≤ (1 + ε₊) l̂` for every actuator at every node, over the unknowns."""
+    across, neutral = arm.offsets.detach().double().cpu().numpy(), arm.length.detach().double().cpu().numpy()
+    rows, bounds, unit = [], [], np.eye(nodes)
+    for (y, z), length, model in zip(across, neutral, arm.actuators, strict=True):
+        own = np.hstack((LENGTH_UNIT * unit, *((z * unit,) if arm.dimension == 3 else ()), -y * unit))
+        for sign, edge in zip((-1.0, 1.0), (float(end) for end in model.strain_range), strict=True):
             if math.isfinite(edge):
                 rows.append(sign * own)
-                bounds.append(np.full(nodes, sign * (1 + edge) * neutral[index] - STRAIN_SLACK))
+                bounds.append(np.full(nodes, sign * (1 + edge) * length - STRAIN_SLACK))
     if not rows:
-        return np.zeros((1, 2 * nodes)), np.ones(1)
+        return np.zeros((1, arm.dimension * nodes)), np.ones(1)
     return np.concatenate(rows), np.concatenate(bounds)
 
 
 def _arc(problem: _TipProblem, length: float) -> Array:
-    """Unknowns of the arc of constant curvature whose heading ends where it should."""
-    turn = float(problem.goal[2] - problem.base[2])
-    return np.concatenate((np.full(problem.nodes, length / _LENGTH_UNIT), np.full(problem.nodes, turn)))
+    """Unknowns of an arc of constant curvature: in the plane that of the right turn, in space that by which the base's
+    heading becomes the tip's."""
+    if problem.columns == 3:
+        bends = [float(problem.goal[2] - problem.base[2])]
+    else:
+        x, y, z = (problem.base[:3, :3].T @ problem.goal[:3, 0]).tolist()
+        aside = math.hypot(y, z)
+        turn = math.atan2(aside, x) / aside if aside > 1e-9 else 0.0
+        bends = [-turn * z, turn * y]
+    return np.repeat([length / LENGTH_UNIT, *bends], problem.nodes)
 
 
 def _norm(value: Tensor) -> Tensor:
@@ -282,27 +324,26 @@ def _smoothest(problem: _TipProblem, judge: Smoothness, iterations: int) -> tupl
     `a ‖l - l_ref‖` has a kink at l = l_ref, where its minimum sits if a is large. So first lengths are held there; and
     only if a step away from them pays, `‖J_lᵀ λ‖ > a` with λ the multipliers of the tip pose, are they let go.
     """
-    nodes, reference = problem.nodes, judge.reference_length / _LENGTH_UNIT
+    nodes, bends, reference = problem.nodes, problem.bends, judge.reference_length / LENGTH_UNIT
+
+    def steps(z: Tensor) -> Tensor:
+        return z[bends].unflatten(0, (-1, nodes)).diff()
 
     def cost(z: Tensor) -> Tensor:
-        return judge.length_weight * _LENGTH_UNIT * _norm(z[:nodes] - reference) + _norm(z[nodes:].diff())
+        return judge.length_weight * LENGTH_UNIT * _norm(z[:nodes] - reference) + _norm(steps(z))
 
     start = _arc(problem, judge.reference_length)
-    bends = slice(nodes, 2 * nodes)
-    pinned = problem.minimise(
-        lambda z: z[nodes:].diff().square().sum(), problem.onto_tip(start, bends), iterations, bends
-    )
+    pinned = problem.minimise(lambda z: steps(z).square().sum(), problem.onto_tip(start, bends), iterations, bends)
     if problem.violation(pinned) < TIP_TOLERANCE:
         slope = _gradient(cost, pinned)
         jacobian = problem.tip_jacobian(pinned)
         multipliers, *_ = np.linalg.lstsq(jacobian[:, bends].T, -slope[bends], rcond=None)
         pull = float(np.linalg.norm(jacobian[:, :nodes].T @ multipliers))
-        if problem.strains is None and pull <= judge.length_weight * _LENGTH_UNIT:
+        if problem.strains is None and pull <= judge.length_weight * LENGTH_UNIT:
             return pinned, cost
         start = pinned
         start[:nodes] -= 1e-3 * (jacobian[:, :nodes].T @ multipliers) / max(pull, 1e-300)
-    freed = problem.minimise(cost, problem.onto_tip(start), iterations)
-    return freed, cost
+    return problem.minimise(cost, problem.onto_tip(start), iterations), cost
 
 
 def _best_held(
@@ -312,7 +353,7 @@ def _best_held(
 
     def cost(z: Tensor) -> Tensor:
         shaped = Task(problem.twists(z).to(task.twists), task.tip_load, task.base_pose)
-        return judge.total(judge.per_task(problem.arm, (shaped,))).double()
+        return judge.total(task_values(judge, problem.arm, shaped)).double()
 
     random = np.random.default_rng(seed)
     arc = _arc(problem, float(problem.arm.length.mean()))
@@ -320,7 +361,7 @@ def _best_held(
     for index in range(starts):
         wished = arc.copy()
         if index:
-            wished[problem.nodes :] += random.normal(0.0, 1.0, problem.nodes)
+            wished[problem.bends] += random.normal(0.0, 1.0, len(wished) - problem.nodes)
         start = problem.minimise(partial(_apart, torch.from_numpy(wished)), wished, 100)
         if problem.violation(start) < TIP_TOLERANCE:
             plans.append((problem.minimise(cost, start, iterations, tolerance=1e-9), cost))
@@ -335,23 +376,3 @@ def _gradient(cost: Cost, unknowns: Array) -> Array:
     z = torch.from_numpy(unknowns).requires_grad_()
     (slope,) = torch.autograd.grad(cost(z), z)
     return slope.numpy()
-
-
-def _stationarity(problem: _TipProblem, cost: Cost, unknowns: Array) -> float:
-    """What is left of the gradient when constraints have balanced what they can, as a share of it."""
-    from scipy.optimize import nnls
-
-    nodes = problem.nodes
-    slope = _gradient(cost, unknowns)
-    size = float(np.linalg.norm(slope))
-    if size == 0:
-        return 0.0
-    tip = problem.tip_jacobian(unknowns)
-    normals = [tip, -tip]
-    if problem.strains is not None:
-        rows, bound = problem.strains
-        normals.append(rows[rows @ unknowns > bound - 1e-6])
-    # Lengths pinned at a kink are balanced by it: `_smoothest` has compared the pull with the weight.
-    unknown = slice(nodes, 2 * nodes) if np.ptp(unknowns[:nodes]) < _PINNED and not slope[:nodes].any() else slice(None)
-    _, left = nnls(np.concatenate(normals).T[unknown], -slope[unknown] / size)
-    return float(left)

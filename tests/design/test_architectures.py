@@ -1,0 +1,119 @@
+"""Every choice of force models, each with its best design."""
+
+from typing import Any
+
+import pytest
+import torch
+
+import torcharm as ta
+from torcharm.design import DesignSpace, Objective, optimise_architectures, optimise_design
+
+NEWTONS = Objective("unattainability")
+SHAPES = ta.affine_curvature([-3.0, 1.0], [3.0, 1.5], nodes=3)
+TASK = ta.Task(SHAPES, (5.0, -4.0, 1.0))
+ARM = ta.antagonistic_arm(outer_radius=0.03)
+
+
+def _tau(curvature: torch.Tensor, pressure: torch.Tensor) -> torch.Tensor:
+    return -0.1 * (curvature - 1.0) + 0.0 * pressure
+
+
+MIRRORED_LOADS = torch.tensor([[3.0, 1.0, 0.1], [-3.0, 1.0, -0.1]]).double()
+MIRRORED = ta.Task(ta.affine_curvature([-1.5, 1.5], [1.0, -1.0], nodes=3), MIRRORED_LOADS)
+LENGTHS = DesignSpace(free="length")
+
+
+def test_all_types_at_all_positions_best_first() -> None:
+    found = optimise_architectures(ARM, TASK, objective=NEWTONS, starts=1, iterations=6)
+    assert not found.mirrored
+    assert sorted(found.names) == sorted({f"{a}{b}{c}{d}" for a in "BM" for b in "BM" for c in "BM" for d in "BM"})
+    values = [design.value for design in found.designs]
+    assert values == sorted(values)
+    chosen = found.designs[found.names.index("BMMB")]
+    assert [type(model).__name__[0] for model in chosen.best.actuators] == list("BMMB")
+    alone = optimise_design(ARM, TASK, objective=NEWTONS, starts=1, iterations=6)
+    assert chosen.value == pytest.approx(alone.value, rel=1e-6)
+    assert repr(found).startswith(f"Architectures({found.names[0]} ")
+
+
+def test_the_default_objective_is_the_shape() -> None:
+    """Muscle and bellows, of two architectures that are nearly each other's mirror image, is the better."""
+    arm = ta.ArmDesign([-0.088, -0.024], 0.5, ta.Bellows())
+    task = ta.Task(ta.affine_curvature([-0.561, 0.561], [1.64, -1.64], 0.483, 5), MIRRORED_LOADS)
+    space = DesignSpace(free="length", in_range=False)
+    found = optimise_architectures(arm, task, space, starts=1, iterations=15)
+    assert sorted(found.names) == ["BB", "BM", "MB", "MM"]
+    other = ta.ArmDesign([-0.088, -0.024], 0.5, [ta.McKibben(), ta.Bellows()])
+    alone = optimise_design(other, task, space, starts=1, iterations=15)
+    assert found.designs[found.names.index("MB")].value == pytest.approx(alone.value, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("radii", "lengths", "space", "models", "merged"),
+    [
+        ((-0.03, 0.03), 0.5, DesignSpace(), None, True),
+        ((-0.03, 0.0, 0.03), (0.5, 0.45, 0.5), DesignSpace(), None, True),
+        ((-0.03, 0.03), 0.5, DesignSpace(bounds={"radii": ((-0.08, 0.0), (0.0, 0.08))}), None, True),
+        ((-0.03, 0.03), 0.5, DesignSpace(tied="mirror"), None, True),
+        ((-0.088, -0.024), 0.5, LENGTHS, None, False),
+        ((-0.03, 0.031), 0.5, DesignSpace(), None, False),
+        ((-0.03, 0.03), (0.5, 0.51), DesignSpace(), None, False),
+        ((-0.03, 0.03), 0.5, DesignSpace(bounds={"radii": ((-0.08, 0.0), (0.0, 0.07))}), None, False),
+        ((-0.03, 0.03), 0.5, DesignSpace(bounds={"length": ((0.4, 0.45), (0.6, 0.6))}), None, False),
+        ((-0.03, 0.0, 0.03), 0.5, DesignSpace(tied=((0, 1),)), None, False),
+        ((-0.03, 0.03), 0.5, DesignSpace(), (ta.Bellows(bending_stiffness=ta.BendingFunction(_tau, 30.0)),), False),
+    ],
+)
+def test_only_what_is_its_own_mirror_image_in_all_is_merged(
+    radii: Any, lengths: Any, space: DesignSpace, models: Any, merged: bool
+) -> None:
+    arm = ta.ArmDesign(radii, torch.tensor(lengths).double().expand(len(radii)), [ta.Bellows()] * len(radii))
+    kinds = models or (ta.Bellows(), ta.McKibben())
+    found = optimise_architectures(arm, MIRRORED, space, NEWTONS, models=kinds, starts=1, iterations=1)
+    assert found.mirrored is merged
+    tried = set(found.names) | set(found.infeasible)
+    count = len(kinds) ** len(radii)
+    assert len(tried) == ((count + len(kinds) ** ((len(radii) + 1) // 2)) // 2 if merged else count)
+
+
+def test_tasks_that_are_not_their_own_mirror_image_merge_nothing() -> None:
+    arm = ta.ArmDesign([-0.03, 0.03], 0.5, ta.Bellows())
+    for task in (
+        ta.Task(MIRRORED.twists, MIRRORED_LOADS[0]),
+        ta.Task(MIRRORED.twists, MIRRORED_LOADS, base_pose=(0.0, 0.0, -1.5)),
+        ta.Task(MIRRORED.twists, MIRRORED_LOADS, load=ta.ExternalLoad(points=[ta.PointLoad([0.0, -1.0, 0.0], at=0.5)])),
+    ):
+        assert not optimise_architectures(arm, task, objective=NEWTONS, starts=1, iterations=1).mirrored
+
+
+def test_mirrored_arms_are_worth_the_same_on_mirrored_tasks() -> None:
+    """What merging rests on."""
+    arm = ta.ArmDesign([-0.03, -0.01, 0.02, 0.04], [0.5, 0.45, 0.47, 0.5], [ta.Bellows(), *[ta.McKibben()] * 3])
+    other = ta.ArmDesign(-arm.radii.flip(-1), arm.length.flip(-1), arm.actuators[::-1])
+    a, b = (ta.evaluate(one, MIRRORED, "absolute").absolute for one in (arm, other))
+    assert a is not None
+    assert b is not None
+    torch.testing.assert_close(a, b.flip(0))
+
+
+def test_in_space_every_arrangement_is_tried() -> None:
+    arm = ta.ArmDesign(offsets=ta.ring(radius=0.05, count=3), length=0.4, actuators=ta.Bellows(), mass=0.2)
+    task = ta.Task([[0.4, 0.0, 0.0, 0.0, 0.3, -0.4]] * 3, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    found = optimise_architectures(arm, task, objective=NEWTONS, starts=1, iterations=2)
+    assert len(found.names) + len(found.infeasible) == 8
+    assert float(found.designs[0].best.mass) == 0.2  # type: ignore[union-attr]
+
+
+def test_infeasible_architectures_are_named() -> None:
+    space = DesignSpace(bounds={"radii": (-0.06, 0.06), "length": (0.4, 0.5)}, spacing=0.025)
+    found = optimise_architectures(ARM, TASK, space, NEWTONS, starts=1, iterations=1)
+    assert "BBBB" in found.names
+    assert "MMMM" in found.infeasible
+    with pytest.raises(ValueError, match="no architecture"):
+        optimise_architectures(ARM, TASK, DesignSpace(bounds={"length": (0.01, 0.02)}))
+
+
+def test_what_cannot_be_tried_is_refused() -> None:
+    arm = ta.ArmDesign([0.001 * index for index in range(13)], 0.5, [ta.Bellows()] * 13)
+    with pytest.raises(ValueError, match="8192 architectures"):
+        optimise_architectures(arm, TASK)

@@ -1,0 +1,112 @@
+"""What designs are compared by, and its gradient."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import torcharm as ta
+from torcharm.design.feasible import feasible_designs
+from torcharm.design.objective import Objective, Problem, task_values
+from torcharm.design.space import DesignSpace
+
+TASK = ta.Task(ta.affine_curvature([[-3.0], [1.0]], [[3.0], [1.5]], nodes=5), ta.sample_loads(3, (20.0, 20.0, 5.0)))
+RING = ta.ArmDesign(offsets=ta.ring(radius=0.05, count=3), length=0.4, actuators=ta.Bellows())
+IN_SPACE = ta.Task([[0.42, 0.0, 0.0, 0.0, 0.5, -0.8]] * 4, [1.0, -0.5, 0.5, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("objective", "arm", "task"),
+    [
+        (Objective("unattainability", relative_weight=0.3, power=2), ta.antagonistic_arm(), TASK),
+        (Objective("unattainability", over="worst"), ta.antagonistic_arm(), TASK),
+        (Objective(), ta.antagonistic_arm(), TASK),
+        (Objective(over="worst"), ta.bellows_arm(outer_radius=0.04), TASK),
+        (Objective(pose_cost=ta.PoseCost("tip")), RING, IN_SPACE),
+    ],
+)
+def test_gradient_is_that_of_finite_differences(objective: Objective, arm: ta.ArmDesign, task: ta.Task) -> None:
+    """Central differences at two step sizes agree but at kinks and jumps; where they do, so does the gradient."""
+    free = ("radii", "length", "max_pressure") if arm.dimension == 2 else ("radii", "angles", "length")
+    problem = Problem(feasible_designs(DesignSpace(free=free), arm, [task]), (task,), objective)
+    random, checked = np.random.default_rng(0), 0
+    for point in problem.designs.random(5, seed=3):
+        way = random.normal(size=point.shape)
+        slope = problem.slope(point)[2] @ way
+        ends = [[problem.slope(point + sign * step * way)[1] for sign in (1, -1)] for step in (2e-6, 1e-6)]
+        coarse, fine = ((up - down) / (2 * step) for (up, down), step in zip(ends, (2e-6, 1e-6), strict=True))
+        if abs(coarse - fine) < 1e-4 * (abs(fine) + 1e-3):
+            checked += 1
+            assert slope == pytest.approx(fine, rel=2e-3, abs=1e-5)
+    assert checked >= 3
+
+
+def test_totals_are_what_their_names_say() -> None:
+    values = torch.tensor([[3.0, 1.0, 0.0, -2.0], [-1.0, -2.0, -3.0, -4.0]]).double()
+    assert Objective().total(values).tolist() == [1.0, -2.5]  # the mean miss; all attainable: the mean margin
+    assert Objective(over="worst").total(values).tolist() == [3.0, -1.0]
+    assert Objective(task_weights=(1, 0, 0, 1)).total(values.abs()).tolist() == [2.5, 2.5]
+    close = Objective(over="worst").smooth_total(values)
+    assert bool(((close >= Objective(over="worst").total(values)) & (close < values.amax(-1) + 0.2)).all())
+    with pytest.raises(ValueError, match="must be 4 numbers, got 2"):
+        Objective(task_weights=(1, 2)).total(values)
+
+
+def test_tasks_weigh_alike_however_they_are_batched() -> None:
+    parts = [ta.Task(TASK.twists[0], TASK.tip_load), ta.Task(TASK.twists[1, 0], TASK.tip_load)]
+    arms = ta.bellows_arm(outer_radius=torch.tensor([0.03, 0.05]).double())
+    for metric in ("predicted_error", "unattainability"):
+        objective = Objective(metric)
+        apart = torch.cat([task_values(objective, arms, part) for part in parts], -1)
+        torch.testing.assert_close(apart, task_values(objective, arms, TASK))
+
+
+def test_every_task_counts_and_none_poisons() -> None:
+    """Tasks that are not converged count as what their pressures reach; those without a stable equilibrium as the
+    length of the shape, with no gradient."""
+    arm = ta.bellows_arm(length=torch.tensor([[0.5] * 4]).double())
+    loads = torch.tensor([[0.0, 0.0, 0.0], [0.0, 400.0, 0.0], [5.0, 3.0, 0.2], [2.0, 60.0, 0.0]]).double()
+    task = ta.Task(ta.affine_curvature(0.5, 1.0, length=0.48, nodes=5), loads)
+    found = ta.predict_error(arm, task)
+    lost, unsure = ~found.stable[0], found.stable[0] & ~found.converged[0]
+    assert bool(lost.any()), "a load that no stable equilibrium bears"
+    values = task_values(Objective(), arm, task)[0]
+    assert bool((values[lost] == 0.48).all())
+    torch.testing.assert_close(values[~lost], found.shape_error[0][~lost])
+    assert bool(values[unsure].isfinite().all())
+    problem = Problem(feasible_designs(DesignSpace(in_range=False), arm, [task]), (task,), Objective())
+    value, followed, gradient = problem.slope(problem.designs.free.inverse(_values(arm))[0])
+    assert value == followed == pytest.approx(float(values.mean()))
+    assert np.isfinite(gradient).all()
+    assert (gradient != 0).any()
+
+
+def _values(arm: ta.ArmDesign) -> Any:
+    from torcharm.design.space import given_values
+
+    return given_values(arm)
+
+
+def test_impossible_designs_count_as_the_shape_s_length() -> None:
+    arm = ta.ArmDesign([-0.09, 0.09], 0.5, ta.Bellows())
+    task = ta.Task(ta.affine_curvature(0.0, 7.0, 0.5, 4), (1.0, 0.0, 0.0))
+    assert task_values(Objective(), arm, task).tolist() == [0.5]
+    assert task_values(Objective("unattainability"), arm, task).tolist() == [torch.inf]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"metric": "error"}, "metric"),
+        ({"over": "median"}, "over"),
+        ({"relative_weight": -1}, "relative_weight"),
+        ({"task_weights": (0, 0)}, "task_weights"),
+        ({"task_weights": (1, 2), "over": "worst"}, "task_weights"),
+        ({"power": 3}, "power"),
+        ({"weights": (1.0, 0.0)}, "weights"),
+    ],
+)
+def test_objectives_are_checked(options: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        Objective(**options)

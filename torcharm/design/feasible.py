@@ -1,0 +1,330 @@
+"""Which designs satisfy the constraints of a space: bounds, spacing, strains within their range.
+
+The strain of actuator α at a node with centreline length l and bending curvatures κ_y, κ_z stays within its model's
+range [ε₋, ε₊] if
+
+    (1 + ε₋) l̂_α ≤ l + z_α κ_y - y_α κ_z ≤ (1 + ε₊) l̂_α.
+
+Task shapes are given, so that in the plane every constraint is linear in the free values; in space offsets are polar.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations, pairwise
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torcharm.arm import ArmDesign
+from torcharm.arm_series import ArmSeries
+from torcharm.design.space import Arm, Array, DesignSpace, FreeValues, free_values, given_values, one_of_batch
+from torcharm.statics.balance import segments_of
+from torcharm.task import Task
+
+SLACK = 1e-7
+"""By how much [m] constraints are to be kept, so that neither the descent's tolerance nor rounding breaks them."""
+FEASIBLE = 2e-8
+"""By how much [m] one may be broken by what counts as feasible: less than the slack, more than the tolerance."""
+ACTIVE = 1e-4
+"""Constraints with less room [m], and bounds with less of their range, count as met with equality."""
+STIFF = 1e4
+"""Price of breaking a constraint by a metre, in squared distances of points: above what any constraint is worth."""
+Function = Callable[[Array], tuple[float, Array]]
+
+
+@dataclass(frozen=True, eq=False)
+class Constraints:
+    """`g ≥ 0` over the Cartesian offsets and lengths of M actuators: C strains, then P distances.
+
+    Attributes:
+        actuator, sign, length, bend_y, bend_z, factor: (C,) of `g = sign (l + z κ_y - y κ_z - (1 + ε) l̂)`.
+        pairs: (P, 2) actuators.
+        gap: (P,) least distance between them [m].
+        in_order: whether the distance is that from the first to the second along y, as in the plane.
+    """
+
+    actuator: Any
+    sign: Array
+    length: Array
+    bend_y: Array
+    bend_z: Array
+    factor: Array
+    pairs: Any
+    gap: Array
+    in_order: bool
+
+    def values(self, y: Array, z: Array, length: Array) -> tuple[Array, Array]:
+        """g (C+P,) [m], and its derivatives (C+P, 3, M) by y, z and l̂ (M,)."""
+        count, own = len(y), self.actuator
+        rows, strains = np.arange(len(own)), len(own)
+        slope = np.zeros((strains + len(self.pairs), 3, count))
+        stretch = self.length + z[own] * self.bend_y - y[own] * self.bend_z - self.factor * length[own]
+        for place, part in enumerate((-self.bend_z, self.bend_y, -self.factor)):
+            slope[rows, place, own] = self.sign * part
+        first, second = self.pairs.T
+        apart = np.stack((y[second] - y[first], z[second] - z[first]))
+        distance = apart[0] if self.in_order else np.hypot(*apart)
+        way = np.stack((np.ones_like(distance), 0 * distance)) if self.in_order else apart / np.maximum(distance, 1e-12)
+        last = strains + np.arange(len(self.pairs))
+        for place in (0, 1):
+            slope[last, place, second] += way[place]
+            slope[last, place, first] -= way[place]
+        return np.concatenate((self.sign * stretch, distance - self.gap)), slope
+
+    @property
+    def names(self) -> list[str]:
+        """What each is."""
+        ends = ["least" if sign > 0 else "largest" for sign in self.sign]
+        strains = [f"{end} strain of actuator {index + 1}" for end, index in zip(ends, self.actuator, strict=True)]
+        return strains + [f"spacing of actuators {a + 1} and {b + 1}" for a, b in self.pairs]
+
+
+@dataclass(frozen=True, eq=False)
+class FeasibleDesigns:
+    """Designs by their free values u, which are 0 and 1 at their bounds.
+
+    Attributes:
+        arm: whose actuators, dtype and device the designs have.
+        free: what the free values are.
+        constraints: on them, besides the bounds.
+        kept: which of these the free values change, each once.
+    """
+
+    arm: Arm
+    free: FreeValues
+    constraints: Constraints
+    kept: Any
+
+    @property
+    def dimension(self) -> int:
+        """F."""
+        return len(self.free.low)
+
+    def design(self, point: Tensor | Array) -> Arm:
+        """Designs of batch shape (...) from free values (..., F), differentiable in tensors."""
+        segments, links = segments_of(self.arm)
+        at = torch.as_tensor(point)
+        spread, base = (torch.from_numpy(value) for value in (self.free.spread, self.free.base))
+        values = ((spread @ at[..., None, :, None]).squeeze(-1) + base).to(segments[0].radii)
+        made = []
+        for segment, own in zip(segments, values.split([one.actuator_count for one in segments], -1), strict=True):
+            radius, angle, length, limit = own.unbind(-2)
+            if segment.dimension == 2:
+                made.append(segment.with_values(radius, length, limit))
+            else:
+                made.append(segment.with_values(radius * angle.cos(), length, limit, radius * angle.sin()))
+        return made[0] if isinstance(self.arm, ArmDesign) else ArmSeries(tuple(made), links)
+
+    def constraint_values(self, point: Array) -> tuple[Array, Array]:
+        """g (C,) [m], at least 0 where all constraints are kept, and its derivatives (C, F)."""
+        radius, angle, length, _ = self.free(point)
+        along_radius, along_angle, along_length, _ = self.free.spread
+        cos, sin = np.cos(angle), np.sin(angle)
+        value, slope = self.constraints.values(radius * cos, radius * sin, length)
+        y = cos[:, None] * along_radius - (radius * sin)[:, None] * along_angle
+        z = sin[:, None] * along_radius + (radius * cos)[:, None] * along_angle
+        along = np.concatenate((y, z, along_length))
+        return value[self.kept], slope[self.kept].reshape(len(self.kept), len(along)) @ along
+
+    @property
+    def names(self) -> list[str]:
+        """What the constraints are."""
+        every = self.constraints.names
+        return [every[index] for index in self.kept]
+
+    def violation(self, point: Array) -> float:
+        """By how much a point (F,) breaks a constraint [m] or a bound [share of its range]; 0 inside."""
+        over = np.concatenate((-point, point - 1, -self.constraint_values(point)[0]))
+        return float(max(over.max(), 0.0))
+
+    def minimise(
+        self, function: Function, start: Array, iterations: int, tolerance: float, elastic: bool = False
+    ) -> Any:
+        """SciPy's answer: the descent of a function, with its gradient, by sequential least squares.
+
+        Args:
+            function: of a point (F,).
+            start: (F,).
+            iterations, tolerance: of SciPy's SLSQP.
+            elastic: whether one more unknown, which the function is given last, widens all constraints [m].
+        """
+        from scipy.optimize import minimize
+
+        room = {
+            "type": "ineq",
+            "fun": lambda u: self.constraint_values(u[: self.dimension])[0] - SLACK + u[self.dimension :].sum(),
+            "jac": lambda u: np.pad(
+                self.constraint_values(u[: self.dimension])[1], ((0, 0), (0, int(elastic))), constant_values=1.0
+            ),
+        }
+        return minimize(
+            function,
+            start,
+            jac=True,
+            method="SLSQP",
+            bounds=[(0.0, 1.0)] * self.dimension + [(0.0, None)] * elastic,
+            constraints=[room] if len(self.kept) else [],
+            options={"maxiter": iterations, "ftol": tolerance},
+        )
+
+    def project(self, point: Array) -> Array:
+        """A feasible point (F,), in the plane the nearest, to a point (F,).
+
+        Raises:
+            ValueError: none was found; the message says what cannot be had.
+        """
+        inside = np.clip(point, 0, 1)
+        if self.violation(inside) <= 0:
+            return inside
+
+        def distance(u: Array) -> tuple[float, Array]:
+            way, wider = u[: self.dimension] - point, u[self.dimension :]
+            return 0.5 * float(way @ way) + STIFF * float(wider.sum()), np.append(way, STIFF + 0 * wider)
+
+        near = widened = inside
+        for elastic in (False, True, False):  # the last from where constraints are broken least
+            start = np.append(near, self.violation(near) + SLACK) if elastic else near
+            near = np.clip(self.minimise(distance, start, 500, 1e-12, elastic).x[: self.dimension], 0, 1)
+            if self.violation(near) <= FEASIBLE:
+                return near
+            widened = near if elastic else widened
+        value, names = self.constraint_values(widened)[0], self.names
+        worst = dict.fromkeys(names[index] for index in np.argsort(value) if value[index] < -FEASIBLE)
+        raise ValueError(
+            "space: no design within the bounds keeps all constraints on all task shapes; at best, they are broken by "
+            f"{-value.min():.2g} m: {', '.join(list(worst)[:3])}; widen the bounds or the models' strain_range, or "
+            "give in_range=False"
+        )
+
+    def random(self, count: int, seed: int) -> list[Array]:
+        """Feasible points, spread over the space; fewer where some draws led to none."""
+        generator, found = np.random.default_rng(seed), []
+        for _ in range(4 * count):
+            point = generator.random(self.dimension)
+            if self.arm.dimension == 2:  # their order is given, which a draw is brought into
+                point = self._in_order(point)
+            try:
+                found.append(self.project(point))
+            except ValueError:
+                continue
+            if len(found) == count:
+                break
+        return found
+
+    def _in_order(self, point: Array) -> Array:
+        values, first = self.free(point), 0
+        for segment in segments_of(self.arm)[0]:
+            own = first + np.array(_order(segment))
+            values[0, own] = np.sort(values[0, own])
+            first += segment.actuator_count
+        return self.free.inverse(values)
+
+    def active(self, point: Array) -> tuple[str, ...]:
+        """What holds a point (F,) back: bounds and constraints that are met with equality, in words."""
+        free, words = self.free, []
+        for index, name in enumerate(free.names):
+            for end, near in ((free.low, point[index]), (free.high, 1 - point[index])):
+                if near < ACTIVE:
+                    words.append(f"{name} at the bound of {end[index]:g} {free.units[index]}")
+        value, names = self.constraint_values(point)[0], self.names
+        return (*words, *dict.fromkeys(names[index] for index in np.flatnonzero(value < ACTIVE)))
+
+    def violated_by(self, arm: Arm) -> tuple[str, ...]:
+        """Ties, bounds and constraints that one design breaks, in words."""
+        free, given, words = self.free, given_values(arm)[0], []
+        point = free.inverse(given)
+        if np.abs(given - free(point)).max() > FEASIBLE:
+            words.append("ties")
+        for index, name in enumerate(free.names):
+            if max(-point[index], point[index] - 1) > FEASIBLE:
+                words.append(f"{name} beyond the bounds of {free.low[index]:g} to {free.high[index]:g}")
+        value, names = self.constraint_values(point)[0], self.names
+        worst: dict[str, float] = {}
+        for index in np.flatnonzero(value < -FEASIBLE):
+            worst[names[index]] = max(worst.get(names[index], 0.0), -value[index])
+        return (*words, *(f"{name} by {1e3 * excess:.3g} mm" for name, excess in worst.items()))
+
+
+def feasible_designs(space: DesignSpace, arm: Arm, tasks: Sequence[Task]) -> FeasibleDesigns:
+    """The designs that a space allows on the shapes of tasks.
+
+    Raises:
+        ValueError: as of `free_values`, or a constraint is broken that nothing free changes.
+    """
+    free = free_values(space, arm)
+    constraints = _constraints(space, arm, tasks)
+    probe = FeasibleDesigns(arm, free, constraints, np.arange(len(constraints.names)))
+    point = np.random.default_rng(0).random(probe.dimension)
+    value, slope = probe.constraint_values(point)
+    moved = np.abs(slope).max(-1, initial=0.0) > 1e-12
+    names = constraints.names
+    for index in np.flatnonzero(~moved & (value < -FEASIBLE)):
+        raise ValueError(f"space: the {names[index]} is out of bounds, and nothing that is free changes it")
+    # Equal ones, as of tied actuators, are one.
+    _, first = np.unique(np.round(np.column_stack((value, slope)), 12), axis=0, return_index=True)
+    return FeasibleDesigns(one_of_batch(arm, 0), free, constraints, np.sort(first[moved[first]]))
+
+
+def _constraints(space: DesignSpace, arm: Arm, tasks: Sequence[Task]) -> Constraints:
+    segments = segments_of(arm)[0]
+    strains, pairs, gaps, before = [np.zeros((0, 6))], [], [], 0
+    for number, segment in enumerate(segments):
+        if space.in_range:
+            strains.append(_strain_rows(segment, _corners(tasks, number), before))
+        if {"radii", "angles"} & set(space.free):
+            chosen = pairwise(_order(segment)) if arm.dimension == 2 else combinations(range(segment.actuator_count), 2)
+            gap = space.spacing_of(segment)
+            for a, b in chosen:
+                pairs.append((before + a, before + b))
+                gaps.append(gap[a, b])
+        before += segment.actuator_count
+    actuator, sign, length, bend_y, bend_z, factor = np.concatenate(strains).T
+    found = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    rows = sign, length, bend_y, bend_z, factor
+    return Constraints(actuator.astype(np.int64), *rows, found, np.array(gaps), arm.dimension == 2)
+
+
+def _order(segment: ArmDesign) -> list[int]:
+    """Actuators from right to left."""
+    radii = segment.radii.detach().double().cpu().reshape(-1, segment.actuator_count)[0].numpy()
+    return list(np.argsort(radii, kind="stable").tolist())
+
+
+def _strain_rows(segment: ArmDesign, corners: Array, before: int) -> Array:
+    """Rows (actuator, sign, l, κ_y, κ_z, 1 + ε) of a segment."""
+    rows = [
+        (before + index, sign, *corner, 1 + edge)
+        for index, model in enumerate(segment.actuators)
+        for sign, edge in zip((1.0, -1.0), (float(end) for end in model.strain_range), strict=True)
+        if np.isfinite(edge)
+        for corner in corners
+    ]
+    return np.array(rows, dtype=np.float64).reshape(-1, 6)
+
+
+def _corners(tasks: Sequence[Task], segment: int) -> Array:
+    """The `(l, κ_y, κ_z)` of a segment's nodes on all shapes that are corners of their convex hull."""
+    found = []
+    for task in tasks:
+        counts = task.segment_nodes or (task.nodes,)
+        own = task.twists.detach().double().cpu().split(counts, -2)[segment].numpy()
+        bend = own[..., (2,)] if task.dimension == 2 else own[..., (4, 5)]
+        none = np.zeros_like(bend[..., :0] if task.dimension == 3 else bend)
+        found.append(np.concatenate((own[..., :1], none, bend), -1).reshape(-1, 3))
+    return convex_corners(np.concatenate(found))
+
+
+def convex_corners(points: Array) -> Array:
+    """Those of points (P, D) that are corners of their convex hull, in the directions in which they differ."""
+    from scipy.spatial import ConvexHull
+
+    points = np.unique(points, axis=0)
+    _, size, axes = np.linalg.svd(points - points.mean(0), full_matrices=False)
+    flat = (points @ axes[size > 1e-9 * max(size.max(), 1e-300)].T).reshape(len(points), -1)
+    if flat.shape[1] == 0:
+        return points[:1]
+    if flat.shape[1] == 1:
+        return points[[flat.argmin(), flat.argmax()]]
+    return np.asarray(points[ConvexHull(flat).vertices])

@@ -1,0 +1,152 @@
+"""What designs are compared by: one number from all tasks, and its gradient."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torcharm._inputs import check_choice, check_flag, check_number, shown
+from torcharm.attainability import check_power, evaluate, scale_of
+from torcharm.design.feasible import FeasibleDesigns
+from torcharm.design.space import Arm, Array
+from torcharm.pressure.pose_cost import PoseCost
+from torcharm.pressure.predicted_error import prediction
+from torcharm.task import Task
+
+METRICS = ("predicted_error", "unattainability")
+AGGREGATES = ("mean", "worst")
+SMOOTHING = 0.02
+"""Of the worst task's value, by how much others may differ from it and steer the descent as much: the mere maximum has
+kinks at its minima, where a descent sticks."""
+
+
+@dataclass(frozen=True)
+class Objective:
+    """How designs are compared; smaller is better.
+
+    Attributes:
+        metric: "predicted_error", the predicted shape error [m], or "unattainability", the paper's distances [N].
+            A predicted error that is not converged counts as what its pressures reach; where no stable equilibrium is
+            predicted, or an actuator has no length, the error counts as the length of the task's shape.
+        over: "mean" over the tasks, or "worst", the largest.
+        task_weights: in the mean, one number for each task, in the order of the results; None weighs all alike.
+        pose_cost: what predicted errors measure; None is the paper's `PoseCost()`.
+        relative_weight: λ of `absolute + λ relative` unattainability.
+        margin: whether unattainability goes on, below zero, to the margins once every task is attainable.
+        weights, power: of unattainability, as in `torcharm.evaluate`, whose exact sets are used.
+
+    Raises:
+        ValueError: an argument is none of those allowed.
+    """
+
+    metric: str = "predicted_error"
+    over: str = "mean"
+    task_weights: Sequence[float] | None = None
+    pose_cost: PoseCost | None = None
+    relative_weight: float = 0.0
+    margin: bool = True
+    weights: tuple[float, float] = (1.0, 1.0)
+    power: int = 1
+
+    def __post_init__(self) -> None:
+        check_choice("metric", self.metric, METRICS)
+        check_choice("over", self.over, AGGREGATES)
+        check_number("relative_weight", self.relative_weight, 0.0)
+        check_flag("margin", self.margin)
+        scale_of(self.weights)
+        check_power(self.power)
+        if self.pose_cost is not None and not isinstance(self.pose_cost, PoseCost):
+            raise ValueError(f"pose_cost: must be a PoseCost, got {shown(self.pose_cost)}")
+        if self.task_weights is not None:
+            given = tuple(check_number("task_weights", weight, 0.0) for weight in self.task_weights)
+            if not any(given) or self.over != "mean":
+                raise ValueError("task_weights: must not all be 0, and over must be 'mean'")
+            object.__setattr__(self, "task_weights", given)
+
+    @property
+    def unit(self) -> str:
+        """Of the values."""
+        return "m" if self.metric == "predicted_error" else "N"
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """Of attainable sets."""
+        return ("absolute", "relative") if self.relative_weight else ("absolute",)
+
+    def total(self, values: Tensor) -> Tensor:
+        """The number (...) that designs with values (..., T) are compared by."""
+        if self.over == "worst":
+            return values.amax(-1)
+        if self.task_weights is not None:
+            if len(self.task_weights) != values.shape[-1]:
+                raise ValueError(f"task_weights: must be {values.shape[-1]} numbers, got {len(self.task_weights)}")
+            share = values.new_tensor(self.task_weights)
+            return (values * share).sum(-1) / share.sum()
+        mean = values.clamp(min=0).mean(-1)  # what one task has to spare helps no other
+        return torch.where((values.detach() <= 0).all(-1), values.mean(-1), mean)
+
+    def smooth_total(self, values: Tensor) -> Tensor:
+        """What the descent follows: the total, but of the worst case `τ log Σ exp(v/τ)`."""
+        if self.over != "worst":
+            return self.total(values)
+        spread = SMOOTHING * values.abs().amax(-1).clamp(min=1e-12)
+        return spread * torch.logsumexp(values / spread.unsqueeze(-1), -1)
+
+
+def flat_tasks(value: Tensor, lead: int) -> Tensor:
+    """(*design batch, *task batch) of so many design dimensions as (*design batch, T)."""
+    return value.flatten(lead) if value.ndim > lead else value.unsqueeze(-1)
+
+
+def shape_lengths(task: Task) -> Tensor:
+    """(T,) length of each task's shape [m]: what a shape error counts as that is not known."""
+    length = task.twists[..., 0].detach().expand(*task.batch_shape, task.nodes)
+    parts = length.split(task.segment_nodes or (task.nodes,), -1)
+    return torch.stack([part.mean(-1) for part in parts]).sum(0).reshape(-1)
+
+
+def task_values(objective: Objective, arm: Arm, task: Task) -> Tensor:
+    """(*design batch, T) of the T tasks of a batch, with a graph: predicted errors, or unattainabilities, which are
+    infinite where an actuator has no length and NaN where a distance is not known."""
+    lead = len(arm.batch_shape)
+    if objective.metric == "predicted_error":
+        found = prediction(arm, task, objective.pose_cost, held=True)
+        error, known = flat_tasks(found.shape_error, lead), flat_tasks(found.stable, lead)
+        return torch.where(known, error, shape_lengths(task).to(error))
+    options: dict[str, Any] = {"weights": objective.weights, "power": objective.power, "signed": objective.margin}
+    result = evaluate(arm, task, objective.metrics, **options)
+    total = result.absolute
+    assert total is not None
+    if objective.relative_weight:
+        assert result.relative is not None
+        total = total + objective.relative_weight * result.relative
+    return flat_tasks(torch.where(result.converged | result.impossible, total, torch.nan), lead)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Designs of one architecture on tasks, compared by an objective."""
+
+    designs: FeasibleDesigns
+    tasks: tuple[Task, ...]
+    objective: Objective
+
+    def values(self, arm: Arm) -> Tensor:
+        """(*design batch, T) of all T tasks, with a graph."""
+        return torch.cat([task_values(self.objective, arm, task) for task in self.tasks], -1)
+
+    def value(self, arm: Arm) -> Tensor:
+        """(*design batch) the objective of designs, which need not be feasible; infinite where it is no number."""
+        with torch.no_grad():
+            value = self.objective.total(self.values(arm))
+            return torch.where(value.isfinite(), value, torch.inf)
+
+    def slope(self, point: Array) -> tuple[float, float, Array]:
+        """The objective at a point (F,), what the descent follows, and the latter's gradient (F,)."""
+        at = torch.from_numpy(point).requires_grad_()
+        values = self.values(self.designs.design(at))
+        followed = self.objective.smooth_total(values)
+        (gradient,) = torch.autograd.grad(followed, at)
+        return float(self.objective.total(values).detach()), float(followed.detach()), gradient.numpy()

@@ -1,0 +1,219 @@
+"""`optimise_design`: from a design and tasks to a better design."""
+
+import time
+from collections.abc import Sequence
+from os import PathLike
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torcharm._inputs import check_count, check_number, shown
+from torcharm.arm import ArmDesign
+from torcharm.arm_series import ArmSeries
+from torcharm.design.checkpoint import Checkpoint, describe
+from torcharm.design.descent import Callback, End, Progress, descend_all
+from torcharm.design.feasible import feasible_designs
+from torcharm.design.objective import Objective, Problem, shape_lengths
+from torcharm.design.result import OptimisedDesign
+from torcharm.design.space import Arm, Array, DesignSpace, given_values, one_of_batch
+from torcharm.design.task_errors import predicted, searched
+from torcharm.task import Task
+from torcharm.wrench_sets.design_task_grid import fitted
+
+ITERATIONS = 60
+TOLERANCE = 1e-5
+"""A gain not worth a step, as a share of the value at the start."""
+CANDIDATES = 3
+"""Ends that are compared with the given design by a pressure search, the best first, until one is better."""
+AGREEMENT = (0.2, 0.01)
+"""Share of the searched error, and length [m], within which the predicted one counts as confirmed."""
+NOISE = 1e-6
+"""By which share a value must be below another to be better: searches end at their tolerance."""
+
+
+def optimise_design(
+    arm: Arm,
+    task: Task | Sequence[Task],
+    space: DesignSpace | None = None,
+    objective: Objective | None = None,
+    *,
+    starts: int = 8,
+    seed: int = 0,
+    iterations: int = ITERATIONS,
+    seconds: float | None = None,
+    checkpoint: str | PathLike[str] | None = None,
+    callback: Callback | None = None,
+) -> OptimisedDesign:
+    """The best design found from a given one, within constraints, on all tasks.
+
+    Sequential least squares (SLSQP) descend with exact gradients from several feasible designs: the nearest to the
+    given, then random ones. By default they minimise the mean shape error that is predicted, each led first by the
+    unattainability. The end that is best is compared with the given design by a pressure search, which the prediction
+    is an approximation of; where the search does better with the given one, so with the next two. If none is better,
+    the given design is kept, within the constraints or not, and `status` says why.
+
+    Ctrl-C ends the optimisation and returns what was found until then.
+
+    Args:
+        arm: a design, or a batch of designs to start from; in the plane or in space, or segments in series.
+        task: tasks of any batch shape, or several such.
+        space: what may change, and how far; None frees radii and lengths.
+        objective: by which designs are compared; None is the mean predicted shape error.
+        starts: at least as many as designs are given.
+        seed: of the random starts.
+        iterations: of a start, at most.
+        seconds: after which to stop, counted from the call; None sets no limit.
+        checkpoint: a file in which finished starts are kept, and taken up if it is there. It must be of this very
+            problem: arm, tasks, space, objective, seed, iterations, and force models, of which classes, forces and
+            moments on a grid are compared.
+        callback: is told the `Progress` after each evaluation; returning True stops the optimisation.
+
+    Raises:
+        ValueError: an argument is none of those allowed, no design satisfies the constraints, or the checkpoint is of
+            another problem (the message says what differs) or cannot be written.
+    """
+    progress = Progress(time.perf_counter(), seconds, callback, starts)
+    space, objective = space or DesignSpace(), objective or Objective()
+    tasks = check_arguments(arm, task, space, objective, starts, seed, iterations, seconds)
+    keeper = None
+    if checkpoint is not None:
+        keeper = Checkpoint(
+            checkpoint, describe(arm, arm.actuators, tasks, space, objective, seed=seed, iterations=iterations)
+        )
+    problem = Problem(feasible_designs(space, arm, tasks), tasks, objective)
+    points = starting_points(problem, arm, starts, seed)
+    ends, stopped = descend_all(problem, points, iterations, TOLERANCE, progress, keeper)
+    return outcome(problem, arm, space, points, ends, progress, stopped)
+
+
+def check_arguments(
+    arm: Arm,
+    task: Task | Sequence[Task],
+    space: DesignSpace,
+    objective: Objective,
+    starts: int,
+    seed: int,
+    iterations: int,
+    seconds: float | None,
+) -> tuple[Task, ...]:
+    """The tasks as a tuple, everything checked."""
+    tasks = (task,) if isinstance(task, Task) else tuple(task)
+    kinds: list[tuple[str, object, Any]] = [
+        ("arm", arm, (ArmDesign, ArmSeries)),
+        ("space", space, DesignSpace),
+        ("objective", objective, Objective),
+    ]
+    for name, value, kind in kinds + [("task", one, Task) for one in tasks]:
+        if not isinstance(value, kind):
+            names = " or ".join(one.__name__ for one in (kind if isinstance(kind, tuple) else (kind,)))
+            raise ValueError(f"{name}: must be of type {names}, got {shown(value)}")
+    if not tasks or any(0 in one.batch_shape for one in tasks):
+        raise ValueError("task: must hold at least one task, got none")
+    for one in tasks:
+        fitted(arm, one)
+    check_count("starts", starts, 1)
+    check_count("seed", seed, 0)
+    check_count("iterations", iterations, 1)
+    if seconds is not None:
+        check_number("seconds", seconds, 0.0, strict=True, unit="s")
+    return tasks
+
+
+def starting_points(problem: Problem, arm: Arm, starts: int, seed: int) -> list[Array]:
+    """Feasible points: those nearest to the given designs, then random ones."""
+    designs = problem.designs
+    nearest = [designs.project(point) for point in designs.free.inverse(given_values(arm))]
+    return nearest + designs.random(max(0, starts - len(nearest)), seed)
+
+
+def outcome(
+    problem: Problem,
+    arm: Arm,
+    space: DesignSpace,
+    points: Sequence[Array],
+    ends: Sequence[End],
+    progress: Progress,
+    stopped: str,
+) -> OptimisedDesign:
+    """Put together what is known of the starts of one architecture."""
+    designs, objective = problem.designs, problem.objective
+    given, given_value = _best_given(arm, problem)
+    better = [end for end in ends if end.value < given_value * (1 - NOISE) or given_value == np.inf > end.value]
+    better = sorted(better, key=lambda end: end.value)[:CANDIDATES]
+    violated = designs.violated_by(given)
+    chosen, status = (better[0] if better else None), "better"
+    if better and objective.metric == "predicted_error":
+        try:
+            chosen, status = _confirmed(problem, given, better)
+        except KeyboardInterrupt:
+            status, stopped = "better as predicted, not compared by a pressure search: interrupted", "interrupted"
+    elif not better:
+        status = "given design kept: no better one was found within the constraints"
+    best = given if chosen is None else designs.design(chosen.point)
+    before, after = (predicted(one, problem.tasks, objective.pose_cost) for one in (given, best))
+    if chosen is None and violated:
+        status += f", which it breaks ({'; '.join(violated)})"
+    if not bool(after.stable.all()):
+        status += f"; no stable equilibrium is predicted {_on_tasks(~after.stable)}"
+    elif not bool(after.converged.all()):
+        status += f"; predictions did not converge {_on_tasks(~after.converged)}"
+    reached = np.array([end.point for end in ends]).reshape(len(ends), designs.dimension)
+    return OptimisedDesign(
+        given=given,
+        best=best,
+        given_value=given_value,
+        value=given_value if chosen is None else chosen.value,
+        before=before,
+        after=after,
+        status=status,
+        active=() if chosen is None else designs.active(chosen.point),
+        violated=violated,
+        starts=designs.design(np.array(points)),
+        ends=designs.design(reached),
+        end_values=torch.tensor([end.value for end in ends], dtype=torch.float64),
+        reasons=tuple(end.reason for end in ends),
+        evaluations=progress.evaluations,
+        seconds=progress.seconds,
+        stopped=stopped,
+        space=space,
+        objective=objective,
+    )
+
+
+def _on_tasks(marked: Tensor) -> str:
+    count = marked.numel()
+    return f"on {int(marked.sum())} of {count} tasks" if count > 1 else "on the task"
+
+
+def _confirmed(problem: Problem, given: Arm, better: Sequence[End]) -> tuple[End | None, str]:
+    """The first of some ends with which a pressure search does better than with the given design."""
+    before, found = _search_value(problem, given), []
+    for end in better:
+        found.append(_search_value(problem, problem.designs.design(end.point)))
+        if found[-1] < before * (1 - NOISE):
+            numbers = f"{1e3 * before:.4g} → {1e3 * found[-1]:.4g} mm"
+            if abs(end.value - found[-1]) <= AGREEMENT[0] * found[-1] + AGREEMENT[1]:
+                return end, f"better, as a pressure search confirms ({numbers})"
+            return end, f"better, but a pressure search reaches {numbers} where {1e3 * end.value:.4g} mm is predicted"
+    return None, (
+        f"given design kept: a pressure search reaches {1e3 * before:.4g} mm with it, and {1e3 * min(found):.4g} mm "
+        "with the best found within the constraints"
+    )
+
+
+def _search_value(problem: Problem, arm: Arm) -> float:
+    """The objective of a design by what a pressure search reaches."""
+    objective = problem.objective
+    found = searched(arm, problem.tasks, objective.pose_cost)
+    with torch.no_grad():
+        lengths = torch.cat([shape_lengths(task) for task in problem.tasks])
+        return float(objective.total(torch.where(found.stable, found.shape_error, lengths.to(found.shape_error))))
+
+
+def _best_given(arm: Arm, problem: Problem) -> tuple[Arm, float]:
+    """Of the given designs the best, without a batch, and its value."""
+    values = problem.value(arm).reshape(-1)
+    best = int(values.argmin())
+    return one_of_batch(arm, best), float(values[best])

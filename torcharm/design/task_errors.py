@@ -1,0 +1,63 @@
+"""How far off one design is on every task: as predicted, and as the pressure search finds."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torcharm.design.space import Arm
+from torcharm.pressure.pose_cost import PoseCost
+from torcharm.pressure.predicted_error import PredictedError, predict_error
+from torcharm.pressure.search import PressureSearch, search_pressure
+from torcharm.task import Task
+
+
+@dataclass(frozen=True, eq=False)
+class TaskErrors:
+    """Of one design on T tasks.
+
+    Attributes:
+        tip_error, shape_error: (T,) [m]; infinite where no stable equilibrium was found.
+        pressure: (T, M) that reaches them [kPa].
+        converged: (T,) whether the pressures are known to be the best; where not, the errors are reached all the same.
+        stable: (T,) whether an equilibrium was found at which the arm stays.
+        in_range: (T,) whether its strains and pressures are in the characterised range.
+    """
+
+    tip_error: Tensor
+    shape_error: Tensor
+    pressure: Tensor
+    converged: Tensor
+    stable: Tensor
+    in_range: Tensor
+
+    @classmethod
+    def of(cls, found: Sequence[PredictedError | PressureSearch]) -> "TaskErrors":
+        """From what was found for each batch of tasks, all together."""
+
+        def whole(name: str) -> Tensor:
+            return torch.cat([getattr(one, name).detach().reshape(-1) for one in found])
+
+        pressure = torch.cat([one.pressure.detach().reshape(-1, one.pressure.shape[-1]) for one in found])
+        errors = whole("tip_error"), whole("shape_error")
+        return cls(*errors, pressure, whole("converged"), whole("stable"), whole("in_range"))
+
+    @property
+    def tip_mm(self) -> float:
+        """The mean tip error [mm] of the tasks that have a stable equilibrium; NaN if none has."""
+        return 1e3 * float(self.tip_error[self.stable].mean())
+
+
+def predicted(arm: Arm, tasks: Sequence[Task], cost: PoseCost | None) -> TaskErrors:
+    """What is predicted of one design on all tasks."""
+    with torch.no_grad():
+        return TaskErrors.of([predict_error(arm, task, cost) for task in tasks])
+
+
+def searched(
+    arm: Arm, tasks: Sequence[Task], cost: PoseCost | None, starts: int | None = None, seed: int = 0
+) -> TaskErrors:
+    """What the search, which raises the loads from zero, reaches with one design on all tasks."""
+    with torch.no_grad():
+        return TaskErrors.of([search_pressure(arm, task, starts=starts, pose_cost=cost, seed=seed) for task in tasks])
