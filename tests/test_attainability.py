@@ -62,7 +62,7 @@ class Case:
 
     def evaluate(self, **options):
         task = ta.Task(double(self.twists), double(self.loads), double(self.base_pose), wrench_at="start")
-        return ta.evaluate(self.arm, task, weights=self.weights, **options)
+        return ta.evaluate(self.arm, task, ("absolute", "relative"), weights=self.weights, **options)
 
     def expect(self, kind):
         options = {"kind": kind, "samples": self.samples, "weights": self.weights, "base_pose": self.base_pose}
@@ -222,8 +222,10 @@ def test_any_pressure_reacts_within_the_exact_hull_grown_by_the_sampling_error(s
 
 def test_edges_have_the_papers_three_points():
     task = ta.Task(ta.affine_curvature(-3.0, 3.0), ta.sample_loads(5))
-    chosen = ta.evaluate(ta.antagonistic_arm(), task, hull="edges", samples=3)
-    assert torch.equal(ta.evaluate(ta.antagonistic_arm(), task, hull="edges").absolute, chosen.absolute)
+    chosen = ta.evaluate(ta.antagonistic_arm(), task, ("absolute", "relative"), hull="edges", samples=3)
+    assert torch.equal(
+        ta.evaluate(ta.antagonistic_arm(), task, ("absolute", "relative"), hull="edges").absolute, chosen.absolute
+    )
 
 
 # --- batches ---
@@ -278,7 +280,9 @@ def looped(arm, twists, loads, batch, **options):
             one = arm[design] if design else arm
             # a batch of one, so that this does not hinge on the case without any batch
             with unchecked():
-                results[(*design, *task)] = ta.evaluate(one, ta.Task(twists[task], loads[task][None]), **options)
+                results[(*design, *task)] = ta.evaluate(
+                    one, ta.Task(twists[task], loads[task][None]), ("absolute", "relative"), **options
+                )
     return results
 
 
@@ -297,7 +301,7 @@ FIELDS = ("absolute", "relative", "absolute_per_node", "relative_per_node", "str
 @every_batch
 def test_batched_equals_looped(designs, twists, loads, batch):
     arm, _ = random_arms(*designs)
-    result = ta.evaluate(arm, ta.Task(twists, loads), signed=True)
+    result = ta.evaluate(arm, ta.Task(twists, loads), ("absolute", "relative"), signed=True)
     singles = looped(arm, twists, loads, batch, signed=True)
     assert len(singles) == math.prod((*designs, *batch))
     for field in FIELDS:
@@ -310,7 +314,7 @@ def test_batched_equals_looped(designs, twists, loads, batch):
 
 def test_a_single_design_on_a_single_task_gives_scalars():
     arm, _ = random_arms()
-    result = ta.evaluate(arm, ta.Task(random_twists(), random_loads()))
+    result = ta.evaluate(arm, ta.Task(random_twists(), random_loads()), ("absolute", "relative"))
     for field in ("absolute", "relative", "strain_excess", "in_range"):
         assert getattr(result, field).shape == ()
     assert result.absolute_per_node.shape == (4,)
@@ -321,8 +325,8 @@ def test_a_single_design_on_a_single_task_gives_scalars():
 @unchecked()
 def test_results_do_not_depend_on_the_chunk_size(designs, twists, loads, batch, chunk_size):
     arm, _ = random_arms(*designs)
-    whole = ta.evaluate(arm, ta.Task(twists, loads), signed=True)
-    parts = ta.evaluate(arm, ta.Task(twists, loads), signed=True, chunk_size=chunk_size)
+    whole = ta.evaluate(arm, ta.Task(twists, loads), ("absolute", "relative"), signed=True)
+    parts = ta.evaluate(arm, ta.Task(twists, loads), ("absolute", "relative"), signed=True, chunk_size=chunk_size)
     for field in FIELDS:
         assert_same(getattr(parts, field), getattr(whole, field))
 
@@ -334,8 +338,10 @@ def test_asking_for_gradients_leaves_the_values(designs, twists, loads, batch, k
     arm, _ = random_arms(*designs)
     tracked, _ = random_arms(*designs, grad=True)
     signed = kind == "exact"
-    plain = ta.evaluate(arm, ta.Task(twists, loads), hull=kind, signed=signed)
-    result = ta.evaluate(tracked, ta.Task(twists, loads), hull=kind, signed=signed, chunk_size=chunk_size)
+    plain = ta.evaluate(arm, ta.Task(twists, loads), ("absolute", "relative"), hull=kind, signed=signed)
+    result = ta.evaluate(
+        tracked, ta.Task(twists, loads), ("absolute", "relative"), hull=kind, signed=signed, chunk_size=chunk_size
+    )
     assert result.absolute.requires_grad
     for field in FIELDS:
         assert_same(getattr(result, field).detach(), getattr(plain, field), PROMISED)
@@ -350,7 +356,7 @@ def test_gradients_do_not_depend_on_the_chunk_size(name, chunk_size):
     def gradients(chunk_size):
         arm, tensors = random_arms(*designs, grad=True)
         shape, load = twists.detach().requires_grad_(), loads.detach().requires_grad_()
-        result = ta.evaluate(arm, ta.Task(shape, load), chunk_size=chunk_size)
+        result = ta.evaluate(arm, ta.Task(shape, load), ("absolute", "relative"), chunk_size=chunk_size)
         return torch.autograd.grad(result.absolute.sum() + result.relative.square().sum(), (*tensors, shape, load))
 
     for part, whole in zip(gradients(chunk_size), gradients(None), strict=True):
@@ -373,7 +379,7 @@ def test_gradients_do_not_depend_on_the_chunk_size(name, chunk_size):
 )
 def test_empty_batches_give_empty_results(designs, shapes, loads, result, grad):
     arm, _ = random_arms(*designs, grad=grad)
-    found = ta.evaluate(arm, ta.Task(random_twists(*shapes), random_loads(*loads)))
+    found = ta.evaluate(arm, ta.Task(random_twists(*shapes), random_loads(*loads)), ("absolute", "relative"))
     for field in FIELDS:
         assert getattr(found, field).shape == ((*result, 4) if "node" in field else result)
     assert found.in_range.dtype == torch.bool
@@ -383,7 +389,7 @@ def test_empty_batches_give_empty_results(designs, shapes, loads, result, grad):
 def test_a_metric_that_was_not_asked_for_is_none():
     arm, _ = random_arms(2)
     task = ta.Task(random_twists(), random_loads(3))
-    both, one = ta.evaluate(arm, task), ta.evaluate(arm, task, "relative")
+    both, one = ta.evaluate(arm, task, ("absolute", "relative")), ta.evaluate(arm, task, "relative")
     assert one.absolute is None
     assert one.absolute_per_node is None
     assert_same(one.relative, both.relative)
@@ -428,7 +434,9 @@ class Scene:
     def distances(self, **options):
         """Signed distances of all nodes, both metrics."""
         arm = ta.ArmDesign(self.radii, self.lengths[None, :], self.models)
-        result = ta.evaluate(arm, ta.Task(self.twists, self.load, self.base_pose), signed=True, **options)
+        result = ta.evaluate(
+            arm, ta.Task(self.twists, self.load, self.base_pose), ("absolute", "relative"), signed=True, **options
+        )
         return torch.stack((result.absolute_per_node, result.relative_per_node))
 
     def assert_same_distances(self, other, **options):
@@ -520,7 +528,7 @@ def test_more_pressure_never_makes_a_distance_grow(scene, factor):
     arm = ta.ArmDesign(scene.radii, scene.lengths[None, :], linear)
     more = ta.ArmDesign(scene.radii, scene.lengths[None, :], linear, arm.max_pressure * factor)
     task = ta.Task(scene.twists, scene.load)
-    before, after = ta.evaluate(arm, task), ta.evaluate(more, task)
+    before, after = ta.evaluate(arm, task, ("absolute", "relative")), ta.evaluate(more, task, ("absolute", "relative"))
     assert (after.absolute_per_node - before.absolute_per_node).max() <= 1e-10
     assert (after.relative_per_node - before.relative_per_node).max() <= 1e-10
 
@@ -537,13 +545,13 @@ def attainable_scene():
 @pytest.mark.parametrize("power", [1, 2])
 def test_an_attainable_task_has_minus_its_smallest_margin(power):
     arm, twists, load = attainable_scene()
-    result = ta.evaluate(arm, ta.Task(twists, load[None]), signed=True, power=power)
+    result = ta.evaluate(arm, ta.Task(twists, load[None]), ("absolute", "relative"), signed=True, power=power)
     assert result.absolute_per_node.max() < 0
     assert result.absolute == -(result.absolute_per_node.abs().amin(-1) ** power)
     assert result.relative_per_node[0, 0] == 0
     assert result.relative_per_node[0, 1] < 0
     assert result.relative == -(result.relative_per_node[:, 1].abs() ** power)
-    unsigned = ta.evaluate(arm, ta.Task(twists, load[None]), power=power)
+    unsigned = ta.evaluate(arm, ta.Task(twists, load[None]), ("absolute", "relative"), power=power)
     assert unsigned.absolute == 0
     assert unsigned.relative == 0
 
@@ -552,7 +560,7 @@ def test_an_attainable_task_has_minus_its_smallest_margin(power):
 def test_signed_is_negative_if_and_only_if_every_node_is_inside(metric):
     arm, twists, load = attainable_scene()
     loads = load + random_loads(400) * double([1.0, 1.0, 0.3])
-    result = ta.evaluate(arm, ta.Task(twists, loads), signed=True)
+    result = ta.evaluate(arm, ta.Task(twists, loads), ("absolute", "relative"), signed=True)
     total, per_node = getattr(result, metric), getattr(result, metric + "_per_node")
     free = per_node if metric == "absolute" else per_node[..., 1:]
     inside = (free < 0).all(-1)
@@ -567,7 +575,7 @@ def test_signed_is_continuous_across_the_boundary(metric):
     arm, twists, load = attainable_scene()
     shares = torch.linspace(0, 1, 2001, dtype=torch.float64)[:, None]
     loads = load + shares * double([30.0, 40.0, 5.0])
-    total = getattr(ta.evaluate(arm, ta.Task(twists, loads), signed=True), metric)
+    total = getattr(ta.evaluate(arm, ta.Task(twists, loads), ("absolute", "relative"), signed=True), metric)
     assert total[0] < 0 < total[-1]
     required = ta.required_wrench(twists, loads)[..., [0, 2]]
     if metric == "relative":
@@ -578,7 +586,7 @@ def test_signed_is_continuous_across_the_boundary(metric):
 
 def test_one_segment_has_no_relative_margin():
     arm, _ = random_arms()
-    result = ta.evaluate(arm, ta.Task(random_twists(nodes=1), random_loads(5)), signed=True)
+    result = ta.evaluate(arm, ta.Task(random_twists(nodes=1), random_loads(5)), ("absolute", "relative"), signed=True)
     assert torch.equal(result.relative, torch.zeros(5, dtype=torch.float64))
 
 
@@ -587,13 +595,13 @@ def test_one_segment_has_no_relative_margin():
 
 @pytest.mark.parametrize("arm", [ta.bellows_arm(), ta.antagonistic_arm(), ta.mckibben_arm()])
 def test_the_papers_validation_is_out_of_range(arm):
-    result = ta.evaluate(arm, ta.Task(ta.affine_curvature(-3.0, 3.0), ta.sample_loads(2)))
+    result = ta.evaluate(arm, ta.Task(ta.affine_curvature(-3.0, 3.0), ta.sample_loads(2)), ("absolute", "relative"))
     assert not result.in_range.any()
 
 
 def test_the_papers_inner_muscle_is_strained_four_per_cent_too_far():
     arm = ta.ArmDesign([-0.015, 0.015], 0.5, [ta.McKibben(), ta.McKibben()])
-    result = ta.evaluate(arm, ta.Task(ta.affine_curvature(-3.0, 3.0), [[0.0, 0.0, 0.0]]))
+    result = ta.evaluate(arm, ta.Task(ta.affine_curvature(-3.0, 3.0), [[0.0, 0.0, 0.0]]), ("absolute", "relative"))
     np.testing.assert_allclose(result.strain_excess, [0.09 - 0.05], rtol=1e-12)
     assert not result.in_range.any()
 
@@ -605,7 +613,7 @@ def test_the_papers_inner_muscle_is_strained_four_per_cent_too_far():
 def test_strain_excess_is_the_largest_strain_beyond_the_range(length, excess):
     arm = ta.ArmDesign([-0.01, 0.01], 0.5, [ta.Bellows(), ta.Bellows()])
     twists = double([[0.5, 0.0, 0.0], [length, 0.0, 0.0]])
-    result = ta.evaluate(arm, ta.Task(twists, [[0.0, 1.0, 0.0]]))
+    result = ta.evaluate(arm, ta.Task(twists, [[0.0, 1.0, 0.0]]), ("absolute", "relative"))
     np.testing.assert_allclose(result.strain_excess, [excess], atol=1e-15)
     assert result.in_range.tolist() == [excess == 0.0]
 
@@ -613,7 +621,7 @@ def test_strain_excess_is_the_largest_strain_beyond_the_range(length, excess):
 def test_range_is_judged_for_every_design_and_shape():
     arm = ta.ArmDesign(double([[-0.01, 0.01], [-0.1, 0.1]]), 0.5, [ta.Bellows(), ta.Bellows()])
     twists = torch.stack([ta.affine_curvature(0.0, turn, nodes=3) for turn in (0.0, 1.0, 9.0)])[:, None]
-    result = ta.evaluate(arm, ta.Task(twists, random_loads(2)))
+    result = ta.evaluate(arm, ta.Task(twists, random_loads(2)), ("absolute", "relative"))
     expected = [[True, True, False], [True, False, False]]  # strains of r κ / l̂ against -0.167
     assert result.in_range.tolist() == [[[each] * 2 for each in row] for row in expected]
     np.testing.assert_allclose(result.strain_excess[1, 1], 0.2 - 0.167)
@@ -622,7 +630,7 @@ def test_range_is_judged_for_every_design_and_shape():
 @pytest.mark.parametrize(("limit", "in_range"), [(92.0, True), (92.5, False)])
 def test_a_pressure_limit_beyond_the_characterisation_is_out_of_range(limit, in_range):
     arm = ta.ArmDesign([-0.01, 0.01], 0.5, [ta.Bellows(), ta.Bellows()], [limit, 10.0])
-    result = ta.evaluate(arm, ta.Task(ta.affine_curvature(0.0, 0.0), [[0.0, 1.0, 0.0]]))
+    result = ta.evaluate(arm, ta.Task(ta.affine_curvature(0.0, 0.0), [[0.0, 1.0, 0.0]]), ("absolute", "relative"))
     assert result.in_range.tolist() == [in_range]
     assert result.strain_excess.tolist() == [0.0]
 
@@ -685,7 +693,9 @@ def smooth_scene():
     )
 
     def totals(radii, lengths, limits, twists, loads, **options):
-        result = ta.evaluate(ta.ArmDesign(radii, lengths, models, limits), ta.Task(twists, loads), **options)
+        result = ta.evaluate(
+            ta.ArmDesign(radii, lengths, models, limits), ta.Task(twists, loads), ("absolute", "relative"), **options
+        )
         return result.absolute, result.relative
 
     return inputs, totals
@@ -702,10 +712,10 @@ def test_gradients_inside_are_zero_unless_signed():
     arm, twists, load = attainable_scene()
     radii, load = arm.radii.clone().requires_grad_(), load[None].requires_grad_()
     arm = ta.ArmDesign(radii, arm.length, arm.actuators)
-    plain = ta.evaluate(arm, ta.Task(twists, load))
+    plain = ta.evaluate(arm, ta.Task(twists, load), ("absolute", "relative"))
     for gradient in torch.autograd.grad((plain.absolute + plain.relative).sum(), (radii, load)):
         assert torch.equal(gradient, torch.zeros_like(gradient))
-    signed = ta.evaluate(arm, ta.Task(twists, load), signed=True)
+    signed = ta.evaluate(arm, ta.Task(twists, load), ("absolute", "relative"), signed=True)
     for gradient in torch.autograd.grad(signed.absolute.sum(), (radii, load)):
         assert gradient.isfinite().all()
         assert gradient.norm() > 0
@@ -716,7 +726,7 @@ def test_gradient_of_the_margin_is_that_of_central_differences():
     arm, twists, load = attainable_scene()
 
     def margins(load):
-        result = ta.evaluate(arm, ta.Task(twists, load), signed=True)
+        result = ta.evaluate(arm, ta.Task(twists, load), ("absolute", "relative"), signed=True)
         return result.absolute, result.relative
 
     assert gradcheck(margins, (load[None].requires_grad_(),))
@@ -729,7 +739,10 @@ def test_values_with_gradients_are_those_without_on_a_straight_arm(turn, kind):
     tracked = ta.ArmDesign(arm.radii.clone().requires_grad_(), arm.length, arm.actuators)
     for length in (0.37, 0.45, 0.5, 0.6):
         task = ta.Task(ta.affine_curvature(turn, turn, length=length), ta.sample_loads(60))
-        plain, result = ta.evaluate(arm, task, hull=kind), ta.evaluate(tracked, task, hull=kind)
+        plain, result = (
+            ta.evaluate(arm, task, ("absolute", "relative"), hull=kind),
+            ta.evaluate(tracked, task, ("absolute", "relative"), hull=kind),
+        )
         torch.testing.assert_close(result.absolute.detach(), plain.absolute, rtol=1e-9, atol=1e-9)
         torch.testing.assert_close(result.relative.detach(), plain.relative, rtol=1e-9, atol=1e-9)
 
@@ -780,7 +793,7 @@ def test_gradients_are_finite_on_degenerate_designs(seed, kind):
     leaves = [value.clone().requires_grad_() for value in (case.arm.radii, case.arm.length, case.arm.max_pressure)]
     arm = ta.ArmDesign(leaves[0], leaves[1], case.arm.actuators, leaves[2])
     twists, loads = double(case.twists, grad=True), double(case.loads, grad=True)
-    result = ta.evaluate(arm, ta.Task(twists, loads), hull=kind)
+    result = ta.evaluate(arm, ta.Task(twists, loads), ("absolute", "relative"), hull=kind)
     total = (result.absolute + result.relative).sum()
     for gradient in torch.autograd.grad(total, (*leaves, twists, loads)):
         assert gradient.isfinite().all()
@@ -792,7 +805,7 @@ def test_moving_identical_actuators_together_has_the_sum_of_their_gradients():
 
     def total(left, right):
         radii = torch.stack((left, left, right, right), -1)
-        return ta.evaluate(ta.ArmDesign(radii, 0.5, [ta.Bellows()] * 4), task).absolute
+        return ta.evaluate(ta.ArmDesign(radii, 0.5, [ta.Bellows()] * 4), task, ("absolute", "relative")).absolute
 
     assert gradcheck(total, (double(-0.05, grad=True), double(0.03, grad=True)))
 
@@ -806,7 +819,7 @@ def test_float32_stays_float32_and_near_float64(kind):
     for dtype in (torch.float32, torch.float64):
         arm, _ = random_arms(6, dtype=dtype, grad=True)
         task = ta.Task(random_twists(5, 1), random_loads(40)).to(dtype)
-        results.append(ta.evaluate(arm, task, hull=kind, signed=kind == "exact"))
+        results.append(ta.evaluate(arm, task, ("absolute", "relative"), hull=kind, signed=kind == "exact"))
     single, exact = results
     for field in ("absolute", "relative", "absolute_per_node", "relative_per_node", "strain_excess"):
         value = getattr(single, field)
@@ -821,7 +834,7 @@ def test_float32_gradients_are_near_those_of_float64():
     for dtype in (torch.float32, torch.float64):
         arm, leaves = random_arms(6, dtype=dtype, grad=True)
         task = ta.Task(random_twists(5, 1), random_loads(8)).to(dtype)
-        result = ta.evaluate(arm, task)
+        result = ta.evaluate(arm, task, ("absolute", "relative"))
         gradients.append(torch.autograd.grad((result.absolute + result.relative).sum(), leaves))
     for single, exact in zip(*gradients, strict=True):
         assert single.dtype == torch.float32
@@ -855,8 +868,8 @@ def test_a_force_model_of_ones_own_mixes_with_the_librarys(kind):
     twists, load = random_twists(nodes=3), random_loads(1)
     options = {"hull": "edges"} if kind == "edges" else {"distance": "scipy"}
     task = ta.Task(twists, load, wrench_at="start")
-    result = ta.evaluate(arm, task, samples=5, **options)
-    exact = ta.evaluate(arm, task)
+    result = ta.evaluate(arm, task, ("absolute", "relative"), samples=5, **options)
+    exact = ta.evaluate(arm, task, ("absolute", "relative"))
     assert (exact.absolute_per_node <= result.absolute_per_node + 1e-10).all()
     assert (exact.relative_per_node <= result.relative_per_node + 1e-10).all()
     expected = oracle.node_distances(expected_arm, twists, load[0], kind=kind, samples=5)
@@ -871,7 +884,7 @@ def test_gradients_reach_a_force_models_own_parameters(chunk_size):
     def total(area):
         arm = ta.ArmDesign([-0.05, 0.01, 0.04], 0.5, [Piston(area), ta.Bellows(), ta.Bellows()])
         task = ta.Task(random_twists(nodes=3), random_loads(4) * 5)
-        result = ta.evaluate(arm, task, chunk_size=chunk_size)
+        result = ta.evaluate(arm, task, ("absolute", "relative"), chunk_size=chunk_size)
         return result.absolute, result.relative
 
     assert gradcheck(total, (double(0.8, grad=True),))
@@ -879,7 +892,7 @@ def test_gradients_reach_a_force_models_own_parameters(chunk_size):
 
 def test_nan_from_a_force_model_stays_nan():
     arm = ta.ArmDesign([-0.05, 0.04], 0.5, [ta.Bellows(), Piston(area=math.nan)])
-    result = ta.evaluate(arm, ta.Task(random_twists(), random_loads(3)))
+    result = ta.evaluate(arm, ta.Task(random_twists(), random_loads(3)), ("absolute", "relative"))
     assert result.absolute.isnan().all()
     assert result.relative.isnan().all()
 
@@ -892,7 +905,10 @@ def test_sixty_four_actuators():
     twists, load = random_twists(nodes=3), random_loads(1) * 40
     arm = ta.ArmDesign(double(radii), 0.5, models)
     task = ta.Task(twists, load, wrench_at="start")
-    exact, result = ta.evaluate(arm, task), ta.evaluate(arm, task, distance="scipy", samples=4)
+    exact, result = (
+        ta.evaluate(arm, task, ("absolute", "relative")),
+        ta.evaluate(arm, task, ("absolute", "relative"), distance="scipy", samples=4),
+    )
     expected = oracle.node_distances(
         oracle.Arm(tuple(radii), (0.5,) * 64, (50.0, 100.0) * 32, twins), twists, load[0], kind="exact", samples=4
     )

@@ -45,7 +45,7 @@ class Scene:
         return ta.Task(self.twists, self.load, self.base_pose)
 
     def distances(self, **options):
-        found = ta.evaluate(self.arm, self.task, **options)
+        found = ta.evaluate(self.arm, self.task, ("absolute", "relative"), **options)
         assert found.converged.all()
         return torch.stack([getattr(found, name) for name in PER_NODE])
 
@@ -100,8 +100,8 @@ BATCHES = {
 def test_batched_equals_looped_and_chunks_do_not_matter(batch, signed, atol):
     designs, shapes, loads = BATCHES[batch]
     scene, tasks = random_scene(4, designs, shapes, loads), np.broadcast_shapes(shapes, loads)
-    whole = ta.evaluate(scene.arm, scene.task, signed=signed)
-    parts = ta.evaluate(scene.arm, scene.task, signed=signed, chunk_size=5)
+    whole = ta.evaluate(scene.arm, scene.task, ("absolute", "relative"), signed=signed)
+    parts = ta.evaluate(scene.arm, scene.task, ("absolute", "relative"), signed=signed, chunk_size=5)
     twists, load = scene.twists.expand(*tasks, 3, 6), scene.load.expand(*tasks, 6)
     for name in FIELDS:
         found = getattr(whole, name)
@@ -110,7 +110,9 @@ def test_batched_equals_looped_and_chunks_do_not_matter(batch, signed, atol):
     for design in np.ndindex(designs):
         for task in np.ndindex(tasks):
             arm = scene.arm[design] if design else scene.arm
-            single = ta.evaluate(arm, ta.Task(twists[task], load[task], HANGING), signed=signed)
+            single = ta.evaluate(
+                arm, ta.Task(twists[task], load[task], HANGING), ("absolute", "relative"), signed=signed
+            )
             for name in FIELDS:
                 own = getattr(whole, name)[(*design, *task)]
                 torch.testing.assert_close(own, getattr(single, name), rtol=0, atol=atol)
@@ -119,7 +121,10 @@ def test_batched_equals_looped_and_chunks_do_not_matter(batch, signed, atol):
 @pytest.mark.parametrize(("designs", "shapes", "loads"), [((0,), (), (4,)), ((2,), (0,), ()), ((2,), (3, 1), (0,))])
 def test_empty_batches_give_empty_results(designs, shapes, loads):
     scene = random_scene(0, designs, shapes, loads)
-    found, batch = ta.evaluate(scene.arm, scene.task), (*designs, *np.broadcast_shapes(shapes, loads))
+    found, batch = (
+        ta.evaluate(scene.arm, scene.task, ("absolute", "relative")),
+        (*designs, *np.broadcast_shapes(shapes, loads)),
+    )
     assert found.absolute.shape == found.in_range.shape == batch
     assert found.relative_per_node.shape == (*batch, 3)
 
@@ -197,7 +202,7 @@ def test_weights_and_powers(seed):
     torch.testing.assert_close(scene.distances(weights=(2.3, 2.3)), plain * 2.3**0.5, rtol=0, atol=2 * PROMISED)
     heavier = scene.distances(weights=(1.0, 4.0))
     assert bool(((plain - PROMISED <= heavier) & (heavier <= 2 * plain + PROMISED)).all())
-    squares = ta.evaluate(scene.arm, scene.task, power=2)
+    squares = ta.evaluate(scene.arm, scene.task, ("absolute", "relative"), power=2)
     torch.testing.assert_close(squares.absolute, plain[0].square().sum(-1))
     torch.testing.assert_close(squares.relative, plain[1].square().sum(-1))
 
@@ -209,11 +214,13 @@ def test_signed_is_negative_if_and_only_if_every_node_is_inside():
     middle = ta.reaction_wrench(arm, twists, arm.max_pressure / 2)[0]
     tip = torch.cat((middle[..., :1], double([0, 0, 0]), middle[..., 1:]), -1)
     body = ta.ExternalLoad(points=[ta.PointLoad(-tip, at=1.0, frame="body")])
-    calm = ta.evaluate(arm, ta.Task(twists, load=body), signed=True)
+    calm = ta.evaluate(arm, ta.Task(twists, load=body), ("absolute", "relative"), signed=True)
     assert calm.absolute_per_node.shape == (2,)
     shares = torch.linspace(0, 40, 81, dtype=torch.float64)[:, None]
     points = [ta.PointLoad(-tip + shares * double([1, 0.2, 0, 0, 0.05, 0]), at=1.0, frame="body")]
-    found = ta.evaluate(arm, ta.Task(twists, load=ta.ExternalLoad(points=points)), signed=True)
+    found = ta.evaluate(
+        arm, ta.Task(twists, load=ta.ExternalLoad(points=points)), ("absolute", "relative"), signed=True
+    )
     for metric in ("absolute", "relative"):
         total, per_node = getattr(found, metric), getattr(found, metric + "_per_node")
         free = per_node if metric == "absolute" else per_node[..., 1:]
@@ -233,7 +240,7 @@ def test_a_planar_arm_in_space_keeps_its_planar_distances(seed):
     radii, lengths = double(rng.uniform(-0.06, 0.06, count)), double(rng.uniform(0.48, 0.54, count))
     twists = double(rng.uniform([0.47, -0.02, -1.0], [0.53, 0.02, 1.0], (4, 3)))
     load = double(rng.uniform(-1, 1, (3, 3)) * [15.0, 15.0, 2.0])
-    planar = ta.evaluate(ta.ArmDesign(radii, lengths, models), ta.Task(twists, load))
+    planar = ta.evaluate(ta.ArmDesign(radii, lengths, models), ta.Task(twists, load), ("absolute", "relative"))
     turn = rotation(rng)
     pose = torch.eye(4, dtype=torch.float64)
     pose[:3, :3] = turn
@@ -253,8 +260,8 @@ def test_a_planar_arm_in_space_keeps_its_planar_distances(seed):
 
 def test_float32_stays_float32_and_near_float64():
     scene = random_scene(5, (3,), (4, 1), (5,))
-    exact = ta.evaluate(scene.arm, scene.task)
-    single = ta.evaluate(scene.arm.to(torch.float32), scene.task.to(torch.float32))
+    exact = ta.evaluate(scene.arm, scene.task, ("absolute", "relative"))
+    single = ta.evaluate(scene.arm.to(torch.float32), scene.task.to(torch.float32), ("absolute", "relative"))
     for name in FIELDS[:-1]:
         assert getattr(single, name).dtype == torch.float32
         assert (getattr(single, name).double() - getattr(exact, name)).abs().max() < 2e-3
@@ -265,10 +272,12 @@ def test_an_impossible_shape_says_so_and_leaves_the_others_alone():
     scene = random_scene(2, nodes=3)
     wild = scene.twists.clone()
     wild[1, 4:] = math.degrees(1.0)
-    both = ta.evaluate(scene.arm, ta.Task(torch.stack((scene.twists, wild)), scene.load, HANGING))
+    both = ta.evaluate(
+        scene.arm, ta.Task(torch.stack((scene.twists, wild)), scene.load, HANGING), ("absolute", "relative")
+    )
     assert both.impossible.tolist() == [False, True]
     assert both.converged.tolist() == [True, False]
     assert both.absolute[1] == both.relative[1] == math.inf
     assert not bool(both.in_range[1])
-    alone = ta.evaluate(scene.arm, scene.task)
+    alone = ta.evaluate(scene.arm, scene.task, ("absolute", "relative"))
     assert torch.equal(both.absolute[0], alone.absolute)

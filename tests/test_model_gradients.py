@@ -224,8 +224,8 @@ EQUAL: dict[str, Callable] = {
     "attributes": tagged,
 }
 ANSWERS: dict[str, Callable] = {
-    "evaluate": lambda arm: ta.evaluate(arm, TASK).absolute,
-    "relative": lambda arm: ta.evaluate(arm, TASK).relative,
+    "evaluate": lambda arm: ta.evaluate(arm, TASK, ("absolute", "relative")).absolute,
+    "relative": lambda arm: ta.evaluate(arm, TASK, ("absolute", "relative")).relative,
     "equilibrium": lambda arm: ta.solve_equilibrium(arm, PRESSURE, LOAD, 4).poses[-1],
 }
 
@@ -253,7 +253,7 @@ def test_equal_parameters_have_gradients_of_their_own(kind, name):
 def test_attributes_that_are_no_fields_tell_models_apart():
     arm = ta.ArmDesign(RADII, 0.5, [tagged(1.0), ta.Bellows(), tagged(0.5)])
     other = ta.ArmDesign(RADII, 0.5, [ta.Bellows(), ta.Bellows(), replace(BELLOWS, force_scale=0.5)])
-    found, right = (ta.evaluate(one, TASK).absolute for one in (arm, other))
+    found, right = (ta.evaluate(one, TASK, ("absolute", "relative")).absolute for one in (arm, other))
     torch.testing.assert_close(found, right, rtol=1e-9, atol=1e-9)
 
 
@@ -294,7 +294,9 @@ TRANSFORMS = (torch.func.grad, torch.func.jacfwd, torch.func.jacrev, torch.func.
 @pytest.mark.parametrize(
     "function",
     [
-        lambda x: ta.evaluate(ta.ArmDesign(RADII + x, 0.5, [BELLOWS] * 3), TASK).absolute.mean(),
+        lambda x: ta.evaluate(
+            ta.ArmDesign(RADII + x, 0.5, [BELLOWS] * 3), TASK, ("absolute", "relative")
+        ).absolute.mean(),
         lambda x: ta.predict_error(ta.ArmDesign(RADII + x, 0.5, [BELLOWS] * 3), GENTLE).error,
         lambda x: ta.load_capacity(ta.ArmDesign(RADII + x, 0.5, [BELLOWS] * 3), GENTLE).factor,
         lambda x: ta.solve_equilibrium(ta.ArmDesign(RADII, 0.5, [BELLOWS] * 3), PRESSURE + x, LOAD).poses[-1, 0],

@@ -144,7 +144,7 @@ NEAR = ta.Task(ta.affine_curvature(-0.6, 0.9, 0.6, 4), torch.tensor([0.6, -1.8, 
 
 
 def absolute(arm, **options):
-    found = ta.evaluate(arm, TASK, **options)
+    found = ta.evaluate(arm, TASK, ("absolute", "relative"), **options)
     assert found.converged
     return found.absolute
 
@@ -180,7 +180,7 @@ def test_predictions_agree_with_the_same_written_from_scratch(kind):
 
 def test_the_soft_bellows_beside_a_muscle():
     arm = ta.ArmDesign([-0.06, 0.0, 0.06], 0.5, [Soft(), ta.McKibben(), Soft()])
-    assert ta.evaluate(arm, TASK).absolute.item() == pytest.approx(164.95488, abs=1e-4)
+    assert ta.evaluate(arm, TASK, ("absolute", "relative")).absolute.item() == pytest.approx(164.95488, abs=1e-4)
     assert ta.predict_error(arm, TASK).cost.sqrt().item() == pytest.approx(0.2536, abs=1e-4)
     assert ta.solve_equilibrium(arm, [40.0, 10.0, 20.0], [1.0, -3.0, 0.2]).converged
 
@@ -221,7 +221,7 @@ def test_what_is_written_beside_the_force_counts():
     assert not ta.actuators.is_linear_in_pressure(Bent())
     assert ta.actuators.pressure_degree(Knotted()) is None
     arm = ta.ArmDesign([-0.05, 0.05], 0.5, [Knotted()] * 2)
-    found = ta.evaluate(arm, TASK).absolute
+    found = ta.evaluate(arm, TASK, ("absolute", "relative")).absolute
     assert Knotted.asked.count > 0
     expected = converged_distance(arm, TASK.twists, TASK.tip_load).sum()
     assert found.item() == pytest.approx(expected, rel=1e-9)

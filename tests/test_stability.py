@@ -76,7 +76,7 @@ def test_strains_out_of_range_are_flagged():
     for scene in SCENES:
         if scene.group in ("actuator length near zero", "strain beyond the range"):
             arm, task = scene.build()
-            found = ta.evaluate(arm, task)
+            found = ta.evaluate(arm, task, ("absolute", "relative"))
             strains = [reference.sections(arm, task, False).strain[:, m] for m in range(arm.actuator_count)]
             excess = max(
                 max(own.max() - model.strain_range[1], model.strain_range[0] - own.min())
@@ -168,7 +168,7 @@ def test_a_hundred_thousand_fuzzed_scenes_are_finite_or_flagged():
     seen, in_range, finite = 0, 0, 0
     for batch in range(FUZZED // (DESIGNS * TASKS)):
         arm, task = (tame if batch % 2 else wild)(rng, torch.float32 if batch % 8 >= 6 else torch.float64)
-        found = ta.evaluate(arm, task, signed=batch % 3 == 0, power=1 + (batch // 2) % 2)
+        found = ta.evaluate(arm, task, ("absolute", "relative"), signed=batch % 3 == 0, power=1 + (batch // 2) % 2)
         assert_finite_or_flagged(found)
         good = found.absolute.isfinite() & found.relative.isfinite()
         assert good[found.in_range].all()
@@ -187,7 +187,9 @@ def test_gradients_of_fuzzed_scenes_in_range_are_finite():
         inputs = [value.clone().requires_grad_() for value in (arm.radii, arm.length, arm.max_pressure)]
         twists = task.twists.clone().requires_grad_()
         found = ta.evaluate(
-            ta.ArmDesign(inputs[0], inputs[1], arm.actuators, inputs[2]), ta.Task(twists, task.tip_load)
+            ta.ArmDesign(inputs[0], inputs[1], arm.actuators, inputs[2]),
+            ta.Task(twists, task.tip_load),
+            ("absolute", "relative"),
         )
         total = (found.absolute + found.relative)[found.in_range].sum()
         for gradient in torch.autograd.grad(total, (*inputs, twists)):
@@ -199,7 +201,7 @@ def test_fuzzed_scenes_without_a_flag_are_right():
     checked = 0
     for _ in range(6):
         arm, task = tame(rng, torch.float64)
-        found = ta.evaluate(arm, task)
+        found = ta.evaluate(arm, task, ("absolute", "relative"))
         for design, index in found.in_range.nonzero()[:3].tolist():
             own = ta.Task(task.twists[index], task.tip_load[index])
             for metric in run.METRICS:
@@ -268,7 +270,9 @@ def test_a_bad_element_leaves_the_others_of_a_qpth_batch_unharmed(name):
     if name == "no number":
         assert not found[0].converged[2].any()
     else:
-        closed = ta.evaluate(batch_of(*zip(bad, strict=True)), BATCH_TASK, samples=3, distance="scipy")
+        closed = ta.evaluate(
+            batch_of(*zip(bad, strict=True)), BATCH_TASK, ("absolute", "relative"), samples=3, distance="scipy"
+        )
         assert found[0].converged[2].all()
         torch.testing.assert_close(found[0].absolute[2:3], closed.absolute, rtol=1e-9, atol=0)
 
@@ -277,7 +281,7 @@ def differentiated(arm):
     """What qpth finds, and its gradient in the radii for each design."""
     radii = arm.radii.clone().requires_grad_()
     scaled = ta.ArmDesign(radii, arm.length, arm.actuators, arm.max_pressure)
-    found = ta.evaluate(scaled, BATCH_TASK, samples=3, distance="qpth")
+    found = ta.evaluate(scaled, BATCH_TASK, ("absolute", "relative"), samples=3, distance="qpth")
     total = torch.where(found.converged, found.absolute, torch.zeros_like(found.absolute)).sum()
     return found, torch.autograd.grad(total, radii)[0]
 

@@ -212,7 +212,7 @@ def test_impossible_shapes_are_infinitely_far_and_leave_the_others_alone(options
     for shapes in (torch.stack((fine, degrees, edge)), fine[None]):
         radii = torch.tensor([-0.0625, 0.01, 0.0625], dtype=D, requires_grad=True)
         arm = ta.ArmDesign(radii, 0.5, [model] * 3)
-        found = ta.evaluate(arm, ta.Task(shapes, [3.0, -2.0, 0.5]), **options)
+        found = ta.evaluate(arm, ta.Task(shapes, [3.0, -2.0, 0.5]), **{"metrics": METRICS[:2], **options})
         slopes.append(torch.autograd.grad(found.absolute[0] + found.relative[0], radii, retain_graph=True)[0])
         if len(shapes) == 1:
             continue
@@ -235,12 +235,14 @@ def test_impossible_shapes_are_infinitely_far_and_leave_the_others_alone(options
 def test_radii_in_millimetres_are_impossible_for_those_designs_only():
     designs = ta.ArmDesign(torch.tensor([[-80.0, 80.0], [-0.08, 0.08]]).double(), 0.5, [ta.Bellows()] * 2)
     task = ta.Task(ta.affine_curvature(1.0, 1.5), ta.sample_loads(3))
-    found = ta.evaluate(designs, task)
+    found = ta.evaluate(designs, task, ("absolute", "relative"))
     assert found.impossible.tolist() == [[True] * 3, [False] * 3]
     assert bool(found.absolute[0].isinf().all())
-    alone = ta.evaluate(designs[1], task)
+    alone = ta.evaluate(designs[1], task, ("absolute", "relative"))
     torch.testing.assert_close(found.absolute[1], alone.absolute)
-    assert torch.equal(ta.evaluate(designs, task, chunk_size=1).absolute.isinf(), found.absolute.isinf())
+    assert torch.equal(
+        ta.evaluate(designs, task, ("absolute", "relative"), chunk_size=1).absolute.isinf(), found.absolute.isinf()
+    )
 
 
 # Rounding
@@ -252,12 +254,12 @@ def test_weights_on_a_straight_hanging_arm_are_attainable(kind, options):
     arm = {"antagonistic": ta.antagonistic_arm, "mckibben": ta.mckibben_arm}[kind]()
     weight = torch.linspace(0.0, 20.0, 21, dtype=D)
     loads = torch.stack((0 * weight, -weight, 0 * weight), -1)
-    found = ta.evaluate(arm, ta.Task(ta.affine_curvature(0.0, 0.0), loads), **options)
+    found = ta.evaluate(arm, ta.Task(ta.affine_curvature(0.0, 0.0), loads), ("absolute", "relative"), **options)
     assert bool((found.absolute == 0).all())
     assert bool((found.relative == 0).all()), found.relative
     # what is more than rounding stays: a moment of a billionth of that
     pushed = loads + torch.tensor([1e-9, 0.0, 0.0], dtype=D)
-    off = ta.evaluate(arm, ta.Task(ta.affine_curvature(0.0, 0.0), pushed), **options)
+    off = ta.evaluate(arm, ta.Task(ta.affine_curvature(0.0, 0.0), pushed), ("absolute", "relative"), **options)
     assert bool((off.relative > 0).all())
 
 

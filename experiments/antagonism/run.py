@@ -163,7 +163,7 @@ def evaluate(loads: Tensor) -> list[Result]:
     shapes = torch.stack([twists_of(shape) for shape in SHAPES])
     task = ta.Task(shapes.unsqueeze(1), loads)
     builds = ARMS | {HELD: held_arm}
-    exact = {name: ta.evaluate(build(), task) for name, build in builds.items()}
+    exact = {name: ta.evaluate(build(), task, ("absolute", "relative")) for name, build in builds.items()}
     paper = {name: ta.evaluate(build(), task, ("absolute",), hull="edges", samples=3) for name, build in builds.items()}
     best = torch.stack([_absolute(exact[name]) for name in ARMS]).amin(0)
     rows = []

@@ -59,7 +59,7 @@ def measure(case: Case, known: Searched | None = None) -> Found:
     """All columns of a case; of the search, which takes most of the time, those known already."""
     arm, task = case.design, case.task
     true, agree = known or _searched(arm, task)
-    hulls = ta.evaluate(arm, task)
+    hulls = ta.evaluate(arm, task, ("absolute", "relative"))
     weighted = ta.evaluate(arm, task, metrics=("absolute",), weights=(0.01, 1.0), power=2)
     columns = {"absolute": hulls.absolute, "relative": hulls.relative, "weighted": weighted.absolute}
     found = ta.predict_error(arm, task)

@@ -109,7 +109,7 @@ def hull_metrics(arm: ta.ArmDesign, task: ta.Task, number: int, force: float) ->
     rows = []
     for name, settings in HULLS.items():
         for power in (1, 2):
-            found = ta.evaluate(arm, task, power=power, **settings)
+            found = ta.evaluate(arm, task, ("absolute", "relative"), power=power, **settings)
             assert found.absolute is not None
             assert found.relative is not None
             printed = (name, power, force) == ("edges, 3 points", 2, LOADS[0])

@@ -245,7 +245,7 @@ def arm_answers(scene: ArmScene, backend: Backend) -> dict[str, Answer]:
     scaled = ta.ArmDesign(arm.radii * factors[0], arm.length * factors[1], arm.actuators, arm.max_pressure)
     if backend.in_space:
         scaled, task = turned_out_of_plane(scaled, task)
-    found = ta.evaluate(scaled, task, samples=backend.samples, distance=backend.distance)
+    found = ta.evaluate(scaled, task, ("absolute", "relative"), samples=backend.samples, distance=backend.distance)
     answers = {}
     for metric in METRICS:
         total, per_node = getattr(found, metric), getattr(found, f"{metric}_per_node")
@@ -364,7 +364,10 @@ def float32_errors() -> dict[str, dict[str, float]]:
     found = {}
     for name, arm in {"antagonistic": ta.antagonistic_arm(), "bellows-only": ta.bellows_arm()}.items():
         single = ta.ArmDesign(arm.radii.float(), arm.length.float(), arm.actuators, arm.max_pressure.float())
-        wide, narrow = ta.evaluate(arm, task), ta.evaluate(single, task.to(torch.float32))
+        wide, narrow = (
+            ta.evaluate(arm, task, ("absolute", "relative")),
+            ta.evaluate(single, task.to(torch.float32), ("absolute", "relative")),
+        )
         found[name] = {
             column: (getattr(narrow, column).double() - getattr(wide, column)).abs().max().item()
             for column in ("absolute", "relative", "absolute_per_node", "relative_per_node")

@@ -105,7 +105,7 @@ def main() -> None:
 def measure(task: ta.Task, baseline_loads: int) -> tuple[list[Answers], list[Figure]]:
     """All answers, and how long each took: hulls, prediction and search side by side in one run."""
     arms = {name: make() for name, make in ARMS.items()}
-    ta.evaluate(arms["antagonistic"], task)  # loads and warms what is loaded late
+    ta.evaluate(arms["antagonistic"], task, ("absolute", "relative"))  # loads and warms what is loaded late
     ta.search_pressure(arms["antagonistic"], ta.Task(SHAPE, task.tip_load[:1]))
     spent: dict[str, float] = {}
     count = len(arms) * len(task.tip_load)
@@ -116,7 +116,7 @@ def measure(task: ta.Task, baseline_loads: int) -> tuple[list[Answers], list[Fig
         spent[what] = time.perf_counter() - start
         return found
 
-    hulls = timed("hulls, absolute and relative", lambda arm: ta.evaluate(arm, task))
+    hulls = timed("hulls, absolute and relative", lambda arm: ta.evaluate(arm, task, ("absolute", "relative")))
     predicted = timed("predicted error", lambda arm: ta.evaluate(arm, task, metrics=("predicted_error",)))
     searched = timed("search, multistart", lambda arm: ta.search_pressure(arm, task))
     few = ta.Task(SHAPE, task.tip_load[:baseline_loads])

@@ -60,14 +60,20 @@ def test_the_reaction_is_the_sum_by_hand(pressure):
 def test_a_number_is_linear_bending_at_the_models_own_limit():
     plain, named = arm(-0.2, -0.1, -0.3), arm(*(ta.LinearBending(k) for k in (-0.2, -0.1, -0.3)))
     task = ta.Task(SHAPE, LOADS)
-    assert torch.equal(ta.evaluate(plain, task).absolute, ta.evaluate(named, task).absolute)
+    assert torch.equal(
+        ta.evaluate(plain, task, ("absolute", "relative")).absolute,
+        ta.evaluate(named, task, ("absolute", "relative")).absolute,
+    )
 
 
 def test_the_reference_pressure_scales_the_stiffness():
     task = ta.Task(SHAPE, LOADS)
     at_half = arm(ta.LinearBending(-0.1, 25.0), -0.1, ta.LinearBending(-0.15, 25.0))
     torch.testing.assert_close(
-        ta.evaluate(at_half, task).relative, ta.evaluate(arm(-0.2, -0.1, -0.3), task).relative, rtol=1e-10, atol=1e-10
+        ta.evaluate(at_half, task, ("absolute", "relative")).relative,
+        ta.evaluate(arm(-0.2, -0.1, -0.3), task, ("absolute", "relative")).relative,
+        rtol=1e-10,
+        atol=1e-10,
     )
 
 
@@ -114,7 +120,7 @@ def test_gradients_are_those_of_differences(options):
 
     def total(radii):
         design = ta.ArmDesign(radii, 0.5, MIXED.actuators)
-        found = ta.evaluate(design, task, **options)
+        found = ta.evaluate(design, task, ("absolute", "relative"), **options)
         return found.absolute.sum() + found.relative.sum()
 
     radii = MIXED.radii.clone().requires_grad_()
@@ -130,17 +136,21 @@ def test_the_order_of_actuators_does_not_matter(order):
     task = ta.Task(SHAPE, LOADS[:4])
     permuted = ta.ArmDesign(MIXED.radii[list(order)], 0.5, [MIXED.actuators[i] for i in order])
     for metric in ("absolute", "relative"):
-        one, other = (getattr(ta.evaluate(design, task), metric) for design in (MIXED, permuted))
+        one, other = (
+            getattr(ta.evaluate(design, task, ("absolute", "relative")), metric) for design in (MIXED, permuted)
+        )
         torch.testing.assert_close(one, other, rtol=1e-9, atol=1e-9)
 
 
 def test_batched_is_looped_and_float32_is_near():
     radii = torch.stack((MIXED.radii, 1.1 * MIXED.radii))
     batch, task = ta.ArmDesign(radii, 0.5, MIXED.actuators), ta.Task(SHAPE, LOADS)
-    looped = torch.stack([ta.evaluate(batch[i], task).relative for i in range(2)])
-    torch.testing.assert_close(ta.evaluate(batch, task).relative, looped, rtol=1e-12, atol=1e-12)
+    looped = torch.stack([ta.evaluate(batch[i], task, ("absolute", "relative")).relative for i in range(2)])
+    torch.testing.assert_close(
+        ta.evaluate(batch, task, ("absolute", "relative")).relative, looped, rtol=1e-12, atol=1e-12
+    )
     single = ta.ArmDesign(radii.float(), torch.tensor(0.5), MIXED.actuators)
-    near = ta.evaluate(single, ta.Task(SHAPE.float(), LOADS.float())).relative
+    near = ta.evaluate(single, ta.Task(SHAPE.float(), LOADS.float()), ("absolute", "relative")).relative
     assert near.dtype == torch.float32
     torch.testing.assert_close(near.double(), looped, rtol=1e-4, atol=2e-3)
 

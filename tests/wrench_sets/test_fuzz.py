@@ -37,7 +37,9 @@ def test_a_finite_number_and_gradient_or_a_flag(dimension, signed):
         kinds = [ta.Bellows(), ta.McKibben(), ta.McKibben(), ta.Bellows()][k % 2 :][:ACTUATORS]
         kinds += [ta.McKibben(force_scale=2.0)] * (ACTUATORS - len(kinds))
         arm = ta.ArmDesign(**across, length=length, actuators=kinds, max_pressure=limit, mass=0.2)
-        found = ta.evaluate(arm, ta.Task(twists, load=ta.ExternalLoad(tip, gravity=True)), signed=signed)
+        found = ta.evaluate(
+            arm, ta.Task(twists, load=ta.ExternalLoad(tip, gravity=True)), ("absolute", "relative"), signed=signed
+        )
         for name in ("absolute", "relative"):
             value = getattr(found, name)
             assert not value.isnan().any()

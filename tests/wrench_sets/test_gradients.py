@@ -172,7 +172,9 @@ def test_second_derivatives_are_refused_and_directional_ones_right(chunk_size):
     models = [ta.Bellows(), ta.McKibben(), ta.Bellows()]
 
     def total(radii):
-        return ta.evaluate(ta.ArmDesign(radii, 0.5, models), task, chunk_size=chunk_size).absolute.sum()
+        return ta.evaluate(
+            ta.ArmDesign(radii, 0.5, models), task, ("absolute", "relative"), chunk_size=chunk_size
+        ).absolute.sum()
 
     def room(radii):
         return ta.load_capacity(ta.ArmDesign(radii, 0.5, models), task, chunk_size=chunk_size).t_max_per_node.sum()

@@ -33,7 +33,9 @@ def scene(dimension):
 
 def evaluate(arm, twists, tip, point, **options):
     load = ta.ExternalLoad(tip, gravity=True, points=[ta.PointLoad(point, at=0.7)])
-    found = ta.evaluate(arm, ta.Task(twists, load=load, base_pose=options.pop("base_pose", None)), **options)
+    found = ta.evaluate(
+        arm, ta.Task(twists, load=load, base_pose=options.pop("base_pose", None)), ("absolute", "relative"), **options
+    )
     assert found.converged.all()
     return found
 

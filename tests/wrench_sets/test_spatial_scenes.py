@@ -84,9 +84,11 @@ def test_the_own_weight_is_that_of_many_points_along_the_arm(dimension):
         for place, weight in zip(places, weights, strict=True)
     ]
     for at in ("start", "middle"):
-        own = ta.evaluate(heavy, ta.Task(twists, load=ta.ExternalLoad(gravity=True), wrench_at=at))
+        own = ta.evaluate(
+            heavy, ta.Task(twists, load=ta.ExternalLoad(gravity=True), wrench_at=at), ("absolute", "relative")
+        )
         load = ta.ExternalLoad(gravity=True, points=points)
-        by_points = ta.evaluate(arm, ta.Task(twists, load=load, wrench_at=at))
+        by_points = ta.evaluate(arm, ta.Task(twists, load=load, wrench_at=at), ("absolute", "relative"))
         assert float(own.absolute) > 0
         # at "middle" an element's points count by the share that lies before them, its weight by its outer half
         near = 1e-9 if at == "start" else 2e-3
@@ -130,7 +132,7 @@ def test_a_planar_arm_turned_into_any_plane_of_space_gives_the_planar_values(ang
     ):
         every = ta.ExternalLoad(load, gravity=True, points=[ta.PointLoad(point, at=0.6, frame="body")])
         task = ta.Task(shape, load=every, base_pose=pose, wrench_at=wrench_at)
-        values.append(ta.evaluate(design, task))
+        values.append(ta.evaluate(design, task, ("absolute", "relative")))
     flat, found = values
     assert (flat.absolute_per_node > 0).any()
     for name in ("absolute_per_node", "relative_per_node"):
@@ -144,8 +146,10 @@ def test_the_scene_of_a_turned_plane_is_planar_but_for_its_load():
     twists = torch.zeros(10, 3, dtype=torch.float64)
     twists[:, 0], twists[:, 2] = 0.49, torch.linspace(1.2, 0.2, 10, dtype=torch.float64)
     flat = ta.evaluate(
-        ta.antagonistic_arm(), ta.Task(twists, torch.tensor([3.0, -2.0, 0.3], dtype=torch.float64), wrench_at="start")
+        ta.antagonistic_arm(),
+        ta.Task(twists, torch.tensor([3.0, -2.0, 0.3], dtype=torch.float64), wrench_at="start"),
+        ("absolute", "relative"),
     )
-    found = ta.evaluate(arm, task)
+    found = ta.evaluate(arm, task, ("absolute", "relative"))
     assert found.absolute_per_node.numpy() == pytest.approx(flat.absolute_per_node.numpy(), abs=1e-9)
     assert found.relative_per_node.numpy() == pytest.approx(flat.relative_per_node.numpy(), abs=1e-9)

@@ -95,7 +95,7 @@ def test_edges_in_the_plane_are_the_oracle_s(name):
         models["m"] = replace(models["m"], force=oracle.scaled(oracle.mckibben_force, 2.0))
     arm, scene = PAPER_ARMS[name](), paper_scene(name, loads=1, nodes=4)
     task = ta.Task(scene.leaves["twists"], scene.leaves["tip_load"], wrench_at="start")
-    found = ta.evaluate(arm, task, hull="edges", samples=3)
+    found = ta.evaluate(arm, task, ("absolute", "relative"), hull="edges", samples=3)
     own = oracle.Arm(
         *(tuple(x.tolist()) for x in (arm.radii, arm.length.expand(4), arm.max_pressure.expand(4))),
         tuple(models[kind] for kind in kinds),
@@ -144,7 +144,10 @@ def test_solvers_agree_in_the_plane(name, distance, hull):
 def test_solvers_agree_in_space(distance, hull):
     arm, task, offsets = spatial_arm_and_task(grad=True)
     reference = "gjk" if hull == "edges" else "scipy"
-    expected, found = (ta.evaluate(arm, task, hull=hull, samples=3, distance=one) for one in (reference, distance))
+    expected, found = (
+        ta.evaluate(arm, task, ("absolute", "relative"), hull=hull, samples=3, distance=one)
+        for one in (reference, distance)
+    )
     assert found.converged.all()
     assert (expected.absolute_per_node > 0).any()
     assert largest(found, expected) < 1e-5
@@ -155,10 +158,10 @@ def test_solvers_agree_in_space(distance, hull):
 @each_solver
 def test_more_samples_of_curves_close_in_on_the_exact_sets(distance):
     arm, task, _ = spatial_arm_and_task()
-    exact = ta.evaluate(arm, task)
+    exact = ta.evaluate(arm, task, ("absolute", "relative"))
     errors = []
     for samples in (3, 9, 27):
-        found = ta.evaluate(arm, task, distance=distance, samples=samples)
+        found = ta.evaluate(arm, task, ("absolute", "relative"), distance=distance, samples=samples)
         for metric in METRICS:  # sets from within
             assert (getattr(found, metric) >= getattr(exact, metric) - 1e-4).all()
         errors.append(largest(found, exact))
@@ -181,8 +184,8 @@ def test_a_planar_arm_in_space_gives_the_planar_values():
     tip = torch.tensor([6.0, -3.0, 0, 0, 0, 0.4], dtype=torch.float64)
     for options in ({"hull": "edges"}, {"hull": "edges", "distance": "scipy"}, {"distance": "scipy"}):
         flat, turned = (
-            ta.evaluate(arm, ta.Task(twists, load), **options),
-            ta.evaluate(spatial, ta.Task(wide, tip), **options),
+            ta.evaluate(arm, ta.Task(twists, load), ("absolute", "relative"), **options),
+            ta.evaluate(spatial, ta.Task(wide, tip), ("absolute", "relative"), **options),
         )
         assert largest(turned, flat) < 1e-9
 
@@ -193,7 +196,9 @@ def test_segments_gravity_and_following_loads():
     assert scenes
     for scene in scenes[:2]:
         arm, task = spatial_scenes.arm_and_task(scene)
-        expected, found = (ta.evaluate(arm, task, hull="edges", distance=one) for one in ("gjk", "scipy"))
+        expected, found = (
+            ta.evaluate(arm, task, ("absolute", "relative"), hull="edges", distance=one) for one in ("gjk", "scipy")
+        )
         assert largest(found, expected) < 1e-9
 
 
@@ -212,7 +217,9 @@ def test_gradients_are_those_of_differences(distance, hull):
 
     def total(offsets, length, limit, twists, load):
         own = ta.ArmDesign(offsets=offsets, length=length, actuators=arm.actuators, max_pressure=limit)
-        found = ta.evaluate(own, ta.Task(twists, load), hull=hull, samples=3, distance=distance)
+        found = ta.evaluate(
+            own, ta.Task(twists, load), ("absolute", "relative"), hull=hull, samples=3, distance=distance
+        )
         return found.absolute + found.relative
 
     assert torch.autograd.gradcheck(total, inputs, eps=1e-6, rtol=1e-5, atol=1e-5, fast_mode=True)
@@ -310,7 +317,7 @@ def test_edges_of_many_actuators_are_refused():
     twists = torch.tensor([[0.5, 0, 0, 0, 0, 0.0]], dtype=torch.float64)
     task = ta.Task(twists, torch.zeros(6, dtype=torch.float64))
     with pytest.raises(ValueError, match=r"^hull: .* at most 12 actuators, got 13"):
-        ta.evaluate(arm, task, hull="edges")
+        ta.evaluate(arm, task, ("absolute", "relative"), hull="edges")
 
 
 def test_without_qpth_one_line_says_so_and_the_rest_works(monkeypatch):
