@@ -74,10 +74,17 @@ class KernelLibrary(JITCodeLibrary):
                 self.add_linking_library(called)
 
     def _optimize_final_module(self) -> None:
-        """Once, without copies of loops that would be for long ones: here they run over a few actuators or elements."""
+        """Once, without copies of loops that would be for long ones: here they run over a few actuators or elements.
+
+        The kernel stays apart from what calls it from Python: that writes what the kernel takes for unchanging.
+        """
         for function in self._final_module.functions:
-            if not function.is_declaration and function.linkage.name == "linkonce_odr":
+            if function.is_declaration:
+                continue
+            if function.linkage.name == "linkonce_odr":
                 function.linkage = "internal"
+            elif function.linkage.name == "external":
+                function.add_function_attribute("noinline")
         options = create_pipeline_tuning_options(speed_level=3)
         options.loop_unrolling = options.loop_interleaving = options.loop_vectorization = options.slp_vectorization = (
             False
