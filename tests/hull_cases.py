@@ -89,7 +89,7 @@ class Scene:
         return ta.ArmDesign(radii, length, self.models, limits), ta.Task(values["twists"], values["tip_load"])
 
     def evaluate(self, changed=None, **options):
-        return ta.evaluate(*self.arm_and_task(**(changed or {})), **options)
+        return ta.evaluate(*self.arm_and_task(**(changed or {})), **{"metrics": ("absolute", "relative"), **options})
 
     def scale(self, metric, **options):
         """The largest coordinate of vertices minus required wrench, max|H - w|, (*designs, *tasks, N).

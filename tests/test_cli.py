@@ -400,7 +400,8 @@ def test_entry_point():
 @pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C is no signal there")
 def test_process_is_interrupted_by_a_signal():
     slow = (
-        "import sys, time; from torcharm import cli, study;"
+        "import signal, sys, time; from torcharm import cli, study;"
+        "signal.signal(signal.SIGINT, signal.default_int_handler);"  # which a process in the background ignores
         "study.evaluate_study = lambda plan: (print('working', flush=True), time.sleep(60));"
         "sys.argv = ['torcharm', 'evaluate']; cli.main()"
     )

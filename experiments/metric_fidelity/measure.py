@@ -134,7 +134,7 @@ def timings(tasks: int, searched: int) -> list[Timing]:
         return ta.Task(ta.affine_curvature(-3.0, 3.0, nodes=nodes), ta.sample_loads(count))
 
     batch = task(tasks)
-    found = [_timed("absolute and relative", tasks, partial(ta.evaluate, arm, batch))]
+    found = [_timed("absolute and relative", tasks, partial(ta.evaluate, arm, batch, METRICS[:2]))]
     found.append(_timed("predicted error", tasks, partial(ta.predict_error, arm, batch)))
     found.append(_timed("QP surrogate", tasks, partial(qp_surrogate, arm, batch)))
     found.append(_timed("search", searched, partial(ta.search_pressure, arm, task(searched))))
