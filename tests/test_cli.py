@@ -422,7 +422,7 @@ def test_the_table_shows_predicted_errors_in_millimetres(tmp_path):
     shown = invoke("evaluate", path, "--figure", tmp_path / "figure.png")
     assert "[mm]" in shown
     assert "worst node" not in shown
-    task = ta.Task(ta.affine_curvature(-3.0, 3.0), ta.sample_loads(4), wrench_at="middle")
+    task = ta.Task(ta.affine_curvature(-3.0, 3.0), ta.sample_loads(4))
     found = ta.evaluate(ta.bellows_arm(), task, metrics=("predicted_error",))
     assert f" {1e3 * float(np.median(found.tip_error)):.0f} " in shown
     assert (tmp_path / "figure-2.png").stat().st_size > 10_000

@@ -96,13 +96,9 @@ def test_plan_writes_the_paper_s_shape(tmp_path: Path) -> None:
     with (tmp_path / "shapes.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     twists = torch.tensor([[float(row[name]) for name in ("length_m", "shear_m", "curvature_rad")] for row in rows])
-    found = ta.evaluate(
-        ta.antagonistic_arm(0.04, 0.01, 0.51),
-        ta.Task(twists.double(), (6.0, 0.0, 0.0)),
-        ("absolute", "relative"),
-        hull="edges",
-        power=2,
-    )
+    arm = ta.antagonistic_arm(0.04, 0.01, 0.51)
+    task = ta.Task(twists.double(), (6.0, 0.0, 0.0), wrench_at="start")
+    found = ta.evaluate(arm, task, ("absolute", "relative"), hull="edges", power=2)
     assert float(found.absolute) == pytest.approx(0.2343, abs=5e-5)  # type: ignore[arg-type]
     assert answer.stdout.count("0.500") == 2, "the shortest and the longest segment"
 

@@ -151,7 +151,7 @@ def scenes_of(models, *, radii, length, limits, twists, loads, dtype):
     radii, length, limits, twists, loads = (
         torch.tensor(value, dtype=dtype) for value in (radii, length, limits, twists, loads)
     )
-    return ta.ArmDesign(radii, length, models, limits), ta.Task(twists, loads)
+    return ta.ArmDesign(radii, length, models, limits), ta.Task(twists, loads, wrench_at="start")
 
 
 def assert_finite_or_flagged(found):
@@ -203,7 +203,7 @@ def test_fuzzed_scenes_without_a_flag_are_right():
         arm, task = tame(rng, torch.float64)
         found = ta.evaluate(arm, task, ("absolute", "relative"))
         for design, index in found.in_range.nonzero()[:3].tolist():
-            own = ta.Task(task.twists[index], task.tip_load[index])
+            own = ta.Task(task.twists[index], task.tip_load[index], wrench_at=task.wrench_at)
             for metric in run.METRICS:
                 expected = reference.node_distances(arm[design], own, metric, None)
                 value = getattr(found, f"{metric}_per_node")[design, index].numpy()

@@ -1,5 +1,6 @@
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import permutations
 
 import numpy as np
@@ -21,6 +22,7 @@ from torcharm import (
 from torcharm.geometry import se2
 
 F64 = torch.float64
+wrench_at_nodes = partial(required_wrench, wrench_at="start")
 
 
 def random_task(seed, nodes, *batch):
@@ -44,7 +46,7 @@ def carried_by_adjoint(twists, load, base):
 @given(seed=st.integers(0, 10_000), nodes=st.integers(1, 12))
 def test_statics_and_the_adjoint_carry_loads_alike(seed, nodes):
     twists, load, base = random_task(seed, nodes)
-    found = required_wrench(twists, load, base)
+    found = wrench_at_nodes(twists, load, base)
     torch.testing.assert_close(found, carried_by_adjoint(twists, load, base), rtol=1e-12, atol=1e-12)
 
 
@@ -58,7 +60,7 @@ def test_the_load_does_the_work_that_the_wrenches_do(seed, nodes):
     fine = twists.detach().repeat_interleave(parts, 0)
     tip = poses(fine, base)[-1]
     at_tip = torch.cat((se2.turned(-tip[2], load[:2]), load[2:]))
-    carried = torch.cat((-required_wrench(fine, load, base), at_tip[None]))
+    carried = torch.cat((-wrench_at_nodes(fine, load, base), at_tip[None]))
     mean = ((carried[1:] + carried[:-1]) / 2).unflatten(0, (nodes, parts)).mean(1)
     # The trapezoidal rule errs by the square of the angle turned in a part, over 12.
     torch.testing.assert_close(work, mean / nodes, rtol=0, atol=(6.0 / parts) ** 2 * load.abs().max().item())
@@ -68,7 +70,7 @@ def test_the_load_does_the_work_that_the_wrenches_do(seed, nodes):
 def test_a_lateral_load_on_a_hanging_arm_gives_a_moment_that_grows_linearly_towards_the_base(nodes):
     length, force = 0.5, 3.0
     twists = torch.tensor([length, 0.0, 0.0], dtype=F64).expand(nodes, 3)
-    found = required_wrench(twists, torch.tensor([force, 0.0, 0.0], dtype=F64))
+    found = wrench_at_nodes(twists, torch.tensor([force, 0.0, 0.0], dtype=F64))
     below = length * (1 - torch.arange(nodes, dtype=F64) / nodes)  # arm hanging below each node
     # A force to the right, at the end of a lever pointing down, turns counter-clockwise; the arm's left is the right.
     expected = -torch.stack((torch.zeros(nodes, dtype=F64), torch.full((nodes,), force, dtype=F64), force * below), -1)
@@ -77,7 +79,7 @@ def test_a_lateral_load_on_a_hanging_arm_gives_a_moment_that_grows_linearly_towa
 
 def test_a_weight_on_a_hanging_arm_is_pure_tension():
     twists = torch.tensor([0.5, 0.0, 0.0], dtype=F64).expand(4, 3)
-    found = required_wrench(twists, torch.tensor([0.0, -7.0, 0.0], dtype=F64))
+    found = wrench_at_nodes(twists, torch.tensor([0.0, -7.0, 0.0], dtype=F64))
     # The load pulls along the heading, so the arm must pull back.
     torch.testing.assert_close(found, torch.tensor([-7.0, 0.0, 0.0], dtype=F64).expand(4, 3), rtol=0, atol=1e-14)
 
@@ -85,7 +87,7 @@ def test_a_weight_on_a_hanging_arm_is_pure_tension():
 @given(seed=st.integers(0, 10_000), moment=st.floats(-5, 5))
 def test_a_pure_moment_is_the_same_at_every_node_of_any_shape(seed, moment):
     twists, _, base = random_task(seed, 5)
-    found = required_wrench(twists, torch.tensor([0.0, 0.0, moment], dtype=F64), base)
+    found = wrench_at_nodes(twists, torch.tensor([0.0, 0.0, moment], dtype=F64), base)
     torch.testing.assert_close(found, torch.tensor([0.0, 0.0, -moment], dtype=F64).expand(5, 3), rtol=0, atol=1e-14)
 
 
@@ -93,7 +95,7 @@ def test_a_quarter_circle_worked_by_hand():
     # From the origin heading down, turning left (to the right of the world): the tip is at (R, -R).
     radius = 0.5 / (math.pi / 2)
     twists = torch.tensor([0.5, 0.0, math.pi / 2], dtype=F64).expand(2, 3)
-    found = required_wrench(twists, torch.tensor([0.0, -4.0, 1.0], dtype=F64))
+    found = wrench_at_nodes(twists, torch.tensor([0.0, -4.0, 1.0], dtype=F64))
     half = math.sqrt(0.5)
     # Node 1 sees the tip R to the right; node 2 sits at (R (1 - cos 45°), -R sin 45°) heading -45°.
     expected = [[-4.0, 0.0, -1.0 + 4 * radius], [-4 * half, 4 * half, -1.0 + 4 * radius * half]]
@@ -102,7 +104,7 @@ def test_a_quarter_circle_worked_by_hand():
 
 def test_nodes_are_the_starts_of_segments_and_the_tip_is_none_of_them():
     twists, load, base = random_task(3, 4)
-    found = required_wrench(twists, load, base)
+    found = wrench_at_nodes(twists, load, base)
     assert found.shape == (4, 3)
     pose = poses(twists, base)
     for node, wrench in zip(pose[:-1], found, strict=True):
@@ -125,17 +127,17 @@ def test_required_wrenches_broadcast(shapes, loads, bases, batch):
     twists, _, _ = random_task(0, 3, *shapes)
     _, load, _ = random_task(1, 3, *loads)
     _, _, base = random_task(2, 3, *bases)
-    found = required_wrench(twists, load, base)
+    found = wrench_at_nodes(twists, load, base)
     assert found.shape == (*batch, 3, 3)
     every = twists.expand(*batch, 3, 3), load.expand(*batch, 3), base.expand(*batch, 3)
     for index in np.ndindex(*batch):
-        one = required_wrench(*(value[index] for value in every))
+        one = wrench_at_nodes(*(value[index] for value in every))
         torch.testing.assert_close(found[index], one, rtol=0, atol=1e-13)
 
 
 def test_required_wrenches_are_differentiable():
     inputs = [value.requires_grad_() for value in random_task(0, 3)]
-    assert torch.autograd.gradcheck(required_wrench, inputs)
+    assert torch.autograd.gradcheck(wrench_at_nodes, inputs)
 
 
 @dataclass(frozen=True)
@@ -315,7 +317,7 @@ def test_float32_stays_float32():
     arm = ArmDesign(torch.tensor([-0.05, 0.05]), 0.5, [B, M])
     twists = torch.tensor([[0.5, 0.0, 1.0]])
     assert reaction_wrench(arm, twists, torch.tensor([10.0, 20.0])).dtype == torch.float32
-    assert required_wrench(twists, torch.ones(3)).dtype == torch.float32
+    assert wrench_at_nodes(twists, torch.ones(3)).dtype == torch.float32
 
 
 @pytest.mark.parametrize("models", [(B, B), (B, M)], ids=["alike", "mixed"])

@@ -10,8 +10,8 @@ import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
-import torcharm as ta
 from experiments.antagonism.run import ARMS, SHAPES, Hull, Result, chosen, twists_of
+from experiments.paper import paper_task, paper_wrench
 from torcharm import plot
 
 HATCHES = dict(zip(ARMS, ("", "//", ".."), strict=True))
@@ -22,7 +22,7 @@ def draw_hulls(results: Sequence[Result], loads: Tensor, path: Path | BytesIO) -
     """A row for each shape: the arms' hulls with all requirements, at one scale, and histograms."""
     figure = Figure(figsize=(21, 15.5), layout="constrained")
     for place, shape in enumerate(SHAPES):
-        task = ta.Task(twists_of(shape), loads)
+        task = paper_task(twists_of(shape), loads)
         panels: list[Any] = []
         for column, (name, build) in enumerate(ARMS.items()):
             axes: Any = figure.add_subplot(3, 4, 4 * place + column + 1, projection="3d")
@@ -49,7 +49,7 @@ def draw_why(hulls: Sequence[Hull], loads: Tensor, path: Path | BytesIO) -> None
     figure = Figure(figsize=(16, 11.5), layout="constrained")
     panels = figure.subplots(3, 3, sharex=True)
     for column, shape in enumerate(SHAPES):
-        required = ta.required_wrench(twists_of(shape), loads)[..., (0, 2)].numpy()
+        required = paper_wrench(twists_of(shape), loads)[..., (0, 2)].numpy()
         nodes = np.arange(1, required.shape[1] + 1)
         for row, quantity in enumerate(("force", "moment")):
             axes = panels[row, column]

@@ -19,6 +19,7 @@ from rich.table import Table
 from torch import Tensor
 
 import torcharm as ta
+from experiments.paper import paper_task, paper_wrench
 from experiments.rows import write_rows
 from torcharm.actuators.bending import Bending, Number
 
@@ -161,7 +162,7 @@ def twists_of(shape: tuple[float, float]) -> Tensor:
 def evaluate(loads: Tensor) -> list[Result]:
     """Every arm on every shape under every load."""
     shapes = torch.stack([twists_of(shape) for shape in SHAPES])
-    task = ta.Task(shapes.unsqueeze(1), loads)
+    task = paper_task(shapes.unsqueeze(1), loads)
     builds = ARMS | {HELD: held_arm}
     exact = {name: ta.evaluate(build(), task, ("absolute", "relative")) for name, build in builds.items()}
     paper = {name: ta.evaluate(build(), task, ("absolute",), hull="edges", samples=3) for name, build in builds.items()}
@@ -206,7 +207,7 @@ def with_first_vertices(arm: ta.ArmDesign, shapes: Tensor, loads: Tensor) -> Ten
     """
     pressure = ta.wrench_hulls(arm, shapes, hull="edges", samples=3).pressure[:, 0]  # (S, V, M)
     vertices = ta.reaction_wrench(arm, shapes.unsqueeze(1), pressure).transpose(1, 2)  # (S, N, V, 2)
-    required = ta.required_wrench(shapes.unsqueeze(1), loads)[..., (0, 2)]  # (S, L, N, 2)
+    required = paper_wrench(shapes.unsqueeze(1), loads)[..., (0, 2)]  # (S, L, N, 2)
     return ta.distance_to_hull(required, vertices.unsqueeze(1)).sum(-1)
 
 
@@ -214,7 +215,7 @@ def node_hulls(name: str, shape: tuple[float, float], loads: Tensor) -> list[Hul
     """Where each node's set lies."""
     arm, twists = ARMS[name](), twists_of(shape)
     vertices = ta.wrench_hulls(arm, twists, samples=129).vertices
-    required = ta.required_wrench(twists, loads)[..., (0, 2)].clone().requires_grad_()
+    required = paper_wrench(twists, loads)[..., (0, 2)].clone().requires_grad_()
     distance = ta.distance_to_hull(required, vertices.unsqueeze(0))
     (direction,) = torch.autograd.grad(distance.sum(), required)
     square = (distance.detach().unsqueeze(-1) * direction).square().sum(0)  # (N, 2)

@@ -24,6 +24,7 @@ from scipy.optimize import minimize, nnls
 from torch import Tensor
 
 import torcharm as ta
+from experiments.paper import paper_task, paper_wrench
 from experiments.rows import Measurement, measurements_table, write_rows
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -116,7 +117,7 @@ def validation(quick: bool) -> Iterator[Measurement]:
     """Absolute unattainability of 2 arms × 100 loads × 10 nodes, against a QP a node with SLSQP."""
     part = "validation study: 2 arms × 100 loads × 10 nodes, absolute"
     arms = (ta.antagonistic_arm(), ta.bellows_arm())
-    task = ta.Task(SHAPE, ta.sample_loads(100))
+    task = paper_task(SHAPE, ta.sample_loads(100))
     for case, settings in {"exact": {}, "edges, 3 points": {"hull": "edges", "samples": 3}}.items():
 
         def ours(settings: dict[str, Any] = settings) -> list[Tensor | None]:
@@ -127,12 +128,12 @@ def validation(quick: bool) -> Iterator[Measurement]:
     answers = ours()  # of the edges, which is what the baseline solves
 
     loads = slice(0, 2 if quick else 100)
-    shorter = ta.Task(SHAPE, task.tip_load[loads])
+    shorter = paper_task(SHAPE, task.tip_load[loads])
     elapsed, worst, worst_exact, solved = 0.0, 0.0, 0.0, 0
     for arm, answer in zip(arms, answers, strict=True):
         assert answer is not None
         vertices = ta.wrench_hulls(arm, SHAPE, hull="edges", samples=3).vertices.numpy()
-        wanted = ta.required_wrench(SHAPE, shorter.tip_load)[..., (0, 2)].numpy()
+        wanted = paper_wrench(SHAPE, shorter.tip_load)[..., (0, 2)].numpy()
         for load, wrenches in enumerate(track(wanted, "SLSQP", transient=True)):
             for node, wrench in enumerate(wrenches):
                 start = time.process_time()
@@ -201,12 +202,12 @@ def scene(
         load = load * (0.5 + torch.rand(loads, 1, generator=generator, dtype=torch.float64))
     if dimension == PLANE:
         radii = 0.16 * torch.rand(designs, actuators, generator=generator, dtype=torch.float64) - 0.08
-        return ta.ArmDesign(radii, 0.5, own), ta.Task(shape, load)
+        return ta.ArmDesign(radii, 0.5, own), paper_task(shape, load)
     radius = 0.03 + 0.03 * torch.rand(designs, 1, 1, generator=generator, dtype=torch.float64)
     twists = torch.zeros(nodes, 6, dtype=torch.float64)
     twists[:, 0], twists[:, 4], twists[:, 5] = shape[:, 0], 0.6 * shape[:, 2].flip(0), 0.8 * shape[:, 2]
     offsets = radius * ta.ring(radius=1.0, count=actuators)
-    return ta.ArmDesign(offsets=offsets, length=0.5, actuators=own), ta.Task(twists, load)
+    return ta.ArmDesign(offsets=offsets, length=0.5, actuators=own), paper_task(twists, load)
 
 
 def total(arm: ta.ArmDesign, task: ta.Task, metric: str) -> Tensor:

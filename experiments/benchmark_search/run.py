@@ -22,6 +22,7 @@ from torch import Tensor
 
 import torcharm as ta
 from experiments.benchmark_search import figures, reference
+from experiments.paper import paper_equilibrium, paper_task
 from experiments.rows import Measurement as Row
 from experiments.rows import measurements_table, read_rows, write_rows
 
@@ -98,7 +99,7 @@ def hard_points(quick: bool, _: figures.Pictures) -> Iterator[Row]:
             pressure, loads = hard_pressures(arm), ta.sample_loads(100, (20, 20, moment))
             if quick:
                 pressure, loads = pressure[::9], loads[::20]
-            found = ta.solve_equilibrium(arm, pressure[:, None], loads)
+            found = paper_equilibrium(arm, pressure[:, None], loads)
             case = f"{name}, M0 = {moment:g}"
             yield Row(part, case, "equilibria", found.converged.numel())
             yield Row(
@@ -170,7 +171,7 @@ def speed(quick: bool, _: figures.Pictures) -> Iterator[Row]:
             times = []
             for _repeat in range(2 if quick else 6):
                 begun = time.perf_counter()
-                found = ta.solve_equilibrium(arm, pressure, loads)
+                found = paper_equilibrium(arm, pressure, loads)
                 times.append(time.perf_counter() - begun)
             rate = batch / float(np.median(times[1:]))  # the first may compile
             case = f"{name}, batch {batch:,}"
@@ -217,7 +218,7 @@ def extremes(quick: bool, _: figures.Pictures) -> Iterator[Row]:
     scenes["muscles only"] = (ta.mckibben_arm(), share * 100, loads, {})
     scenes["muscles only, to 5 kPa: kinks"] = (ta.mckibben_arm(), share * 5, loads, {})
     for name, (design, pressure, load, options) in scenes.items():
-        found = ta.solve_equilibrium(design, pressure, load, **options)  # type: ignore[arg-type]
+        found = paper_equilibrium(design, pressure, load, **options)  # type: ignore[arg-type]
         good, size = found.converged, len(pressure)
         assert bool((found.residual[good] <= 1e-10).all())
         yield Row(part, name, "converged", 100 * float(good.double().mean()), "%")
@@ -230,7 +231,7 @@ def extremes(quick: bool, _: figures.Pictures) -> Iterator[Row]:
 
 
 def validation(name: str, count: int) -> tuple[ta.ArmDesign, ta.Task]:
-    return ARMS[name], ta.Task(SHAPE, ta.sample_loads(100)[:count])
+    return ARMS[name], paper_task(SHAPE, ta.sample_loads(100)[:count])
 
 
 def searches(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
@@ -253,7 +254,7 @@ def searches(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
         yield Row(part, name, "first-order optimality above 1e-4", flat, f"of {count}")
         yield Row(part, name, "median cost", float(found.cost.median()), "m²")
         for method in methods:
-            sub = ta.Task(SHAPE, task.tip_load[:few])
+            sub = paper_task(SHAPE, task.tip_load[:few])
             begun = time.perf_counter()
             tried = ta.search_pressure(arm, sub, "scipy", scipy_method=method, progress=False)
             case = f"{name}, scipy {method}, {few} tasks"
@@ -264,7 +265,7 @@ def searches(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
             for loads in task.tip_load[:some].split(TURN):
                 begun = time.perf_counter()
                 theirs = ta.search_pressure(
-                    arm, ta.Task(SHAPE, loads), "scipy", scipy_method=method, starts=multi, progress=False
+                    arm, paper_task(SHAPE, loads), "scipy", scipy_method=method, starts=multi, progress=False
                 )
                 slow += (time.perf_counter() - begun) / some
                 costs.append(theirs.cost)
@@ -294,7 +295,7 @@ def searches(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
 def compile_for(arm: ta.ArmDesign) -> float:
     """Seconds of a first search: whatever the number of tasks, later ones run the same code."""
     begun = time.perf_counter()
-    ta.search_pressure(arm, ta.Task(SHAPE, ta.sample_loads(20)))
+    ta.search_pressure(arm, paper_task(SHAPE, ta.sample_loads(20)))
     return time.perf_counter() - begun
 
 
@@ -315,8 +316,8 @@ def large(quick: bool, _: figures.Pictures) -> Iterator[Row]:
     count = 4 if quick else 1000
     part = f"search of {count:,} tasks at once, against scipy SLSQP in the same run"
     for name, arm in ARMS.items():
-        task = ta.Task(SHAPE, ta.sample_loads(count, seed=7))
-        sub = ta.Task(SHAPE, task.tip_load[: 1 if quick else 10])
+        task = paper_task(SHAPE, ta.sample_loads(count, seed=7))
+        sub = paper_task(SHAPE, task.tip_load[: 1 if quick else 10])
         begun = time.perf_counter()
         theirs = ta.search_pressure(arm, sub, "scipy", scipy_method="SLSQP")
         slow = (time.perf_counter() - begun) / len(theirs.cost)

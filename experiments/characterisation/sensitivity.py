@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 import torcharm as ta
+from experiments.paper import paper_task
 
 SHAPE = ta.affine_curvature(-3.0, 3.0, length=0.5, nodes=10)
 """The validation study's; it squeezes an outer bellows by 48 %, characterised to 17 %."""
@@ -20,7 +21,7 @@ def validation(model: ta.Actuator, loads: int = 100, shape: Tensor = SHAPE) -> d
     """Unattainability (loads) of both arms on a shape by both metrics, with this model for their bellows."""
     muscle = ta.McKibben()
     kinds = {"antagonistic": (model, muscle, muscle, model), "bellows-only": (model,) * 4}
-    task = ta.Task(shape, ta.sample_loads(100)[:loads])
+    task = paper_task(shape, ta.sample_loads(100)[:loads])
     found = {}
     for name in ARMS:
         result = ta.evaluate(ta.ArmDesign([-0.08, -0.015, 0.015, 0.08], 0.5, kinds[name]), task, METRICS)

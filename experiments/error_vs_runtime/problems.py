@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 import torcharm as ta
+from experiments.paper import paper_task
 from torcharm.statics.cross_section import CrossSections
 from torcharm.wrench_sets.design_task_grid import design_task_grid
 from torcharm.wrench_sets.distance import find_nearest
@@ -69,7 +70,7 @@ def problems(space: str) -> Problems:
     load = rng.uniform(-10, 10, (TASKS, shape[-1]))
     load[:, shape[-1] // 2 + flat :] *= 0.25
     radii, length = torch.from_numpy(places), torch.from_numpy(rng.uniform(0.45, 0.55, (DESIGNS, 1)))
-    return Problems(radii, length, ta.Task(torch.from_numpy(twists), torch.from_numpy(load)))
+    return Problems(radii, length, paper_task(torch.from_numpy(twists), torch.from_numpy(load)))
 
 
 @cache

@@ -16,6 +16,7 @@ from rich.console import Console
 import torcharm as ta
 from experiments.error_vs_runtime import figure
 from experiments.error_vs_runtime.problems import DESIGNS, METRICS, NODES, SPACES, TASKS, problems, reference
+from experiments.paper import paper_task
 
 HERE = Path(__file__).parent
 START, END = "<!-- table: written by the script -->", "<!-- end of table -->"
@@ -71,7 +72,7 @@ def methods() -> list[Method]:
 def measured(space: str, metric: str, method: Method) -> Row:
     """Time and errors of a method."""
     given = problems(space)
-    task = ta.Task(given.task.twists[: method.tasks], given.task.tip_load[: method.tasks])
+    task = paper_task(given.task.twists[: method.tasks], given.task.tip_load[: method.tasks])
 
     def ask(radii: torch.Tensor) -> ta.Attainability:
         return ta.evaluate(given.arm(radii), task, (metric,), **method.options)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 
 import torcharm as ta
+from experiments.paper import paper_task
 
 SHAPES = (((-3.0, 3.0), 2.0), ((1.0, 1.5), 2.0), ((6.0, -1.5), 5.0), ((-1.0, 1.0), 5.0))
 """The paper's three, and (-1, 1): slope and intercept of the curvature, and M0, twice the largest moment [N·m]."""
@@ -37,7 +38,7 @@ class Case:
     @property
     def task(self) -> ta.Task:
         loads = ta.sample_loads(self.loads, (20.0, 20.0, self.moment))
-        return ta.Task(ta.affine_curvature(*self.shape, length=self.length), loads)
+        return paper_task(ta.affine_curvature(*self.shape, length=self.length), loads)
 
 
 def case_name(arm: str, shape: tuple[float, float], moment: float) -> str:

@@ -15,6 +15,7 @@ from scipy.stats import spearmanr
 import torcharm as ta
 from experiments.metric_fidelity.cases import Case, case_name, many_actuators
 from experiments.metric_fidelity.surrogate import qp_surrogate
+from experiments.paper import paper_equilibrium, paper_task
 
 Column = npt.NDArray[np.float64]
 AGREE = 1.01
@@ -72,8 +73,8 @@ def measure(case: Case, known: Searched | None = None) -> Found:
 
 def _ends(arm: ta.ArmDesign, task: ta.Task, found: ta.PredictedError) -> tuple[torch.Tensor, torch.Tensor]:
     """Whether the shapes predicted are equilibria, and whether continuation from zero load reaches them."""
-    held = ta.solve_equilibrium(arm, found.pressure, task.tip_load, start=found.twists)
-    reached = ta.solve_equilibrium(arm, found.pressure, task.tip_load)
+    held = paper_equilibrium(arm, found.pressure, task.tip_load, start=found.twists)
+    reached = paper_equilibrium(arm, found.pressure, task.tip_load)
     near = [(end.twists - found.twists).abs().flatten(1).amax(-1) < 1e-3 for end in (held, reached)]
     return near[0] & held.converged, near[1] & reached.converged
 
@@ -131,7 +132,7 @@ def timings(tasks: int, searched: int) -> list[Timing]:
     arm = ta.antagonistic_arm()
 
     def task(count: int, nodes: int = 10) -> ta.Task:
-        return ta.Task(ta.affine_curvature(-3.0, 3.0, nodes=nodes), ta.sample_loads(count))
+        return paper_task(ta.affine_curvature(-3.0, 3.0, nodes=nodes), ta.sample_loads(count))
 
     batch = task(tasks)
     found = [_timed("absolute and relative", tasks, partial(ta.evaluate, arm, batch, METRICS[:2]))]

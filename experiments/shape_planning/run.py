@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 import torcharm as ta
+from experiments.paper import paper_task
 from experiments.rows import write_rows
 from experiments.shape_planning import figure
 from torcharm.design.shape_planning import PAPER_SHAPES
@@ -80,7 +81,7 @@ def main() -> None:
     metrics, answers = [], []
     for force in QUICK_LOADS if options.quick else LOADS:
         for number, shape in shapes.items():
-            task = ta.Task(shape.twists, [force, 0.0, 0.0])
+            task = paper_task(shape.twists, [force, 0.0, 0.0])
             metrics += hull_metrics(arm, task, number, force)
             answers.append(reach(arm, task, number, force, shape.tip_error))
     rows = [answer.row for answer in answers]

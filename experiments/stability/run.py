@@ -20,6 +20,7 @@ from rich.table import Table
 from torch import Tensor
 
 import torcharm as ta
+from experiments.paper import paper_task
 from experiments.rows import write_rows
 from experiments.stability import reference
 from experiments.stability.reference import Array, Derivative, Distances, Real
@@ -360,7 +361,7 @@ def float32_errors() -> dict[str, dict[str, float]]:
     task's sum over nodes, and of one node.
     """
     shape, study = ta.affine_curvature(-3.0, 3.0, length=0.5, nodes=10), ta.sample_loads(100)
-    task = ta.Task(shape, study)
+    task = paper_task(shape, study)
     found = {}
     for name, arm in {"antagonistic": ta.antagonistic_arm(), "bellows-only": ta.bellows_arm()}.items():
         single = ta.ArmDesign(arm.radii.float(), arm.length.float(), arm.actuators, arm.max_pressure.float())

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 import torcharm as ta
+from experiments.paper import paper_task
 from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS
 
 Array = NDArray[np.float64]
@@ -89,7 +90,7 @@ def arm_scene(
 
     def build() -> tuple[ta.ArmDesign, ta.Task]:
         arm = ta.ArmDesign(_double(radii), _double(length), actuators, None if limit is None else _double(limit))
-        return arm, ta.Task(ta.affine_curvature(slope, start, length=along, nodes=nodes), _double(load))
+        return arm, paper_task(ta.affine_curvature(slope, start, length=along, nodes=nodes), _double(load))
 
     return ArmScene(group, name, build)
 

@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 import torcharm as ta
+from experiments.paper import paper_task
 from experiments.rows import write_rows
 from torcharm.design import optimise_design
 
@@ -57,7 +58,7 @@ def draw(seed: int) -> tuple[ta.ArmDesign, ta.Task]:
     models = [drawn.choice((ta.Bellows(), ta.McKibben())) for _ in range(count)]
     slope, intercept, length = drawn.uniform(-1.5, 1.5), drawn.uniform(-1.5, 1.5), drawn.uniform(0.45, 0.56)
     load = [drawn.uniform(-most, most) for most in (6.0, 6.0, 0.6)]
-    return ta.ArmDesign(radii, 0.5, models), ta.Task(ta.affine_curvature(slope, intercept, length, NODES), load)
+    return ta.ArmDesign(radii, 0.5, models), paper_task(ta.affine_curvature(slope, intercept, length, NODES), load)
 
 
 def rows(seeds: Sequence[int]) -> Iterator[Row]:

@@ -18,6 +18,7 @@ from rich.table import Table
 from torch import Tensor
 
 import torcharm as ta
+from experiments.paper import paper_equilibrium, paper_task, paper_wrench
 from experiments.rows import read_rows, write_rows
 
 HERE = Path(__file__).parent
@@ -105,10 +106,10 @@ def draw_tasks(generator: torch.Generator, arm: ta.ArmDesign) -> tuple[ta.Task, 
         for a, b, c in zip(slope, intercept, length, strict=True)
     ]
     pressure = arm.max_pressure * uniform(generator, 0.0, 1.0, EACH, arm.actuator_count)
-    made = ta.solve_equilibrium(arm, pressure, loads, NODES)
+    made = paper_equilibrium(arm, pressure, loads, NODES)
     kept = made.converged & (torch.arange(EACH) % 2 == 1)
     twists = torch.where(kept[:, None, None], made.twists, torch.stack(drawn))
-    return ta.Task(twists, loads), ["equilibrium" if one else "drawn" for one in kept.tolist()]
+    return paper_task(twists, loads), ["equilibrium" if one else "drawn" for one in kept.tolist()]
 
 
 # ---- predictions --------------------------------------------------------------------------
@@ -126,7 +127,7 @@ def predictions(total: int, console: Console) -> Iterator[Row]:
         wanted = [index for index in range(EACH) if float(claimed[index]) < BELOW and not flags[index]]
         searched = torch.full_like(claimed, math.nan)
         if wanted:
-            again = ta.Task(task.twists[wanted], task.tip_load[wanted])
+            again = paper_task(task.twists[wanted], task.tip_load[wanted])
             searched[wanted] = ta.search_pressure(arm, again).shape_error
         for index, values in enumerate(zip(claimed.tolist(), searched.tolist(), strict=True)):
             confirmed = index not in wanted or abs(values[0] - values[1]) <= WITHIN
@@ -161,7 +162,7 @@ def snapped(total: int) -> Iterator[Row]:
         arm, kinds = draw_arm(generator, 1 + seed % 4)
         pressure = arm.max_pressure * uniform(generator, 0.0, 1.0, LOADED, arm.actuator_count)
         loads = draw_loads(generator, LOADED)
-        found = ta.solve_equilibrium(arm, pressure, loads, NODES)
+        found = paper_equilibrium(arm, pressure, loads, NODES)
         at_rest = (found.residual <= 1e-10) & ~found.continued
         for index in at_rest.nonzero().flatten().tolist()[:left]:
             flag = "" if bool(found.stable[index]) else "not stable"
@@ -178,7 +179,7 @@ def largest_real_part(arm: ta.ArmDesign, twists: Tensor, pressure: Tensor, load:
     def balance(unknowns: Tensor) -> Tensor:
         length, curvature = unknowns.view(-1, 2).unbind(-1)
         shape = torch.stack((length, torch.zeros_like(length), curvature), -1)
-        return (ta.reaction_wrench(arm, shape, pressure) - ta.required_wrench(shape, load)[..., [0, 2]]).flatten()
+        return (ta.reaction_wrench(arm, shape, pressure) - paper_wrench(shape, load)[..., [0, 2]]).flatten()
 
     jacobian = torch.autograd.functional.jacobian(balance, twists[:, [0, 2]].flatten())
     return float(torch.linalg.eigvals(jacobian).real.max()) if bool(jacobian.isfinite().all()) else math.nan
@@ -219,10 +220,10 @@ def unconfirmed_table(rows: list[Row]) -> Table:
         index, generator = place % EACH, torch.Generator().manual_seed(row.seed)
         arm, _ = draw_arm(generator, 1 + row.seed % 4)
         task, _ = draw_tasks(generator, arm)
-        task = ta.Task(task.twists[index], task.tip_load[index])
+        task = paper_task(task.twists[index], task.tip_load[index])
         found = ta.predict_error(arm, task)
         search = ta.search_pressure(arm, task)
-        loaded = ta.solve_equilibrium(arm, found.pressure, task.tip_load, NODES)
+        loaded = paper_equilibrium(arm, found.pressure, task.tip_load, NODES)
         gap = (loaded.poses - ta.poses(task.twists))[:, :2].norm(dim=-1).max()
         gap = gap if bool(loaded.continued & loaded.stable) else gap * math.nan
         flags = (str(bool(search.converged)), str(bool(found.in_range)))

@@ -17,6 +17,7 @@ from scipy.stats import spearmanr
 from torch import Tensor
 
 import torcharm as ta
+from experiments.paper import paper_task
 from experiments.rows import write_rows
 from experiments.validation import figure
 
@@ -87,7 +88,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="a smoke run: few loads, no file written")
     options = parser.parse_args()
     console = Console()
-    task = ta.Task(SHAPE, ta.sample_loads(QUICK_LOADS if options.quick else LOADS))
+    task = paper_task(SHAPE, ta.sample_loads(QUICK_LOADS if options.quick else LOADS))
     answers, summary = measure(task, QUICK_BASELINE_LOADS if options.quick else BASELINE_LOADS)
     for one in answers:
         summary += claim(one)
@@ -106,7 +107,7 @@ def measure(task: ta.Task, baseline_loads: int) -> tuple[list[Answers], list[Fig
     """All answers, and how long each took: hulls, prediction and search side by side in one run."""
     arms = {name: make() for name, make in ARMS.items()}
     ta.evaluate(arms["antagonistic"], task, ("absolute", "relative"))  # loads and warms what is loaded late
-    ta.search_pressure(arms["antagonistic"], ta.Task(SHAPE, task.tip_load[:1]))
+    ta.search_pressure(arms["antagonistic"], paper_task(SHAPE, task.tip_load[:1]))
     spent: dict[str, float] = {}
     count = len(arms) * len(task.tip_load)
 
@@ -119,7 +120,7 @@ def measure(task: ta.Task, baseline_loads: int) -> tuple[list[Answers], list[Fig
     hulls = timed("hulls, absolute and relative", lambda arm: ta.evaluate(arm, task, ("absolute", "relative")))
     predicted = timed("predicted error", lambda arm: ta.evaluate(arm, task, metrics=("predicted_error",)))
     searched = timed("search, multistart", lambda arm: ta.search_pressure(arm, task))
-    few = ta.Task(SHAPE, task.tip_load[:baseline_loads])
+    few = paper_task(SHAPE, task.tip_load[:baseline_loads])
     baseline = timed("search, scipy", lambda arm: ta.search_pressure(arm, few, method="scipy", progress=True))
     spent["search, scipy"] *= count / (len(arms) * baseline_loads)
     answers = [

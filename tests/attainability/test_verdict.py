@@ -18,7 +18,7 @@ LOADS = ta.sample_loads(12, (4.0, 4.0, 0.4))
 
 @pytest.fixture(scope="module")
 def found():
-    return ta.evaluate(ARM, ta.Task(BENT, LOADS, wrench_at="middle"))
+    return ta.evaluate(ARM, ta.Task(BENT, LOADS))
 
 
 def test_held_is_within_all_tolerances_and_sure(found):
@@ -170,9 +170,7 @@ def test_errors_do_not_grow_with_the_number_of_nodes():
     """The tip's and the shape's errors are those of the arm, not of its discretisation; the paper's sum grows."""
     arm, load = ta.antagonistic_arm(), torch.tensor([0.0, 1.0, 0.2], dtype=D)
     found = [
-        ta.evaluate(
-            arm, ta.Task(ta.affine_curvature(0.0, 2.5, nodes=nodes), load, wrench_at="middle"), "predicted_error"
-        )
+        ta.evaluate(arm, ta.Task(ta.affine_curvature(0.0, 2.5, nodes=nodes), load), "predicted_error")
         for nodes in (10, 20, 40)
     ]
     tips = torch.stack([one.tip_error for one in found])

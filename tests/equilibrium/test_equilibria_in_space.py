@@ -68,7 +68,9 @@ def test_agrees_with_scipy_on_an_independent_statics(scene):
     arm, task = arm_and_task(scene)
     pressure = np.concatenate([[0.3 * LIMIT[kind] for kind in segment.kinds] for segment in scene.segments])
     pressure *= np.linspace(0.8, 1.2, len(pressure))
-    found = ta.solve_equilibrium(arm, pressure, task.load, task.segment_nodes, base_pose=task.base_pose)
+    found = ta.solve_equilibrium(
+        arm, pressure, task.load, task.segment_nodes, base_pose=task.base_pose, wrench_at=task.wrench_at
+    )
     assert found.status == "converged"
     ours = found.twists.numpy()[:, rows(scene)].ravel()
     nudged = ours * (1 + 1e-4 * np.sin(np.arange(len(ours))))
@@ -157,7 +159,7 @@ def test_moment_torsion_and_force_wind_a_helix(stiffness):
     for nodes in (20, 40):
         end = ta.poses(strains.expand(nodes, 6))[-1]
         tip = se3.turn_wrench(end, torch.cat((force, moment)).unsqueeze(0))[0]
-        found = ta.solve_equilibrium(arm, [0.0], tip, nodes, wrench_at="middle")
+        found = ta.solve_equilibrium(arm, [0.0], tip, nodes)
         errors.append(float((found.poses[-1, :3, 3] - end[:3, 3]).norm()))
     assert max(errors) < 1e-8  # exact: the strains are even, and so is the balance
 
@@ -240,7 +242,7 @@ def test_gradients_by_finite_differences():
         upper = ta.ArmDesign(offsets=second.offsets, length=length, actuators=second.actuators, torsion_stiffness=0.2)
         whole = ta.series([lower, ta.RigidLink(pose=se3.exp(link), mass=0.1), upper])
         load = ta.ExternalLoad(tip, True, [ta.PointLoad([0.0, 0.4, 0.1, 0.02, 0.0, 0.0], at=0.37, frame="body")])
-        found = ta.solve_equilibrium(whole, pressure, load, [2, 2], wrench_at="middle", tolerance=1e-12)
+        found = ta.solve_equilibrium(whole, pressure, load, [2, 2], tolerance=1e-12)
         assert found.converged
         return found.twists
 

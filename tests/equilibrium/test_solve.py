@@ -27,7 +27,7 @@ def double(values):
 def balance(arm, twists, pressure, load, shear=None):
     """R (..., N, C) at twists, in torch."""
     whole, nodes = ta.ExternalLoad(double(load)), (twists.shape[-2],)
-    return balance_residual(arm, twists, double(pressure), whole, double(BASE_POSE), nodes, "start", shear)
+    return balance_residual(arm, twists, double(pressure), whole, double(BASE_POSE), nodes, "middle", shear)
 
 
 def hard_pressures(arm):
@@ -61,7 +61,7 @@ def test_hard_points_converge_or_are_flagged(name, moment):
 def test_agrees_with_scipy_on_all_equations_and_by_shooting(name):
     arm, other = ARMS[name]
     pressure, loads = hard_pressures(arm)[::13], ta.sample_loads(100, (20, 20, 5))[3::31]
-    found = ta.solve_equilibrium(arm, pressure[:, None], loads)
+    found = ta.solve_equilibrium(arm, pressure[:, None], loads, wrench_at="start")
     compared = 0
     for i, p in enumerate(pressure.numpy()):
         for j, load in enumerate(loads.numpy()):
@@ -84,7 +84,7 @@ def test_agrees_with_scipy_on_all_equations_and_by_shooting(name):
 def test_is_the_branch_that_small_steps_of_the_load_follow(name):
     arm, other = ARMS[name]
     pressure, load = double([20.0, 5.0, 10.0, 10.0]), double([3.0, -4.0, 0.3])
-    found = ta.solve_equilibrium(arm, pressure, load)
+    found = ta.solve_equilibrium(arm, pressure, load, wrench_at="start")
     assert found.continued
     theirs = reference.continue_all(other, pressure.numpy(), load.numpy(), 10)
     np.testing.assert_allclose(theirs, np.concatenate(found.twists[:, ::2].numpy().T), rtol=0, atol=1e-8)
@@ -125,21 +125,20 @@ def test_small_loads_move_the_tip_by_the_linear_compliance():
     torch.testing.assert_close(slope, compliance, rtol=1e-5, atol=1e-8)
 
 
-def test_refinement_converges_at_first_order_and_a_midpoint_rule_would_at_second():
-    """Wrenches are taken at the start of a segment, as the paper does."""
+@pytest.mark.parametrize(("wrench_at", "order"), [("start", 1), ("middle", 2)])
+def test_refinement_converges_at_its_order_to_what_scipy_finds(wrench_at, order):
     arm, pressure, load = ta.antagonistic_arm(), double([20.0, 30.0, 20.0, 25.0]), double([2.0, -3.0, 0.1])
-    tips, middles = [], []
+    tips = []
     for nodes in (5, 10, 20, 40):
-        found = ta.solve_equilibrium(arm, pressure, load, nodes)
+        found = ta.solve_equilibrium(arm, pressure, load, nodes, wrench_at=wrench_at)
         tips.append(found.poses[-1].numpy())
-        start = np.concatenate(found.twists[:, ::2].numpy().T)
-        given = (reference.ANTAGONISTIC, pressure.numpy(), load.numpy(), True)
+        start = np.concatenate(found.twists[:, ::2].numpy().T) * 1.001
+        given = (reference.ANTAGONISTIC, pressure.numpy(), load.numpy(), wrench_at == "middle")
         answer = root(reference.imbalance, start, given, options={"xtol": 1e-13})
         assert np.abs(answer.fun).max() < 1e-9
-        middles.append(reference.march(*np.split(answer.x, 2))[-1])
-    for values, order in ((tips, 1), (middles, 2)):
-        gaps = np.linalg.norm(np.diff(values, axis=0), axis=1)
-        np.testing.assert_allclose(np.log2(gaps[:-1] / gaps[1:]), order, atol=0.2)
+        np.testing.assert_allclose(reference.march(*np.split(answer.x, 2))[-1], tips[-1], rtol=0, atol=1e-8)
+    gaps = np.linalg.norm(np.diff(tips, axis=0), axis=1)
+    np.testing.assert_allclose(np.log2(gaps[:-1] / gaps[1:]), order, atol=0.2)
 
 
 def test_finite_shear_gives_way_to_the_load_and_vanishes_when_stiff():

@@ -56,7 +56,7 @@ def test_the_number_of_nodes_does_not_change_what_a_designer_reads():
     few, many = (
         ta.predict_error(
             ta.bellows_arm(),
-            ta.Task(ta.affine_curvature(-3.0, 3.0, nodes=nodes), ta.sample_loads(5, (4, 4, 1)), wrench_at="middle"),
+            ta.Task(ta.affine_curvature(-3.0, 3.0, nodes=nodes), ta.sample_loads(5, (4, 4, 1))),
         )
         for nodes in (20, 40)
     )
@@ -135,7 +135,7 @@ def test_gradients_in_space_are_those_of_the_minimum():
 
     def cost(offsets, twists):
         arm = ta.ArmDesign(offsets=offsets, length=0.42, actuators=ta.Bellows(), mass=0.3)
-        return ta.predict_error(arm, ta.Task(twists, load=load, wrench_at="middle"))
+        return ta.predict_error(arm, ta.Task(twists, load=load))
 
     leaf, shape = offsets.clone().requires_grad_(), twists.clone().requires_grad_()
     found = cost(leaf, shape)

@@ -19,7 +19,8 @@ def test_what_is_found_is_what_loading_reaches(name):
     found = ta.search_pressure(arm, task)
     assert bool(found.stable.all())
     assert float(found.converged.double().mean()) > 0.4
-    loaded = ta.solve_equilibrium(arm, found.pressure, task.tip_load)
+    # one arm is so near to where it snaps that twists move by 50,000 times what is left of the balance
+    loaded = ta.solve_equilibrium(arm, found.pressure, task.tip_load, tolerance=1e-12)
     assert bool((loaded.continued == found.continued).all())
     torch.testing.assert_close(loaded.twists, found.twists, rtol=0, atol=1e-7)
     gap = ta.poses(task.twists) - loaded.poses
@@ -64,11 +65,11 @@ def test_no_converged_search_of_two_actuators_is_worse_than_a_grid(kinds):
 )
 def test_along_a_boundary_no_seed_does_worse_than_scipy(name, load, cost_of_scipy):
     arm = ARMS[name]()
-    task = ta.Task(ta.affine_curvature(-3.0, 3.0), ta.sample_loads(100)[load])
+    task = ta.Task(ta.affine_curvature(-3.0, 3.0), ta.sample_loads(100)[load], wrench_at="start")
     for seed in range(8):
         found = ta.search_pressure(arm, task, seed=seed)
         assert float(found.cost) <= cost_of_scipy, seed
-        loaded = ta.solve_equilibrium(arm, found.pressure, task.tip_load)
+        loaded = ta.solve_equilibrium(arm, found.pressure, task.tip_load, wrench_at="start")
         torch.testing.assert_close(loaded.twists, found.twists, rtol=0, atol=1e-7)
 
 

@@ -42,7 +42,7 @@ def test_scipy_finds_nothing_closer(make):
 def test_in_space_a_pressure_that_holds_the_shape_is_found():
     arm = ta.ArmDesign(offsets=ta.ring(0.05, 3), length=0.4, actuators=ta.Bellows(), mass=0.3)
     load = ta.ExternalLoad(torch.tensor([0.3, 0.5, 0.2, 0.0, 0.0, 0.0]).double(), gravity=True)
-    held = ta.solve_equilibrium(arm, [10.0, 25.0, 5.0], load, 6, wrench_at="middle")
+    held = ta.solve_equilibrium(arm, [10.0, 25.0, 5.0], load, 6)
     assert bool(held.converged)
-    found = ta.fit_pressure(arm, ta.Task(held.twists, load=load, wrench_at="middle"))
+    found = ta.fit_pressure(arm, ta.Task(held.twists, load=load))
     assert float(found.distance) < 1e-7

@@ -98,7 +98,8 @@ def test_plain_statics_and_the_adjoint_form_agree(group):
     twists, tip, at_node = shape_of(group), random(group, seed=1), random(group, seed=2)
     base, link = group.exp(random(group, seed=3)), group.exp(random(group, seed=4))
     load = ta.ExternalLoad(tip, points=[ta.PointLoad(at_node, 0, 0.5, "body"), ta.PointLoad(at_node, 1, 1 / 3)])
-    found = required_wrench(twists, load, base, segment_nodes=COUNTS, links=[ta.RigidLink(pose=link), None])
+    links = [ta.RigidLink(pose=link), None]
+    found = required_wrench(twists, load, base, wrench_at="start", segment_nodes=COUNTS, links=links)
     step = group.exp(twists / tensor(4, 4, 4, 4, 3, 3, 3).unsqueeze(-1))
     pose = rod.poses(twists, base, segment_nodes=COUNTS, links=[link, None])
     felt, expected = group.turn_wrench_back(pose[7], tip), []
@@ -154,7 +155,6 @@ def test_the_wrenches_do_the_work_of_the_potential_energy(group):
         wrench = required_wrench(
             torch.from_numpy(twists[:, axes]).repeat_interleave(parts, 0),
             load,
-            wrench_at="middle",
             segment_nodes=(2 * parts, parts),
             mass=[0.5, 0.2],
             links=[ta.RigidLink(pose=pose), None],
@@ -171,12 +171,12 @@ def test_the_mean_over_an_element_is_exact_for_stretch(at):
     for nodes in (1, 2, 3, 7, 10):
         twists = tensor(0.4, 0.0, 0.0).expand(nodes, 3)
         point = ta.ExternalLoad(points=ta.PointLoad([0.0, -2.0, 0.0], at=at))
-        found = required_wrench(twists, point, wrench_at="middle")[:, 0].mean().item()
+        found = required_wrench(twists, point)[:, 0].mean().item()
         assert found == pytest.approx(-2.0 * at, abs=1e-14)
         weight = ta.ExternalLoad(gravity=True)
-        found = required_wrench(twists, weight, wrench_at="middle", mass=0.5)[:, 0].mean().item()
-        assert found == pytest.approx(-0.5 * 9.81 / 2, abs=1e-14)
         found = required_wrench(twists, weight, mass=0.5)[:, 0].mean().item()
+        assert found == pytest.approx(-0.5 * 9.81 / 2, abs=1e-14)
+        found = required_wrench(twists, weight, wrench_at="start", mass=0.5)[:, 0].mean().item()
         assert found == pytest.approx(-0.5 * 9.81 / 2 * (1 + 1 / nodes), abs=1e-14)
 
 
@@ -338,7 +338,7 @@ def test_a_payload_weighs_as_a_force_and_only_then(group, wrench_at):
 def test_a_load_is_carried_by_the_elements_before_it(group, segment, at, first, last):
     """At "start": on a node it is carried by those before the node, inside of an element by that one, too."""
     load = ta.ExternalLoad(points=ta.PointLoad(random(group, seed=1), segment, at))
-    found = required_wrench(shape_of(group), load, segment_nodes=COUNTS)
+    found = required_wrench(shape_of(group), load, wrench_at="start", segment_nodes=COUNTS)
     carries = (found != 0).any(-1).tolist()
     assert carries == [first <= node < last for node in range(7)]
 
@@ -348,7 +348,8 @@ def test_places_that_are_nodes_but_for_rounding_are_nodes():
     for nodes in (10, 30, 100):
         for k in range(1, nodes):
             load = ta.ExternalLoad(points=ta.PointLoad([1.0, 0.0, 0.0], at=k / nodes))
-            assert (required_wrench(tensor(0.5, 0.0, 0.0).expand(nodes, 3), load) != 0).any(-1).sum() == k
+            found = required_wrench(tensor(0.5, 0.0, 0.0).expand(nodes, 3), load, wrench_at="start")
+            assert (found != 0).any(-1).sum() == k
 
 
 @PLACES
@@ -369,15 +370,15 @@ def test_wrenches_change_smoothly_as_a_load_moves_across_a_node(group, wrench_at
 def test_the_middles_wrench_is_the_starts_of_half_elements(group):
     """For a tip load the middle of an element is the start of its second half."""
     twists, tip = shape_of(group), random(group, seed=1)
-    halves = required_wrench(twists.repeat_interleave(2, 0), tip)
-    torch.testing.assert_close(required_wrench(twists, tip, wrench_at="middle"), halves[1::2], rtol=0, atol=1e-14)
+    halves = required_wrench(twists.repeat_interleave(2, 0), tip, wrench_at="start")
+    torch.testing.assert_close(required_wrench(twists, tip), halves[1::2], rtol=0, atol=1e-14)
 
 
 @GROUPS
 def test_the_middle_carries_the_outer_half_of_the_elements_own_weight(group):
     twists, weight = shape_of(group), ta.ExternalLoad(gravity=True)
-    halves = required_wrench(twists.repeat_interleave(2, 0), weight, mass=0.7)
-    found = required_wrench(twists, weight, wrench_at="middle", mass=0.7)
+    halves = required_wrench(twists.repeat_interleave(2, 0), weight, wrench_at="start", mass=0.7)
+    found = required_wrench(twists, weight, mass=0.7)
     torch.testing.assert_close(found, halves[1::2], rtol=0, atol=1e-14)
 
 

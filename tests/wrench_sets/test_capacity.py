@@ -340,7 +340,7 @@ def test_the_payload_grows_and_the_arms_own_weight_does_not(metric):
 
     def with_payload(t):
         points = [ta.PointLoad(t * point, at=0.6, mass=0.05)]
-        return ta.Task(twists, load=ta.ExternalLoad(tip=t * tip, gravity=True, points=points), wrench_at="middle")
+        return ta.Task(twists, load=ta.ExternalLoad(tip=t * tip, gravity=True, points=points))
 
     found, checked = assert_ends_lie_on_boundaries(arm, with_payload(1.0), metric, with_payload)
     assert checked >= (8 if metric == "absolute" else 4)

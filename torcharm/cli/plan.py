@@ -24,7 +24,10 @@ def plan(
         Path | None, typer.Option("--out", help="Write a CSV file: a row for every plan, arm and node.")
     ] = None,
 ) -> None:
-    """Find shapes through the tip poses of a study, for each of its arms."""
+    """Find shapes through the tip poses of a study, for each of its arms.
+
+    Each element's wrench is taken at its middle.
+    """
     with mistakes():
         check_outputs(study, out, None)
         from torcharm.design.shape_planning import plan_shape

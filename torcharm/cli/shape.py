@@ -18,12 +18,15 @@ def shape(
         Path | None, typer.Option("--study", help="Take the arm from a study.", show_default="the paper's")
     ] = None,
     arm: Annotated[str | None, typer.Option("--arm", help="Its name.", show_default="the first")] = None,
-    nodes: Annotated[int, typer.Option("--nodes", help="Segments of the arm.")] = 10,
+    nodes: Annotated[int, typer.Option("--nodes", help="Elements of the arm.")] = 10,
     figure: Annotated[
         Path, typer.Option("--figure", help=f"Draw it, to a file ending in {', '.join(FIGURE_FORMATS)}.")
     ] = Path("shape.png"),
 ) -> None:
-    """Solve the forward mechanics of one arm: print the pose of its tip, and draw it."""
+    """Solve the forward mechanics of one arm: print the pose of its tip, and draw it.
+
+    Each element's wrench is taken at its middle.
+    """
     with mistakes():
         check_outputs(study, None, figure)
         from torcharm.equilibrium import solve_equilibrium

@@ -101,8 +101,8 @@ def plan_shape(
     """The shape through a tip pose that minimises an objective of one arm under tip loads.
 
     A shape of N elements is its lengths and curvatures, 2N unknowns in the plane and 3N in space; the tip takes three
-    or six. scipy's SLSQP with torch's gradients from several starts, and a last Newton step onto the tip pose. That no
-    shape was found is no error but said by the `status`.
+    or six. Each element's wrench is taken at its middle. scipy's SLSQP with torch's gradients from several starts, and
+    a last Newton step onto the tip pose. That no shape was found is no error but said by the `status`.
 
     Args:
         arm: one design.

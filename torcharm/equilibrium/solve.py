@@ -170,8 +170,8 @@ def solve_equilibrium(
         load: a tip load (..., 3) or (..., 6) in the world frame [N, N·m], or an ExternalLoad.
         nodes: N, the number of elements, or one number for each segment; an integer serves each.
         base_pose: (..., 3) or (..., 4, 4) pose of node 1 [m, rad]; None hangs the arm.
-        wrench_at: where an element's wrench is taken, "start" (the twists' error falls with 1/N) or "middle" (with
-            1/N²).
+        wrench_at: where an element's wrench is taken, "middle" (the twists' error falls with 1/N²) or "start" (with
+            1/N; the paper's).
         shear_stiffness: k [N/m] of each actuator, for `-k Σ_α γ_α + q_y = 0`: the arm shears with the load. None is
             rigid, γ = 0. The paper prints `+1e3`, by which an arm would shear against its load.
         start: (..., N, K) twists of a warm start: Newton's method goes to the equilibrium near them, on whatever

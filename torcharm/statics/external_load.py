@@ -57,7 +57,7 @@ def required_wrench(
         twists: (..., N, 3) or (..., N, 6), as of `poses` [m, rad].
         load: a tip load (..., 3) or (..., 6) in the world frame [N, N·m], or an ExternalLoad.
         base_pose: pose of node 1, (..., 3) or (..., 4, 4); None hangs the arm.
-        wrench_at: "start" or "middle".
+        wrench_at: "middle" or "start".
         segment_nodes: number of elements of each segment in series; None is one segment.
         mass: the arm's own (...) [kg], or one for each segment, spread evenly over the segment's normalised arc; it
             weighs if the load has gravity.
