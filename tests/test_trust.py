@@ -212,9 +212,7 @@ def test_impossible_shapes_are_infinitely_far_and_leave_the_others_alone(options
     for shapes in (torch.stack((fine, degrees, edge)), fine[None]):
         radii = torch.tensor([-0.0625, 0.01, 0.0625], dtype=D, requires_grad=True)
         arm = ta.ArmDesign(radii, 0.5, [model] * 3)
-        found = ta.evaluate(
-            arm, ta.Task(shapes, [3.0, -2.0, 0.5]), ("absolute", "relative"), **{"metrics": METRICS[:2], **options}
-        )
+        found = ta.evaluate(arm, ta.Task(shapes, [3.0, -2.0, 0.5]), **{"metrics": METRICS[:2], **options})
         slopes.append(torch.autograd.grad(found.absolute[0] + found.relative[0], radii, retain_graph=True)[0])
         if len(shapes) == 1:
             continue
