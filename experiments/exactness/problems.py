@@ -68,7 +68,7 @@ def make(family: str, dimension: int, count: int, generator: np.random.Generator
     if family == "nonsense":
         strain, first = (
             np.where(
-                generator.integers(2, size=(count, M)), draw(-0.5, 2.0, (count, M)), 10.0 ** draw(-1, 4, (count, M))
+                generator.integers(2, size=(count, M)), draw(-0.5, 2.0, (count, M)), -(10.0 ** draw(-1, 4, (count, M)))
             )
             for _ in range(2)
         )

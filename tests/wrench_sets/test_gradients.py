@@ -94,7 +94,7 @@ def task_of(inputs):
         ta.PointLoad(mass=inputs["point mass"], at=0.8),
     ]
     load = ta.ExternalLoad(tip=inputs["tip"], gravity=True, points=points)
-    return ta.Task(inputs["twists"], load=load, base_pose=inputs["base_pose"])
+    return ta.Task(inputs["twists"], load=load, base_pose=inputs["base_pose"], wrench_at="start")
 
 
 @torch.no_grad()
@@ -107,7 +107,7 @@ def hold(inputs):
     inputs["tip"].zero_()
     nothing = task_wrench(arm, task_of(inputs))[..., columns]
     unit = torch.eye(inputs["tip"].shape[-1], dtype=torch.float64).unsqueeze(-2)
-    by_tip = required_wrench(inputs["twists"], unit.squeeze(-2), inputs["base_pose"])[..., columns]
+    by_tip = required_wrench(inputs["twists"], unit.squeeze(-2), inputs["base_pose"], wrench_at="start")[..., columns]
     rest = (wanted - nothing).flatten(1).mT
     inputs["tip"].copy_(torch.linalg.lstsq(by_tip.flatten(1).mT, rest).solution.mT)
 

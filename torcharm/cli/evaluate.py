@@ -99,11 +99,10 @@ def _print_json(results: Sequence["StudyResult"]) -> None:
 def _outputs(
     plan: "Study", results: Sequence["StudyResult"], out: Path | None, figure: Path | None
 ) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
-    from torcharm.study import write_results
+    from torcharm.study import check_format, write_results
 
     if out is not None:
-        rows = sum(result.loads for result in results)
-        ending = out.suffix
+        rows, ending = sum(result.loads for result in results), f".{check_format(out)}"
         yield out, lambda path: write_results(path, results, ending), f" ({count(rows, 'row')})."
     if figure is not None:
         for place, task in zip(figure_paths(figure, plan.tasks), plan.tasks, strict=True):
