@@ -105,6 +105,40 @@ def test_arms_in_millimetres_are_asked_about():
     assert found.reason.endswith("radii: 50 m, more than the arm is long: are they in millimetres?")
 
 
+def test_the_end_of_a_range_is_within_it():
+    """In single precision a limit is not what it is in double, and an equilibrium has a residual."""
+    model = ta.PolynomialActuator(((1, 0, -120.0), (0, 1, 0.9)), (-0.1, 0.1), (0.0, 70.3), 70.3, -0.05)
+    arm = ta.ArmDesign([-0.05, 0.05], 0.5, [model, model]).to(torch.float32)
+    for task in (ta.Task([[0.55, 0.0, 0.0]] * 4, [0.0, 0.0, 0.0]), ta.Task([[0.5, 0.0, 0.2]] * 4, [0.0, 0.0, 0.0])):
+        for own in (task, task.to(torch.float32)):
+            found = ta.evaluate(arm, own)
+            assert bool(found.in_range)
+            assert found.verdict in ("held", "missed")
+
+
+def test_a_centreline_without_length_is_impossible():
+    arm = ta.ArmDesign([0.03, 0.06], 0.05, ta.Bellows(strain_range=(-0.99, 5.0)))
+    found = ta.evaluate(arm, ta.Task([[-0.01, 0.0, -1.0]], [0.0, 0.0, 0.0]))
+    assert found.verdict == "impossible"
+    assert found.reason == "the centreline of the shape would have no length"
+    assert found.to_dict()["verdict"] == ["impossible"]
+
+
+def test_segments_whose_batches_broadcast():
+    one = ta.ArmDesign([-0.05, 0.05], 0.3, ta.Bellows())
+    three = ta.ArmDesign([-0.05, 0.05], torch.tensor([0.2, 0.21, 0.22], dtype=D)[:, None], ta.Bellows())
+    twists = torch.tensor([[0.3, 0.0, 0.0]] * 2 + [[0.2, 0.0, 0.0]] * 2, dtype=D)
+    found = ta.evaluate(ta.series([one, three]), ta.Task(twists, [0.0, 0.0, 0.0], segment_nodes=(2, 2)))
+    assert found.verdict.shape == found.reason.shape == (3,)
+    assert ta.PoseTolerance().lengths(ta.series([one, three]))[0].tolist() == pytest.approx([0.01, 0.0102, 0.0104])
+
+
+def test_a_prediction_without_sets_excludes_nothing():
+    found = ta.evaluate(ARM, ta.Task(BENT, [0.0, 0.0, 0.0]), "predicted_error")
+    assert found.not_excluded is found.worst_node is found.worst_miss is None
+    assert found.verdict in ("held", "missed", "undecided")
+
+
 def test_sets_alone_only_exclude():
     task = ta.Task(BENT, torch.tensor([[0.0, 0.0, 0.0], [0.0, 300.0, 0.0]], dtype=D))
     found = ta.evaluate(ARM, task, ("absolute",))

@@ -12,6 +12,7 @@ from torcharm.arm_series import ArmSeries
 from torcharm.attainability.result import Attainability
 from torcharm.attainability.verdict import PoseTolerance
 from torcharm.pressure.pose_cost import PoseCost
+from torcharm.statics.cross_section import RANGE_SLACK
 from torcharm.task import Task
 from torcharm.wrench_sets.design_task_grid import design_task_grid, limits_in_range
 from torcharm.wrench_sets.node_distances import METRICS, SetOptions, node_distances
@@ -105,7 +106,7 @@ def evaluate(
         relative_per_node=per_node.get("relative"),
         prediction=prediction,
         strain_excess=excess,
-        in_range=(excess <= 16 * torch.finfo(excess.dtype).eps) & limits_in_range(grid) & ~impossible,
+        in_range=(excess <= RANGE_SLACK) & limits_in_range(grid) & ~impossible,
         impossible=impossible,
         distances_converged=converged,
         signed=signed,

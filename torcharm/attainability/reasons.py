@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.attainability.questions import question
-from torcharm.statics.cross_section import cross_sections, per_actuator
+from torcharm.statics.cross_section import RANGE_SLACK, cross_sections, per_actuator
 
 UNDECIDED = {
     "not converged": "a stable shape, but perhaps not the best pressure: the minimisation did not converge",
@@ -63,7 +63,7 @@ def _beyond(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[int])
     worst = max(_strains(segments, twists, nodes), key=lambda one: one.excess)
     if worst.value <= -1:
         return f"actuator {worst.actuator} would have no length at node {worst.node} (strain {worst.value:.3g})"
-    if worst.excess > 0:
+    if worst.excess > RANGE_SLACK:
         return (
             f"actuator {worst.actuator} is strained to {worst.value:+.2g} at node {worst.node}, "
             f"characterised from {worst.low:+.2g} to {worst.high:+.2g}"
@@ -72,10 +72,10 @@ def _beyond(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[int])
     for segment in segments:
         for index, model in enumerate(segment.actuators):
             limit, known = float(segment.max_pressure[index]), float(model.pressure_range[1])
-            if limit > known:
+            if limit > known * (1 + RANGE_SLACK):
                 return f"actuator {first + index + 1} is driven to {limit:g} kPa, characterised to {known:g} kPa"
         first += segment.actuator_count
-    return ""
+    return "a pressure lies outside of what was characterised"
 
 
 def _strains(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[int]) -> list[_Strain]:

@@ -113,6 +113,8 @@ class Attainability:
         lead, task, batch = len(self.arm.batch_shape), self.task, self.arm.batch_shape
         segments = [one_design(segment, batch, index[:lead]) for segment in segments_of(self.arm)]
         nodes = task.segment_nodes or (task.nodes,)
+        if verdict == "impossible" and not bool(self.impossible[index]):
+            return "the centreline of the shape would have no length"
         if not bool(self.in_range[index]):
             twists = task.twists.expand(*task.batch_shape, *task.twists.shape[-2:])[index[lead:]]
             return out_of_range(segments, twists.detach(), nodes)
@@ -137,17 +139,19 @@ class Attainability:
         if float(found.tip_error[index]) > tip:
             return f"tip off by {1e3 * float(found.tip_error[index]):.3g} mm"
         if turn > self.tolerance.rotation:
-            return f"tip turned by {math.degrees(turn):.2g}°"
+            return f"tip turned by {math.degrees(turn):.3g}°"
         return (
             f"shape off by {1e3 * float(found.shape_error[index]):.3g} mm" if found.shape_error[index] > shape else ""
         )
 
     @property
-    def not_excluded(self) -> Tensor:
+    def not_excluded(self) -> Tensor | None:
         """Whether every distance that was asked for is 0 (signed: or below) and converged: all that sets can say.
 
-        They look at each node alone, so that it does not follow that the task can be held.
+        They look at each node alone, so that it does not follow that the task can be held. None where no set was asked.
         """
+        if self.absolute is None and self.relative is None:
+            return None
         found = self.distances_converged & ~self.impossible
         for value in (self.absolute, self.relative):
             found = found if value is None else found & (value <= 0)
@@ -223,7 +227,7 @@ class Attainability:
     def __repr__(self) -> str:
         """Shapes and counts, no numbers."""
         shape = tuple(self.strain_excess.shape)
-        if self.prediction is None:
+        if self.not_excluded is not None and self.prediction is None:
             return f"Attainability(batch {shape}, {int(self.not_excluded.sum())} not excluded)"
         words, counts = np.unique(np.ravel(np.asarray(self.verdict)), return_counts=True)
         said = ", ".join(f"{count} {word}" for word, count in zip(words, counts, strict=True))

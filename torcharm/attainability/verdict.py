@@ -62,7 +62,8 @@ class PoseTolerance:
 
 def neutral_length(arm: ArmDesign | ArmSeries) -> Tensor:
     """(*design batch) the sum over segments of their actuators' mean neutral length [m]."""
-    return torch.stack([segment.length.detach().mean(-1) for segment in segments_of(arm)]).sum(0)
+    own = [segment.length.detach().mean(-1).expand(arm.batch_shape) for segment in segments_of(arm)]
+    return torch.stack(own).sum(0)
 
 
 def judge(
@@ -89,4 +90,4 @@ def judge(
     found = torch.where(close, HELD, MISSED)
     found = torch.where(sure, found, UNDECIDED)
     found = torch.where(in_range & (prediction.in_range | ~prediction.stable), found, EXCLUDED)
-    return torch.where(impossible, IMPOSSIBLE, found)
+    return torch.where(impossible | ~prediction.possible, IMPOSSIBLE, found)

@@ -136,7 +136,7 @@ def _report(console: "Console", plan: "Study", results: Sequence["StudyResult"],
         for result, summary in chosen:
             if summary.example is not None:
                 load, why = summary.example
-                console.print(f"{result.arm.name}, load {load}: {why}.", soft_wrap=False)
+                console.print(f"{result.arm.name}, load {load}: {why}{'' if why.endswith('?') else '.'}")
     console.print()
     for line in _legend(plan, results, sums):
         console.print(line)

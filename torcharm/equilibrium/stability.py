@@ -11,10 +11,8 @@ from torcharm.engine.path import Found
 from torcharm.equilibrium.problem import Packed, Problem
 from torcharm.geometry.rod import actuator_twists, strain
 from torcharm.statics.balance import segments_of, tilt_stiffness
-from torcharm.statics.cross_section import cross_sections, per_actuator
+from torcharm.statics.cross_section import RANGE_SLACK, cross_sections, per_actuator
 
-ROUNDING = 16
-"""Times the spacing of numbers: a strain beyond its range by no more is at its end."""
 EIGENVALUES_AT_ONCE = 4096
 """Matrices whose inverses are held at once: 30 MB of 30 by 30."""
 
@@ -66,9 +64,10 @@ def strain_excess(problem: Problem, twists: Tensor) -> tuple[Tensor, Tensor]:
         pressure = problem.pressure[..., first : first + segment.actuator_count]
         first += segment.actuator_count
         ends = [[plain_number(model.pressure_range[end]) for model in segment.actuators] for end in (0, 1)]
-        within = within & (pressure >= pressure.new_tensor(ends[0])).all(-1)
-        within = within & (pressure <= pressure.new_tensor(ends[1])).all(-1)
-    return excess, within & (excess <= ROUNDING * torch.finfo(excess.dtype).eps)
+        low, high = (pressure.new_tensor(end) for end in ends)
+        within = within & (pressure >= low - RANGE_SLACK * low.abs()).all(-1)
+        within = within & (pressure <= high + RANGE_SLACK * high.abs()).all(-1)
+    return excess, within & (excess <= RANGE_SLACK)
 
 
 def buckles_in_torsion(problem: Problem, twists: Tensor) -> Tensor:

@@ -151,6 +151,7 @@ def _words(found: Attainability) -> Any:
     """The verdict on each task; of sets alone, whether it is excluded."""
     if found.verdict is not None:
         return np.ravel(np.asarray(found.verdict))
+    assert found.not_excluded is not None
     return np.where(found.not_excluded.numpy(force=True).ravel(), "not excluded", "excluded")
 
 

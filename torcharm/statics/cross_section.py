@@ -26,6 +26,9 @@ from torcharm.actuators.inspection import same_model
 from torcharm.arm import ArmDesign
 from torcharm.geometry.rod import material_curvature, offset_length, strain
 
+RANGE_SLACK = 1e-6
+"""A strain beyond its characterised range by so little, or a pressure by so large a part of itself, is at its end: more
+than single precision and the residual of an equilibrium round to, and less than any bench measures."""
 STRAIGHT = 1e-8
 """A curvature [rad/m] below which the direction of bending in space is of no matter: it keeps its length from 0."""
 

@@ -98,11 +98,10 @@ def summarise(result: StudyResult) -> Summary:
     miss = found.node_miss
     by_node = None if miss is None else _flat(miss).reshape(-1, miss.shape[-1]).mean(0)
     missing = by_node is not None and 0 < by_node.max() < np.inf
-    asked_sets = any(name in result.settings.metrics for name in METRICS)
     return Summary(
         loads=result.loads,
         verdicts=None if words is None else {word: count for word in VERDICTS if (count := words.count(word))},
-        not_excluded=int(found.not_excluded.sum()) if asked_sets else None,
+        not_excluded=None if found.not_excluded is None else int(found.not_excluded.sum()),
         median={name: float(np.median(value)) for name, value in values.items()},
         worst_node=int(by_node.argmax()) + 1 if by_node is not None and missing else None,
         worst_miss=float(by_node.max()) if by_node is not None and missing else 0.0,

@@ -13,7 +13,7 @@ from torcharm._inputs import refuse_transforms, shown
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries, RigidLink
 from torcharm.load import ExternalLoad
-from torcharm.statics.cross_section import CrossSections, cross_sections, per_actuator
+from torcharm.statics.cross_section import RANGE_SLACK, CrossSections, cross_sections, per_actuator
 from torcharm.statics.external_load import HULL, required_wrench
 from torcharm.task import Task
 
@@ -238,7 +238,7 @@ def limits_in_range(grid: DesignTaskGrid) -> Tensor:
     inside = []
     for segment in grid.segments:
         highest = per_actuator([model.pressure_range[1] for model in segment.actuators], segment.max_pressure)
-        inside.append((segment.max_pressure <= highest).all(-1))
+        inside.append((segment.max_pressure <= highest + RANGE_SLACK * highest.abs()).all(-1))
     return grid.unflatten(torch.stack(inside).all(0).view(-1, 1, 1).expand(grid.sizes))
 
 
