@@ -247,3 +247,25 @@ def test_plain_equal_copies_are_evaluated_together():
     assert counts[2] == 2 * counts[0]
     with pytest.raises(ValueError, match="like: must be a polynomial that does not override its force"):
         ta.TensorPolynomial(Soft(), ta.coefficient_tensor(ta.Bellows()))
+
+
+@pytest.mark.parametrize("lost", ["strain", "pressure"])
+def test_a_force_whose_slope_is_lost_is_refused(lost):
+    class Lossy(Soft):
+        def force(self, strain, pressure):
+            given = {"strain": strain, "pressure": pressure}
+            given[lost] = torch.as_tensor(given[lost].detach().numpy().copy())
+            return super().force(**given)
+
+    arm = ta.ArmDesign([-0.05, 0.05], 0.5, [Lossy()] * 2)
+    with pytest.raises(ValueError, match=f"Lossy.force: must be made of torch operations on {lost}"):
+        ta.evaluate(arm, NEAR)
+
+
+def test_a_force_that_no_pressure_changes_is_no_fault():
+    class Core(Soft):
+        def force(self, strain, pressure):
+            return -60 * strain
+
+    found = ta.evaluate(ta.ArmDesign([-0.05, 0.0, 0.05], 0.5, [Soft(), Core(), Soft()]), NEAR)
+    assert found.absolute.isfinite()

@@ -1,6 +1,7 @@
 """What torcharm asks of a force model, and the questions it asks on the model's behalf."""
 
 import math
+from collections.abc import Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import torch
@@ -131,7 +132,11 @@ def is_linear_in_pressure(actuator: Actuator) -> bool:
 def force_slopes(
     actuator: Actuator, strain: Tensor, pressure: Tensor, by_pressure: bool = True
 ) -> tuple[Tensor, Tensor, Tensor | None]:
-    """f, ∂f/∂ε and, if wanted, ∂f/∂p, detached: written out by the model, or by autograd."""
+    """f, ∂f/∂ε and, if wanted, ∂f/∂p, detached: written out by the model, or by autograd.
+
+    Raises:
+        ValueError: the force changes with strain or pressure, but autograd finds no slope.
+    """
     if written_out(actuator, "force_slopes"):
         with torch.no_grad():
             found: tuple[Tensor, Tensor, Tensor | None] = actuator.force_slopes(  # type: ignore[attr-defined]
@@ -143,10 +148,26 @@ def force_slopes(
         pressure = pressure.detach().expand_as(strain).clone().requires_grad_(by_pressure)
         force = actuator.force(strain, pressure).expand_as(strain)
         wanted = (strain, pressure) if by_pressure else (strain,)
-        slopes: tuple[Tensor, ...] = tuple(torch.zeros_like(strain) for _ in wanted)  # of a constant force
+        known: Sequence[Tensor | None] = (None,) * len(wanted)  # of a constant force
         if force.requires_grad:
-            slopes = torch.autograd.grad(force.sum(), wanted, allow_unused=True, materialize_grads=True)
+            known = torch.autograd.grad(force.sum(), wanted, allow_unused=True)
+    slopes = [torch.zeros_like(strain) if slope is None else slope for slope in known]
+    moves = (("strain", 0.01, 0.0), ("pressure", 0.0, 1.0))
+    for (name, more_strain, more_pressure), slope in zip(moves, known, strict=False):
+        if slope is None:
+            _check_constant(actuator, name, strain.detach() + more_strain, pressure.detach() + more_pressure, force)
     return force.detach(), slopes[0], slopes[1] if by_pressure else None
+
+
+def _check_constant(actuator: Actuator, name: str, strain: Tensor, pressure: Tensor, force: Tensor) -> None:
+    """Raise a ValueError if a force without a slope by strain or pressure changes with it all the same."""
+    with torch.no_grad():
+        other = actuator.force(strain, pressure).expand_as(force)
+    if not torch.allclose(other, force, rtol=1e-9, atol=0.0, equal_nan=True):
+        raise ValueError(
+            f"{type(actuator).__name__}.force: must be made of torch operations on {name}: its values "
+            f"change with {name}, but autograd finds no slope (detached, or worked out by numpy?)"
+        )
 
 
 def want_gradients(actuators: tuple[Actuator, ...], like: Tensor) -> bool:

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm._inputs import plain_number, shown
+from torcharm._inputs import plain_number
 from torcharm.actuators import Actuator, force_slopes
 from torcharm.actuators.bending import (
     ConstantBending,
@@ -120,7 +120,8 @@ def _checked(name: str, sample: Any, *arguments: Any) -> Any:
         with np.errstate(invalid="ignore", over="ignore"):  # what has no number has no equilibrium
             found = sample(*arguments)
     except (TypeError, ValueError, RuntimeError, AttributeError) as error:
-        raise ValueError(f"{name}: must return a value for every strain and pressure, got {shown(error)}") from error
+        said = f"{type(error).__name__}: {' '.join(str(error).split()):.250}"
+        raise ValueError(f"{name}: must return a value for every strain and pressure, got {said}") from error
     return found
 
 

@@ -164,8 +164,8 @@ def _counts(found: Attainability) -> str:
 def _two_nodes(found: Attainability, nodes: int) -> tuple[int, int]:
     """The base, and the node that lacks most on average, or the last one where that is the base or none."""
     miss = found.node_miss
-    mean = np.zeros(nodes) if miss is None else np.nan_to_num(array(miss).reshape(-1, nodes).mean(0), posinf=0.0)
-    worst = int(mean.argmax())
+    mean = np.zeros(nodes) if miss is None else array(miss).reshape(-1, nodes).mean(0)
+    worst = int(np.where(np.isfinite(mean), mean, -1.0).argmax())
     return 0, worst or nodes - 1
 
 
