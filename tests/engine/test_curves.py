@@ -11,22 +11,29 @@ from torcharm.engine.curves import (
     HIGH_DEGREE_PIECES,
     MUSCLE_PIECES,
     copy_curve,
-    furthest,
     make_curves,
-    sides,
+    most_pieces,
     write_curve,
     write_difference,
 )
-from torcharm.engine.forces import models_of
-from torcharm.wrench_sets.curves import ACCURACY, MOST_PIECES, sample_pieces
+from torcharm.engine.forces import SAMPLED, Models, models_of
+from torcharm.engine.reach import furthest, sides
+from torcharm.wrench_sets.curves import ACCURACY, as_samples, sample_curves
+
+
+class KinkedByStrain(SmoothModel):
+    """A force whose slope by strain jumps at a strain that is none of a grid's."""
+
+    def force(self, strain, pressure):
+        return super().force(strain, pressure) + pressure * (strain - 0.0123).clamp(min=0) + strain.clamp(max=1e3)
 
 
 @kernel
-def reach(strain, first, limit, by_force, by_pressure, relative, own, other, change, found):
+def reach(samples, strain, first, limit, by_force, by_pressure, relative, own, other, change, found):
     """The pressures, forces and falls (B, 3) of B curves of one actuator."""
     for b in range(len(strain)):
-        write_curve(own, 0, strain[b], limit, own.control[0, :0])
-        write_curve(other, 0, first[b], limit, own.control[0, :0])
+        write_curve(own, 0, strain[b], limit, samples, b)
+        write_curve(other, 0, first[b], limit, samples, b)
         if relative:
             write_difference(change, 0, own, other)
         else:
@@ -36,50 +43,78 @@ def reach(strain, first, limit, by_force, by_pressure, relative, own, other, cha
         found[b, 0], found[b, 1], found[b, 2] = p, f, fall
 
 
-def hermite(pieces, count=33):
-    """Pressures and the cubics' forces (..., K, count) of pieces (..., K, 6)."""
-    begin, end, force, slope, force_end, slope_end = (column[..., None] for column in np.moveaxis(pieces, -1, 0))
-    t = np.linspace(0, 1, count)
-    s, span = 1 - t, end - begin
-    value = s * s * (1 + 2 * t) * force + t * t * (3 - 2 * t) * force_end
-    return begin + t * span, value + s * t * span * (s * slope - t * slope_end)
+@kernel
+def write_all(samples, strain, limit, curves, edges, control):
+    """Where the pieces of B sampled curves end (B, K + 1), and their Bezier coefficients (B, K, 4)."""
+    for b in range(len(strain)):
+        write_curve(curves, 0, strain[b], limit[b], samples, b)
+        for k in range(edges.shape[1] - 1):
+            own = min(k, curves.pieces[0] - 1)
+            edges[b, k + 1] = curves.edge[0, own + 1]
+            for j in range(4):
+                control[b, k, j] = curves.control[0, own, j if own == k else 3]
 
 
+def sampled(model, strain, limit):
+    """Pressures and forces (B, K, 33) along the cubics that the engine makes of a model's samples."""
+    samples = as_samples([sample_curves(model, strain, limit)])
+    count = most_pieces(samples)
+    models = Models(np.array([SAMPLED]), np.zeros((1, 2, 1)), np.ones(1))
+    edges, control = np.zeros((len(strain), count + 1)), np.zeros((len(strain), count, 4))
+    write_all(samples, strain.numpy(), limit.numpy(), make_curves(models, 2, count), edges, control)
+    t = np.linspace(0, 1, 33)
+    c0, c1, c2, c3 = (control[..., j, None] for j in range(4))
+    value = (1 - t) ** 3 * c0 + 3 * t * (1 - t) ** 2 * c1 + 3 * t**2 * (1 - t) * c2 + t**3 * c3
+    return edges[:, :-1, None] + t * np.diff(edges)[..., None], value
+
+
+@pytest.mark.parametrize("count", [101, 5001])
 @pytest.mark.parametrize(
     ("model", "force", "strains", "limit"),
     [
         *((pair.actuator, pair.model.force, pair.strains, pair.limit) for pair in (make() for make in PAIRS.values())),
         (ta.McKibben(), mckibben().force, (0.0, 1e-3), 100.0),
         (ta.McKibben(), mckibben().force, (0.05, 0.3), 100.0),
+        (ta.McKibben(), mckibben().force, (-0.3, 0.3), 100.0),
         (ta.Bellows(), PAIRS["bellows"]().model.force, (-0.9, 3.0), 300.0),
         (ta.PolynomialActuator(QUINTIC, (-1, 1), (0, 99), 99.0), polynomial(QUINTIC).force, (-0.9, 0.9), 99.0),
         (SmoothModel(), smooth().force, (-0.9, 0.9), 150.0),
         (KinkedModel(), kinked().force, (-0.9, 0.9), 150.0),
     ],
 )
-def test_sampled_pieces_are_good_to_what_they_promise(model, force, strains, limit):
-    strain = torch.linspace(*strains, 301, dtype=torch.float64)
-    pieces = sample_pieces(model, strain, torch.full_like(strain, limit)).numpy()
-    pressure, value = hermite(pieces)
+def test_sampled_pieces_are_good_to_what_they_promise(model, force, strains, limit, count):
+    strain = torch.linspace(*strains, count, dtype=torch.float64)
+    limits = limit * torch.linspace(0.2, 1.0, count, dtype=torch.float64).roll(count // 3)
+    pressure, value = sampled(model, strain, limits)
     true = force(strain.numpy()[:, None, None], pressure)
     largest = np.abs(true).max((1, 2))
     off = np.abs(value - true).max((1, 2))
-    assert (off <= 1.5 * ACCURACY * np.maximum(largest, np.median(largest))).all()
-    assert pieces.shape[-2] <= MOST_PIECES + 1
-    assert (pieces[:, 0, 0] == 0).all()
-    assert (pieces[:, -1, 1] == limit).all()
+    assert (off <= 2 * ACCURACY * np.maximum(largest, np.median(largest))).all()
+    assert (pressure[:, -1, -1] == limits.numpy()).all()
+    assert (np.diff(pressure[:, :, 0]) >= 0).all()
+
+
+def test_many_curves_follow_from_few_whatever_bends_by_strain():
+    """A kink that the model does not name, strains alike, and one far from all others."""
+    for strain in (torch.linspace(-0.3, 0.3, 5000), torch.full((5000,), 0.1), torch.linspace(0, 1, 5000) ** 40 * 1e3):
+        strain = strain.double()
+        curves = sample_curves(KinkedByStrain(), strain, torch.full_like(strain, 60.0))
+        assert curves.grid is not None
+        pressure, value = sampled(KinkedByStrain(), strain, torch.full_like(strain, 60.0))
+        true = KinkedByStrain().force(strain[:, None, None], torch.from_numpy(pressure)).numpy()
+        largest = np.abs(true).max((1, 2))
+        assert (np.abs(value - true).max((1, 2)) <= 2 * ACCURACY * np.maximum(largest, np.median(largest))).all()
 
 
 def test_no_limit_and_strains_of_nonsense_do_not_spoil_the_pieces_of_others():
     strain = torch.linspace(-0.2, 0.2, 50, dtype=torch.float64)
     spoilt = torch.cat((strain, strain.new_tensor((1e8, -1e8))))
-    pieces = sample_pieces(SmoothModel(), spoilt, torch.full_like(spoilt, 60.0)).numpy()[:50]
-    pressure, value = hermite(pieces)
+    pressure, value = (part[:50] for part in sampled(SmoothModel(), spoilt, torch.full_like(spoilt, 60.0)))
     true = smooth().force(strain.numpy()[:, None, None], pressure)
     assert np.abs(value - true).max() <= 2 * ACCURACY * np.abs(true).max()
-    nothing = sample_pieces(SmoothModel(), strain, torch.zeros_like(strain)).numpy()
-    assert (nothing[..., :2] == 0).all()
-    assert np.isfinite(nothing).all()
+    pressure, value = sampled(SmoothModel(), strain, torch.zeros_like(strain))
+    assert (pressure == 0).all()
+    assert value == pytest.approx(np.broadcast_to(smooth().force(strain.numpy()[:, None, None], 0.0), value.shape))
 
 
 @pytest.mark.parametrize("relative", [False, True])
@@ -108,7 +143,7 @@ def test_the_engine_finds_how_far_forces_reach(actuator, model, strains, limit, 
     most = max(MUSCLE_PIECES, HIGH_DEGREE_PIECES)
     own, other = (make_curves(models, 2, most) for _ in range(2))
     change = make_curves(models, 2, 2 * most, terms=2 if relative else 1)
-    reach(strain, first, limit, by_force, by_pressure, relative, own, other, change, found)
+    reach(as_samples([None]), strain, first, limit, by_force, by_pressure, relative, own, other, change, found)
 
     grid = np.linspace(0, 1, 1001)
     pressure = limit * np.append(grid, grid**4)[None]

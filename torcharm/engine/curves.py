@@ -1,9 +1,8 @@
-"""Pressure curves of actuators as cubic pieces, and how far they reach along a direction.
+"""Pressure curves of actuators as cubic pieces.
 
 An actuator at a node provides the wrenches `f(p) u + p t` over the pressures of its limits. The graph (p, f) is cut
 into pieces on each of which f is a cubic, held by its four Bézier coefficients: a piece lies in the convex hull of its
-control points, which tells at a glance that it cannot reach furthest. Where a force that the engine knows is no cubic,
-pieces tell where to look, and Newton's method finds the place on the force itself.
+control points, which tells at a glance that it cannot reach furthest.
 """
 
 import math
@@ -37,10 +36,6 @@ GRADES = tuple((k / MUSCLE_PIECES) ** MUSCLE_GRADING for k in range(MUSCLE_PIECE
 LOG_GRADES = tuple(math.log(max(grade, NO_PRESSURE)) for grade in GRADES)
 HIGH_DEGREE_PIECES = 8
 """Pieces of a polynomial of more than the third degree in pressure."""
-NEWTON_STEPS = 40
-"""Steps to the place on a force itself at most: 2 or 3 are usual."""
-SETTLED = 1e-10
-"""By this part of the limit a last step may still move a pressure: its square counts."""
 
 
 @by_reference
@@ -74,6 +69,23 @@ class Curves(NamedTuple):
     models: Models
 
 
+@by_reference
+class Samples(NamedTuple):
+    """Pieces of the curves of M actuators that torch has sampled, of models that the engine does not know.
+
+    Attributes:
+        pieces: (R, K, 6) where each begins and ends [kPa], the force [N] and slope [N/kPa] there.
+        grid: (R,) at which strains, in order; of no meaning where each curve has its own.
+        start: (M,) the first of an actuator's own of the R.
+        strains: (M,) how many of them there are to interpolate between; 0 where each curve has its own.
+    """
+
+    pieces: Array
+    grid: Array
+    start: Array
+    strains: Array
+
+
 def make_curves(models: Models, dimension: int, pieces: int, terms: int = 1) -> Curves:
     """Room for the curves of one node, or, of two terms, for differences of curves."""
     actuators = len(models.kind)
@@ -92,9 +104,9 @@ def make_curves(models: Models, dimension: int, pieces: int, terms: int = 1) -> 
     )
 
 
-def most_pieces(models: Models, sampled: int) -> int:
-    """How many pieces a curve may have, where those sampled by torch have so many."""
-    return max(MUSCLE_PIECES, HIGH_DEGREE_PIECES, sampled)
+def most_pieces(samples: Samples) -> int:
+    """How many pieces a curve may have."""
+    return max(MUSCLE_PIECES, HIGH_DEGREE_PIECES, samples.pieces.shape[1])
 
 
 @part
@@ -162,12 +174,67 @@ def write_muscle(curves, a, scale, strain, limit):  # type: ignore[no-untyped-de
 
 
 @part
-def write_curve(curves, a, strain, limit, sampled):  # type: ignore[no-untyped-def]
+def write_sampled(curves, a, strain, limit, samples, number):  # type: ignore[no-untyped-def]
+    """The pieces of a sampled force: of the curve's own number, or by a cubic through those at four strains around."""
+    row, w0, w1, w2, w3 = samples.start[a] + number, 1.0, 0.0, 0.0, 0.0
+    if samples.strains[a] > 0:
+        row = samples.start[a] + _row_before(samples, a, strain)
+        x0, x1, x2, x3 = samples.grid[row], samples.grid[row + 1], samples.grid[row + 2], samples.grid[row + 3]
+        d0, d1, d2, d3 = strain - x0, strain - x1, strain - x2, strain - x3
+        w0 = d1 * d2 * d3 / ((x0 - x1) * (x0 - x2) * (x0 - x3))
+        w1 = d0 * d2 * d3 / ((x1 - x0) * (x1 - x2) * (x1 - x3))
+        w2 = d0 * d1 * d3 / ((x2 - x0) * (x2 - x1) * (x2 - x3))
+        w3 = d0 * d1 * d2 / ((x3 - x0) * (x3 - x1) * (x3 - x2))
+    curves.edge[a, 0], pieces = 0.0, 0
+    for k in range(samples.pieces.shape[1]):
+        low, high = curves.edge[a, k], _blend(samples.pieces, row, k, 1, w0, w1, w2, w3)
+        f0, s0 = _blend(samples.pieces, row, k, 2, w0, w1, w2, w3), _blend(samples.pieces, row, k, 3, w0, w1, w2, w3)
+        f1, s1 = _blend(samples.pieces, row, k, 4, w0, w1, w2, w3), _blend(samples.pieces, row, k, 5, w0, w1, w2, w3)
+        if high > limit:  # the rest is beyond it
+            f1, s1 = _on_cubic(high - low, f0, s0, f1, s1, (limit - low) / (high - low))
+        pieces += 1
+        last = high >= limit or pieces == samples.pieces.shape[1]
+        write_piece(curves, a, k, limit if last else max(high, low), f0, s0, f1, s1)
+        if last:
+            break
+    curves.pieces[a] = pieces
+
+
+@part
+def _row_before(samples, a, strain):  # type: ignore[no-untyped-def]
+    """The first of four strains of an actuator's grid with the given one between the middle ones, but at the ends."""
+    first, last = 0, samples.strains[a] - 1
+    while last - first > 1:
+        k = (first + last) // 2
+        first, last = (k, last) if samples.grid[samples.start[a] + k] <= strain else (first, k)
+    return min(max(first - 1, 0), samples.strains[a] - 4)
+
+
+@part
+def _blend(pieces, row, k, column, w0, w1, w2, w3):  # type: ignore[no-untyped-def]
+    """A number of four neighbours, each with a weight."""
+    value = w0 * pieces[row, k, column]
+    if w0 != 1.0:
+        value += w1 * pieces[row + 1, k, column] + w2 * pieces[row + 2, k, column] + w3 * pieces[row + 3, k, column]
+    return value
+
+
+@part
+def _on_cubic(span, f0, s0, f1, s1, t):  # type: ignore[no-untyped-def]
+    """Force and slope of a cubic, by those at its ends, at t from 0 to 1."""
+    c0, c1, c2, c3 = f0, f0 + span / 3.0 * s0, f1 - span / 3.0 * s1, f1
+    d0, d1, d2 = c0 + t * (c1 - c0), c1 + t * (c2 - c1), c2 + t * (c3 - c2)
+    e0, e1 = d0 + t * (d1 - d0), d1 + t * (d2 - d1)
+    return e0 + t * (e1 - e0), 3.0 * (e1 - e0) / span
+
+
+@part
+def write_curve(curves, a, strain, limit, samples, number):  # type: ignore[no-untyped-def]
     """The pieces of actuator a, by its own force model.
 
     Args:
-        sampled: (K, 6) pieces that torch has sampled, of models that the engine does not know: where each begins and
-            ends, and the forces and slopes at its ends.
+        samples: of the models that the engine does not know.
+        number: which of the curves of this actuator it is, where each has its own samples.
     """
     curves.strain[a, 0], curves.off[a] = strain, 0.0
     if curves.models.kind[a] == POLYNOMIAL:
@@ -175,10 +242,7 @@ def write_curve(curves, a, strain, limit, sampled):  # type: ignore[no-untyped-d
     elif curves.models.kind[a] > POLYNOMIAL:
         write_muscle(curves, a, curves.models.scale[a], strain, limit)
     else:
-        curves.edge[a, 0] = sampled[0, 0]
-        for k in range(len(sampled)):
-            write_piece(curves, a, k, sampled[k, 1], sampled[k, 2], sampled[k, 3], sampled[k, 4], sampled[k, 5])
-        curves.pieces[a] = len(sampled)
+        write_sampled(curves, a, strain, limit, samples, number)
 
 
 @part
@@ -246,149 +310,3 @@ def copy_curve(out, a, own):  # type: ignore[no-untyped-def]
             out.control[a, k, j] = own.control[a, k, j]
     for c in range(own.bending.shape[1]):
         out.bending[a, c] = own.bending[a, c]
-
-
-@part
-def sides(curves, a):  # type: ignore[no-untyped-def]
-    """Whether any control point lies above the curve's chord, and whether any lies below: 1 and 2, added.
-
-    Where none is on the side that a direction points to, the curve reaches furthest at one of its ends.
-    """
-    last = curves.pieces[a]
-    start, first = curves.edge[a, 0], curves.control[a, 0, 0]
-    span = curves.edge[a, last] - start
-    slope = (curves.control[a, last - 1, 3] - first) / span if span > 0.0 else 0.0
-    above = below = 0
-    for k in range(last):
-        third = (curves.edge[a, k + 1] - curves.edge[a, k]) / 3.0
-        for j in range(4):
-            off = curves.control[a, k, j] - first - slope * (curves.edge[a, k] + j * third - start)
-            if off > 0.0:
-                above = 1
-            elif off < 0.0:
-                below = 2
-    return above + below
-
-
-@part
-def exact_force(curves, a, p):  # type: ignore[no-untyped-def]
-    """The force of a curve at a pressure, and its two derivatives, by the model itself."""
-    force, slope, bend = force_by_pressure(curves.models, a, curves.strain[a, 0], p, curves.row)
-    if curves.terms[0] == 2:
-        less, less_slope, less_bend = force_by_pressure(curves.models, a, curves.strain[a, 1], p, curves.row)
-        force, slope, bend = force - less, slope - less_slope, bend - less_bend
-    return force, slope, bend
-
-
-@part
-def settle(curves, a, by_force, by_pressure, k, p):  # type: ignore[no-untyped-def]
-    """From a pressure within piece k go to where g is largest by the force itself; also the force and -g'' there.
-
-    Newton's method, and half of what is left where that would leave the place at which the slope of g falls through 0.
-    """
-    low, high = curves.edge[a, k], curves.edge[a, k + 1]
-    close = SETTLED * high
-    force, slope, bend = exact_force(curves, a, p)
-    for _ in range(NEWTON_STEPS):
-        rise, fall, last = by_force * slope + by_pressure, -by_force * bend, p
-        low, high = (p, high) if rise > 0.0 else (low, p)
-        p += rise / fall if fall > 0.0 else 0.0
-        p = p if low < p < high else 0.5 * (low + high)
-        force, slope, bend = exact_force(curves, a, p)
-        if abs(p - last) <= close:
-            break
-    return p, force, max(-by_force * bend, 0.0)
-
-
-@part
-def furthest(curves, a, by_force, by_pressure):  # type: ignore[no-untyped-def]
-    """The pressure p and force f of a curve that make `g = by_force f + by_pressure p` largest, and -g'' there.
-
-    At an end of a piece, where a small turn of the direction does not move the maximum, the last is 0.
-    """
-    last = curves.pieces[a]
-    if curves.side[a] & (1 if by_force > 0.0 else 2) == 0:
-        start, end = curves.control[a, 0, 0], curves.control[a, last - 1, 3]
-        if by_force * start + by_pressure * curves.edge[a, 0] >= by_force * end + by_pressure * curves.edge[a, last]:
-            return curves.edge[a, 0], start, 0.0
-        return curves.edge[a, last], end, 0.0
-    low = curves.edge[a, 0]
-    at, force, fall = low, curves.control[a, 0, 0], 0.0
-    best, slack = by_force * force + by_pressure * low, abs(by_force) * curves.off[a]
-    for k in range(last):
-        high = curves.edge[a, k + 1]
-        third = (high - low) / 3.0
-        f0, f1, f2, f3 = (
-            curves.control[a, k, 0],
-            curves.control[a, k, 1],
-            curves.control[a, k, 2],
-            curves.control[a, k, 3],
-        )
-        g0, g1 = by_force * f0 + by_pressure * low, by_force * f1 + by_pressure * (low + third)
-        g2, g3 = by_force * f2 + by_pressure * (high - third), by_force * f3 + by_pressure * high
-        if g0 > best:
-            best, at, force, fall = g0, low, f0, 0.0
-        if g3 > best:
-            best, at, force, fall = g3, high, f3, 0.0
-        if g1 > best - slack or g2 > best - slack:
-            # Of the slope `q t² + 2 b t + c`, a quadratic over t from 0 to 1, the root at which it falls through 0.
-            c = g1 - g0
-            b = g2 - g1 - c
-            q = g3 - g2 - (g2 - g1) - b
-            square = b * b - q * c
-            if square > 0.0:
-                root, t = math.sqrt(square), -1.0
-                if b <= 0.0:
-                    t = c / (root - b)
-                elif q < 0.0:
-                    t = -(b + root) / q
-                if 0.0 < t < 1.0:
-                    s, p = 1.0 - t, low + t * (high - low)
-                    f = s * s * (s * f0 + 3.0 * t * f1) + t * t * (3.0 * s * f2 + t * f3)
-                    down = 6.0 * root / ((high - low) * (high - low))
-                    if slack > 0.0:
-                        p, f, down = settle(curves, a, by_force, by_pressure, k, p)
-                    g = by_force * f + by_pressure * p
-                    if g > best:
-                        best, at, force, fall = g, p, f, down
-        low = high
-    return at, force, fall
-
-
-@part
-def step_nearby(curves, a, by_force, by_pressure, p):  # type: ignore[no-untyped-def]
-    """From a pressure one Newton step to where `g = by_force f + by_pressure p` is largest nearby; f and -g'' there.
-
-    Pressures at ends of pieces stay, and their -g'' is 0.
-    """
-    last = curves.pieces[a]
-    k = 0
-    while k < last - 1 and p > curves.edge[a, k + 1]:
-        k += 1
-    low, high = curves.edge[a, k], curves.edge[a, k + 1]
-    if not low < p < high:
-        return p, curves.control[a, k, 3 if p >= high and high > low else 0], 0.0
-    force, slope, bend = smooth_force(curves, a, k, p)
-    fall = -by_force * bend
-    if not fall > 0.0:
-        return p, force, 0.0
-    there = p + (by_force * slope + by_pressure) / fall
-    if not low < there < high:
-        return p, force, fall
-    force, _, bend = smooth_force(curves, a, k, there)
-    return there, force, max(-by_force * bend, 0.0)
-
-
-@part
-def smooth_force(curves, a, k, p):  # type: ignore[no-untyped-def]
-    """The force of a curve at a pressure within piece k, and its two derivatives."""
-    if curves.off[a] > 0.0:
-        return exact_force(curves, a, p)
-    low, width = curves.edge[a, k], curves.edge[a, k + 1] - curves.edge[a, k]
-    t = (p - low) / width
-    s = 1.0 - t
-    f0, f1, f2, f3 = curves.control[a, k, 0], curves.control[a, k, 1], curves.control[a, k, 2], curves.control[a, k, 3]
-    force = s * s * (s * f0 + 3.0 * t * f1) + t * t * (3.0 * s * f2 + t * f3)
-    slope = 3.0 * (s * s * (f1 - f0) + 2.0 * s * t * (f2 - f1) + t * t * (f3 - f2)) / width
-    bend = 6.0 * (s * (f2 - 2.0 * f1 + f0) + t * (f3 - 2.0 * f2 + f1)) / (width * width)
-    return force, slope, bend

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from torcharm.engine.compilation import part
-from torcharm.engine.curves import furthest
+from torcharm.engine.reach import furthest
 from torcharm.engine.references import by_reference
 
 Array = np.ndarray[Any, Any]

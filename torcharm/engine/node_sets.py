@@ -6,10 +6,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from torcharm.engine.compilation import kernel, part
-from torcharm.engine.curves import Curves, copy_curve, make_curves, most_pieces, sides, write_curve, write_difference
+from torcharm.engine.curves import (
+    Curves,
+    Samples,
+    copy_curve,
+    make_curves,
+    most_pieces,
+    write_curve,
+    write_difference,
+)
 from torcharm.engine.depth import Polytope, make_polytope, signed_distance_part
 from torcharm.engine.distance import GAP, Simplex, curve_support, make_simplex, nearest_part
 from torcharm.engine.forces import Models
+from torcharm.engine.reach import sides
 from torcharm.engine.references import by_reference
 from torcharm.engine.sharpen import BEYOND, sharpen_part
 
@@ -26,8 +35,7 @@ class Sections(NamedTuple):
         lever: (B, M, D) the wrench of a force of 1 N.
         bending: (B, P, N, M, D - 1) the moments of a pressure of 1 kPa.
         constant: (B, P, N, D - 1) the moments at no pressure.
-        sampled: (B, P, N, S, K, 6) pieces of the models that the engine does not know, as of `write_curve`.
-        sample: (M,) which of the S each actuator is.
+        samples: curves of the models that the engine does not know.
         unit_weight: (G, P, N, D) the wrench that 1 kg of each of G parts asks of a node.
         mass: (B, G) of the parts [kg].
     """
@@ -37,8 +45,7 @@ class Sections(NamedTuple):
     lever: Array
     bending: Array
     constant: Array
-    sampled: Array
-    sample: Array
+    samples: Samples
     unit_weight: Array
     mass: Array
 
@@ -84,9 +91,9 @@ class Answers(NamedTuple):
     size: Array
 
 
-def make_room(models: Models, dimension: int, loads: int, sampled: int) -> Room:
+def make_room(models: Models, dimension: int, loads: int, samples: Samples) -> Room:
     """Room for sets of wrenches of so many components."""
-    actuators, pieces = len(models.kind), most_pieces(models, sampled)
+    actuators, pieces = len(models.kind), most_pieces(samples)
     return Room(
         make_curves(models, dimension, pieces),
         make_curves(models, dimension, pieces),
@@ -102,13 +109,13 @@ def make_room(models: Models, dimension: int, loads: int, sampled: int) -> Room:
 def write_node(sections, room, b, h, i, relative):  # type: ignore[no-untyped-def]
     """Write the curves of node i of shape h of design b, less those of the first node if `relative`."""
     own = room.own
+    number = (b * sections.strain.shape[1] + h) * sections.strain.shape[2] + i
     for a in range(len(own.pieces)):
         for c in range(sections.bending.shape[4]):
             own.bending[a, c] = sections.bending[b, h, i, a, c]
             own.lever[a, c] = sections.lever[b, a, c]
         own.lever[a, sections.bending.shape[4]] = sections.lever[b, a, sections.bending.shape[4]]
-        pieces = sections.sampled[b, h, i, sections.sample[a]]
-        write_curve(own, a, sections.strain[b, h, i, a], sections.limit[b, a], pieces)
+        write_curve(own, a, sections.strain[b, h, i, a], sections.limit[b, a], sections.samples, number)
         if relative:
             if i == 0:
                 copy_curve(room.first, a, own)

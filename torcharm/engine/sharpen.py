@@ -14,8 +14,8 @@ import math
 from typing import Any
 
 from torcharm.engine.compilation import part
-from torcharm.engine.curves import step_nearby
 from torcharm.engine.distance import add_turn
+from torcharm.engine.reach import step_nearby
 
 STEPS = 5
 """Newton steps at most: two are usual, for of nearly straight curves the points are known badly at first."""

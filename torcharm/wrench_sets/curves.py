@@ -2,61 +2,210 @@
 
 A model's force and its slope by pressure are sampled at a few pressures, with the model's own kinks among them; between
 two there is a cubic. Where a cubic is off, more samples are taken, until all are good to `ACCURACY`.
+
+Of many curves of one model only those at some strains are sampled, closely enough for the engine to find those between
+as well by interpolation (`engine.curves.write_sampled`). Of few, each is sampled.
 """
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from torcharm.actuators import Actuator, force_slopes, pressure_degree, pressure_knots
+from torcharm.engine.curves import Samples
 
 ACCURACY = 1e-7
 """By how much of a model's largest force its cubic pieces may be off: far below what any model is good to."""
 ROUNDING = 64
 """So many roundings of the dtype they may be off in any case."""
-FIRST_PIECES = 4
-"""Pieces between two kinks to begin with, of models that do not say that they are cubics."""
+PLACES = tuple(k / 8 for k in range(1, 8))
+"""Where on a piece a cubic is compared with the force: closely enough to see what bends within the first piece."""
 PARTS = 4
 """A piece that is off is cut into so many at most, by how much it is off."""
 REFINEMENTS = 8
 """So often: powers of pressure as low as 1.01 need 6."""
-MOST_PIECES = 96
+MOST_PIECES = 160
 """Pieces at most: a curve with kinks that its model does not name would take any number."""
 INWARD = 1e-9
 """By this part of a piece its ends are moved inwards where the model names kinks: at one the force may jump."""
+PROBED_SHARES = (0.0, 0.5, 1.0)
+"""Of the limits, pressures at which a model is asked how large its forces are."""
 PROBES = 512
 """So many strains decide how densely a model is sampled."""
+LEAST_CURVES, CURVES_PER_STRAIN = 256, 4
+"""Of fewer curves, or fewer to each strain of a grid, each is sampled: which is quicker."""
+GRADED_AT, FIRST_STRAINS, MOST_STRAINS = 33, 9, 4096
+"""Evenly spaced strains that, with as many of the curves', decide how densely a grid is sampled by pressure; those that
+it begins with; and most of them."""
+NARROWEST = 1e-9
+"""By this part of all strains two of a grid are next to each other at least: where the force jumps."""
+CAUTION = 8.0
+"""So much better than allowed curves must be told half-way between two strains: a kink nearby does more elsewhere."""
+LEAST_RANGE = 1e-3
+"""Strains of a grid are so far apart in all, at least."""
+LIMITS = 1e3
+"""By this factor limits may differ: what is small beside the force at the highest may be all there is at the lowest."""
 
 Grades = list[list[float]]
 """For each stretch between kinks, the places from 0 to 1 at which its pieces begin and end."""
 
 
-@torch.no_grad()
-def sample_pieces(model: Actuator, strain: Tensor, limit: Tensor) -> Tensor:
-    """Pieces (*strain.shape, K, 6) of a model's force up to the limits: begin and end [kPa], forces and slopes there.
+class Curves(NamedTuple):
+    """Sampled curves of one model.
 
-    Each piece is (begin, end, force and slope at the begin, force and slope at the end) [kPa, N, N/kPa].
+    Attributes:
+        pieces: (R, K, 6) begin and end [kPa], forces [N] and slopes [N/kPa] there, of each piece: of each curve that
+            was asked for, or at strains of a grid.
+        grid: (R,) strains between which curves are interpolated, four at least; None if each curve has its own pieces.
+    """
+
+    pieces: Tensor
+    grid: Tensor | None = None
+
+
+@torch.no_grad()
+def sample_curves(model: Actuator, strain: Tensor, limit: Tensor) -> Curves:
+    """Pieces of a model's force by pressure up to limits.
 
     Args:
-        strain: of any shape.
-        limit: of the same shape [kPa].
+        strain: (n,) of the curves.
+        limit: (n,) [kPa].
     """
-    stretches = len(pressure_knots(model, strain.flatten()[:1])) + 1
+    used = limit[limit > 0]
+    if len(strain) >= LEAST_CURVES and len(used) and used.max() <= LIMITS * used.min():
+        found = _on_grid(model, strain, used.min(), used.max())
+        if found is not None and len(found.pieces) * CURVES_PER_STRAIN <= len(strain):
+            return found
+    few = slice(None, None, max(1, len(strain) // PROBES))
+    allowed = _Allowed(model, strain[few], limit[few])
+    return Curves(_pieces(model, strain, limit, _grades(model, strain[few], limit[few], allowed)))
+
+
+class _Allowed:
+    """By how much curves may be off, by the largest forces at strains, but for strains at which there is next to none.
+
+    Args:
+        strain, limit: (n,) of some of the curves, by whose forces it is told what is next to none.
+        part: of the highest limit, at which curves must be as good.
+    """
+
+    def __init__(self, model: Actuator, strain: Tensor, limit: Tensor, part: float = 1.0) -> None:
+        pressure = torch.stack([share * limit for share in PROBED_SHARES])
+        self.usual = model.force(strain.expand_as(pressure).contiguous(), pressure).abs().amax(0).median()
+        self.ratio = max(part * ACCURACY, ROUNDING * torch.finfo(strain.dtype).eps)
+
+    def __call__(self, largest: Tensor) -> Tensor:
+        return self.ratio * torch.maximum(largest, self.usual)
+
+
+def _on_grid(model: Actuator, strain: Tensor, least: Tensor, most: Tensor) -> Curves | None:
+    """Curves up to the highest limit, at strains between which all others follow; None if there are not enough.
+
+    Where a cubic between four strains does not tell the curve in the middle of two, that one is added. Where the force
+    jumps, so are the strains asked for between the narrowest two: such as none at all, where a law may begin.
+    """
+    low = strain.min()
+    high = torch.maximum(strain.max(), low + LEAST_RANGE * (1 + low.abs()))
+    if not bool((high - low).isfinite()):
+        return None
+    some = strain[:: max(1, len(strain) // GRADED_AT)]
+    allowed = _Allowed(model, some, most.expand_as(some), float(least / most))
+    some = torch.cat((some, torch.lerp(low, high, torch.linspace(0, 1, GRADED_AT).to(low))))
+    grades = _grades(model, some, most.expand_as(some), allowed)
+    grid = torch.lerp(low, high, torch.linspace(0, 1, FIRST_STRAINS).to(low))
+    pieces = _pieces(model, grid, most.expand(len(grid)), grades)
+    doubtful, torn = torch.arange(len(grid) - 1, device=grid.device), []
+    while len(doubtful):
+        if len(grid) > MOST_STRAINS:
+            return None
+        middle = torch.lerp(grid[doubtful], grid[doubtful + 1], 0.5)
+        true = _pieces(model, middle, most.expand(len(middle)), grades)
+        wrong = _disagree(_interpolated(grid, pieces, doubtful, middle), true, allowed)
+        wide = grid[doubtful + 1] - grid[doubtful] > NARROWEST * (high - low)
+        for k in doubtful[wrong & ~wide].tolist():
+            torn.append(strain[(strain > grid[k]) & (strain < grid[k + 1])].unique())
+        wrong &= wide
+        added = torch.cat((torch.zeros_like(grid, dtype=torch.bool), torch.ones_like(middle[wrong], dtype=torch.bool)))
+        grid, order = torch.cat((grid, middle[wrong])).sort()
+        pieces, added = torch.cat((pieces, true[wrong]))[order], added[order]
+        doubtful = (added[1:] | added[:-1]).nonzero().squeeze(-1)
+    more = torch.cat((*torn, grid[:0])).unique()
+    grid, order = torch.cat((grid, more)).sort()
+    return Curves(torch.cat((pieces, _pieces(model, more, most.expand(len(more)), grades)))[order], grid)
+
+
+def _interpolated(grid: Tensor, pieces: Tensor, interval: Tensor, strain: Tensor) -> Tensor:
+    """Pieces at strains within intervals of a grid, by cubics through four neighbours, as in the engine."""
+    four = (interval - 1).clamp(0, len(grid) - 4).unsqueeze(-1) + torch.arange(4, device=grid.device)
+    weights = torch.ones_like(grid[four])
+    for j in range(4):
+        others = torch.arange(4, device=grid.device) != j
+        factors = (strain.unsqueeze(-1) - grid[four[:, j : j + 1]]) / (grid[four] - grid[four[:, j : j + 1]])
+        weights[:, others] *= factors[:, others]
+    return torch.einsum("nj, njkc -> nkc", weights, pieces[four])
+
+
+def _disagree(guess: Tensor, true: Tensor, allowed: _Allowed) -> Tensor:
+    """(n,) whether pieces are further from the true ones than allowed."""
+    off = (guess - true).abs()
+    begin, end, force, slope, force_end, slope_end = true.unbind(-1)
+    steep, span = torch.maximum(slope.abs(), slope_end.abs()), end - begin
+    errors = (
+        off[..., 2],
+        off[..., 4],
+        off[..., 3] * span,
+        off[..., 5] * span,
+        off[..., 0] * steep,
+        off[..., 1] * steep,
+    )
+    largest = torch.maximum(force.abs(), force_end.abs()).amax(1)
+    return torch.stack(errors).amax((0, 2)) > allowed(largest) / CAUTION
+
+
+def as_samples(curves: Sequence[Curves | None]) -> Samples:
+    """The sampled curves of actuators, for the engine; None for those whose force the engine evaluates itself."""
+    known = [one for one in curves if one is not None]
+    most = max((one.pieces.shape[-2] for one in known), default=0)
+    rows = np.array([0 if one is None else len(one.pieces) for one in curves], np.int64)
+    grids = [one.pieces.new_zeros(len(one.pieces)) if one.grid is None else one.grid for one in known]
+    return Samples(
+        torch.cat([_padded(one.pieces, most) for one in known]).cpu().double().numpy()
+        if known
+        else np.zeros((0, 0, 6)),
+        torch.cat(grids).cpu().double().numpy() if known else np.zeros(0),
+        np.cumsum(rows) - rows,
+        np.array([0 if one is None or one.grid is None else len(one.grid) for one in curves], np.int64),
+    )
+
+
+def _padded(pieces: Tensor, count: int) -> Tensor:
+    """As many pieces as asked for; those added have no length, at the end of the last."""
+    missing = count - pieces.shape[-2]
+    if not missing:
+        return pieces
+    end, force, slope = pieces[..., -1:, (1, 4, 5)].unbind(-1)
+    more = torch.stack((end, end, force, slope, force, slope), -1)
+    return torch.cat((pieces, more.expand(*more.shape[:-2], missing, 6)), -2)
+
+
+def _grades(model: Actuator, strain: Tensor, limit: Tensor, allowed: _Allowed) -> Grades:
+    """Where pieces begin and end that are good enough at some strains."""
+    stretches = len(pressure_knots(model, strain[:1])) + 1
     degree = pressure_degree(model)
     if degree is not None and degree <= 3:
-        return _pieces(model, strain, limit, [[0.0, 1.0]] * stretches)
-    grades: Grades = [[k / FIRST_PIECES for k in range(FIRST_PIECES + 1)]] * stretches
-    step = max(1, strain.numel() // PROBES)
-    few_strains, few_limits = strain.flatten()[::step], limit.flatten()[::step]
+        return [[0.0, 1.0]] * stretches
+    grades: Grades = [[0.0, 1.0]] * stretches
     for _ in range(REFINEMENTS):
-        pieces = _pieces(model, few_strains, few_limits, grades)
-        finer = _refined(grades, _excess(model, few_strains, pieces).tolist())
+        finer = _refined(grades, _excess(model, strain, _pieces(model, strain, limit, grades), allowed).tolist())
         if finer == grades or sum(map(len, finer)) - stretches > MOST_PIECES:
             break
         grades = finer
-    return _pieces(model, strain, limit, grades)
+    return grades
 
 
 def _pieces(model: Actuator, strain: Tensor, limit: Tensor, grades: Grades) -> Tensor:
@@ -82,21 +231,16 @@ def _pieces(model: Actuator, strain: Tensor, limit: Tensor, grades: Grades) -> T
     return torch.stack(columns, -1)
 
 
-def _excess(model: Actuator, strain: Tensor, pieces: Tensor) -> Tensor:
-    """(K,) by how much more than allowed the pieces are off, in the middle and half-way to it, at most.
-
-    What is allowed is a part of the largest force at the strain, but for strains at which there is next to none.
-    """
+def _excess(model: Actuator, strain: Tensor, pieces: Tensor, allowed: _Allowed) -> Tensor:
+    """(K,) by how much more than allowed the pieces are off, at most."""
     begin, end, force, slope, force_end, slope_end = (column.unsqueeze(-1) for column in pieces.unbind(-1))
-    t = strain.new_tensor((0.25, 0.5, 0.75))
+    t = strain.new_tensor(PLACES)
     s, span = 1 - t, end - begin
     ends = s * s * (1 + 2 * t) * force + t * t * (1 + 2 * s) * force_end
     cubic = ends + s * t * span * (s * slope - t * slope_end)
     true = model.force(strain[:, None, None].expand_as(cubic).contiguous(), begin + t * span)
-    largest = true.abs().flatten(1).amax(1)
-    allowed = max(ACCURACY, ROUNDING * torch.finfo(strain.dtype).eps) * torch.maximum(largest, largest.median())
     off = (cubic - true).abs().amax(-1)
-    ratio = torch.where(off > 0, off / allowed.unsqueeze(-1), 0.0)
+    ratio = torch.where(off > 0, off / allowed(true.abs().flatten(1).amax(1)).unsqueeze(-1), 0.0)
     return torch.where(ratio.isfinite(), ratio, 0.0).amax(0)
 
 

@@ -16,7 +16,7 @@ from torcharm.engine.forces import SAMPLED, Models, models_of
 from torcharm.engine.node_sets import Answers, Sections, distance_kernel, make_room
 from torcharm.engine.threads import spread
 from torcharm.statics.cross_section import CrossSections, actuator_force, group_alike
-from torcharm.wrench_sets.curves import sample_pieces
+from torcharm.wrench_sets.curves import Curves, as_samples, sample_curves
 from torcharm.wrench_sets.design_task_grid import RequiredWrench
 
 CERTIFIED = 1e-8
@@ -87,7 +87,7 @@ def find_nearest(
     kernel = distance_kernel(components, signed)
 
     def work(first: int, last: int) -> None:
-        room = make_room(models, components, shape[2], data.sampled.shape[-2])
+        room = make_room(models, components, shape[2], data.samples)
         kernel(data, wanted, relative, first, last, room, answers)
 
     spread(shape[0], work)
@@ -106,15 +106,13 @@ def engine_sections(
     models = models_of(sections.actuators)
     constant = sections.constant
     constant = sections.strain.new_zeros(designs, shapes, nodes, components - 1) if constant is None else constant
-    pieces, which = _sampled(sections, models.kind)
     return models, Sections(
         as_array(sections.limit.expand(designs, 1, 1, actuators).reshape(designs, actuators)),
         as_array(sections.strain),
         as_array(sections.lever.expand(designs, 1, 1, actuators, components).reshape(designs, actuators, -1)) * factors,
         as_array(sections.bending.expand(designs, shapes, nodes, actuators, components - 1)) * scale[1],
         as_array(constant.expand(designs, shapes, nodes, components - 1)) * scale[1],
-        pieces,
-        which,
+        as_samples(_sampled(sections, models.kind)),
         as_array(required.unit_weight) * factors,
         as_array(required.mass),
     )
@@ -130,34 +128,21 @@ def as_array(value: Tensor) -> np.ndarray:  # type: ignore[type-arg]
     return np.ascontiguousarray(value.detach().cpu().double().numpy())
 
 
-def _sampled(sections: CrossSections, kind: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]
-    """Pieces (B, P, N, S, K, 6) of the S actuators that the engine does not know; and (M,) which of them each is."""
-    strain, which = sections.strain, np.zeros(len(kind), np.int64)
-    unknown = [a for a in range(len(kind)) if kind[a] == SAMPLED]
-    if not unknown:
-        return np.zeros((*strain.shape[:3], 1, 0, 6)), which
-    limit = sections.limit.expand_as(strain)
-    parts: dict[int, Tensor] = {}
+def _sampled(sections: CrossSections, kind: np.ndarray) -> list[Curves | None]:  # type: ignore[type-arg]
+    """Sampled curves of the actuators that the engine does not know."""
+    found: list[Curves | None] = [None] * len(kind)
+    if (kind != SAMPLED).all():
+        return found
+    limit = sections.limit.expand_as(sections.strain)
     for model, members in group_alike(sections.actuators):
         own = list(range(len(kind)))[members] if isinstance(members, slice) else members
         if kind[own[0]] == SAMPLED:
-            found = sample_pieces(model, strain[..., own].contiguous(), limit[..., own].contiguous())
-            parts.update({a: found[..., j, :, :] for j, a in enumerate(own)})
-    most = max(part.shape[-2] for part in parts.values())
-    which[unknown] = np.arange(len(unknown))
-    return as_array(torch.stack([_padded(parts[a], most) for a in unknown], -3)), which
-
-
-def _padded(pieces: Tensor, count: int) -> Tensor:
-    """As many pieces as asked for; those added have no length, at the end of the last."""
-    missing = count - pieces.shape[-2]
-    if not missing:
-        return pieces
-    last = pieces[..., -1:, :]
-    end, force, slope = last[..., 1], last[..., 4], last[..., 5]
-    return torch.cat(
-        (pieces, torch.stack((end, end, force, slope, force, slope), -1).expand(*last.shape[:-2], missing, 6)), -2
-    )
+            strains, limits = (x[..., own].movedim(-1, 0).flatten() for x in (sections.strain, limit))
+            curves = sample_curves(model, strains, limits)
+            each = [curves.pieces] * len(own) if curves.grid is not None else curves.pieces.chunk(len(own))
+            for a, pieces in zip(own, each, strict=True):
+                found[a] = Curves(pieces, curves.grid)
+    return found
 
 
 def evaluate_distance(

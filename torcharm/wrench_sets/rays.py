@@ -67,7 +67,7 @@ def find_ends(
     kernel, still = ray_kernel(components), _still(change, relative)
 
     def work(first: int, last: int) -> None:
-        room = make_room(models, components, change.shape[1], data.sampled.shape[-2])
+        room = make_room(models, components, change.shape[1], data.samples)
         kernel(data, begin, change, still, relative, first, last, room, make_ray(components), ends)
 
     spread(designs, work)
