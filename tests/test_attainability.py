@@ -890,6 +890,21 @@ def test_gradients_reach_a_force_models_own_parameters(chunk_size):
     assert gradcheck(total, (double(0.8, grad=True),))
 
 
+def test_a_force_that_is_one_number_counts_everywhere():
+    class Constant(ta.Bellows):
+        def force(self, strain, pressure):
+            return torch.tensor(3.0)
+
+    spread = ta.PolynomialActuator(((0, 0, 3.0),), (-1.0, 1.0), (0.0, 50.0), 50.0, ta.Bellows().bending_stiffness)
+    task = ta.Task(ta.affine_curvature(0.0, 1.0, length=0.4, nodes=5), [1.0, -2.0, 0.1])
+    one, other = (
+        ta.evaluate(ta.ArmDesign([-0.05, 0.05], 0.42, [model] * 2), task, ("absolute", "relative"))
+        for model in (Constant(), spread)
+    )
+    assert one.absolute.item() == pytest.approx(other.absolute.item(), rel=1e-12)
+    assert one.relative.item() == pytest.approx(other.relative.item(), rel=1e-12)
+
+
 def test_nan_from_a_force_model_stays_nan():
     arm = ta.ArmDesign([-0.05, 0.04], 0.5, [ta.Bellows(), Piston(area=math.nan)])
     result = ta.evaluate(arm, ta.Task(random_twists(), random_loads(3)), ("absolute", "relative"))

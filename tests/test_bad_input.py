@@ -123,7 +123,7 @@ CASES = {
     "ta.ExternalLoad([1.0, 2.0, 0.0], points=[ta.PointLoad(torch.zeros(6))])": ("points[0].wrench", "6"),
     "ta.ExternalLoad(gravity=9.81)": ("gravity", "9.81"),
     "ta.ExternalLoad(points=[3])": ("points[0]", "3"),
-    "Task(twists)": ("tip_load", "None"),
+    "Task(twists)": ("tip_load", "neither"),
     "Task(twists, load=[0.0, 0.0, 0.0])": ("load", "[0.0, 0.0, 0.0]"),
     "Task(twists, [0.0, 0.0, 0.0], load=ta.ExternalLoad(points=ta.PointLoad(torch.zeros(6))))": ("load", "6"),
     "Task(twists, load=ta.ExternalLoad(points=ta.PointLoad([1.0, 0.0, 0.0], segment=1)))": (
@@ -200,7 +200,7 @@ CASES = {
     "Task(twists, [0.0, 0.0])": ("tip_load", "(2,)"),
     "Task(twists, 1.0)": ("tip_load", "()"),
     "Task(twists, [nan, 0.0, 0.0])": ("tip_load", "nan"),
-    "Task(twists, None)": ("tip_load", "None"),
+    "Task(twists, None)": ("tip_load", "neither"),
     "Task(twists, np.ones(3, dtype=complex))": ("tip_load", "torch.complex128"),
     "Task(twists.expand(4, 10, 3), torch.zeros(3, 3))": ("twists, tip_load", "(3,)"),
     "Task(twists, [0.0, 0.0, 0.0], [0.0, 0.0])": ("base_pose", "(2,)"),

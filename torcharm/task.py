@@ -72,8 +72,10 @@ class Task:
         if load is not None and not isinstance(load, ExternalLoad):
             raise ValueError(f"load: must be an ExternalLoad, got {shown(load)}")
         check_choice("wrench_at", wrench_at, WRENCH_PLACES)
+        if tip_load is None and load is None:
+            raise ValueError("tip_load: must be given, or a load: zeros for none, got neither")
         given: dict[str, Any] = {"twists": twists}
-        if tip_load is not None or load is None:
+        if tip_load is not None:
             given["tip_load"] = tip_load
         if base_pose is not None:
             given["base_pose"] = base_pose

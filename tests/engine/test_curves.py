@@ -28,12 +28,19 @@ class KinkedByStrain(SmoothModel):
         return super().force(strain, pressure) + pressure * (strain - 0.0123).clamp(min=0) + strain.clamp(max=1e3)
 
 
+class Root(SmoothModel):
+    """A force whose slope at no pressure is infinite."""
+
+    def force(self, strain, pressure):
+        return 5 * pressure.sqrt() * (1 - strain) - 20 * strain
+
+
 @kernel
 def reach(samples, strain, first, limit, by_force, by_pressure, relative, own, other, change, found):
     """The pressures, forces and falls (B, 3) of B curves of one actuator."""
     for b in range(len(strain)):
-        write_curve(own, 0, strain[b], limit, samples, b)
-        write_curve(other, 0, first[b], limit, samples, b)
+        write_curve(own, 0, strain[b], limit, samples, b, not relative)
+        write_curve(other, 0, first[b], limit, samples, b, not relative)
         if relative:
             write_difference(change, 0, own, other)
         else:
@@ -47,7 +54,7 @@ def reach(samples, strain, first, limit, by_force, by_pressure, relative, own, o
 def write_all(samples, strain, limit, curves, edges, control):
     """Where the pieces of B sampled curves end (B, K + 1), and their Bezier coefficients (B, K, 4)."""
     for b in range(len(strain)):
-        write_curve(curves, 0, strain[b], limit[b], samples, b)
+        write_curve(curves, 0, strain[b], limit[b], samples, b, True)
         for k in range(edges.shape[1] - 1):
             own = min(k, curves.pieces[0] - 1)
             edges[b, k + 1] = curves.edge[0, own + 1]
@@ -79,6 +86,7 @@ def sampled(model, strain, limit):
         (ta.Bellows(), PAIRS["bellows"]().model.force, (-0.9, 3.0), 300.0),
         (ta.PolynomialActuator(QUINTIC, (-1, 1), (0, 99), 99.0), polynomial(QUINTIC).force, (-0.9, 0.9), 99.0),
         (SmoothModel(), smooth().force, (-0.9, 0.9), 150.0),
+        (Root(), lambda e, p: 5 * np.sqrt(p) * (1 - e) - 20 * e, (-0.9, 0.9), 150.0),
         (KinkedModel(), kinked().force, (-0.9, 0.9), 150.0),
     ],
 )

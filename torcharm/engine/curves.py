@@ -18,6 +18,7 @@ from torcharm.engine.forces import (
     force_by_pressure,
     muscle,
     muscle_corners,
+    muscle_power,
     polynomial_row,
 )
 from torcharm.engine.references import by_reference
@@ -50,6 +51,7 @@ class Curves(NamedTuple):
         lever: (M, D) u, the wrench of a force of 1 N.
         bending: (M, D - 1) t, the moments of a pressure of 1 kPa.
         off: (M,) more than the pieces are off the forces that the engine knows [N]; 0 where they are these.
+        power: (M, 2) k of a curve `f(0) + c p^(1 + k)` in one piece, 0 of others; and its slope at the limit [N/kPa].
         strain: (M, 2) the actuators' strains, here and, of differences, at the first node.
         terms: (1,) 1, or 2 for differences.
         row: room for a polynomial.
@@ -63,6 +65,7 @@ class Curves(NamedTuple):
     lever: Array
     bending: Array
     off: Array
+    power: Array
     strain: Array
     terms: Array
     row: Array
@@ -97,6 +100,7 @@ def make_curves(models: Models, dimension: int, pieces: int, terms: int = 1) -> 
         np.zeros((actuators, dimension)),
         np.zeros((actuators, dimension - 1)),
         np.zeros(actuators),
+        np.zeros((actuators, 2)),
         np.zeros((actuators, 2)),
         np.array([terms]),
         np.zeros(max(4, models.table.shape[1])),
@@ -144,19 +148,25 @@ def write_polynomial(curves, a, strain, limit):  # type: ignore[no-untyped-def]
 
 
 @part
-def write_muscle(curves, a, scale, strain, limit):  # type: ignore[no-untyped-def]
-    """The pieces of a McKibben muscle's force: lines between corners where it is contracted, else graded cubics."""
+def write_muscle(curves, a, scale, strain, limit, whole):  # type: ignore[no-untyped-def]
+    """The pieces of a McKibben muscle's force: lines between corners where it is contracted, else graded cubics.
+
+    Args:
+        whole: whether the curve of a stretched muscle is one piece: its power tells how far it reaches.
+    """
     curves.edge[a, 0] = 0.0
     if strain >= STRETCHED_FROM:
-        log_limit = math.log(max(limit, NO_PRESSURE))
+        log_limit, stride = math.log(max(limit, NO_PRESSURE)), MUSCLE_PIECES if whole else 1
         force_low, slope_low = 0.0, 0.0
-        for k in range(MUSCLE_PIECES + 1):
+        for k in range(0, MUSCLE_PIECES + 1, stride):
             force, _, slope = muscle(strain, limit * GRADES[k], log_limit + LOG_GRADES[k])
             force, slope = -scale * force, -scale * slope
             if k > 0:
-                write_piece(curves, a, k - 1, limit * GRADES[k], force_low, slope_low, force, slope)
+                write_piece(curves, a, k // stride - 1, limit * GRADES[k], force_low, slope_low, force, slope)
             force_low, slope_low = force, slope
-        curves.pieces[a] = MUSCLE_PIECES
+        curves.pieces[a] = MUSCLE_PIECES // stride
+        curves.power[a, 0] = muscle_power(strain) if whole and limit > 0.0 else 0.0
+        curves.power[a, 1] = slope_low
         curves.off[a] = MUSCLE_OFF * limit * abs(slope_low)
         return
     onset, pull = muscle_corners(strain)
@@ -229,18 +239,19 @@ def _on_cubic(span, f0, s0, f1, s1, t):  # type: ignore[no-untyped-def]
 
 
 @part
-def write_curve(curves, a, strain, limit, samples, number):  # type: ignore[no-untyped-def]
+def write_curve(curves, a, strain, limit, samples, number, whole):  # type: ignore[no-untyped-def]
     """The pieces of actuator a, by its own force model.
 
     Args:
         samples: of the models that the engine does not know.
         number: which of the curves of this actuator it is, where each has its own samples.
+        whole: whether it is asked how far the curve itself reaches, and not a difference with another.
     """
-    curves.strain[a, 0], curves.off[a] = strain, 0.0
+    curves.strain[a, 0], curves.off[a], curves.power[a, 0] = strain, 0.0, 0.0
     if curves.models.kind[a] == POLYNOMIAL:
         write_polynomial(curves, a, strain, limit)
     elif curves.models.kind[a] > POLYNOMIAL:
-        write_muscle(curves, a, curves.models.scale[a], strain, limit)
+        write_muscle(curves, a, curves.models.scale[a], strain, limit, whole)
     else:
         write_sampled(curves, a, strain, limit, samples, number)
 
@@ -304,6 +315,7 @@ def copy_curve(out, a, own):  # type: ignore[no-untyped-def]
     """Keep an actuator's curve."""
     out.pieces[a], out.edge[a, 0] = own.pieces[a], own.edge[a, 0]
     out.off[a], out.strain[a, 0] = own.off[a], own.strain[a, 0]
+    out.power[a, 0], out.power[a, 1] = own.power[a, 0], own.power[a, 1]
     for k in range(own.pieces[a]):
         out.edge[a, k + 1] = own.edge[a, k + 1]
         for j in range(4):

@@ -113,6 +113,12 @@ def _quartic(c: tuple[float, ...], x: float) -> float:
 
 
 @part
+def muscle_power(x: float) -> float:
+    """By how much the power of pressure with which a stretched muscle pulls is above 1."""
+    return _B3 * x
+
+
+@part
 def muscle_corners(x: float) -> tuple[float, float]:
     """Pressures [kPa] of a contracted muscle's kinks: where its force begins to recover, and Z, where it pulls."""
     pull = _quartic(_Z, x)

@@ -115,7 +115,7 @@ def write_node(sections, room, b, h, i, relative):  # type: ignore[no-untyped-de
             own.bending[a, c] = sections.bending[b, h, i, a, c]
             own.lever[a, c] = sections.lever[b, a, c]
         own.lever[a, sections.bending.shape[4]] = sections.lever[b, a, sections.bending.shape[4]]
-        write_curve(own, a, sections.strain[b, h, i, a], sections.limit[b, a], sections.samples, number)
+        write_curve(own, a, sections.strain[b, h, i, a], sections.limit[b, a], sections.samples, number, not relative)
         if relative:
             if i == 0:
                 copy_curve(room.first, a, own)

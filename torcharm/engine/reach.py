@@ -7,6 +7,7 @@ force itself.
 import math
 
 from torcharm.engine.compilation import part
+from torcharm.engine.curves import NO_PRESSURE
 from torcharm.engine.forces import force_by_pressure
 
 NEWTON_STEPS = 40
@@ -26,6 +27,8 @@ def sides(curves, a):  # type: ignore[no-untyped-def]
     Where no control point is on the side that a direction points to, the curve reaches furthest at one of its ends.
     """
     last = curves.pieces[a]
+    if curves.power[a, 0] > 0.0:
+        return ABOVE if curves.power[a, 1] < 0.0 else BELOW
     bend = _bend(curves, a) if last > 1 and curves.off[a] == 0.0 else 0
     if bend != 0:
         return ABOVE + ARCHED if bend < 0 else BELOW + HOLLOW
@@ -111,6 +114,24 @@ def _piece_at_top(curves, a, by_force, by_pressure):  # type: ignore[no-untyped-
 
 
 @part
+def _top_of_power(curves, a, by_force, by_pressure):  # type: ignore[no-untyped-def]
+    """The same as of `furthest` for a curve `f(0) + c p^(1 + k)` that bends away from the direction.
+
+    There `by_force f'(p) + by_pressure = 0`, and with the slope f'(P) at the limit P it is `f'(P) (p/P)^k = f'(p)`.
+    """
+    limit, power, steepest = curves.edge[a, 1], curves.power[a, 0], curves.power[a, 1]
+    if by_pressure <= 0.0:
+        return 0.0, curves.control[a, 0, 0], 0.0
+    ratio = by_pressure / (-by_force * steepest)
+    if not 0.0 < ratio < 1.0:
+        return limit, curves.control[a, 0, 3], 0.0
+    p = limit * math.exp(math.log(ratio) / power)
+    if p <= NO_PRESSURE:
+        return 0.0, curves.control[a, 0, 0], 0.0
+    return p, curves.control[a, 0, 0] - p * by_pressure / (by_force * (1.0 + power)), by_pressure * power / p
+
+
+@part
 def furthest(curves, a, by_force, by_pressure):  # type: ignore[no-untyped-def]
     """The pressure p and force f of a curve that make `g = by_force f + by_pressure p` largest, and -g'' there.
 
@@ -122,6 +143,8 @@ def furthest(curves, a, by_force, by_pressure):  # type: ignore[no-untyped-def]
         if by_force * start + by_pressure * curves.edge[a, 0] >= by_force * end + by_pressure * curves.edge[a, last]:
             return curves.edge[a, 0], start, 0.0
         return curves.edge[a, last], end, 0.0
+    if curves.power[a, 0] > 0.0:
+        return _top_of_power(curves, a, by_force, by_pressure)
     begin = 0
     if curves.side[a] & (ARCHED if by_force > 0.0 else HOLLOW):
         begin = _piece_at_top(curves, a, by_force, by_pressure)

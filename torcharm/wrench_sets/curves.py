@@ -27,9 +27,9 @@ PLACES = tuple(k / 8 for k in range(1, 8))
 """Where on a piece a cubic is compared with the force: closely enough to see what bends within the first piece."""
 PARTS = 4
 """A piece that is off is cut into so many at most, by how much it is off."""
-REFINEMENTS = 8
-"""So often: powers of pressure as low as 1.01 need 6."""
-MOST_PIECES = 160
+REFINEMENTS = 24
+"""So often: powers of pressure as low as 1.01 need 6, a square root as many."""
+MOST_PIECES = 256
 """Pieces at most: a curve with kinks that its model does not name would take any number."""
 INWARD = 1e-9
 """By this part of a piece its ends are moved inwards where the model names kinks: at one the force may jump."""
@@ -96,7 +96,8 @@ class _Allowed:
 
     def __init__(self, model: Actuator, strain: Tensor, limit: Tensor, part: float = 1.0) -> None:
         pressure = torch.stack([share * limit for share in PROBED_SHARES])
-        self.usual = model.force(strain.expand_as(pressure).contiguous(), pressure).abs().amax(0).median()
+        force = model.force(strain.expand_as(pressure).contiguous(), pressure).expand_as(pressure)
+        self.usual = force.abs().amax(0).median()
         self.ratio = max(part * ACCURACY, ROUNDING * torch.finfo(strain.dtype).eps)
 
     def __call__(self, largest: Tensor) -> Tensor:
@@ -202,7 +203,7 @@ def _grades(model: Actuator, strain: Tensor, limit: Tensor, allowed: _Allowed) -
     grades: Grades = [[0.0, 1.0]] * stretches
     for _ in range(REFINEMENTS):
         finer = _refined(grades, _excess(model, strain, _pieces(model, strain, limit, grades), allowed).tolist())
-        if finer == grades or sum(map(len, finer)) - stretches > MOST_PIECES:
+        if finer == grades:
             break
         grades = finer
     return grades
@@ -227,6 +228,10 @@ def _pieces(model: Actuator, strain: Tensor, limit: Tensor, grades: Grades) -> T
         force = torch.stack((at[..., :-1], at[..., 1:]), -1)
         slope = torch.stack((rate[..., :-1], rate[..., 1:]), -1)
     assert slope is not None
+    chord = (force.diff(dim=-1) / edges.diff(dim=-1).unsqueeze(-1)).expand_as(slope)
+    slope = torch.where(
+        slope.isfinite(), slope, torch.where(chord.isfinite(), chord, 0.0)
+    )  # as of a root at no pressure
     columns = (edges[..., :-1], edges[..., 1:], force[..., 0], slope[..., 0], force[..., 1], slope[..., 1])
     return torch.stack(columns, -1)
 
@@ -238,20 +243,25 @@ def _excess(model: Actuator, strain: Tensor, pieces: Tensor, allowed: _Allowed) 
     s, span = 1 - t, end - begin
     ends = s * s * (1 + 2 * t) * force + t * t * (1 + 2 * s) * force_end
     cubic = ends + s * t * span * (s * slope - t * slope_end)
-    true = model.force(strain[:, None, None].expand_as(cubic).contiguous(), begin + t * span)
+    true = model.force(strain[:, None, None].expand_as(cubic).contiguous(), begin + t * span).expand_as(cubic)
     off = (cubic - true).abs().amax(-1)
     ratio = torch.where(off > 0, off / allowed(true.abs().flatten(1).amax(1)).unsqueeze(-1), 0.0)
     return torch.where(ratio.isfinite(), ratio, 0.0).amax(0)
 
 
 def _refined(grades: Grades, excess: list[float]) -> Grades:
-    """With the pieces cut that are off: the error of a cubic falls with the fourth power of its length."""
+    """With those pieces cut that are off, the worst first: errors of cubics fall with length to the fourth."""
+    room = MOST_PIECES - len(excess)
+    counts = [1] * len(excess)
+    for k in sorted(range(len(excess)), key=lambda k: -excess[k]):
+        if excess[k] > 1:
+            counts[k] += min(PARTS - 1, max(1, math.ceil(excess[k] ** 0.25) - 1), room)
+            room -= counts[k] - 1
     finer, k = [], 0
     for row in grades:
         places = row[:1]
         for begin, end in pairwise(row):
-            count = 1 if excess[k] <= 1 else min(PARTS, max(2, math.ceil(excess[k] ** 0.25)))
-            places += [begin + (end - begin) * i / count for i in range(1, count)] + [end]
+            places += [begin + (end - begin) * i / counts[k] for i in range(1, counts[k])] + [end]
             k += 1
         finer.append(places)
     return finer

@@ -230,7 +230,7 @@ def _mixed(sections: CrossSections, weight: Tensor, pressure: Tensor, *, relativ
         strains = [strain[where[0], where[1], n[own], where[2]]]
         strains += [strain[where[0], where[1], 0, where[2]]] if relative else []
         held = _held(model, strains, own_pressure[own], limit.expand(len(strain), 1, 1, -1)[where[0], 0, 0, where[2]])
-        found = [model.force(one, held) for one in strains]
+        found = [model.force(one, held).expand_as(held) for one in strains]
         forces = forces.index_copy(0, own, found[0] - found[1] if relative else found[0])
         pressures = pressures.index_copy(0, own, held)
     place = (((b * force.shape[1] + p) * force.shape[2] + l) * force.shape[3] + n) * force.shape[4] + a
