@@ -32,13 +32,15 @@ Array = NDArray[Any]
 FIRST_PRESSURE_STEP = 0.6
 """Of the pressure, taken by the first step."""
 FIRST_LOAD_STEP = 0.25
-"""Of the load, taken by the first step."""
+"""Of the load, taken by the first step, or more if it moves the arm by less than `FIRST_MOVE`."""
+FIRST_MOVE = 0.5
+"""Length of that step along the tangent, as `move_size` measures: most loads are taken in one."""
 SHORTEST_STEP = 1e-4
 """Of the load; where no longer step succeeds, the branch has ended."""
 MOST_EVALUATIONS = 200
 """Of the balance along one path: ten times what hard cases take; more is a path that goes nowhere."""
 LARGEST_MOVE = 1.0
-"""Longest step along the tangent, as `_size` measures: about a radian, or a third of the length."""
+"""Longest step along the tangent, as `move_size` measures: about a radian, or a third of the length."""
 SMALL_MOVE = 0.06
 """A correction so short needs no contraction: at a kink of a force model Newton has none, however short.
 On the way, a Newton step so short is taken, and the path goes on from there."""
@@ -186,6 +188,8 @@ def follow(arms, loads, scale, pressures, room, path, b, tolerance):  # type: ig
                 path.fastest[0], path.fastest[1] = speed, at
                 copy_twists(path.quick, path.base)
                 copy_twists(path.rush, path.ahead)
+            if loaded and not started_before:
+                step = min(max(step, FIRST_MOVE / max(speed, 1e-12)), 1.0)
             step = min(step, LARGEST_MOVE / max(speed, 1e-12))
         elif not there and trusted and moved < LARGEST_MOVE and corrections < CORRECTIONS:
             move(arms, path, 1.0)

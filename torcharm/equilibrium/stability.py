@@ -35,9 +35,19 @@ def stays(packed: Packed, found: Found) -> NDArray[np.bool_]:
         unsure |= stable & (loads.wrench[..., dimension:] != 0).any((-2, -1))
     rows = np.flatnonzero(unsure & (found.reached != FAILED))
     for index in np.split(rows, range(EIGENVALUES_AT_ONCE, len(rows), EIGENVALUES_AT_ONCE)):
-        # The real parts of the inverse's eigenvalues have the same signs
-        values = np.linalg.eigvals(packed.inverse(found.twists, index)) if len(index) else np.zeros((0, 1))
-        stable[index] = values.real.max(-1) < 0
+        stable[index] = are_stable(packed.inverse(found.twists, index)) if len(index) else True
+    return stable
+
+
+def are_stable(inverse: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(b,) whether all eigenvalues of J have a negative real part, by the inverses (b, n, n), whose signs are the same.
+
+    They have if the symmetric part is negative definite, which is quicker to find; else the eigenvalues are asked for.
+    """
+    _, failed = torch.linalg.cholesky_ex(torch.from_numpy(-(inverse + inverse.swapaxes(-1, -2))))
+    stable: NDArray[np.bool_] = (failed == 0).numpy()
+    if not stable.all():
+        stable[~stable] = np.linalg.eigvals(inverse[~stable]).real.max(-1) < 0
     return stable
 
 
