@@ -19,8 +19,8 @@ import torcharm as ta
 Real = np.longdouble
 Array = NDArray[np.longdouble]
 ONE = Real(1)
-ROUNDS = 6
-"""Of refining the samples of a curve, at most."""
+ROUNDS = 24
+"""Of refining the samples of a curve, at most: some muscles that are stretched far beyond their range take ten."""
 STEP = Real(2) ** -15
 """Largest relative step of the differences that derivatives are taken from."""
 CHUNK = 2_000_000
