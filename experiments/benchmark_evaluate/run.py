@@ -43,7 +43,7 @@ def main() -> None:
     torch.set_num_threads(1)
     console = Console()
     rows: list[Measurement] = []
-    for part in (machine, compilation, validation, sweep, own_model, memory, growth):
+    for part in (machine, compilation, memory, validation, sweep, own_model, growth):
         found = list(part(options.quick))
         console.print(measurements_table(found, 4))
         rows += found

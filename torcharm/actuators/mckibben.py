@@ -109,53 +109,6 @@ class McKibben:
         power = pressure * (exponent * pressure.clamp(min=_TRACE).log()).exp()
         return (contracted + gain * power) * -self.force_scale
 
-    def force_slopes(
-        self, strain: Tensor, pressure: Tensor, by_pressure: bool = True
-    ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """f, ∂f/∂ε and, if wanted, ∂f/∂p; at a kink, the derivatives of `force`."""
-        square = strain * strain
-        powers = torch.stack((torch.ones_like(strain), strain, square, square * strain, square * square))
-        table = strain.new_tensor(_CONTRACTION) @ powers.flatten(1)
-        compression, at_rest, threshold, threshold_slope = table.unflatten(1, strain.shape).unbind(0)
-        beyond = pressure - threshold
-        pulling = beyond >= 0
-        # a rate times what the pressure is beyond Z, both in pull and on the way there
-        pulls = pulling.to(strain.dtype)
-        shift = torch.add(strain, pulls, alpha=_A2 - _S2).add_(_S2)
-        growth = pulls.mul_(_A1 - _S1).add_(_S1).mul_(shift)
-        rate = growth * shift
-        force = rate * beyond
-        slope = torch.addcmul(2 * growth * beyond, rate, threshold_slope, value=-1)
-        idle = (force <= compression) & ~pulling
-        force, slope = torch.where(idle, compression, force), torch.where(idle, at_rest, slope)
-        rate = rate.masked_fill_(idle, 0.0)
-        collapsed = (strain < _STRAIN_LIM) & ~pulling
-        if bool(collapsed.any()):
-            collapsing = _select(
-                strain >= _STRAIN_CRIT, strain.new_tensor(_RISE_RATE), strain.new_tensor(_COLLAPSE_RATE)
-            )
-            collapse = collapsing * (strain - _STRAIN_CRIT)
-            rise = (pressure - _RISE_LIM).relu()
-            steep = collapse * (strain - _STRAIN_CRIT)
-            force = torch.where(collapsed, compression + steep * rise, force)
-            slope = torch.where(collapsed, at_rest + 2 * collapse * rise, slope)
-            rate = torch.where(collapsed, steep * (rise > 0), rate)
-        extended = strain >= 0
-        if bool(extended.any()):
-            x = strain.clamp(min=0)
-            slack = _B2 * x + _SLACK
-            gain, exponent = _B1 * slack.square(), _B3 * x
-            log = pressure.clamp(min=_TRACE).log()
-            power = (exponent * log).exp_()  # p^x / p
-            pull = gain * power * pressure
-            stretch = (3 * _E3 * x + 2 * _E2) * x + _E1
-            stretch = stretch + power * pressure * (2 * _B1 * _B2 * slack) + pull * (_B3 * log)
-            force = torch.where(extended, _extension(x) + pull, force)
-            slope = torch.where(extended, stretch, slope)
-            rate = torch.where(extended, gain * (1 + exponent * (pressure > _TRACE)) * power, rate)
-        scale = -plain_number(self.force_scale)
-        return force.mul_(scale), slope.mul_(scale), rate.mul_(scale) if by_pressure else None
-
     def pressure_knots(self, strain: Tensor) -> Tensor:
         """Pressures (2, *strain.shape) [kPa] of the kinks in contraction: the onset of recovery, and Z.
 

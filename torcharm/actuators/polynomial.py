@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torcharm._inputs import plain_number, refuse_graphs, shown
+from torcharm._inputs import refuse_graphs, shown
 from torcharm.actuators.bending import Bending, Number
 from torcharm.actuators.protocol import check_numbers
 
@@ -62,24 +62,6 @@ class PolynomialActuator:
             total = total * pressure + _horner(row, strain)
         return total if len(rows) > 1 else total.expand(torch.broadcast_shapes(strain.shape, pressure.shape))
 
-    def force_slopes(
-        self, strain: Tensor, pressure: Tensor, by_pressure: bool = True
-    ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """f, ∂f/∂ε and, if wanted, ∂f/∂p. Cheapest where pressure has fewer entries than strain."""
-        table = strain.new_tensor(self._rows(plain_number(self.force_scale))).mT  # (powers of ε, powers of p)
-        degrees = range(1, table.shape[1])
-        powers = torch.stack([pressure**degree for degree in range(table.shape[1])])
-        row = (table @ powers.flatten(1)).unflatten(1, pressure.shape).unbind(0)
-        force, by_strain = _horner_slope(row, strain)
-        if not by_pressure:
-            return force, by_strain, None
-        if not degrees:
-            return force, by_strain, torch.zeros_like(force)
-        slope = table[:, 1:] * table.new_tensor([float(degree) for degree in degrees])
-        last = max([0, *(i for i, j, c in self.coefficients if j > 0 and c != 0)])
-        row = (slope[: last + 1] @ powers[:-1].flatten(1)).unflatten(1, pressure.shape).unbind(0)
-        return force, by_strain, _horner_slope(row, strain, False)[0]
-
     def _rows(self, scale: float) -> list[list[float]]:
         """`rows[j][i] = c_ij` times a scale: for each power of pressure a polynomial in strain."""
         strain_degree = max([0, *(i for i, _, _ in self.coefficients)])
@@ -111,18 +93,6 @@ def _horner(row: list[float], x: Tensor) -> Tensor:
     for c in reversed(row[:degree]):
         total = total * x + c
     return total
-
-
-def _horner_slope(row: tuple[Tensor, ...], x: Tensor, slope: bool = True) -> tuple[Tensor, Tensor]:
-    """`Σ row[i] x^i`, and its derivative by x if wanted."""
-    if len(row) == 1:
-        return row[0] + torch.zeros_like(x), torch.zeros_like(x)
-    total, rate = torch.addcmul(row[-2], row[-1], x), row[-1]
-    for c in reversed(row[:-2]):
-        if slope:
-            rate = torch.addcmul(total, rate, x)
-        total = torch.addcmul(c, total, x)
-    return total, rate + torch.zeros_like(x) if len(row) == 2 else rate
 
 
 BELLOWS_COEFFICIENTS: Coefficients = (

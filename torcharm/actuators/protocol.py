@@ -129,34 +129,25 @@ def is_linear_in_pressure(actuator: Actuator) -> bool:
     return degree is not None and degree <= 1 and not written_out(actuator, "pressure_knots")
 
 
-def force_slopes(
-    actuator: Actuator, strain: Tensor, pressure: Tensor, by_pressure: bool = True
-) -> tuple[Tensor, Tensor, Tensor | None]:
-    """f, ∂f/∂ε and, if wanted, ∂f/∂p, detached: written out by the model, or by autograd.
+def force_slopes(actuator: Actuator, strain: Tensor, pressure: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """f, ∂f/∂ε and ∂f/∂p, detached.
 
     Raises:
         ValueError: the force changes with strain or pressure, but autograd finds no slope.
     """
-    if written_out(actuator, "force_slopes"):
-        with torch.no_grad():
-            found: tuple[Tensor, Tensor, Tensor | None] = actuator.force_slopes(  # type: ignore[attr-defined]
-                strain, pressure, by_pressure
-            )
-        return found
     with torch.enable_grad():
         strain = strain.detach().requires_grad_()
-        pressure = pressure.detach().expand_as(strain).clone().requires_grad_(by_pressure)
+        pressure = pressure.detach().expand_as(strain).clone().requires_grad_()
         force = actuator.force(strain, pressure).expand_as(strain)
-        wanted = (strain, pressure) if by_pressure else (strain,)
-        known: Sequence[Tensor | None] = (None,) * len(wanted)  # of a constant force
+        known: Sequence[Tensor | None] = (None, None)  # of a constant force
         if force.requires_grad:
-            known = torch.autograd.grad(force.sum(), wanted, allow_unused=True)
+            known = torch.autograd.grad(force.sum(), (strain, pressure), allow_unused=True)
     slopes = [torch.zeros_like(strain) if slope is None else slope for slope in known]
     moves = (("strain", 0.01, 0.0), ("pressure", 0.0, 1.0))
-    for (name, more_strain, more_pressure), slope in zip(moves, known, strict=False):
+    for (name, more_strain, more_pressure), slope in zip(moves, known, strict=True):
         if slope is None:
             _check_constant(actuator, name, strain.detach() + more_strain, pressure.detach() + more_pressure, force)
-    return force.detach(), slopes[0], slopes[1] if by_pressure else None
+    return force.detach(), slopes[0], slopes[1]
 
 
 def _check_constant(actuator: Actuator, name: str, strain: Tensor, pressure: Tensor, force: Tensor) -> None:

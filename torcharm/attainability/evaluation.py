@@ -54,7 +54,8 @@ def evaluate(
     force models hold, by the envelope theorem: the normals, weights and pressures of the nearest points are held. Where
     the distance has a kink, the gradient lies between its one-sided derivatives: inside a set and on its boundary it is
     that of the inside, 0 (signed: that of the nearest face); where a force model has a kink, that of the side on which
-    the model puts the point. Relative sets have one where all nodes are bent alike: they are points then. The gradient of a predicted error that is not converged and stable is NaN, unless nothing
+    the model puts the point. Relative sets have one where all nodes are bent alike: they are points then. The
+    gradient of a predicted error that is not converged and stable is NaN, unless nothing
     depends on it: see `predict_error`. Plain autograd does it; transforms of torch.func are refused, with a
     RuntimeError.
 

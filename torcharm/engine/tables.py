@@ -159,8 +159,7 @@ def _halved(axis: Array, excess: Array) -> Array:
 def _ask(model: Actuator, strain: Array, pressure: Array) -> tuple[Array, Array, Array]:
     """f, ∂f/∂ε and ∂f/∂p at pairs."""
     found = force_slopes(model, torch.from_numpy(strain.copy()), torch.from_numpy(pressure.copy()))
-    parts = [torch.zeros(strain.shape, dtype=torch.float64) if part is None else part for part in found]
-    force, by_strain, by_pressure = (np.asarray(part.detach().expand(strain.shape), dtype=float) for part in parts)
+    force, by_strain, by_pressure = (np.asarray(part.expand(strain.shape), dtype=float) for part in found)
     return force, by_strain, by_pressure
 
 

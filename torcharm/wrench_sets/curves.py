@@ -224,10 +224,8 @@ def _pieces(model: Actuator, strain: Tensor, limit: Tensor, grades: Grades) -> T
         force, _, slope = force_slopes(model, strain[..., None, None].expand_as(ends).contiguous(), ends)
     else:
         at, _, rate = force_slopes(model, strain.unsqueeze(-1).expand_as(edges).contiguous(), edges)
-        assert rate is not None
         force = torch.stack((at[..., :-1], at[..., 1:]), -1)
         slope = torch.stack((rate[..., :-1], rate[..., 1:]), -1)
-    assert slope is not None
     chord = (force.diff(dim=-1) / edges.diff(dim=-1).unsqueeze(-1)).expand_as(slope)
     slope = torch.where(
         slope.isfinite(), slope, torch.where(chord.isfinite(), chord, 0.0)

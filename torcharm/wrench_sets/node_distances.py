@@ -20,6 +20,9 @@ METRICS = ("absolute", "relative")
 """Of wrenches, by attainable sets."""
 CHUNK_ELEMENTS = 200_000
 """Numbers in a chunk's largest tensor, one for each actuator, node and point: 1.6 MB, which caches hold."""
+KEPT_CHUNKS = 48
+"""Chunks whose nearest points are kept for gradients, 3 MB each and for each metric: of more they are found again,
+which takes half as long once more."""
 VERTEX_CHUNK_NUMBERS = 2_000_000
 """The same where sets are given by vertices: what is worked out of these at once must be worth a call."""
 
@@ -71,10 +74,11 @@ def node_distances(grid: DesignTaskGrid, options: SetOptions, chunk_size: int | 
         flag = torch.zeros_like(real, dtype=torch.bool)
         return NodeDistances(real, ~flag, real.new_zeros(grid.sizes), flag.new_zeros(grid.sizes))
     size = chunk_size or default_chunk(grid, options.vertices)
-    again = len(grid.segments[0].radii) * grid.sizes[1] * grid.sizes[2] > size
+    triples = len(grid.segments[0].radii) * grid.sizes[1] * grid.sizes[2]
+    again, keep = triples > size, triples <= KEPT_CHUNKS * size
 
     def work(designs: slice, shapes: slice, loads: slice) -> tuple[Tensor, ...]:
-        parts = [_segment(grid, s, (designs, shapes, loads), options, again) for s in range(len(grid.segments))]
+        parts = [_segment(grid, s, (designs, shapes, loads), options, again, keep) for s in range(len(grid.segments))]
         distance, converged, excess, lost = zip(*parts, strict=True)
         impossible = torch.stack(lost).any(0)
         whole = torch.cat(distance, -1)
@@ -96,12 +100,13 @@ def default_chunk(grid: DesignTaskGrid, vertices: VertexSets | None = None) -> i
 
 
 def _segment(
-    grid: DesignTaskGrid, segment: int, place: tuple[slice, slice, slice], options: SetOptions, again: bool
+    grid: DesignTaskGrid, segment: int, place: tuple[slice, slice, slice], options: SetOptions, again: bool, keep: bool
 ) -> tuple[Tensor, ...]:
     """The columns of `NodeDistances`, (b, p, l, ...), of the nodes of one segment.
 
     Args:
         again: whether a graph is built when it is needed instead of kept.
+        keep: whether nearest points are kept for it, in place of being found again.
     """
     designs, shapes, _ = place
     required = grid.required.part(*place, grid.nodes[segment])
@@ -124,31 +129,32 @@ def _segment(
     else:
         with torch.no_grad():
             sections, lost, excess = prepare()
-            nearest = [
-                _nearest(sections, required, options, relative=metric == "relative", points=True)
-                for metric in options.metrics
-            ]
+            relative = [metric == "relative" for metric in options.metrics]
+            kept = [_nearest(sections, required, options, relative=one, points=True) for one in relative if keep]
 
         def replay() -> tuple[Tensor, ...]:
             sections, _, excess = prepare()
+            found = kept or [_nearest(sections, required, options, relative=one, points=True) for one in relative]
             values = [
-                evaluate_distance(
-                    sections, required, options.scale, _held(options, sections, one), relative=metric == "relative"
-                )
-                for metric, one in zip(options.metrics, nearest, strict=True)
+                evaluate_distance(sections, required, options.scale, _held(options, sections, nearest), relative=one)
+                for nearest, one in zip(found, relative, strict=True)
             ]
-            return *values, excess
+            return *values, *(one.known(value) for one, value in zip(found, values, strict=True)), excess
 
         if not again:
-            *values, excess = replay()
+            *both, excess = replay()
         elif options.vertices is None and not any_sampled(sections) and not want_gradients(arm.actuators, arm.radii):
             ours = (arm.radii, arm.length, arm.max_pressure, arm.out_of_plane, twists)
             inputs = (*ours, required.external, required.unit_weight, required.mass)
-            known = (*(one.distance for one in nearest), excess)
-            *values, excess = Replayed.apply(replay, known, *(x for x in inputs if x is not None and x.requires_grad))
+            known = [(one.distance, one.certified) for one in kept]
+            with torch.no_grad():
+                known = known or [_measure(sections, required, options, one) for one in relative]
+            plain = (*(value for value, _ in known), *(flag for _, flag in known), excess)
+            *both, excess = Replayed.apply(replay, plain, *(x for x in inputs if x is not None and x.requires_grad))
         else:  # parameters inside of models are found only by a forward pass through them
-            *values, excess = checkpoint(replay, use_reentrant=False)
-        found = [(value, one.known(value)) for value, one in zip(values, nearest, strict=True)]
+            *both, excess = checkpoint(replay, use_reentrant=False)
+        count = len(options.metrics)
+        found = list(zip(both[:count], both[count:], strict=True))
     found = [
         (without_rounding(value, sections, required, options.scale, relative=metric == "relative"), flag)
         for metric, (value, flag) in zip(options.metrics, found, strict=True)
