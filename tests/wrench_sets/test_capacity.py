@@ -429,3 +429,10 @@ def test_arm_and_task_of_different_dtype_are_promoted():
     found, same = ta.load_capacity(arm, rounded), ta.load_capacity(arm, rounded.to(torch.float64))
     assert found.factor.dtype == torch.float64
     assert torch.equal(found.factor, same.factor)
+
+
+def test_point_masses_alone_are_no_payload_to_scale():
+    load = ta.ExternalLoad(gravity=True, points=[ta.PointLoad(mass=0.1)])
+    task = ta.Task(ta.affine_curvature(0.5, 1.0, length=0.5), load=load)
+    with pytest.raises(ValueError, match=r"^load: must hold a wrench to scale, got point masses only"):
+        ta.load_capacity(ta.antagonistic_arm(), task)

@@ -1,9 +1,10 @@
 """What torcharm asks of a force model, and the questions it asks on the model's behalf."""
 
 import math
-from collections.abc import Sequence
-from typing import Any, Protocol, runtime_checkable
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -11,8 +12,12 @@ from torcharm._inputs import plain_number, shown
 from torcharm.actuators.bending import Bending, Number, active_moment, bending_model, passive_moment
 from torcharm.actuators.inspection import holds_numbers_only, written_out
 
+T = TypeVar("T")
+
 PROBED = (-0.4, -0.1, 0.0, 0.1, 0.4)
 """Strains, beside the ends of its range, at which a model is asked whether its force wants gradients."""
+NUDGES = {"strain": 1e-3, "pressure": 0.1}
+"""By how much strain and pressure [kPa] are changed to see whether a force does that has no slope by them."""
 PROBED_SHARES = (0.0, 0.1, 0.5, 1.0)
 """Pressures, in shares of its highest."""
 PROBED_CURVATURES = (-10.0, -1.0, 0.0, 1.0, 10.0)
@@ -138,23 +143,45 @@ def force_slopes(actuator: Actuator, strain: Tensor, pressure: Tensor) -> tuple[
     with torch.enable_grad():
         strain = strain.detach().requires_grad_()
         pressure = pressure.detach().expand_as(strain).clone().requires_grad_()
-        force = actuator.force(strain, pressure).expand_as(strain)
+        given = actuator.force(strain, pressure)
+        force = given.expand_as(strain)
         known: Sequence[Tensor | None] = (None, None)  # of a constant force
         if force.requires_grad:
             known = torch.autograd.grad(force.sum(), (strain, pressure), allow_unused=True)
+    if given.numel() < strain.numel() and any(slope is not None for slope in known):
+        raise ValueError(
+            f"{type(actuator).__name__}.force: must return a force for each strain and pressure, got "
+            f"{given.numel()} for {strain.numel()} (a sum or a mean?)"
+        )
     slopes = [torch.zeros_like(strain) if slope is None else slope for slope in known]
-    moves = (("strain", 0.01, 0.0), ("pressure", 0.0, 1.0))
-    for (name, more_strain, more_pressure), slope in zip(moves, known, strict=True):
+    for name, slope in zip(("strain", "pressure"), known, strict=True):
         if slope is None:
-            _check_constant(actuator, name, strain.detach() + more_strain, pressure.detach() + more_pressure, force)
+            _check_constant(actuator, name, strain.detach(), pressure.detach(), force)
     return force.detach(), slopes[0], slopes[1]
 
 
+def sampled_of(name: str, sample: Callable[..., T], *arguments: Any) -> T:
+    """What is sampled of a model, or a ValueError that names the actuator."""
+    try:
+        with np.errstate(invalid="ignore", over="ignore"):  # what has no number has no equilibrium
+            return sample(*arguments)
+    except (TypeError, ValueError, RuntimeError, AttributeError, IndexError) as error:
+        said = f"{type(error).__name__}: {' '.join(str(error).split()):.250}"
+        raise ValueError(f"{name}: must return a value for every strain and pressure, got {said}") from error
+
+
 def _check_constant(actuator: Actuator, name: str, strain: Tensor, pressure: Tensor, force: Tensor) -> None:
-    """Raise a ValueError if a force without a slope by strain or pressure changes with it all the same."""
-    with torch.no_grad():
-        other = actuator.force(strain, pressure).expand_as(force)
-    if not torch.allclose(other, force, rtol=1e-9, atol=0.0, equal_nan=True):
+    """Raise a ValueError if a force without a slope by strain or pressure changes with it all the same, either way.
+
+    Where it jumps it does so one way.
+    """
+    step, changed = NUDGES[name], torch.ones_like(force, dtype=torch.bool)
+    for sign in (1, -1):
+        by_strain, by_pressure = (sign * step, 0.0) if name == "strain" else (0.0, sign * step)
+        with torch.no_grad():
+            other = actuator.force(strain + by_strain, pressure + by_pressure).expand_as(force)
+        changed &= ~torch.isclose(other, force, rtol=1e-9, atol=0.0, equal_nan=True)
+    if bool(changed.any()):
         raise ValueError(
             f"{type(actuator).__name__}.force: must be made of torch operations on {name}: its values "
             f"change with {name}, but autograd finds no slope (detached, or worked out by numpy?)"
@@ -168,8 +195,8 @@ def want_gradients(actuators: tuple[Actuator, ...], like: Tensor) -> bool:
     """
     if not torch.is_grad_enabled():
         return False
-    distinct = {id(model): model for model in actuators}.values()
-    return any(_wants_gradient(model, like) for model in distinct)
+    first = {id(model): index for index, model in reversed(list(enumerate(actuators)))}
+    return any(sampled_of(f"actuators[{a}].force", _wants_gradient, actuators[a], like) for a in first.values())
 
 
 def _wants_gradient(model: Actuator, like: Tensor) -> bool:

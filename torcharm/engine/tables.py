@@ -23,7 +23,7 @@ from torcharm.actuators.bending import (
     reference_pressure,
 )
 from torcharm.actuators.inspection import follows, same_model
-from torcharm.actuators.protocol import pressure_knots
+from torcharm.actuators.protocol import pressure_knots, sampled_of
 from torcharm.engine.forces import SAMPLED, Models
 from torcharm.engine.references import by_reference
 
@@ -90,12 +90,12 @@ def tables_of(actuators: Sequence[Actuator], models: Models, highest: Array) -> 
             alike = [k for k in known if same_model(actuators[k], model)]
             if not alike:
                 most = max(highest[k] for k, other in enumerate(actuators) if same_model(other, model))
-                grids.append(_checked(f"actuators[{a}]", _grid, model, float(most)))
+                grids.append(sampled_of(f"actuators[{a}]", _grid, model, float(most)))
                 known.append(a)
             force[a] = force[alike[0]] if alike else len(grids) - 1
         if is_sampled(model):
             bent[a] = len(laws)
-            laws.append(_checked(f"actuators[{a}].bending_stiffness", _law, model))
+            laws.append(sampled_of(f"actuators[{a}].bending_stiffness", _law, model))
     longest = [max([2, *(len(grid[axis]) for grid in grids)]) for axis in (0, 1)]
     strain, pressure = np.zeros((max(1, len(grids)), longest[0])), np.zeros((max(1, len(grids)), longest[1]))
     value = np.zeros((len(strain), *longest, 4))
@@ -112,17 +112,6 @@ def is_sampled(model: Actuator) -> bool:
     return bending is not None and not (
         follows(bending, LinearBending, "active", "passive") or follows(bending, ConstantBending, "active", "passive")
     )
-
-
-def _checked(name: str, sample: Any, *arguments: Any) -> Any:
-    """What is sampled, or an error that names the actuator."""
-    try:
-        with np.errstate(invalid="ignore", over="ignore"):  # what has no number has no equilibrium
-            found = sample(*arguments)
-    except (TypeError, ValueError, RuntimeError, AttributeError) as error:
-        said = f"{type(error).__name__}: {' '.join(str(error).split()):.250}"
-        raise ValueError(f"{name}: must return a value for every strain and pressure, got {said}") from error
-    return found
 
 
 def _grid(model: Actuator, highest: float) -> tuple[Array, Array, Array]:

@@ -99,12 +99,17 @@ def load_capacity(
         chunk_size: (design, shape, load) triples worked on at once; None chooses. Bounds memory.
 
     Raises:
-        ValueError: an argument is none of those allowed, or arm and task do not fit.
+        ValueError: an argument is none of those allowed, arm and task do not fit, or there is no wrench to scale.
     """
     check_choice("metric", metric, METRICS)
     if chunk_size is not None:
         check_count("chunk_size", chunk_size, 1)
     arm, task = fitted(arm, task)
+    if task.load.tip is None and task.load.points and all(point.wrench is None for point in task.load.points):
+        raise ValueError(
+            "load: must hold a wrench to scale, got point masses only, which weigh the same at every factor "
+            "(give the payload as a tip load or as PointLoad(wrench=...))"
+        )
     weight, payload = _weight_and_payload(task)
     grid = design_task_grid(arm, weight)
     direction = design_task_grid(arm, payload).required.external

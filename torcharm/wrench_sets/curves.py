@@ -23,8 +23,9 @@ ACCURACY = 1e-7
 """By how much of a model's largest force its cubic pieces may be off: far below what any model is good to."""
 ROUNDING = 64
 """So many roundings of the dtype they may be off in any case."""
-PLACES = tuple(k / 8 for k in range(1, 8))
-"""Where on a piece a cubic is compared with the force: closely enough to see what bends within the first piece."""
+PLACES, FIRST_PLACES = 7, 63
+"""At how many places on a piece a cubic is compared with the force; and over all pieces at least, of which there is one
+to begin with."""
 PARTS = 4
 """A piece that is off is cut into so many at most, by how much it is off."""
 REFINEMENTS = 24
@@ -39,7 +40,7 @@ PROBES = 512
 """So many strains decide how densely a model is sampled."""
 LEAST_CURVES, CURVES_PER_STRAIN = 256, 4
 """Of fewer curves, or fewer to each strain of a grid, each is sampled: which is quicker."""
-GRADED_AT, FIRST_STRAINS, MOST_STRAINS = 33, 9, 4096
+GRADED_AT, FIRST_STRAINS, MOST_STRAINS = 33, 33, 4096
 """Evenly spaced strains that, with as many of the curves', decide how densely a grid is sampled by pressure; those that
 it begins with; and most of them."""
 NARROWEST = 1e-9
@@ -97,7 +98,7 @@ class _Allowed:
     def __init__(self, model: Actuator, strain: Tensor, limit: Tensor, part: float = 1.0) -> None:
         pressure = torch.stack([share * limit for share in PROBED_SHARES])
         force = model.force(strain.expand_as(pressure).contiguous(), pressure).expand_as(pressure)
-        self.usual = force.abs().amax(0).median()
+        self.usual = torch.where(force.isfinite(), force.abs(), 0.0).amax(0).median()
         self.ratio = max(part * ACCURACY, ROUNDING * torch.finfo(strain.dtype).eps)
 
     def __call__(self, largest: Tensor) -> Tensor:
@@ -165,7 +166,9 @@ def _disagree(guess: Tensor, true: Tensor, allowed: _Allowed) -> Tensor:
         off[..., 1] * steep,
     )
     largest = torch.maximum(force.abs(), force_end.abs()).amax(1)
-    return torch.stack(errors).amax((0, 2)) > allowed(largest) / CAUTION
+    close = torch.stack(errors).amax((0, 2)) <= allowed(largest) / CAUTION
+    neither = ~(true.isfinite().flatten(1).all(1) | guess.isfinite().flatten(1).all(1))
+    return ~(close | neither)
 
 
 def as_samples(curves: Sequence[Curves | None]) -> Samples:
@@ -219,7 +222,7 @@ def _pieces(model: Actuator, strain: Tensor, limit: Tensor, grades: Grades) -> T
         parts.append(torch.lerp(start, end, start.new_tensor(row[:-1])))
     edges = torch.cat((*parts, limit), -1)
     if kinks.shape[-1]:
-        span = edges.diff(dim=-1) * INWARD
+        span = edges.diff(dim=-1) * max(INWARD, 16 * torch.finfo(edges.dtype).eps)
         ends = torch.stack((edges[..., :-1] + span, edges[..., 1:] - span), -1)
         force, _, slope = force_slopes(model, strain[..., None, None].expand_as(ends).contiguous(), ends)
     else:
@@ -237,7 +240,8 @@ def _pieces(model: Actuator, strain: Tensor, limit: Tensor, grades: Grades) -> T
 def _excess(model: Actuator, strain: Tensor, pieces: Tensor, allowed: _Allowed) -> Tensor:
     """(K,) by how much more than allowed the pieces are off, at most."""
     begin, end, force, slope, force_end, slope_end = (column.unsqueeze(-1) for column in pieces.unbind(-1))
-    t = strain.new_tensor(PLACES)
+    places = max(PLACES, FIRST_PLACES // pieces.shape[-2])
+    t = torch.arange(1, places + 1, dtype=strain.dtype, device=strain.device) / (places + 1)
     s, span = 1 - t, end - begin
     ends = s * s * (1 + 2 * t) * force + t * t * (1 + 2 * s) * force_end
     cubic = ends + s * t * span * (s * slope - t * slope_end)

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torcharm.actuators import Actuator, pressure_knots
+from torcharm.actuators.protocol import sampled_of
 from torcharm.engine.forces import SAMPLED, Models, models_of
 from torcharm.engine.node_sets import Answers, Sections, distance_kernel, make_room
 from torcharm.engine.threads import spread
@@ -138,7 +139,7 @@ def _sampled(sections: CrossSections, kind: np.ndarray) -> list[Curves | None]: 
         own = list(range(len(kind)))[members] if isinstance(members, slice) else members
         if kind[own[0]] == SAMPLED:
             strains, limits = (x[..., own].movedim(-1, 0).flatten() for x in (sections.strain, limit))
-            curves = sample_curves(model, strains, limits)
+            curves = sampled_of(f"actuators[{own[0]}].force", sample_curves, model, strains, limits)
             each = [curves.pieces] * len(own) if curves.grid is not None else curves.pieces.chunk(len(own))
             for a, pieces in zip(own, each, strict=True):
                 found[a] = Curves(pieces, curves.grid)
