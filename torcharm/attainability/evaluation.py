@@ -55,9 +55,9 @@ def evaluate(
     the distance has a kink, the gradient lies between its one-sided derivatives: inside a set and on its boundary it is
     that of the inside, 0 (signed: that of the nearest face); where a force model has a kink, that of the side on which
     the model puts the point. Relative sets have one where all nodes are bent alike: they are points then. The
-    gradient of a predicted error that is not converged and stable is NaN, unless nothing
-    depends on it: see `predict_error`. Plain autograd does it; transforms of torch.func are refused, with a
-    RuntimeError.
+    gradient of a predicted error that is not converged and stable is NaN, unless nothing depends on it: sum only what
+    is, `found.shape_error[found.converged].sum()`; see `predict_error`. Plain autograd does it; transforms of
+    torch.func are refused, with a RuntimeError.
 
     A process forked after a large call hangs at its own, as PyTorch's threads are not forked: start processes by
     "spawn" or "forkserver", or call `torch.set_num_threads(1)` before forking or first in each forked process.
