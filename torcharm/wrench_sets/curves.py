@@ -122,13 +122,14 @@ def _on_grid(model: Actuator, strain: Tensor, least: Tensor, most: Tensor) -> Cu
     grid = torch.lerp(low, high, torch.linspace(0, 1, FIRST_STRAINS).to(low))
     pieces = _pieces(model, grid, most.expand(len(grid)), grades)
     doubtful, torn = torch.arange(len(grid) - 1, device=grid.device), []
+    narrowest = NARROWEST * (high - low) + 8 * torch.finfo(low.dtype).eps * torch.maximum(low.abs(), high.abs())
     while len(doubtful):
         if len(grid) > MOST_STRAINS:
             return None
         middle = torch.lerp(grid[doubtful], grid[doubtful + 1], 0.5)
         true = _pieces(model, middle, most.expand(len(middle)), grades)
         wrong = _disagree(_interpolated(grid, pieces, doubtful, middle), true, allowed)
-        wide = grid[doubtful + 1] - grid[doubtful] > NARROWEST * (high - low)
+        wide = grid[doubtful + 1] - grid[doubtful] > narrowest
         for k in doubtful[wrong & ~wide].tolist():
             torn.append(strain[(strain > grid[k]) & (strain < grid[k + 1])].unique())
         wrong &= wide
@@ -157,16 +158,10 @@ def _disagree(guess: Tensor, true: Tensor, allowed: _Allowed) -> Tensor:
     off = (guess - true).abs()
     begin, end, force, slope, force_end, slope_end = true.unbind(-1)
     steep, span = torch.maximum(slope.abs(), slope_end.abs()), end - begin
-    errors = (
-        off[..., 2],
-        off[..., 4],
-        off[..., 3] * span,
-        off[..., 5] * span,
-        off[..., 0] * steep,
-        off[..., 1] * steep,
-    )
+    itself = torch.ones_like(span)
+    by = torch.stack((steep, steep, itself, span, itself, span), -1)
     largest = torch.maximum(force.abs(), force_end.abs()).amax(1)
-    close = torch.stack(errors).amax((0, 2)) <= allowed(largest) / CAUTION
+    close = (off * by).amax((1, 2)) <= allowed(largest) / CAUTION
     neither = ~(true.isfinite().flatten(1).all(1) | guess.isfinite().flatten(1).all(1))
     return ~(close | neither)
 
@@ -177,11 +172,11 @@ def as_samples(curves: Sequence[Curves | None]) -> Samples:
     most = max((one.pieces.shape[-2] for one in known), default=0)
     rows = np.array([0 if one is None else len(one.pieces) for one in curves], np.int64)
     grids = [one.pieces.new_zeros(len(one.pieces)) if one.grid is None else one.grid for one in known]
+    if not known:
+        return Samples(np.zeros((0, 0, 6)), np.zeros(0), rows, rows)
     return Samples(
-        torch.cat([_padded(one.pieces, most) for one in known]).cpu().double().numpy()
-        if known
-        else np.zeros((0, 0, 6)),
-        torch.cat(grids).cpu().double().numpy() if known else np.zeros(0),
+        torch.cat([_padded(one.pieces, most) for one in known]).cpu().double().numpy(),
+        torch.cat(grids).cpu().double().numpy(),
         np.cumsum(rows) - rows,
         np.array([0 if one is None or one.grid is None else len(one.grid) for one in curves], np.int64),
     )
