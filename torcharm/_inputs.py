@@ -3,6 +3,7 @@
 import math
 import operator
 from collections.abc import Collection, Iterator, Sequence
+from dataclasses import fields
 from functools import reduce
 from typing import Any
 
@@ -71,6 +72,17 @@ def _leaves(value: Any) -> Iterator[Tensor]:
 def shown(value: object) -> str:
     """What was given, on one short line."""
     return f"{' '.join(repr(value).split()):.60}"
+
+
+def shapes_only(value: Any) -> str:
+    """A dataclass by the shapes of its tensors, and how many of its flags are set."""
+    parts = []
+    for field in fields(value):
+        held = getattr(value, field.name)
+        if isinstance(held, Tensor) and not field.name.startswith("_"):
+            counted = f": {int(held.sum())} of {held.numel()}" if held.dtype == torch.bool else ""
+            parts.append(f"{field.name} {tuple(held.shape)}{counted}")
+    return f"{type(value).__name__}({', '.join(parts)})"
 
 
 def check_tensor(name: str, value: object, *dims: str | int) -> None:

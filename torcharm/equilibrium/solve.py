@@ -27,6 +27,7 @@ from torcharm._inputs import (
     check_flag,
     check_tensor,
     refuse_transforms,
+    shapes_only,
     shown,
 )
 from torcharm.arm import ArmDesign
@@ -57,7 +58,7 @@ class NotConvergedError(RuntimeError):
     """An equilibrium was not found, and `raise_on_failure` was set."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Equilibrium:
     """What `solve_equilibrium` found; `batch` is that of arm, pressure, load, base pose and start, broadcast.
 
@@ -90,6 +91,10 @@ class Equilibrium:
     strain_excess: Tensor
     in_range: Tensor
     _problem: Problem = field(repr=False)
+
+    def __repr__(self) -> str:
+        """Shapes, no numbers."""
+        return shapes_only(self)
 
     @property
     def status(self) -> str | NDArray[np.str_]:

@@ -14,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torcharm._inputs import shapes_only
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.engine.descent import OPTIMUM
@@ -34,7 +35,7 @@ converged: a stable equilibrium, but perhaps not the best pressure: at a kink of
 Unstable: no stable equilibrium was found. Impossible: the task's shape leaves an actuator no length."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PredictedError:
     """What `predict_error` found, of shape (*design batch, *task batch).
 
@@ -75,6 +76,10 @@ class PredictedError:
     strain_excess: Tensor
     in_range: Tensor
     possible: Tensor
+
+    def __repr__(self) -> str:
+        """Shapes, no numbers."""
+        return shapes_only(self)
 
     @property
     def status(self) -> str | NDArray[Any]:

@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm._inputs import check_choice, check_count, check_flag
+from torcharm._inputs import check_choice, check_count, check_flag, shapes_only
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.engine.continuation import CONTINUED, FAILED
@@ -36,7 +36,7 @@ that is reached, but the descent did not come to its end, or leads on to where c
 pressure then is next to a jump. Not found: no start led to a stable equilibrium."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PressureSearch:
     """What `search_pressure` found; `batch` is (*design batch, *task batch).
 
@@ -76,6 +76,10 @@ class PressureSearch:
     strain_excess: Tensor
     in_range: Tensor
     start_cost: Tensor
+
+    def __repr__(self) -> str:
+        """Shapes, no numbers."""
+        return shapes_only(self)
 
     @property
     def spread(self) -> Tensor:

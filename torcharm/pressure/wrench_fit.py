@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm._inputs import as_floating, check_at_least, check_count, check_finite
+from torcharm._inputs import as_floating, check_at_least, check_count, check_finite, shapes_only
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.engine.pressure_model import make_work
@@ -22,7 +22,7 @@ STEPS, GAIN = 120, 1e-14
 """Of a fit: steps at most, and the share of the squared distance that the last one promises."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PressureFit:
     """What `fit_pressure` found; `batch` is (*design batch, *task batch).
 
@@ -40,6 +40,10 @@ class PressureFit:
     per_node: Tensor
     optimality: Tensor
     converged: Tensor
+
+    def __repr__(self) -> str:
+        """Shapes, no numbers."""
+        return shapes_only(self)
 
 
 def fit_pressure(

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from torcharm._inputs import check_choice, check_count
+from torcharm._inputs import check_choice, check_count, shapes_only
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.load import ExternalLoad, PointLoad
@@ -35,7 +35,7 @@ from torcharm.wrench_sets.node_distances import (
 from torcharm.wrench_sets.rays import evaluate_ends, find_ends
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LoadCapacity:
     """What `load_capacity` found. Shapes are (*design batch, *task batch), with N nodes added per node.
 
@@ -68,6 +68,10 @@ class LoadCapacity:
     in_range: Tensor
     impossible: Tensor
     converged: Tensor
+
+    def __repr__(self) -> str:
+        """Shapes, no numbers."""
+        return shapes_only(self)
 
     @property
     def factor_per_node(self) -> Tensor:

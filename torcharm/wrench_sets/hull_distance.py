@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torcharm._inputs import broadcast_shapes, check_count
+from torcharm._inputs import broadcast_shapes, check_count, shapes_only
 from torcharm.wrench_sets.once import once
 
 TOLERANCE = 1e-6
@@ -21,7 +21,7 @@ ROUNDINGS = 16
 """So many roundings of the coordinates' size a distance must exceed to be one; below it is 0."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class HullDistance:
     """Distances from points to sets given by vertices, with what it takes to trust them.
 
@@ -46,6 +46,10 @@ class HullDistance:
     gap: Float[Tensor, "*batch"]
     converged: Bool[Tensor, "*batch"]
     resolved: Bool[Tensor, "*batch"]
+
+    def __repr__(self) -> str:
+        """Shapes, no numbers."""
+        return shapes_only(self)
 
 
 @dataclass(frozen=True, eq=False)

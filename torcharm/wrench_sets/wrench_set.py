@@ -12,7 +12,7 @@ import torch
 from scipy.spatial import ConvexHull, QhullError
 from torch import Tensor
 
-from torcharm._inputs import check_tensor, shown
+from torcharm._inputs import check_tensor, shapes_only, shown
 from torcharm.actuators import is_linear_in_pressure, pressure_knots
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
@@ -33,7 +33,7 @@ FLAT = 1e-9
 """A set is flat in directions in which it extends by less than this part of its largest extent."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class WrenchHulls:
     """Attainable sets of C components, 2 in the plane and 3 in space, as the convex hulls of V vertices.
 
@@ -46,6 +46,10 @@ class WrenchHulls:
 
     vertices: Tensor
     pressure: Tensor
+
+    def __repr__(self) -> str:
+        """Shapes, no numbers."""
+        return shapes_only(self)
 
     def volume(self) -> Tensor:
         """(..., N) areas [N·N·m] in the plane, volumes [N·(N·m)²] in space; differentiable as the vertices are."""
