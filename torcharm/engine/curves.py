@@ -81,12 +81,16 @@ class Samples(NamedTuple):
         grid: (R,) at which strains, in order; of no meaning where each curve has its own.
         start: (M,) the first of an actuator's own of the R.
         strains: (M,) how many of them there are to interpolate between; 0 where each curve has its own.
+        rest: (Q,) forces at no pressure of the curves that are interpolated [N].
+        first_rest: (M,) the first of an actuator's own of the Q.
     """
 
     pieces: Array
     grid: Array
     start: Array
     strains: Array
+    rest: Array
+    first_rest: Array
 
 
 def make_curves(models: Models, dimension: int, pieces: int, terms: int = 1) -> Curves:
@@ -186,7 +190,7 @@ def write_muscle(curves, a, scale, strain, limit, whole):  # type: ignore[no-unt
 @part
 def write_sampled(curves, a, strain, limit, samples, number):  # type: ignore[no-untyped-def]
     """The pieces of a sampled force: of the curve's own number, or by a cubic through those at four strains around."""
-    row, w0, w1, w2, w3 = samples.start[a] + number, 1.0, 0.0, 0.0, 0.0
+    row, w0, w1, w2, w3, shift = samples.start[a] + number, 1.0, 0.0, 0.0, 0.0, 0.0
     if samples.strains[a] > 0:
         row = samples.start[a] + _row_before(samples, a, strain)
         x0, x1, x2, x3 = samples.grid[row], samples.grid[row + 1], samples.grid[row + 2], samples.grid[row + 3]
@@ -195,6 +199,7 @@ def write_sampled(curves, a, strain, limit, samples, number):  # type: ignore[no
         w1 = d0 * d2 * d3 / ((x1 - x0) * (x1 - x2) * (x1 - x3))
         w2 = d0 * d1 * d3 / ((x2 - x0) * (x2 - x1) * (x2 - x3))
         w3 = d0 * d1 * d2 / ((x3 - x0) * (x3 - x1) * (x3 - x2))
+        shift = samples.rest[samples.first_rest[a] + number] - _blend(samples.pieces, row, 0, 2, w0, w1, w2, w3)
     curves.edge[a, 0], pieces = 0.0, 0
     for k in range(samples.pieces.shape[1]):
         low, high = curves.edge[a, k], _blend(samples.pieces, row, k, 1, w0, w1, w2, w3)
@@ -204,7 +209,7 @@ def write_sampled(curves, a, strain, limit, samples, number):  # type: ignore[no
             f1, s1 = _on_cubic(high - low, f0, s0, f1, s1, (limit - low) / (high - low))
         pieces += 1
         last = high >= limit or pieces == samples.pieces.shape[1]
-        write_piece(curves, a, k, limit if last else max(high, low), f0, s0, f1, s1)
+        write_piece(curves, a, k, limit if last else max(high, low), f0 + shift, s0, f1 + shift, s1)
         if last:
             break
     curves.pieces[a] = pieces

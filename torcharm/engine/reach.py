@@ -57,15 +57,15 @@ def _bend(curves, a):  # type: ignore[no-untyped-def]
         if k > 0 and abs(begin - end) > ROUNDED * abs(begin):
             return 0
         span = curves.edge[a, k + 1] - curves.edge[a, k]
-        if span > 0.0:
-            rate = 3.0 / span
-            for j in range(1, 4):
-                now = rate * (curves.control[a, k, j] - curves.control[a, k, j - 1])
-                slack = ROUNDED * abs(now)
-                falling, rising = falling or now < before - slack, rising or now > before + slack
-                before = now
-            if falling and rising:
-                return 0
+        if not span > 0.0:  # of a piece without length bisection would not know to which side of the top it belongs
+            return 0
+        for j in range(1, 4):
+            now = (curves.control[a, k, j] - curves.control[a, k, j - 1]) * (3.0 / span)
+            slack = ROUNDED * abs(now)
+            falling, rising = falling or now < before - slack, rising or now > before + slack
+            before = now
+        if falling and rising:
+            return 0
     return int(rising) - int(falling)
 
 

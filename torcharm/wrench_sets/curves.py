@@ -63,10 +63,13 @@ class Curves(NamedTuple):
         pieces: (R, K, 6) begin and end [kPa], forces [N] and slopes [N/kPa] there, of each piece: of each curve that
             was asked for, or at strains of a grid.
         grid: (R,) strains between which curves are interpolated, four at least; None if each curve has its own pieces.
+        rest: (n,) with a grid the force [N] of each curve at no pressure, from which the interpolated one goes on: what
+            is passive is exact.
     """
 
     pieces: Tensor
     grid: Tensor | None = None
+    rest: Tensor | None = None
 
 
 @torch.no_grad()
@@ -81,7 +84,7 @@ def sample_curves(model: Actuator, strain: Tensor, limit: Tensor) -> Curves:
     if len(strain) >= LEAST_CURVES and len(used) and used.max() <= LIMITS * used.min():
         found = _on_grid(model, strain, used.min(), used.max())
         if found is not None and len(found.pieces) * CURVES_PER_STRAIN <= len(strain):
-            return found
+            return found._replace(rest=model.force(strain, torch.zeros_like(strain)).expand_as(strain))
     few = slice(None, None, max(1, len(strain) // PROBES))
     allowed = _Allowed(model, strain[few], limit[few])
     return Curves(_pieces(model, strain, limit, _grades(model, strain[few], limit[few], allowed)))
@@ -172,13 +175,17 @@ def as_samples(curves: Sequence[Curves | None]) -> Samples:
     most = max((one.pieces.shape[-2] for one in known), default=0)
     rows = np.array([0 if one is None else len(one.pieces) for one in curves], np.int64)
     grids = [one.pieces.new_zeros(len(one.pieces)) if one.grid is None else one.grid for one in known]
+    resting = [one.rest for one in known if one.rest is not None]
+    rests = np.array([0 if one is None or one.rest is None else len(one.rest) for one in curves], np.int64)
     if not known:
-        return Samples(np.zeros((0, 0, 6)), np.zeros(0), rows, rows)
+        return Samples(np.zeros((0, 0, 6)), np.zeros(0), rows, rows, np.zeros(0), rows)
     return Samples(
         torch.cat([_padded(one.pieces, most) for one in known]).cpu().double().numpy(),
         torch.cat(grids).cpu().double().numpy(),
         np.cumsum(rows) - rows,
         np.array([0 if one is None or one.grid is None else len(one.grid) for one in curves], np.int64),
+        torch.cat(resting).cpu().double().numpy() if resting else np.zeros(0),
+        np.cumsum(rests) - rests,
     )
 
 

@@ -140,9 +140,10 @@ def _sampled(sections: CrossSections, kind: np.ndarray) -> list[Curves | None]: 
         if kind[own[0]] == SAMPLED:
             strains, limits = (x[..., own].movedim(-1, 0).flatten() for x in (sections.strain, limit))
             curves = sampled_of(f"actuators[{own[0]}].force", sample_curves, model, strains, limits)
-            each = [curves.pieces] * len(own) if curves.grid is not None else curves.pieces.chunk(len(own))
-            for a, pieces in zip(own, each, strict=True):
-                found[a] = Curves(pieces, curves.grid)
+            for j, a in enumerate(own):
+                mine = slice(j * len(strains) // len(own), (j + 1) * len(strains) // len(own))
+                rest = None if curves.rest is None else curves.rest[mine]
+                found[a] = Curves(curves.pieces if curves.grid is not None else curves.pieces[mine], curves.grid, rest)
     return found
 
 

@@ -20,7 +20,7 @@ METRICS = ("absolute", "relative")
 """Of wrenches, by attainable sets."""
 CHUNK_ELEMENTS = 200_000
 """Numbers in a chunk's largest tensor, one for each actuator, node and point: 1.6 MB, which caches hold."""
-KEPT_CHUNKS = 48
+KEPT_CHUNKS = 72
 """Chunks whose nearest points are kept for gradients, 3 MB each and for each metric: of more they are found again,
 which takes half as long once more."""
 VERTEX_CHUNK_NUMBERS = 2_000_000
