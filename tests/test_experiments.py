@@ -136,6 +136,7 @@ def test_interrupted_it_keeps_what_is_finished_and_ends_what_runs(made_up, tmp_p
         env=os.environ | {"PYTHONPATH": str(made_up)},
         stdout=subprocess.PIPE,
         text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # tests in the background ignore it
     )
     started = made_up / "started"
     for _ in range(600):
