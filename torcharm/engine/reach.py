@@ -205,6 +205,8 @@ def step_nearby(curves, a, by_force, by_pressure, p):  # type: ignore[no-untyped
     low, high = curves.edge[a, k], curves.edge[a, k + 1]
     if not low < p < high:
         return p, curves.control[a, k, 3 if p >= high and high > low else 0], 0.0
+    if curves.power[a, 0] > 0.0 and by_force * curves.power[a, 1] < 0.0:
+        return _top_of_power(curves, a, by_force, by_pressure)
     force, slope, bend = smooth_force(curves, a, k, p)
     fall = -by_force * bend
     if not fall > 0.0:
