@@ -11,7 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torcharm._inputs import (
+from torcharm.actuators import Actuator, Bellows, McKibben, check_actuator
+from torcharm.inputs import (
     TensorLike,
     as_floating,
     broadcast_shapes,
@@ -20,7 +21,6 @@ from torcharm._inputs import (
     check_finite,
     shown,
 )
-from torcharm.actuators import Actuator, Bellows, McKibben, check_actuator
 
 Index = int | slice | EllipsisType | Tensor | None
 

@@ -7,10 +7,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torcharm._inputs import TensorLike, as_floating, broadcast_shapes, check_at_least, check_finite, shown
 from torcharm.actuators import Actuator
 from torcharm.arm import ArmDesign
 from torcharm.geometry import se3
+from torcharm.inputs import TensorLike, as_floating, broadcast_shapes, check_at_least, check_finite, shown
 
 _RIGID = 1e-6
 """How far a link's rotation may be from one, by the entries of RᵀR - 1: what single precision rounds to, and less

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torcharm._inputs import (
+from torcharm.inputs import (
     TensorLike,
     as_floating,
     broadcast_shapes,

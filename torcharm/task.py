@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm._inputs import (
+from torcharm.geometry.rod import check_segment_nodes, group_of, hanging
+from torcharm.inputs import (
     TensorLike,
     as_floating,
     broadcast_shapes,
@@ -18,7 +19,6 @@ from torcharm._inputs import (
     check_finite,
     shown,
 )
-from torcharm.geometry.rod import check_segment_nodes, group_of, hanging
 from torcharm.load import ExternalLoad, check_tip
 
 WRENCH_AT = "middle"

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from torcharm._inputs import check_count, check_number
 from torcharm.actuators.recordings import Array, Floats, PressureRecord, TesterRecord
+from torcharm.inputs import check_count, check_number
 
 PAPER_SMOOTHING = 40.0
 """σ of the paper's Gaussian smoothing of pressure, in samples of the log."""

@@ -14,8 +14,8 @@ from typing import Any, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from torcharm._inputs import check_number, refuse_graphs, shown
 from torcharm.actuators.inspection import follows
+from torcharm.inputs import check_number, refuse_graphs, shown
 
 Number = float | Tensor
 """A tensor of one number makes results differentiable in it."""

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm._inputs import TensorLike, check_choice, check_count, check_number, shown
 from torcharm.actuators.alignment import Recording
 from torcharm.actuators.bending import Bending
 from torcharm.actuators.fitting import (
@@ -30,6 +29,7 @@ from torcharm.actuators.fitting import (
 )
 from torcharm.actuators.monotonicity import Monotonicity, monotonicity
 from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS, PolynomialActuator
+from torcharm.inputs import TensorLike, check_choice, check_count, check_number, shown
 
 HIGHEST_DEGREE = 9
 MARGIN = 1e-4

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm._inputs import TensorLike, check_number, refuse_graphs, shown
 from torcharm.actuators.bending import Bending, Number
 from torcharm.actuators.fitting import Array
 from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS
 from torcharm.actuators.protocol import check_numbers
+from torcharm.inputs import TensorLike, check_number, refuse_graphs, shown
 
 SMOOTHNESS = 1e-6
 """Of `fit_gridded_model`: weight of roughness against the mean square of the residuals."""

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torcharm._inputs import plain_number
 from torcharm.actuators.bending import Bending, Number
 from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS
 from torcharm.actuators.protocol import check_numbers
+from torcharm.inputs import plain_number
 
 _A1, _A2 = 1.038555666, 0.511454549
 _B1, _B2, _B3 = 1.963398204, -3.169979385, 4.231857967

@@ -13,7 +13,6 @@ from os import PathLike
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
-from torcharm._inputs import shown
 from torcharm.actuators.bending import Bending, ConstantBending, LinearBending
 from torcharm.actuators.characterisation import FittedActuator
 from torcharm.actuators.gridded import GriddedActuator
@@ -21,6 +20,7 @@ from torcharm.actuators.mckibben import McKibben
 from torcharm.actuators.polynomial import Bellows, PolynomialActuator
 from torcharm.actuators.protocol import Actuator
 from torcharm.files import atomic_write, read_file
+from torcharm.inputs import shown
 
 StrPath = str | PathLike[str]
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import torch
 
-from torcharm._inputs import check_count, shown
 from torcharm.actuators.protocol import Actuator
+from torcharm.inputs import check_count, shown
 
 FLAT = 1e-9
 """A slope of so much of the steepest against the rest counts as none."""

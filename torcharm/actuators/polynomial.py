@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torcharm._inputs import refuse_graphs, shown
 from torcharm.actuators.bending import Bending, Number
 from torcharm.actuators.protocol import check_numbers
+from torcharm.inputs import refuse_graphs, shown
 
 PAPER_BENDING_STIFFNESS = -1.0 / 3.5
 """K [N·m²]; the paper estimated one value for bellows and muscles alike."""

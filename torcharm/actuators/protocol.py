@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm._inputs import plain_number, shown
 from torcharm.actuators.bending import Bending, Number, active_moment, bending_model, passive_moment
 from torcharm.actuators.inspection import holds_numbers_only, written_out
+from torcharm.inputs import plain_number, shown
 
 T = TypeVar("T")
 

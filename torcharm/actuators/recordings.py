@@ -16,9 +16,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from torcharm._inputs import check_choice
 from torcharm.actuators.log_header import named_units, split_header
 from torcharm.files import read_file
+from torcharm.inputs import check_choice
 
 Array = NDArray[np.float64]
 if TYPE_CHECKING:

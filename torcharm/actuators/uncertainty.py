@@ -7,10 +7,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torcharm._inputs import TensorLike, as_floating, check_tensor, shown
 from torcharm.actuators.bending import Bending, Number
 from torcharm.actuators.inspection import follows
 from torcharm.actuators.polynomial import PolynomialActuator
+from torcharm.inputs import TensorLike, as_floating, check_tensor, shown
 
 
 @dataclass(frozen=True, eq=False)

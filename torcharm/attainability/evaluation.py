@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from torcharm._inputs import check_choice, check_count, check_flag, check_number, shown
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.attainability.result import Attainability
 from torcharm.attainability.verdict import PoseTolerance
+from torcharm.inputs import check_choice, check_count, check_flag, check_number, shown
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.statics.cross_section import RANGE_SLACK
 from torcharm.task import Task

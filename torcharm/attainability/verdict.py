@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from torcharm._inputs import check_number
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
+from torcharm.inputs import check_number
 from torcharm.wrench_sets.design_task_grid import segments_of
 
 if TYPE_CHECKING:

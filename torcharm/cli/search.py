@@ -42,7 +42,7 @@ def search(
     """Search the pressure that brings every arm closest to every task, through its forward mechanics."""
     with mistakes():
         check_outputs(study, out, None)
-        from torcharm._inputs import check_choice
+        from torcharm.inputs import check_choice
         from torcharm.pressure.pose_cost import NODE_WEIGHTS
         from torcharm.pressure.search import METHODS
         from torcharm.study import load_study, paper_study

@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm._inputs import shown
 from torcharm.actuators import Actuator, Bellows, McKibben
 from torcharm.actuators.bending import active_moment, bending_model, passive_moment
 from torcharm.arm import ArmDesign
@@ -23,6 +22,7 @@ from torcharm.design.objective import Objective, Problem
 from torcharm.design.optimise import ITERATIONS, TOLERANCE, check_arguments, outcome, starting_points
 from torcharm.design.result import OptimisedDesign
 from torcharm.design.space import DesignSpace
+from torcharm.inputs import shown
 from torcharm.task import Task
 
 MOST_ARCHITECTURES = 4096

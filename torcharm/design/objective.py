@@ -7,10 +7,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torcharm._inputs import check_choice, check_flag, check_number, shown
 from torcharm.attainability import check_power, evaluate, scale_of
 from torcharm.design.feasible import FeasibleDesigns
 from torcharm.design.space import Arm, Array
+from torcharm.inputs import check_choice, check_flag, check_number, shown
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.pressure.predicted_error import prediction
 from torcharm.task import Task

@@ -9,7 +9,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm._inputs import check_count, check_number, shown
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.design.checkpoint import Checkpoint, describe
@@ -19,6 +18,7 @@ from torcharm.design.objective import Objective, Problem, shape_lengths
 from torcharm.design.result import OptimisedDesign
 from torcharm.design.space import Arm, Array, DesignSpace, given_values, one_of_batch
 from torcharm.design.task_errors import predicted, searched
+from torcharm.inputs import check_count, check_number, shown
 from torcharm.task import Task
 from torcharm.wrench_sets.design_task_grid import fitted
 

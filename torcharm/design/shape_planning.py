@@ -10,12 +10,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm._inputs import TensorLike, as_floating, check_count, check_finite, shown
 from torcharm.arm import ArmDesign
 from torcharm.attainability import Attainability, evaluate
 from torcharm.design.objective import Objective, task_values
 from torcharm.design.space import Array
 from torcharm.geometry import rod, se3
+from torcharm.inputs import TensorLike, as_floating, check_count, check_finite, shown
 from torcharm.task import Task
 
 TIP_TOLERANCE = 1e-8

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from torcharm._inputs import check_choice, check_flag, check_number, shown
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
+from torcharm.inputs import check_choice, check_flag, check_number, shown
 from torcharm.statics.balance import segments_of
 
 FIELDS = ("radii", "angles", "length", "max_pressure")

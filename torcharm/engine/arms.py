@@ -14,7 +14,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm._inputs import plain_number
 from torcharm.actuators import Actuator
 from torcharm.actuators.bending import LinearBending, bending_model, linear_stiffness, reference_pressure
 from torcharm.actuators.inspection import follows
@@ -23,6 +22,7 @@ from torcharm.arm_series import ArmSeries
 from torcharm.engine.forces import Models, models_of
 from torcharm.engine.references import by_reference
 from torcharm.engine.tables import Tables, is_sampled, tables_of
+from torcharm.inputs import plain_number
 from torcharm.statics.balance import RIGID, segments_of, unknown_columns
 
 Array = NDArray[Any]

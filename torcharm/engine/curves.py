@@ -188,80 +188,6 @@ def write_muscle(curves, a, scale, strain, limit, whole):  # type: ignore[no-unt
 
 
 @part
-def write_sampled(curves, a, strain, limit, samples, number):  # type: ignore[no-untyped-def]
-    """The pieces of a sampled force: of the curve's own number, or by a cubic through those at four strains around."""
-    row, w0, w1, w2, w3, shift = samples.start[a] + number, 1.0, 0.0, 0.0, 0.0, 0.0
-    if samples.strains[a] > 0:
-        row = samples.start[a] + _row_before(samples, a, strain)
-        x0, x1, x2, x3 = samples.grid[row], samples.grid[row + 1], samples.grid[row + 2], samples.grid[row + 3]
-        d0, d1, d2, d3 = strain - x0, strain - x1, strain - x2, strain - x3
-        w0 = d1 * d2 * d3 / ((x0 - x1) * (x0 - x2) * (x0 - x3))
-        w1 = d0 * d2 * d3 / ((x1 - x0) * (x1 - x2) * (x1 - x3))
-        w2 = d0 * d1 * d3 / ((x2 - x0) * (x2 - x1) * (x2 - x3))
-        w3 = d0 * d1 * d2 / ((x3 - x0) * (x3 - x1) * (x3 - x2))
-        shift = samples.rest[samples.first_rest[a] + number] - _blend(samples.pieces, row, 0, 2, w0, w1, w2, w3)
-    curves.edge[a, 0], pieces = 0.0, 0
-    for k in range(samples.pieces.shape[1]):
-        low, high = curves.edge[a, k], _blend(samples.pieces, row, k, 1, w0, w1, w2, w3)
-        f0, s0 = _blend(samples.pieces, row, k, 2, w0, w1, w2, w3), _blend(samples.pieces, row, k, 3, w0, w1, w2, w3)
-        f1, s1 = _blend(samples.pieces, row, k, 4, w0, w1, w2, w3), _blend(samples.pieces, row, k, 5, w0, w1, w2, w3)
-        if high > limit:  # the rest is beyond it
-            f1, s1 = _on_cubic(high - low, f0, s0, f1, s1, (limit - low) / (high - low))
-        pieces += 1
-        last = high >= limit or pieces == samples.pieces.shape[1]
-        write_piece(curves, a, k, limit if last else max(high, low), f0 + shift, s0, f1 + shift, s1)
-        if last:
-            break
-    curves.pieces[a] = pieces
-
-
-@part
-def _row_before(samples, a, strain):  # type: ignore[no-untyped-def]
-    """The first of four strains of an actuator's grid with the given one between the middle ones, but at the ends."""
-    first, last = 0, samples.strains[a] - 1
-    while last - first > 1:
-        k = (first + last) // 2
-        first, last = (k, last) if samples.grid[samples.start[a] + k] <= strain else (first, k)
-    return min(max(first - 1, 0), samples.strains[a] - 4)
-
-
-@part
-def _blend(pieces, row, k, column, w0, w1, w2, w3):  # type: ignore[no-untyped-def]
-    """A number of four neighbours, each with a weight."""
-    value = w0 * pieces[row, k, column]
-    if w0 != 1.0:
-        value += w1 * pieces[row + 1, k, column] + w2 * pieces[row + 2, k, column] + w3 * pieces[row + 3, k, column]
-    return value
-
-
-@part
-def _on_cubic(span, f0, s0, f1, s1, t):  # type: ignore[no-untyped-def]
-    """Force and slope of a cubic, by those at its ends, at t from 0 to 1."""
-    c0, c1, c2, c3 = f0, f0 + span / 3.0 * s0, f1 - span / 3.0 * s1, f1
-    d0, d1, d2 = c0 + t * (c1 - c0), c1 + t * (c2 - c1), c2 + t * (c3 - c2)
-    e0, e1 = d0 + t * (d1 - d0), d1 + t * (d2 - d1)
-    return e0 + t * (e1 - e0), 3.0 * (e1 - e0) / span
-
-
-@part
-def write_curve(curves, a, strain, limit, samples, number, whole):  # type: ignore[no-untyped-def]
-    """The pieces of actuator a, by its own force model.
-
-    Args:
-        samples: of the models that the engine does not know.
-        number: which of the curves of this actuator it is, where each has its own samples.
-        whole: whether it is asked how far the curve itself reaches, and not a difference with another.
-    """
-    curves.strain[a, 0], curves.off[a], curves.power[a, 0] = strain, 0.0, 0.0
-    if curves.models.kind[a] == POLYNOMIAL:
-        write_polynomial(curves, a, strain, limit)
-    elif curves.models.kind[a] > POLYNOMIAL:
-        write_muscle(curves, a, curves.models.scale[a], strain, limit, whole)
-    else:
-        write_sampled(curves, a, strain, limit, samples, number)
-
-
-@part
 def _mix(b0, b1, b2, s, t):  # type: ignore[no-untyped-def]
     """The blossom of a quadratic at s and t."""
     c0, c1 = b0 + s * (b1 - b0), b1 + s * (b2 - b1)
@@ -284,6 +210,72 @@ def cut(curves, a, k, start, end):  # type: ignore[no-untyped-def]
     d0, d1, d2 = c0 + s * (c1 - c0), c1 + s * (c2 - c1), c2 + s * (c3 - c2)
     e0, e1, e2 = c0 + t * (c1 - c0), c1 + t * (c2 - c1), c2 + t * (c3 - c2)
     return _mix(d0, d1, d2, s, s), _mix(d0, d1, d2, s, t), _mix(d0, d1, d2, t, t), _mix(e0, e1, e2, t, t)
+
+
+@part
+def write_sampled(curves, a, strain, limit, samples, number):  # type: ignore[no-untyped-def]
+    """The pieces of a sampled force: of the curve's own number, or by a cubic through those at four strains around."""
+    row, w0, w1, w2, w3, shift = samples.start[a] + number, 1.0, 0.0, 0.0, 0.0, 0.0
+    if samples.strains[a] > 0:
+        row = samples.start[a] + _row_before(samples, a, strain)
+        x0, x1, x2, x3 = samples.grid[row], samples.grid[row + 1], samples.grid[row + 2], samples.grid[row + 3]
+        d0, d1, d2, d3 = strain - x0, strain - x1, strain - x2, strain - x3
+        w0 = d1 * d2 * d3 / ((x0 - x1) * (x0 - x2) * (x0 - x3))
+        w1 = d0 * d2 * d3 / ((x1 - x0) * (x1 - x2) * (x1 - x3))
+        w2 = d0 * d1 * d3 / ((x2 - x0) * (x2 - x1) * (x2 - x3))
+        w3 = d0 * d1 * d2 / ((x3 - x0) * (x3 - x1) * (x3 - x2))
+        shift = samples.rest[samples.first_rest[a] + number] - _blend(samples.pieces, row, 0, 2, w0, w1, w2, w3)
+    curves.edge[a, 0], pieces = 0.0, 0
+    for k in range(samples.pieces.shape[1]):
+        low, high = curves.edge[a, k], _blend(samples.pieces, row, k, 1, w0, w1, w2, w3)
+        f0, s0 = _blend(samples.pieces, row, k, 2, w0, w1, w2, w3), _blend(samples.pieces, row, k, 3, w0, w1, w2, w3)
+        f1, s1 = _blend(samples.pieces, row, k, 4, w0, w1, w2, w3), _blend(samples.pieces, row, k, 5, w0, w1, w2, w3)
+        write_piece(curves, a, k, max(high, low), f0 + shift, s0, f1 + shift, s1)
+        pieces += 1
+        if high > limit:  # the rest is beyond it
+            c0, c1, c2, c3 = cut(curves, a, k, low, limit)
+            curves.control[a, k, 0], curves.control[a, k, 1] = c0, c1
+            curves.control[a, k, 2], curves.control[a, k, 3] = c2, c3
+        if high >= limit:
+            break
+    curves.edge[a, pieces], curves.pieces[a] = limit, pieces
+
+
+@part
+def _row_before(samples, a, strain):  # type: ignore[no-untyped-def]
+    """The first of four strains of an actuator's grid with the given one between the middle ones, but at the ends."""
+    first, last = 0, samples.strains[a] - 1
+    while last - first > 1:
+        k = (first + last) // 2
+        first, last = (k, last) if samples.grid[samples.start[a] + k] <= strain else (first, k)
+    return min(max(first - 1, 0), samples.strains[a] - 4)
+
+
+@part
+def _blend(pieces, row, k, column, w0, w1, w2, w3):  # type: ignore[no-untyped-def]
+    """A number of four neighbours, each with a weight."""
+    value = w0 * pieces[row, k, column]
+    if w0 != 1.0:
+        value += w1 * pieces[row + 1, k, column] + w2 * pieces[row + 2, k, column] + w3 * pieces[row + 3, k, column]
+    return value
+
+
+@part
+def write_curve(curves, a, strain, limit, samples, number, whole):  # type: ignore[no-untyped-def]
+    """The pieces of actuator a, by its own force model.
+
+    Args:
+        samples: of the models that the engine does not know.
+        number: which of the curves of this actuator it is, where each has its own samples.
+        whole: whether it is asked how far the curve itself reaches, and not a difference with another.
+    """
+    curves.strain[a, 0], curves.off[a], curves.power[a, 0] = strain, 0.0, 0.0
+    if curves.models.kind[a] == POLYNOMIAL:
+        write_polynomial(curves, a, strain, limit)
+    elif curves.models.kind[a] > POLYNOMIAL:
+        write_muscle(curves, a, curves.models.scale[a], strain, limit, whole)
+    else:
+        write_sampled(curves, a, strain, limit, samples, number)
 
 
 @part

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from torcharm._inputs import plain_number
 from torcharm.actuators import Actuator, McKibben, PolynomialActuator, mckibben
 from torcharm.actuators.inspection import follows
 from torcharm.engine.compilation import part
 from torcharm.engine.references import by_reference
+from torcharm.inputs import plain_number
 
 Array = np.ndarray[Any, Any]
 

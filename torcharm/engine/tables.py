@@ -12,7 +12,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm._inputs import plain_number
 from torcharm.actuators import Actuator, force_slopes
 from torcharm.actuators.bending import (
     ConstantBending,
@@ -26,6 +25,7 @@ from torcharm.actuators.inspection import follows, same_model
 from torcharm.actuators.protocol import pressure_knots, sampled_of
 from torcharm.engine.forces import SAMPLED, Models
 from torcharm.engine.references import by_reference
+from torcharm.inputs import plain_number
 
 Array = NDArray[Any]
 

@@ -15,7 +15,17 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm._inputs import (
+from torcharm.arm import ArmDesign
+from torcharm.arm_series import ArmSeries
+from torcharm.engine.arms import numbers
+from torcharm.engine.continuation import CONTINUED
+from torcharm.equilibrium.correction import corrected
+from torcharm.equilibrium.gradient import with_gradients
+from torcharm.equilibrium.problem import Problem
+from torcharm.equilibrium.stability import buckles_in_torsion, lengths_positive, stays, strain_excess
+from torcharm.geometry import rod
+from torcharm.geometry.rod import group_of, hanging
+from torcharm.inputs import (
     TensorLike,
     as_floating,
     broadcast_shapes,
@@ -30,16 +40,6 @@ from torcharm._inputs import (
     shapes_only,
     shown,
 )
-from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries
-from torcharm.engine.arms import numbers
-from torcharm.engine.continuation import CONTINUED
-from torcharm.equilibrium.correction import corrected
-from torcharm.equilibrium.gradient import with_gradients
-from torcharm.equilibrium.problem import Problem
-from torcharm.equilibrium.stability import buckles_in_torsion, lengths_positive, stays, strain_excess
-from torcharm.geometry import rod
-from torcharm.geometry.rod import group_of, hanging
 from torcharm.load import ExternalLoad, check_tip
 from torcharm.statics.balance import segments_of
 from torcharm.statics.external_load import required_wrench

@@ -5,11 +5,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm._inputs import plain_number
 from torcharm.engine.continuation import FAILED
 from torcharm.engine.path import Found
 from torcharm.equilibrium.problem import Packed, Problem
 from torcharm.geometry.rod import actuator_twists, strain
+from torcharm.inputs import plain_number
 from torcharm.statics.balance import segments_of, tilt_stiffness
 from torcharm.statics.cross_section import RANGE_SLACK, cross_sections, per_actuator
 

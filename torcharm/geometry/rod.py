@@ -12,8 +12,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torcharm._inputs import broadcast_shapes, check_count, check_tensor, shown
 from torcharm.geometry import se2, se3
+from torcharm.inputs import broadcast_shapes, check_count, check_tensor, shown
 
 BASE_POSE = (0.0, 0.0, -math.pi / 2)
 """The arm hangs: x right, y up, the base pointing down."""

@@ -8,10 +8,10 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from torch import Tensor
 
-from torcharm._inputs import TensorLike
 from torcharm.actuators import Actuator, Bellows, McKibben
 from torcharm.arm import ArmDesign
 from torcharm.geometry import rod, se2
+from torcharm.inputs import TensorLike
 from torcharm.plot._common import (
     ATTAINABLE,
     KIND_STYLES,

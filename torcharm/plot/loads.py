@@ -10,10 +10,10 @@ from matplotlib.colors import CenteredNorm, Normalize, TwoSlopeNorm
 from matplotlib.ticker import MaxNLocator
 from torch import Tensor
 
-from torcharm._inputs import TensorLike, as_floating, check_count
 from torcharm.arm import ArmDesign
 from torcharm.attainability import evaluate
 from torcharm.geometry.rod import BASE_POSE
+from torcharm.inputs import TensorLike, as_floating, check_count
 from torcharm.plot._common import Array, array, axes_or_new, one_design
 from torcharm.task import WRENCH_AT, Task
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torcharm._inputs import TensorLike, as_floating, check_choice, check_count, shown
 from torcharm.geometry import se2, se3
+from torcharm.inputs import TensorLike, as_floating, check_choice, check_count, shown
 
 NODE_WEIGHTS = ("ramp", "uniform", "tip")
 PLACE_WEIGHT, TURN_WEIGHT = 1.0, 0.05

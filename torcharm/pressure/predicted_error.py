@@ -14,7 +14,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm._inputs import shapes_only
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.engine.descent import OPTIMUM
@@ -24,6 +23,7 @@ from torcharm.engine.threads import spread
 from torcharm.engine.wrench_fit import make_fit
 from torcharm.equilibrium.solve import TOLERANCE
 from torcharm.equilibrium.stability import lengths_positive, strain_excess
+from torcharm.inputs import shapes_only
 from torcharm.pressure.errors import errors_at
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.pressure.prepared import Prepared, detached, prepare, stays_at

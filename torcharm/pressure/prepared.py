@@ -10,7 +10,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm._inputs import check_above_zero, shown
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries, RigidLink
 from torcharm.engine.arms import numbers, pose_rows
@@ -21,6 +20,7 @@ from torcharm.engine.pressure_model import Problem as EngineProblem
 from torcharm.equilibrium.problem import Problem
 from torcharm.equilibrium.stability import stays
 from torcharm.geometry import rod
+from torcharm.inputs import check_above_zero, shown
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.statics.balance import segments_of
 from torcharm.task import Task

@@ -5,13 +5,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm._inputs import check_choice
 from torcharm.engine.continuation import CONTINUED, FAILED, WARM
 from torcharm.engine.pressure_model import Problem as EngineProblem
 from torcharm.engine.searches import Searches
 from torcharm.equilibrium.problem import Packed
 from torcharm.equilibrium.solve import TOLERANCE
 from torcharm.equilibrium.stability import stays
+from torcharm.inputs import check_choice
 from torcharm.pressure.outcome import nothing_found
 from torcharm.pressure.pose_cost import pose_errors
 from torcharm.pressure.prepared import Prepared

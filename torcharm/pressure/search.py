@@ -8,7 +8,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm._inputs import check_choice, check_count, check_flag, shapes_only
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.engine.continuation import CONTINUED, FAILED
@@ -18,6 +17,7 @@ from torcharm.engine.searches import LOT, Searches, search_all
 from torcharm.engine.threads import spread
 from torcharm.equilibrium.solve import TOLERANCE, NotConvergedError
 from torcharm.equilibrium.stability import strain_excess
+from torcharm.inputs import check_choice, check_count, check_flag, shapes_only
 from torcharm.pressure.errors import errors_at
 from torcharm.pressure.outcome import nothing_found
 from torcharm.pressure.pose_cost import PoseCost

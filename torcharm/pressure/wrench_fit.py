@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm._inputs import as_floating, check_at_least, check_count, check_finite, shapes_only
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.engine.pressure_model import make_work
 from torcharm.engine.threads import spread
 from torcharm.engine.wrench_fit import FitAnswers, fit_all, make_fit
+from torcharm.inputs import as_floating, check_at_least, check_count, check_finite, shapes_only
 from torcharm.pressure.prepared import Prepared, detached, prepare
 from torcharm.pressure.starts import spread_points
 from torcharm.statics.external_load import HULL

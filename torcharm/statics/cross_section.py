@@ -14,7 +14,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torcharm._inputs import as_floating, broadcast_shapes, check_at_least, check_finite, check_tensor
 from torcharm.actuators import Actuator
 from torcharm.actuators.bending import (
     active_moment,
@@ -25,6 +24,7 @@ from torcharm.actuators.bending import (
 from torcharm.actuators.inspection import same_model
 from torcharm.arm import ArmDesign
 from torcharm.geometry.rod import material_curvature, offset_length, strain
+from torcharm.inputs import as_floating, broadcast_shapes, check_at_least, check_finite, check_tensor
 
 RANGE_SLACK = 1e-6
 """A strain beyond its characterised range by so little, or a pressure by so large a part of itself, is at its end: more

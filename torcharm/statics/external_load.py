@@ -16,10 +16,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torcharm._inputs import broadcast_shapes, check_choice, check_tensor, shown
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries, RigidLink
 from torcharm.geometry.rod import chain, check_rod, element_twists, hanging, with_links
+from torcharm.inputs import broadcast_shapes, check_choice, check_tensor, shown
 from torcharm.load import GRAVITY, ExternalLoad, PointLoad
 from torcharm.task import WRENCH_AT, WRENCH_PLACES, Task, check_segments
 

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from torcharm._inputs import check_choice, check_count, shapes_only
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
+from torcharm.inputs import check_choice, check_count, shapes_only
 from torcharm.load import ExternalLoad, PointLoad
 from torcharm.statics.cross_section import CrossSections
 from torcharm.task import Task

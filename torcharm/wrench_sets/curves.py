@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from torcharm.actuators import Actuator, force_slopes, pressure_degree, pressure_knots
+from torcharm.actuators.protocol import PROBED_SHARES
 from torcharm.engine.curves import Samples
 
 ACCURACY = 1e-7
@@ -34,8 +35,6 @@ MOST_PIECES = 256
 """Pieces at most: a curve with kinks that its model does not name would take any number."""
 INWARD = 1e-9
 """By this part of a piece its ends are moved inwards where the model names kinks: at one the force may jump."""
-PROBED_SHARES = (0.0, 0.5, 1.0)
-"""Of the limits, pressures at which a model is asked how large its forces are."""
 PROBES = 512
 """So many strains decide how densely a model is sampled."""
 LEAST_CURVES, CURVES_PER_STRAIN = 256, 4
@@ -86,26 +85,32 @@ def sample_curves(model: Actuator, strain: Tensor, limit: Tensor) -> Curves:
         if found is not None and len(found.pieces) * CURVES_PER_STRAIN <= len(strain):
             return found._replace(rest=model.force(strain, torch.zeros_like(strain)).expand_as(strain))
     few = slice(None, None, max(1, len(strain) // PROBES))
-    allowed = _Allowed(model, strain[few], limit[few])
+    allowed = _allowed(model, strain[few], limit[few])
     return Curves(_pieces(model, strain, limit, _grades(model, strain[few], limit[few], allowed)))
 
 
-class _Allowed:
-    """By how much curves may be off, by the largest forces at strains, but for strains at which there is next to none.
+class _Allowed(NamedTuple):
+    """By how much curves may be off: this ratio of the largest force at a strain, or of a usual one if that is less."""
+
+    ratio: float
+    usual: Tensor
+
+    def of(self, largest: Tensor) -> Tensor:
+        """What is allowed where forces are so large at most."""
+        return self.ratio * torch.maximum(largest, self.usual)
+
+
+def _allowed(model: Actuator, strain: Tensor, limit: Tensor, part: float = 1.0) -> _Allowed:
+    """What is allowed of a model's curves.
 
     Args:
         strain, limit: (n,) of some of the curves, by whose forces it is told what is next to none.
         part: of the highest limit, at which curves must be as good.
     """
-
-    def __init__(self, model: Actuator, strain: Tensor, limit: Tensor, part: float = 1.0) -> None:
-        pressure = torch.stack([share * limit for share in PROBED_SHARES])
-        force = model.force(strain.expand_as(pressure).contiguous(), pressure).expand_as(pressure)
-        self.usual = torch.where(force.isfinite(), force.abs(), 0.0).amax(0).median()
-        self.ratio = max(part * ACCURACY, ROUNDING * torch.finfo(strain.dtype).eps)
-
-    def __call__(self, largest: Tensor) -> Tensor:
-        return self.ratio * torch.maximum(largest, self.usual)
+    pressure = torch.stack([share * limit for share in PROBED_SHARES])
+    force = model.force(strain.expand_as(pressure).contiguous(), pressure).expand_as(pressure)
+    usual = torch.where(force.isfinite(), force.abs(), 0.0).amax(0).median()
+    return _Allowed(max(part * ACCURACY, ROUNDING * torch.finfo(strain.dtype).eps), usual)
 
 
 def _on_grid(model: Actuator, strain: Tensor, least: Tensor, most: Tensor) -> Curves | None:
@@ -119,7 +124,7 @@ def _on_grid(model: Actuator, strain: Tensor, least: Tensor, most: Tensor) -> Cu
     if not bool((high - low).isfinite()):
         return None
     some = strain[:: max(1, len(strain) // GRADED_AT)]
-    allowed = _Allowed(model, some, most.expand_as(some), float(least / most))
+    allowed = _allowed(model, some, most.expand_as(some), float(least / most))
     some = torch.cat((some, torch.lerp(low, high, torch.linspace(0, 1, GRADED_AT).to(low))))
     grades = _grades(model, some, most.expand_as(some), allowed)
     grid = torch.lerp(low, high, torch.linspace(0, 1, FIRST_STRAINS).to(low))
@@ -164,7 +169,7 @@ def _disagree(guess: Tensor, true: Tensor, allowed: _Allowed) -> Tensor:
     itself = torch.ones_like(span)
     by = torch.stack((steep, steep, itself, span, itself, span), -1)
     largest = torch.maximum(force.abs(), force_end.abs()).amax(1)
-    close = (off * by).amax((1, 2)) <= allowed(largest) / CAUTION
+    close = (off * by).amax((1, 2)) <= allowed.of(largest) / CAUTION
     neither = ~(true.isfinite().flatten(1).all(1) | guess.isfinite().flatten(1).all(1))
     return ~(close | neither)
 
@@ -172,19 +177,21 @@ def _disagree(guess: Tensor, true: Tensor, allowed: _Allowed) -> Tensor:
 def as_samples(curves: Sequence[Curves | None]) -> Samples:
     """The sampled curves of actuators, for the engine; None for those whose force the engine evaluates itself."""
     known = [one for one in curves if one is not None]
-    most = max((one.pieces.shape[-2] for one in known), default=0)
-    rows = np.array([0 if one is None else len(one.pieces) for one in curves], np.int64)
-    grids = [one.pieces.new_zeros(len(one.pieces)) if one.grid is None else one.grid for one in known]
-    resting = [one.rest for one in known if one.rest is not None]
-    rests = np.array([0 if one is None or one.rest is None else len(one.rest) for one in curves], np.int64)
     if not known:
-        return Samples(np.zeros((0, 0, 6)), np.zeros(0), rows, rows, np.zeros(0), rows)
+        none = np.zeros(len(curves), np.int64)
+        return Samples(np.zeros((0, 0, 6)), np.zeros(0), none, none, np.zeros(0), none)
+    distinct = {id(one.pieces): one for one in known}  # actuators of one model share a grid
+    most = max(one.pieces.shape[-2] for one in known)
+    grids = [one.pieces.new_zeros(len(one.pieces)) if one.grid is None else one.grid for one in distinct.values()]
+    begin = dict(zip(distinct, np.cumsum([0, *map(len, grids)]), strict=False))
+    resting = [one.pieces.new_zeros(0) if one.rest is None else one.rest for one in known]
+    rests = np.array([0 if one is None or one.rest is None else len(one.rest) for one in curves], np.int64)
     return Samples(
-        torch.cat([_padded(one.pieces, most) for one in known]).cpu().double().numpy(),
+        torch.cat([_padded(one.pieces, most) for one in distinct.values()]).cpu().double().numpy(),
         torch.cat(grids).cpu().double().numpy(),
-        np.cumsum(rows) - rows,
+        np.array([0 if one is None else begin[id(one.pieces)] for one in curves], np.int64),
         np.array([0 if one is None or one.grid is None else len(one.grid) for one in curves], np.int64),
-        torch.cat(resting).cpu().double().numpy() if resting else np.zeros(0),
+        torch.cat(resting).cpu().double().numpy(),
         np.cumsum(rests) - rests,
     )
 
@@ -249,7 +256,7 @@ def _excess(model: Actuator, strain: Tensor, pieces: Tensor, allowed: _Allowed) 
     cubic = ends + s * t * span * (s * slope - t * slope_end)
     true = model.force(strain[:, None, None].expand_as(cubic).contiguous(), begin + t * span).expand_as(cubic)
     off = (cubic - true).abs().amax(-1)
-    ratio = torch.where(off > 0, off / allowed(true.abs().flatten(1).amax(1)).unsqueeze(-1), 0.0)
+    ratio = torch.where(off > 0, off / allowed.of(true.abs().flatten(1).amax(1)).unsqueeze(-1), 0.0)
     return torch.where(ratio.isfinite(), ratio, 0.0).amax(0)
 
 

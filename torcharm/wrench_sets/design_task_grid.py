@@ -9,9 +9,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torcharm._inputs import refuse_transforms, shown
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries, RigidLink
+from torcharm.inputs import refuse_transforms, shown
 from torcharm.load import ExternalLoad
 from torcharm.statics.cross_section import RANGE_SLACK, CrossSections, cross_sections, per_actuator
 from torcharm.statics.external_load import HULL, required_wrench

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torcharm.actuators import Actuator, pressure_knots
 from torcharm.actuators.protocol import sampled_of
+from torcharm.engine.curves import Samples
 from torcharm.engine.forces import SAMPLED, Models, models_of
 from torcharm.engine.node_sets import Answers, Sections, distance_kernel, make_room
 from torcharm.engine.threads import spread
@@ -66,6 +67,7 @@ def find_nearest(
     relative: bool,
     signed: bool,
     points: bool,
+    samples: Samples | None = None,
 ) -> NearestPoints:
     """Ask the engine for distances, in float64 on the CPU.
 
@@ -76,9 +78,10 @@ def find_nearest(
         relative: whether of differences from the first node.
         signed: whether inside counts as negative.
         points: whether to tell normals, weights and pressures.
+        samples: as of `sampled`, if they are known.
     """
     shape = (*sections.strain.shape[:2], required.external.shape[1], sections.strain.shape[2])
-    models, data = engine_sections(sections, required, scale)
+    models, data = engine_sections(sections, required, scale, samples)
     components, actuators = data.lever.shape[-1], data.lever.shape[-2]
     wanted = as_array(required.external) * components_scale(scale, components)
     more = [np.empty((*shape, components)), np.empty((*shape, components)), np.empty((*shape, components, actuators))]
@@ -98,7 +101,7 @@ def find_nearest(
 
 
 def engine_sections(
-    sections: CrossSections, required: RequiredWrench, scale: tuple[float, float]
+    sections: CrossSections, required: RequiredWrench, scale: tuple[float, float], samples: Samples | None = None
 ) -> tuple[Models, Sections]:
     """The force models, and sections (B, P) with their weights, as the engine takes them."""
     designs, shapes, nodes, actuators = sections.strain.shape
@@ -113,7 +116,7 @@ def engine_sections(
         as_array(sections.lever.expand(designs, 1, 1, actuators, components).reshape(designs, actuators, -1)) * factors,
         as_array(sections.bending.expand(designs, shapes, nodes, actuators, components - 1)) * scale[1],
         as_array(constant.expand(designs, shapes, nodes, components - 1)) * scale[1],
-        as_samples(_sampled(sections, models.kind)),
+        sampled(sections) if samples is None else samples,
         as_array(required.unit_weight) * factors,
         as_array(required.mass),
     )
@@ -129,22 +132,24 @@ def as_array(value: Tensor) -> np.ndarray:  # type: ignore[type-arg]
     return np.ascontiguousarray(value.detach().cpu().double().numpy())
 
 
-def _sampled(sections: CrossSections, kind: np.ndarray) -> list[Curves | None]:  # type: ignore[type-arg]
-    """Sampled curves of the actuators that the engine does not know."""
+@torch.no_grad()
+def sampled(sections: CrossSections) -> Samples:
+    """Curves of the actuators that the engine does not know: the same for all that is asked of the sections."""
+    kind = models_of(sections.actuators).kind
     found: list[Curves | None] = [None] * len(kind)
-    if (kind != SAMPLED).all():
-        return found
     limit = sections.limit.expand_as(sections.strain)
-    for model, members in group_alike(sections.actuators):
+    for model, members in group_alike(sections.actuators) if (kind == SAMPLED).any() else ():
         own = list(range(len(kind)))[members] if isinstance(members, slice) else members
-        if kind[own[0]] == SAMPLED:
-            strains, limits = (x[..., own].movedim(-1, 0).flatten() for x in (sections.strain, limit))
-            curves = sampled_of(f"actuators[{own[0]}].force", sample_curves, model, strains, limits)
-            for j, a in enumerate(own):
-                mine = slice(j * len(strains) // len(own), (j + 1) * len(strains) // len(own))
-                rest = None if curves.rest is None else curves.rest[mine]
-                found[a] = Curves(curves.pieces if curves.grid is not None else curves.pieces[mine], curves.grid, rest)
-    return found
+        if kind[own[0]] != SAMPLED:
+            continue
+        strains, limits = (x[..., own].movedim(-1, 0).flatten() for x in (sections.strain, limit))
+        curves = sampled_of(f"actuators[{own[0]}].force", sample_curves, model, strains, limits)
+        each = strains.numel() // len(own)
+        for j, a in enumerate(own):
+            mine = slice(j * each, (j + 1) * each)
+            rest = None if curves.rest is None else curves.rest[mine]
+            found[a] = Curves(curves.pieces if curves.grid is not None else curves.pieces[mine], curves.grid, rest)
+    return as_samples(found)
 
 
 def evaluate_distance(

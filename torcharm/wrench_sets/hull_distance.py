@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torcharm._inputs import broadcast_shapes, check_count, shapes_only
+from torcharm.inputs import broadcast_shapes, check_count, shapes_only
 from torcharm.wrench_sets.once import once
 
 TOLERANCE = 1e-6

@@ -11,7 +11,7 @@ from torch.utils.checkpoint import checkpoint
 from torcharm.actuators import want_gradients
 from torcharm.statics.cross_section import CrossSections, cross_sections, per_actuator
 from torcharm.wrench_sets.design_task_grid import DesignTaskGrid, RequiredWrench, map_chunks
-from torcharm.wrench_sets.distance import NearestPoints, evaluate_distance, find_nearest
+from torcharm.wrench_sets.distance import NearestPoints, evaluate_distance, find_nearest, sampled
 from torcharm.wrench_sets.once import once
 from torcharm.wrench_sets.rounding import without_rounding
 from torcharm.wrench_sets.vertex_sets import VertexSets
@@ -116,40 +116,36 @@ def _segment(
         sections = cross_sections(arm, twists)
         return *possible_sections(sections), strain_excess(sections)
 
+    with torch.no_grad():
+        sections, lost, excess = prepare()
     if not wants_gradient(grid, segment):
         with torch.no_grad():
-            sections, lost, excess = prepare()
-            found = [_measure(sections, required, options, metric == "relative") for metric in options.metrics]
+            found = _measured(sections, required, options)
     elif options.vertices is not None and not options.vertices.by_engine:
         sections, lost, excess = prepare()
-        found = [
-            options.vertices.solve(sections, required, options.scale, relative=metric == "relative")
-            for metric in options.metrics
-        ]
+        found = _measured(sections, required, options)
     else:
-        with torch.no_grad():
-            sections, lost, excess = prepare()
-            relative = [metric == "relative" for metric in options.metrics]
-            kept = [_nearest(sections, required, options, relative=one, points=True) for one in relative if keep]
+        kept = _nearest(sections, required, options) if keep else []
 
         def replay() -> tuple[Tensor, ...]:
             sections, _, excess = prepare()
-            found = kept or [_nearest(sections, required, options, relative=one, points=True) for one in relative]
+            points = kept or _nearest(sections, required, options)
             values = [
-                evaluate_distance(sections, required, options.scale, _held(options, sections, nearest), relative=one)
-                for nearest, one in zip(found, relative, strict=True)
+                evaluate_distance(
+                    sections, required, options.scale, _held(options, sections, one), relative=metric == "relative"
+                )
+                for metric, one in zip(options.metrics, points, strict=True)
             ]
-            return *values, *(one.known(value) for one, value in zip(found, values, strict=True)), excess
+            return *values, *(one.known(value) for one, value in zip(points, values, strict=True)), excess
 
         if not again:
             *both, excess = replay()
         elif options.vertices is None and not any_sampled(sections) and not want_gradients(arm.actuators, arm.radii):
             ours = (arm.radii, arm.length, arm.max_pressure, arm.out_of_plane, twists)
             inputs = (*ours, required.external, required.unit_weight, required.mass)
-            known = [(one.distance, one.certified) for one in kept]
             with torch.no_grad():
-                known = known or [_measure(sections, required, options, one) for one in relative]
-            plain = (*(value for value, _ in known), *(flag for _, flag in known), excess)
+                pairs = [(one.distance, one.certified) for one in kept] or _measured(sections, required, options)
+            plain = (*(value for value, _ in pairs), *(flag for _, flag in pairs), excess)
             *both, excess = Replayed.apply(replay, plain, *(x for x in inputs if x is not None and x.requires_grad))
         else:  # parameters inside of models are found only by a forward pass through them
             *both, excess = checkpoint(replay, use_reentrant=False)
@@ -187,13 +183,20 @@ class Replayed(torch.autograd.Function):
         return None, None, *torch.autograd.grad(found, ctx.inputs, outer, allow_unused=True, create_graph=more)
 
 
+@torch.no_grad()
 def _nearest(
-    sections: CrossSections, required: RequiredWrench, options: SetOptions, *, relative: bool, points: bool
-) -> NearestPoints:
-    """What the engine finds, of the sets themselves or of their vertices."""
-    if options.vertices is not None:
-        return options.vertices.find_nearest(sections, required, options.scale, relative=relative)
-    return find_nearest(sections, required, options.scale, relative=relative, signed=options.signed, points=points)
+    sections: CrossSections, required: RequiredWrench, options: SetOptions, *, points: bool = True
+) -> list[NearestPoints]:
+    """What the engine finds for each metric, of the sets themselves or of their vertices."""
+    vertices, scale, signed = options.vertices, options.scale, options.signed
+    relative = [metric == "relative" for metric in options.metrics]
+    if vertices is not None:
+        return [vertices.find_nearest(sections, required, scale, relative=one) for one in relative]
+    samples = sampled(sections)  # once for all metrics
+    return [
+        find_nearest(sections, required, scale, relative=one, signed=signed, points=points, samples=samples)
+        for one in relative
+    ]
 
 
 def _held(options: SetOptions, sections: CrossSections, nearest: NearestPoints) -> NearestPoints:
@@ -201,18 +204,20 @@ def _held(options: SetOptions, sections: CrossSections, nearest: NearestPoints) 
     return nearest if options.vertices is None else options.vertices.tied_to_limits(nearest, sections)
 
 
-def _measure(
-    sections: CrossSections, required: RequiredWrench, options: SetOptions, relative: bool
-) -> tuple[Tensor, Tensor]:
-    """Distances (b, p, l, N) and whether they converged, without a graph."""
-    if options.vertices is not None and not options.vertices.by_engine:
-        return options.vertices.solve(sections, required, options.scale, relative=relative)
-    sampled = options.vertices is None and any_sampled(sections)
-    found = _nearest(sections, required, options, relative=relative, points=sampled)
-    if not sampled:
-        return found.distance, found.certified
-    value = evaluate_distance(sections, required, options.scale, found, relative=relative)
-    return value, found.known(value)
+def _measured(sections: CrossSections, required: RequiredWrench, options: SetOptions) -> list[tuple[Tensor, Tensor]]:
+    """Distances (b, p, l, N) of each metric, and whether they converged; solvers that keep a graph keep it."""
+    vertices, scale = options.vertices, options.scale
+    if vertices is not None and not vertices.by_engine:
+        return [vertices.solve(sections, required, scale, relative=metric == "relative") for metric in options.metrics]
+    by_torch = vertices is None and any_sampled(sections)
+    found = _nearest(sections, required, options, points=by_torch)
+    if not by_torch:
+        return [(one.distance, one.certified) for one in found]
+    values = [
+        evaluate_distance(sections, required, scale, one, relative=metric == "relative")
+        for metric, one in zip(options.metrics, found, strict=True)
+    ]
+    return [(value, one.known(value)) for value, one in zip(values, found, strict=True)]
 
 
 def any_sampled(sections: CrossSections) -> bool:

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torcharm._inputs import check_choice, check_count, shown
+from torcharm.inputs import check_choice, check_count, shown
 from torcharm.wrench_sets.hull_distance import (
     TOLERANCE,
     HullAnswer,

@@ -14,9 +14,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm._inputs import check_choice, check_count
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
+from torcharm.inputs import check_choice, check_count
 from torcharm.statics.cross_section import CrossSections, actuator_force
 from torcharm.wrench_sets.design_task_grid import RequiredWrench, segments_of
 from torcharm.wrench_sets.distance import NearestPoints

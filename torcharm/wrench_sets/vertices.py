@@ -8,11 +8,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torcharm._inputs import broadcast_shapes, check_flag, check_tensor, shown
 from torcharm.engine.depth import make_polytope
 from torcharm.engine.distance import make_simplex
 from torcharm.engine.threads import spread
 from torcharm.engine.vertices import VertexAnswers, vertex_kernel
+from torcharm.inputs import broadcast_shapes, check_flag, check_tensor, shown
 from torcharm.wrench_sets.distance import CERTIFIED
 from torcharm.wrench_sets.hull_distance import ROUNDINGS, power_of_two
 from torcharm.wrench_sets.once import once

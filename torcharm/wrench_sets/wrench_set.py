@@ -12,11 +12,11 @@ import torch
 from scipy.spatial import ConvexHull, QhullError
 from torch import Tensor
 
-from torcharm._inputs import check_tensor, shapes_only, shown
 from torcharm.actuators import is_linear_in_pressure, pressure_knots
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.geometry.rod import check_segment_nodes
+from torcharm.inputs import check_tensor, shapes_only, shown
 from torcharm.statics.cross_section import CrossSections, actuator_force, cross_sections
 from torcharm.wrench_sets.design_task_grid import flat_segments, segments_of
 from torcharm.wrench_sets.vertex_sets import EDGE_SAMPLES, check_sets, edge_pressures, edge_vertices
