@@ -15,6 +15,7 @@ import torcharm
 ROOT = Path(torcharm.__file__).parent
 
 ROOMS = (
+    "inputs",
     "files",
     "geometry",
     "actuators",
@@ -35,17 +36,6 @@ ROOMS = (
     "plot",
     "cli",
 )
-
-# What the first edition left: its modules may import what they like, and only rooms from attainability on may
-# import them. Entries are removed with what they name, and none is added.
-OLD = {
-    "inputs.py",
-}
-LENGTH_OF_OLD = 1  # as the list began; it shrinks with the list
-
-# Old modules that every room may still import: the checks of arguments.
-FOUNDATIONS = {"inputs"}
-FIRST_THAT_MAY_IMPORT_OLD = "attainability"
 
 LONGEST_FILE = 400
 
@@ -81,24 +71,13 @@ def room_of(module):
     return [*module.split("."), ""][1]
 
 
-def is_old(room):
-    return f"{room}.py" in OLD or f"{room}/" in OLD
-
-
-def new_modules():
-    return [module for module in modules() if room_of(module) and not is_old(room_of(module))]
-
-
 def faults(module, imported):
     """What is wrong with one import, or nothing."""
     own, other = room_of(module), room_of(imported)
-    if own == other or other in FOUNDATIONS:
+    if own == other:
         return []
     if not other:  # the package itself holds the version, and is otherwise for its users
         return [] if own in ("actuators", "cli") else [f"{module} imports the package itself"]
-    if is_old(other):
-        late = ROOMS.index(own) >= ROOMS.index(FIRST_THAT_MAY_IMPORT_OLD)
-        return [] if late else [f"{module} imports {imported}, which is to go"]
     return [] if ROOMS.index(other) < ROOMS.index(own) else [f"{module} imports {imported}, which comes later"]
 
 
@@ -127,29 +106,24 @@ def circles(graph):
     return found
 
 
-def test_everything_at_the_root_is_a_room_or_still_listed_as_old():
+def test_everything_at_the_root_is_a_room():
     entries = {
         f"{path.name}/" if path.is_dir() else path.name
         for path in ROOT.iterdir()
         if path.suffix == ".py" or (path / "__init__.py").is_file()
     }
-    rooms = {f"{room}{end}" for room in ROOMS for end in (".py", "/")}
-    assert entries - rooms - OLD == {"__init__.py"}
-
-
-def test_what_is_gone_is_not_listed_as_old():
-    assert [entry for entry in sorted(OLD) if not (ROOT / entry).exists()] == []
-    assert len(OLD) <= LENGTH_OF_OLD
+    assert entries - {f"{room}{end}" for room in ROOMS for end in (".py", "/")} == {"__init__.py"}
+    assert not [room for room in ROOMS if room.startswith("_")]
 
 
 @pytest.mark.parametrize("room", [room for room in ROOMS if any(room_of(name) == room for name in modules())])
 def test_a_room_imports_only_from_rooms_before_it(room):
-    own = [module for module in new_modules() if room_of(module) == room]
+    own = [module for module in modules() if room_of(module) == room]
     assert [fault for module in own for other in sorted(imports_of(module)) for fault in faults(module, other)] == []
 
 
 def test_no_modules_import_each_other_in_a_circle():
-    names = set(new_modules())
+    names = {module for module in modules() if room_of(module)}
     assert circles({name: imports_of(name) & names for name in names}) == []
 
 
@@ -165,6 +139,6 @@ def test_the_test_sees_circles_and_arrows_back():
 
 @pytest.mark.parametrize("room", [room for room in ROOMS if any(room_of(name) == room for name in modules())])
 def test_no_file_is_too_long_to_be_read_at_once(room):
-    own = [modules()[module] for module in new_modules() if room_of(module) == room]
+    own = [modules()[module] for module in modules() if room_of(module) == room]
     lengths = {path.name: len(path.read_text(encoding="utf-8").splitlines()) for path in own}
     assert {name: length for name, length in lengths.items() if length > LONGEST_FILE} == {}
