@@ -299,7 +299,7 @@ def test_bad_input(change, message):
 DATA = Path(os.environ["TORCHARM_DATA"]) / "bellows_characterisation" if "TORCHARM_DATA" in os.environ else None
 
 
-@pytest.mark.skipif(DATA is None, reason="TORCHARM_DATA is not set")
+@pytest.mark.skipif(DATA is None, reason="needs raw test-bench recordings: TORCHARM_DATA names no folder")
 def test_the_published_fit():
     runs = [
         ta.align(

@@ -260,7 +260,7 @@ def test_an_offset_out_of_reach_is_a_warning():
 # The real ones
 
 DATA = Path(os.environ["TORCHARM_DATA"]) / "bellows_characterisation" if "TORCHARM_DATA" in os.environ else None
-needs_data = pytest.mark.skipif(DATA is None, reason="TORCHARM_DATA is not set")
+needs_data = pytest.mark.skipif(DATA is None, reason="needs raw test-bench recordings: TORCHARM_DATA names no folder")
 
 
 @needs_data
