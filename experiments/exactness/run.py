@@ -43,12 +43,17 @@ ROUNDINGS = 64 * float(np.finfo(float).eps)
 
 @dataclass(frozen=True)
 class Row:
-    """What became of the problems of one family in one dimension; errors are parts of max|H - w|."""
+    """What became of the problems of one family in one dimension; errors are parts of max|H - w|.
+
+    Of problems with an actuator that has no length the distances are compared, but count as neither flagged nor wrong:
+    `evaluate` calls them impossible.
+    """
 
     dimension: int
     family: str
     problems: int
     outside: int
+    impossible: int
     flagged: int
     wrong: int
     worst: float
@@ -107,14 +112,16 @@ def compare(job: tuple[int, int, int]) -> Row:
     certified = found.known(torch.from_numpy(value).view(-1, 1, 1, 1))[:, 0, 0, -1].numpy()
     scale = np.maximum(size, excused) + np.finfo(float).tiny
     error = np.where(certified, np.maximum(np.maximum(low - value, value - high), 0.0) / scale, 0.0)
+    possible = (problems.sections.strain > -1.0).flatten(1).all(1).numpy()
     depth = margins(problems, certified & (high <= 1e-9 * size), size)
     return Row(
         dimension,
         family,
         count,
         int((low > 0).sum()),
-        int((~certified).sum()),
-        int((~(error <= PROMISE)).sum()),
+        int((~possible).sum()),
+        int((possible & ~certified).sum()),
+        int((possible & ~(error <= PROMISE)).sum()),
         float(np.nanmax(error)),
         float(((high - low) / scale).max()),
         int((lost & certified).sum()),
@@ -164,7 +171,7 @@ def joined(rows: Iterable[Row]) -> list[Row]:
     for (dimension, family), group in sorted(groups.items(), key=lambda pair: (pair[0][0], FAMILIES.index(pair[0][1]))):
         total = {
             name: sum(getattr(row, name) for row in group)
-            for name in ("problems", "outside", "flagged", "wrong", "gradients_not_finite", "margins")
+            for name in ("problems", "outside", "impossible", "flagged", "wrong", "gradients_not_finite", "margins")
         }
         most = {name: max(getattr(row, name) for row in group) for name in ("worst", "bounds_apart", "worst_margin")}
         found.append(Row(dimension, family, **total, **most))
@@ -172,12 +179,12 @@ def joined(rows: Iterable[Row]) -> list[Row]:
 
 
 def table(rows: list[Row]) -> Table:
-    headings = ("dimension", "sets", "problems", "outside", "flagged", "wrong", "worst error", "reference's gap")
+    headings = ("dimension", "sets", "problems", "outside", "impossible", "flagged", "wrong")
     shown = Table(box=None, title="Distances, errors as parts of max|H - w|", title_justify="left")
-    for heading in (*headings, "lost gradients", "margins", "worst"):
+    for heading in (*headings, "worst error", "reference's gap", "lost gradients", "margins", "worst"):
         shown.add_column(heading, justify="left" if heading == "sets" else "right")
     for r in rows:
-        numbers = (r.problems, r.outside, r.flagged, r.wrong, f"{r.worst:.1e}", f"{r.bounds_apart:.1e}")
+        numbers = (r.problems, r.outside, r.impossible, r.flagged, r.wrong, f"{r.worst:.1e}", f"{r.bounds_apart:.1e}")
         more = (r.gradients_not_finite, r.margins, f"{r.worst_margin:.1e}")
         shown.add_row(*map(str, (r.dimension, r.family, *numbers, *more)))
     return shown

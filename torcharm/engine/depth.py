@@ -6,6 +6,7 @@ meet (van den Bergen 2001). Unlike the distance from outside this is no convex p
 """
 
 import math
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -69,6 +70,7 @@ def make_polytope(actuators: int, dimension: int) -> Polytope:
     )
 
 
+@cache
 def depth_parts(D: int, ask: Any) -> tuple[Any, Any]:
     """`depth` and `weigh` for sets in D components whose support is asked for by `ask`."""
 
@@ -248,6 +250,7 @@ def depth_parts(D: int, ask: Any) -> tuple[Any, Any]:
     return depth, weigh
 
 
+@cache
 def signed_distance_part(D: int, ask: Any, sharpen: Any) -> Any:
     """`signed_distance` for sets in D components, of what `ask` and `sharpen` do with their kind of support."""
     nearest = nearest_part(D, ask)

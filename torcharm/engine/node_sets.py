@@ -16,11 +16,12 @@ from torcharm.engine.curves import (
     write_difference,
 )
 from torcharm.engine.depth import Polytope, make_polytope, signed_distance_part
-from torcharm.engine.distance import GAP, Simplex, curve_support, make_simplex, nearest_part
+from torcharm.engine.distance import GAP, curve_support, nearest_part
 from torcharm.engine.forces import Models
 from torcharm.engine.reach import sides
 from torcharm.engine.references import by_reference
 from torcharm.engine.sharpen import BEYOND, sharpen_part
+from torcharm.engine.simplex import Simplex, make_simplex
 
 Array = np.ndarray[Any, Any]
 

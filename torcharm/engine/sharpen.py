@@ -11,6 +11,7 @@ whether w is outside (ρ > 0) or inside (ρ < 0). As n turns by δ each y_k move
 """
 
 import math
+from functools import cache
 from typing import Any
 
 from torcharm.engine.compilation import part
@@ -31,6 +32,7 @@ SINGULAR = 1e-13
 """A pivot below this part of its column's size is none."""
 
 
+@cache
 def sharpen_part(D: int) -> Any:
     """`sharpen` for sums of curves in D components."""
 

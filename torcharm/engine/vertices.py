@@ -36,6 +36,7 @@ class VertexAnswers(NamedTuple):
     vertex: Array
 
 
+@cache
 def vertex_support(D: int) -> Any:
     """`ask` for hulls of vertices in D components."""
 

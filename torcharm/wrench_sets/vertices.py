@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torcharm.engine.depth import make_polytope
-from torcharm.engine.distance import make_simplex
+from torcharm.engine.simplex import make_simplex
 from torcharm.engine.threads import spread
 from torcharm.engine.vertices import VertexAnswers, vertex_kernel
 from torcharm.inputs import broadcast_shapes, check_flag, check_tensor, shown
