@@ -183,7 +183,7 @@ class Attainability:
 
     @property
     def converged(self) -> Tensor:
-        """Whether distances, and the prediction if it was asked for, converged, the latter to a stable shape."""
+        """Whether distances, and the prediction if it was asked for, converged, so that both have gradients."""
         prediction = self.prediction
         known = self.distances_converged
         return known if prediction is None else known & prediction.converged & prediction.stable

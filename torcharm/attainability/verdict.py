@@ -16,10 +16,11 @@ if TYPE_CHECKING:
     from torcharm.pressure.predicted_error import PredictedError
 
 VERDICTS = ("held", "missed", "excluded by range", "undecided", "impossible")
-"""Held: the predicted shape is within the tolerance, a converged stable equilibrium that loading leads to, with strains
-and pressures that were characterised. Missed: the same, beyond the tolerance. Excluded by range: strains or pressure
-limits are beyond what was characterised, so that every figure extrapolates. Undecided: the prediction did not converge,
-or no stable equilibrium was found, or loading leads to another one. Impossible: an actuator would have no length."""
+"""Held: a shape within the tolerance was found, a stable equilibrium that loading leads to, with strains and pressures
+that were characterised. Missed: the same, beyond the tolerance, and no pressure nearby does better. Excluded by range:
+strains or pressure limits are beyond what was characterised, so that every figure extrapolates. Undecided: beyond the
+tolerance, and a better pressure may exist, as the minimisation did not converge; or no stable equilibrium was found, or
+loading leads to another one. Impossible: an actuator would have no length."""
 HELD, MISSED, EXCLUDED, UNDECIDED, IMPOSSIBLE = range(len(VERDICTS))
 
 LENGTH_SHARE = 0.02
@@ -86,8 +87,7 @@ def judge(
     tip, shape = (value.reshape(value.shape + (1,) * tasks) for value in tolerance.lengths(arm))
     close = (prediction.tip_error <= tip) & (prediction.shape_error <= shape)
     close = close & (prediction.tip_rotation_error <= tolerance.rotation)
-    sure = prediction.converged & prediction.stable & prediction.reached
-    found = torch.where(close, HELD, MISSED)
-    found = torch.where(sure, found, UNDECIDED)
+    found = torch.where(close, HELD, torch.where(prediction.at_minimum, MISSED, UNDECIDED))
+    found = torch.where(prediction.stable & prediction.reached, found, UNDECIDED)
     found = torch.where(in_range & (prediction.in_range | ~prediction.stable), found, EXCLUDED)
     return torch.where(impossible | ~prediction.possible, IMPOSSIBLE, found)

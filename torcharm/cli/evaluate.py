@@ -214,9 +214,9 @@ def _legend(plan: "Study", results: Sequence["StudyResult"], sums: bool) -> Iter
 
 
 _MEANINGS = {
-    "missed": "a converged prediction beyond that",
+    "missed": "the least error that was found is beyond that",
     "excluded by range": "beyond characterised strains or pressures: figures extrapolate",
-    "undecided": "not converged, or no stable shape that loading leads to",
+    "undecided": "a better pressure may exist, or no stable shape that loading leads to",
     "impossible": "an actuator would have no length",
 }
 

@@ -20,7 +20,7 @@ class TaskErrors:
     Attributes:
         tip_error, shape_error: (T,) [m]; infinite where no stable equilibrium was found.
         pressure: (T, M) that reaches them [kPa].
-        converged: (T,) whether the pressures are known to be the best; where not, the errors are reached all the same.
+        converged: (T,) whether no pressure nearby is known to do better; where not, the errors are reached all the same.
         stable: (T,) whether an equilibrium was found at which the arm stays.
         in_range: (T,) whether its strains and pressures are in the characterised range.
     """
@@ -41,7 +41,8 @@ class TaskErrors:
 
         pressure = torch.cat([one.pressure.detach().reshape(-1, one.pressure.shape[-1]) for one in found])
         errors = whole("tip_error"), whole("shape_error")
-        return cls(*errors, pressure, whole("converged"), whole("stable"), whole("in_range"))
+        ended = "at_minimum" if isinstance(found[0], PredictedError) else "converged"
+        return cls(*errors, pressure, whole(ended), whole("stable"), whole("in_range"))
 
     @property
     def tip_mm(self) -> float:

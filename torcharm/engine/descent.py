@@ -51,10 +51,10 @@ FLOOR = 1e-10
 OPTIMAL = 1e-7
 """Slope of the error by a normalised pressure, over the arm's length, at which a minimum is reached."""
 
-RUNNING, OPTIMUM, NO_GAIN, HELD_UP, NO_START = range(5)
+RUNNING, OPTIMUM, NO_GAIN, HELD_UP, STABILITY_ENDS, NO_START = range(6)
 """How a descent ended: not within its steps; at a first-order optimum; where nothing more is to be had; where shorter
-and shorter steps did not go down, as at a kink of a force model or where stability ends; or where it started, as there
-was no equilibrium."""
+and shorter steps did not go down, as at a kink of a force model; where they left the stable equilibria; or where it
+started, as there was no equilibrium."""
 
 
 @part
@@ -156,7 +156,7 @@ def descend(problem, work, b, here, there, free, best, steps):  # type: ignore[n
     for m in range(count):
         for k in range(count):
             work.extra[m, k] = 0.0
-    augmented, growth, taken, before = False, 2.0, 0, points.known[here, HALF_COST]
+    augmented, left, growth, taken, before = False, False, 2.0, 0, points.known[here, HALF_COST]
     damping, ended = FIRST_DAMPING * largest_curvature(points.curvature[here]), RUNNING
     for _ in range(steps):
         scale, value = largest_curvature(points.curvature[here]), points.known[here, HALF_COST]
@@ -167,7 +167,7 @@ def descend(problem, work, b, here, there, free, best, steps):  # type: ignore[n
         if error_slope(problem, work, b, here) <= OPTIMAL * problem.scale.length[b]:
             ended = OPTIMUM
         elif damping > LARGEST_DAMPING * scale:
-            ended = HELD_UP
+            ended = STABILITY_ENDS if left else HELD_UP
         elif not promised > 0.0:
             ended = NO_GAIN
         elif taken == PATIENCE:
@@ -187,8 +187,8 @@ def descend(problem, work, b, here, there, free, best, steps):  # type: ignore[n
             change = max(change, abs(box.step[m]))
         close = min(max(SHARP * change, CLOSEST), CLOSE)
         found = evaluate_point(problem, work, b, there, close, FEW_EVALUATIONS)
-        found = found and (free or points.known[there, STABLE] > 0.0)
-        if not found:
+        left = not (found and (free or points.known[there, STABLE] > 0.0))
+        if left:
             damping = max(damping * growth, BLIND_DAMPING * scale)
             growth *= 2.0
             continue

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
-from torcharm.engine.descent import OPTIMUM
+from torcharm.engine.descent import HELD_UP, NO_GAIN, OPTIMUM
 from torcharm.engine.predictions import SCREENED, Predictions, predict_all
 from torcharm.engine.pressure_model import make_work
 from torcharm.engine.threads import spread
@@ -29,10 +29,13 @@ from torcharm.pressure.pose_cost import PoseCost
 from torcharm.pressure.prepared import Prepared, detached, prepare, stays_at
 from torcharm.task import Task
 
-WORDS = ("converged", "not reached", "not converged", "unstable", "impossible")
-"""What may be said of a prediction. Not reached: a stable minimum, but loading the arm from zero leads elsewhere. Not
-converged: a stable equilibrium, but perhaps not the best pressure: at a kink of a force model, or where stability ends.
-Unstable: no stable equilibrium was found. Impossible: the task's shape leaves an actuator no length."""
+WORDS = ("converged", "at a kink", "not reached", "not converged", "unstable", "impossible")
+"""What may be said of a prediction. At a kink: a minimum at a kink of a force model, which has no gradient. Not
+reached: a stable minimum, but loading the arm from zero leads elsewhere. Not converged: a stable equilibrium, but perhaps
+not the best pressure, as where stability ends. Unstable: no stable equilibrium was found. Impossible: the task's shape
+leaves an actuator no length."""
+MINIMA = (OPTIMUM, NO_GAIN, HELD_UP)
+"""Ends of descents from where no shorter step leads on."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -51,8 +54,10 @@ class PredictedError:
         pressure: (..., M) that reaches it [kPa]; where nothing was found, the last that was tried.
         twists: (..., N, K) of the shape predicted [m, rad].
         optimality: largest slope of `sqrt(cost)` by a normalised pressure [m], of those that the limits leave free.
-        converged: whether the optimality is within 1e-7 of the arm's length, at a stable equilibrium. A minimum at a
-            kink of a force model, or where stability ends, does not count as converged.
+        converged: whether the optimality is within 1e-7 of the arm's length, at a stable equilibrium: only there the
+            minimum has a gradient.
+        at_minimum: whether no shorter step led on from there, at a stable equilibrium: converged, or at a kink of a
+            force model, where the optimality does not vanish.
         stable: whether the task is possible (every actuator's length is above 0), and the equilibrium is stable, with
             such lengths.
         reached: whether it is stable, and `solve_equilibrium` leads there along one branch from zero load.
@@ -71,6 +76,7 @@ class PredictedError:
     twists: Tensor
     optimality: Tensor
     converged: Tensor
+    at_minimum: Tensor
     stable: Tensor
     reached: Tensor
     strain_excess: Tensor
@@ -84,8 +90,8 @@ class PredictedError:
     @property
     def status(self) -> str | NDArray[Any]:
         """What to think of it, in a word of `WORDS`: one, or an array of them."""
-        code = np.where(self.reached.numpy(force=True), 0, 1)
-        for rank, flag in enumerate((self.converged, self.stable, self.possible), 2):
+        code = np.where(self.converged.numpy(force=True), 0, 1)
+        for rank, flag in enumerate((self.reached, self.at_minimum, self.stable, self.possible), 2):
             code = np.where(flag.numpy(force=True), code, rank)
         return WORDS[int(code)] if code.ndim == 0 else np.array(WORDS)[code]
 
@@ -129,6 +135,7 @@ def prediction(
     place, twists = plain.shaped(found.place), plain.shaped(found.twists)
     stable = plain.shaped(stays_at(plain, found.place, found.twists, found.stable)) & possible
     converged = plain.shaped(found.ended == OPTIMUM) & stable
+    at_minimum = plain.shaped(np.isin(found.ended, MINIMA)) & stable
     errors = errors_at(prepared, place, twists, stable if held else converged, stable)
     with torch.no_grad():
         excess, within = strain_excess(plain.at(place), twists)
@@ -143,6 +150,7 @@ def prediction(
         errors.twists,
         plain.shaped(found.slope),
         converged,
+        at_minimum,
         stable,
         plain.shaped(found.reached) & stable,
         excess.expand(prepared.batch),

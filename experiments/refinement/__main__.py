@@ -1,0 +1,3 @@
+from experiments.refinement.run import main
+
+main()
