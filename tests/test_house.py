@@ -18,6 +18,7 @@ ROOMS = (
     "inputs",
     "files",
     "geometry",
+    "shapes",
     "actuators",
     "arm",
     "arm_series",

@@ -17,9 +17,10 @@ from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm,
 from torcharm.arm_series import ArmSeries, RigidLink, series
 from torcharm.geometry.rod import poses
 from torcharm.load import ExternalLoad, PointLoad
+from torcharm.shapes import affine_curvature, arc_to, constant_curvature, cubic_curvature, helix
 from torcharm.statics.cross_section import reaction_wrench
 from torcharm.statics.external_load import required_wrench
-from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
+from torcharm.task import Task, sample_loads
 
 if TYPE_CHECKING:
     from torcharm.actuators.alignment import Recording, align, estimate_offset, pool
@@ -93,8 +94,10 @@ __all__ = [
     "affine_curvature",
     "align",
     "antagonistic_arm",
+    "arc_to",
     "bellows_arm",
     "coefficient_tensor",
+    "constant_curvature",
     "cubic_curvature",
     "distance_to_hull",
     "estimate_offset",
@@ -103,6 +106,7 @@ __all__ = [
     "fit_gridded_model",
     "fit_pressure",
     "fit_recording",
+    "helix",
     "kkt_residuals",
     "load_actuator",
     "load_capacity",

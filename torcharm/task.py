@@ -13,7 +13,6 @@ from torcharm.inputs import (
     TensorLike,
     as_floating,
     broadcast_shapes,
-    check_at_least,
     check_choice,
     check_count,
     check_finite,
@@ -165,63 +164,23 @@ def check_segments(load: ExternalLoad, count: int) -> None:
             )
 
 
-def affine_curvature(slope: TensorLike, intercept: TensorLike, length: TensorLike = 0.5, nodes: int = 10) -> Tensor:
-    """Twists (..., N, 3) of a shape whose curvature is affine in arc, `κ(s) = slope s + intercept`.
-
-    Args:
-        slope, intercept: (...) [rad]; sampled at `s = linspace(0, 1, N)`, as in the paper.
-        length: (...) centreline length l [m].
-        nodes: N.
-
-    Raises:
-        ValueError: shapes do not broadcast, a value is not finite, a length is not positive, or N is
-            no positive integer.
-    """
-    return _polynomial_curvature(length, nodes, slope=slope, intercept=intercept)
-
-
-def cubic_curvature(
-    cubic: TensorLike,
-    quadratic: TensorLike,
-    slope: TensorLike,
-    intercept: TensorLike,
-    length: TensorLike = 0.5,
-    nodes: int = 10,
-) -> Tensor:
-    """Twists of `κ(s) = cubic s³ + quadratic s² + slope s + intercept`; else as `affine_curvature`."""
-    return _polynomial_curvature(length, nodes, cubic=cubic, quadratic=quadratic, slope=slope, intercept=intercept)
-
-
-def _polynomial_curvature(length: TensorLike, nodes: int, **coefficients: TensorLike) -> Tensor:
-    check_count("nodes", nodes, 1)
-    tensors = dict(zip((*coefficients, "length"), as_floating(**coefficients, length=length), strict=True))
-    for name, value in tensors.items():
-        check_finite(name, value)
-    check_at_least("length", tensors["length"], 0.0, strict=True, unit="m")
-    shape = broadcast_shapes(**{name: value.shape for name, value in tensors.items()})
-    *powers, along = (value.expand(shape).unsqueeze(-1) for value in tensors.values())
-    arc = torch.linspace(0, 1, nodes, dtype=along.dtype, device=along.device)
-    curvature = torch.zeros_like(arc).expand(*shape, nodes)
-    for coefficient in powers:
-        curvature = curvature * arc + coefficient
-    return torch.stack((along.expand_as(curvature), torch.zeros_like(curvature), curvature), -1)
-
-
 def sample_loads(count: int, scale: Sequence[float] = (20.0, 20.0, 2.0), seed: int = 100) -> Tensor:
-    """Tip loads (count, 3) [N, N, N·m], uniform within ± scale/2: `diag(scale) (U - ½)`.
+    """Tip loads (count, 3) or, of six scales, (count, 6), uniform within ± scale/2: `diag(scale) (U - ½)` [N, N·m].
 
     The defaults draw the paper's loads: numpy's legacy generator, one load a row.
 
     Raises:
-        ValueError: the count is negative or no integer, the scale not three finite numbers, or the
-            seed outside [0, 2³²).
+        ValueError: the count is negative or no integer, the scale neither three nor six finite numbers, or the seed
+            outside [0, 2³²).
     """
     check_count("count", count, 0)
     if check_count("seed", seed, 0) >= 2**32:
         raise ValueError(f"seed: must be below 2**32, got {seed}")
     (spread,) = as_floating(scale=scale)
-    if spread.shape != (3,):
-        raise ValueError(f"scale: must be three numbers (f_x, f_y, m), got shape {tuple(spread.shape)}")
+    if spread.shape not in ((3,), (6,)):
+        raise ValueError(
+            f"scale: must be three numbers (f_x, f_y, m), or six in space, got shape {tuple(spread.shape)}"
+        )
     check_finite("scale", spread)
-    uniform = np.random.RandomState(seed).rand(count, 3)
+    uniform = np.random.RandomState(seed).rand(count, len(spread))
     return spread * (torch.as_tensor(uniform, dtype=spread.dtype, device=spread.device) - 0.5)

@@ -20,7 +20,7 @@ class TaskErrors:
     Attributes:
         tip_error, shape_error: (T,) [m]; infinite where no stable equilibrium was found.
         pressure: (T, M) that reaches them [kPa].
-        converged: (T,) whether no pressure nearby is known to do better; where not, the errors are reached all the same.
+        converged: (T,) whether no pressure nearby is known to do better; where not, errors are reached all the same.
         stable: (T,) whether an equilibrium was found at which the arm stays.
         in_range: (T,) whether its strains and pressures are in the characterised range.
     """

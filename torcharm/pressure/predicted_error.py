@@ -31,9 +31,9 @@ from torcharm.task import Task
 
 WORDS = ("converged", "at a kink", "not reached", "not converged", "unstable", "impossible")
 """What may be said of a prediction. At a kink: a minimum at a kink of a force model, which has no gradient. Not
-reached: a stable minimum, but loading the arm from zero leads elsewhere. Not converged: a stable equilibrium, but perhaps
-not the best pressure, as where stability ends. Unstable: no stable equilibrium was found. Impossible: the task's shape
-leaves an actuator no length."""
+reached: a stable minimum, but loading the arm from zero leads elsewhere. Not converged: a stable equilibrium, but
+perhaps not the best pressure, as where stability ends. Unstable: no stable equilibrium was found. Impossible: the
+task's shape leaves an actuator no length."""
 MINIMA = (OPTIMUM, NO_GAIN, HELD_UP)
 """Ends of descents from where no shorter step leads on."""
 

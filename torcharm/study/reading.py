@@ -28,6 +28,7 @@ from torcharm.design.objective import Objective
 from torcharm.design.shape_planning import Smoothness
 from torcharm.design.space import DesignSpace
 from torcharm.files import read_file
+from torcharm.shapes import affine_curvature, cubic_curvature
 from torcharm.study.data import NamedArm, NamedPlan, NamedTask, Optimisation, Settings, Study
 from torcharm.study.fields import field_path, first_mistake, one_line, shown_value, within
 from torcharm.study.tables import (
@@ -46,7 +47,7 @@ from torcharm.study.tables import (
     StudyTable,
     TwistTask,
 )
-from torcharm.task import Task, affine_curvature, cubic_curvature, sample_loads
+from torcharm.task import Task, sample_loads
 from torcharm.wrench_sets.vertex_sets import CURVE_SAMPLES, EDGE_SAMPLES
 
 MOST_VALUES = 50_000_000
