@@ -10,7 +10,7 @@ import math
 import torch
 from torch import Tensor
 
-from torcharm.geometry.rod import group_of, hanging
+from torcharm.geometry.rod import as_base, group_of
 from torcharm.inputs import (
     TensorLike,
     as_floating,
@@ -104,27 +104,28 @@ def helix(
     return _towards(along, bend.expand(*bend.shape[:-1], nodes), first + turn * arc)
 
 
-def arc_to(tip: TensorLike, nodes: int = 10, base_pose: TensorLike | None = None) -> Tensor:
+def arc_to(tip: TensorLike, nodes: int = 10, base_pose: TensorLike | str | None = None) -> Tensor:
     """Twists (..., N, 3 or 6) of the arc of a circle that leaves the base along its backbone and ends at a point.
 
     Args:
         tip: (..., 2) or (..., 3) the point in the world frame [m].
         nodes: N.
-        base_pose: (3,) or (4, 4); None hangs the arm from the origin.
+        base_pose: (3,) or (4, 4), or "hanging" (None), "upright" or "horizontal", from the origin.
 
     Raises:
         ValueError: shapes do not fit, a value is not finite, or the point is the base, or straight behind it, where
             no one arc leads.
     """
     check_count("nodes", nodes, 1)
-    given = {"tip": tip} if base_pose is None else {"tip": tip, "base_pose": base_pose}
+    named = base_pose is None or isinstance(base_pose, str)
+    given = {"tip": tip} if named else {"tip": tip, "base_pose": base_pose}
     point, *pose = as_floating(**given)
     for name, value in zip(given, (point, *pose), strict=True):
         check_finite(name, value)
     if point.ndim < 1 or point.shape[-1] not in (2, 3):
         raise ValueError(f"tip: must have shape (..., 2) or (..., 3), got {tuple(point.shape)}")
     columns = 3 * point.shape[-1] - 3
-    base = pose[0] if pose else hanging(point, columns)
+    base = as_base(pose[0] if pose else base_pose, point, columns)
     if base.shape != group_of(columns).POSE_SHAPE:
         raise ValueError(f"base_pose: must have shape {group_of(columns).POSE_SHAPE}, got {tuple(base.shape)}")
     ahead, *across = _from_base(point, base)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm.geometry.rod import check_segment_nodes, group_of, hanging
+from torcharm.geometry.rod import as_base, check_segment_nodes, group_of
 from torcharm.inputs import (
     TensorLike,
     as_floating,
@@ -50,7 +50,7 @@ class Task:
         self,
         twists: TensorLike,
         tip_load: TensorLike | None = None,
-        base_pose: TensorLike | None = None,
+        base_pose: TensorLike | str | None = None,
         load: ExternalLoad | None = None,
         wrench_at: str = WRENCH_AT,
         segment_nodes: Sequence[int] | None = None,
@@ -60,7 +60,7 @@ class Task:
         Args:
             twists: (..., N, 3 or 6); the number of columns says whether the task is planar or spatial.
             tip_load: (..., 3) or (..., 6) in the world frame [N, N·m]. Beside a load it is that load's tip.
-            base_pose: (3,) or (4, 4); None hangs the arm from the origin.
+            base_pose: (3,) or (4, 4), or "hanging" (None), "upright" or "horizontal", from the origin.
             load: point loads and gravity, with or without a tip load.
             wrench_at: "middle" (second order in 1/N) or "start" (first order; the paper, and all that it publishes).
             segment_nodes: for arms in series, how many of the N rows belong to each segment.
@@ -76,7 +76,8 @@ class Task:
         given: dict[str, Any] = {"twists": twists}
         if tip_load is not None:
             given["tip_load"] = tip_load
-        if base_pose is not None:
+        named = base_pose is None or isinstance(base_pose, str)
+        if not named:
             given["base_pose"] = base_pose
         others = {} if load is None else {f"load.{name}": value for name, value in load.tensors().items()}
         values = dict(zip((*given, *others), as_floating(**given, **others), strict=True))
@@ -87,7 +88,7 @@ class Task:
                 f"got {tuple(twists_.shape)}"
             )
         columns = twists_.shape[-1]
-        base = hanging(twists_, columns) if base_pose is None else values["base_pose"]
+        base = as_base(base_pose if named else values["base_pose"], twists_, columns)
         pose_shape = group_of(columns).POSE_SHAPE
         if base.shape != pose_shape:
             raise ValueError(f"base_pose: must have shape {pose_shape}, got {tuple(base.shape)}")

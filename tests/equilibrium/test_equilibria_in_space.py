@@ -12,7 +12,7 @@ from spatial_scenes import SCENES, STIFFNESS, arm_and_task, required_wrench
 import torcharm as ta
 from experiments.exactness import models
 from torcharm.geometry import se3
-from torcharm.geometry.rod import BASE_POSE, SPACE_BASE_POSE
+from torcharm.geometry.rod import BASE_POSE, as_base
 
 F64 = torch.float64
 LIMIT = {"b": 50.0, "m": 100.0}
@@ -104,7 +104,7 @@ def test_a_planar_problem_in_any_plane_of_space_has_its_planar_answer(angle, wre
     offsets = torch.stack((radii * math.cos(angle), radii * math.sin(angle)), -1)
     arm = ta.ArmDesign(offsets=offsets, length=0.5, actuators=actuators, mass=0.2)
     back = turned_about_heading(-angle)
-    base = double(SPACE_BASE_POSE) @ back  # so that the arm's plane is the world's
+    base = as_base(None, double(0.0), 6) @ back  # so that the arm's plane is the world's
     lifted = se3.turn_wrench_back(back, se3.vector_from_plane(double(point)))
     point = ta.PointLoad(lifted, at=0.53, frame="body", mass=0.1)
     load = ta.ExternalLoad(se3.vector_from_plane(double([2.0, -3.0, 0.1])), True, [point])
@@ -198,7 +198,7 @@ def test_dead_and_following_forces_agree_for_small_loads_and_differ_for_large_on
     arm, gaps = spring_arm(), []
     for size in (0.01, 0.1, 10.0):
         wrench = double([size, 0.0, size, 0.0, 0.0, 0.0])
-        turned = se3.turn_wrench_back(double(SPACE_BASE_POSE), wrench.unsqueeze(0))[0]
+        turned = se3.turn_wrench_back(as_base(None, double(0.0), 6), wrench.unsqueeze(0))[0]
         dead = ta.solve_equilibrium(arm, [0.0] * 4, wrench, 6)
         following = ta.ExternalLoad(points=[ta.PointLoad(turned, frame="body")])
         gaps.append(float((ta.solve_equilibrium(arm, [0.0] * 4, following, 6).poses - dead.poses).abs().max()) / size)
@@ -263,4 +263,4 @@ def test_a_stiff_spring_converges():
 
 
 def test_the_base_pose_of_a_planar_arm_lifts_to_space():
-    assert np.allclose(se3.from_plane(double(BASE_POSE)), SPACE_BASE_POSE)
+    assert np.allclose(se3.from_plane(double(BASE_POSE)), as_base(None, double(0.0), 6))

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
+import torcharm as ta
 from torcharm.geometry import rod, se2, se3
 
 
@@ -292,3 +293,23 @@ def test_spatial_actuator_twists_are_the_inverse_adjoint_of_the_centrelines():
     beside = se3.from_parts(torch.eye(3, dtype=torch.float64), torch.tensor([0, -0.02, 0.03], dtype=torch.float64))
     lies = se3.compose(centre, beside)
     torch.testing.assert_close(rod.poses(own, lies[0]), lies, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize(("name", "heading"), [("hanging", (0, -1)), ("upright", (0, 1)), ("horizontal", (1, 0))])
+def test_a_base_goes_by_name_in_the_plane_and_in_space(name, heading):
+    straight = torch.tensor([[0.4, 0.0, 0.0]] * 3, dtype=torch.float64)
+    flat = rod.poses(straight, name)
+    assert torch.allclose(flat[-1, :2], 0.4 * torch.tensor(heading, dtype=torch.float64), atol=1e-15)
+    space = rod.poses(se3.vector_from_plane(straight), name)
+    torch.testing.assert_close(space, se3.from_plane(flat), rtol=0, atol=1e-15)
+    shape = ta.affine_curvature(1.0, 0.5, nodes=4)
+    task = ta.Task(shape, [1.0, 2.0, 0.3], name)
+    assert torch.equal(task.base_pose, ta.Task(shape, [1.0, 2.0, 0.3], flat[0]).base_pose)
+    arm = ta.antagonistic_arm()
+    held = ta.solve_equilibrium(arm, [5.0, 20.0, 20.0, 5.0], [0.0, 0.0, 0.0], base_pose=name)
+    assert torch.allclose(held.poses[0], flat[0])
+
+
+def test_no_such_base_is_told():
+    with pytest.raises(ValueError, match=r"^base_pose: must be one of hanging, upright, horizontal, got"):
+        rod.poses(torch.zeros(2, 3), "sideways")

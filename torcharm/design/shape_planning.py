@@ -92,7 +92,7 @@ def plan_shape(
     objective: Objective | Smoothness | None = None,
     *,
     nodes: int = 10,
-    base_pose: TensorLike | None = None,
+    base_pose: TensorLike | str | None = None,
     in_range: bool | None = None,
     starts: int = 4,
     seed: int = 0,
@@ -114,7 +114,7 @@ def plan_shape(
             distances and without margins, so that any attainable shape will do. Or a `Smoothness`, of which the arm
             and the loads have no part.
         nodes: N.
-        base_pose: (3,) or (4, 4) pose of node 1; None hangs the arm from the origin.
+        base_pose: (3,) or (4, 4) pose of node 1, or "hanging" (None), "upright" or "horizontal".
         in_range: whether all strains stay in the actuators' characterised range; None: unless the objective is
             a `Smoothness`.
         starts: the first start is the circular arc of the right turn; the others bend at random.
@@ -145,7 +145,7 @@ def _problem(
     tip_load: TensorLike,
     objective: Objective | Smoothness | None,
     nodes: int,
-    base_pose: TensorLike | None,
+    base_pose: TensorLike | str | None,
     in_range: bool | None,
 ) -> "tuple[_TipProblem, Tensor]":
     if not isinstance(arm, ArmDesign) or arm.batch_shape:
@@ -154,7 +154,7 @@ def _problem(
         raise ValueError(f"objective: must be an Objective or a Smoothness, got {shown(objective)}")
     check_count("nodes", nodes, 2)
     columns = 3 if arm.dimension == 2 else 6
-    base = rod.hanging(arm.radii, columns) if base_pose is None else base_pose
+    base = rod.as_base(base_pose, arm.radii, columns)
     goal, start, load, _ = as_floating(tip_pose=tip_pose, base_pose=base, tip_load=tip_load, arm=arm.radii)
     shape = rod.group_of(columns).POSE_SHAPE
     for name, value in (("tip_pose", goal), ("base_pose", start)):

@@ -24,7 +24,7 @@ from torcharm.equilibrium.gradient import with_gradients
 from torcharm.equilibrium.problem import Problem
 from torcharm.equilibrium.stability import buckles_in_torsion, lengths_positive, stays, strain_excess
 from torcharm.geometry import rod
-from torcharm.geometry.rod import group_of, hanging
+from torcharm.geometry.rod import as_base, group_of
 from torcharm.inputs import (
     TensorLike,
     as_floating,
@@ -149,7 +149,7 @@ def solve_equilibrium(
     load: TensorLike | ExternalLoad,
     nodes: int | Sequence[int] = 10,
     *,
-    base_pose: TensorLike | None = None,
+    base_pose: TensorLike | str | None = None,
     wrench_at: str = WRENCH_AT,
     shear_stiffness: float | None = None,
     start: Float[Tensor, "*#batch N K"] | None = None,
@@ -174,7 +174,7 @@ def solve_equilibrium(
         pressure: (..., M) [kPa], not negative, segment after segment; limits of the arm are not enforced.
         load: a tip load (..., 3) or (..., 6) in the world frame [N, N·m], or an ExternalLoad.
         nodes: N, the number of elements, or one number for each segment; an integer serves each.
-        base_pose: (..., 3) or (..., 4, 4) pose of node 1 [m, rad]; None hangs the arm.
+        base_pose: (..., 3) or (..., 4, 4) pose of node 1 [m, rad], or "hanging" (None), "upright" or "horizontal".
         wrench_at: where an element's wrench is taken, "middle" (the twists' error falls with 1/N²) or "start" (with
             1/N; the paper's).
         shear_stiffness: k [N/m] of each actuator, for `-k Σ_α γ_α + q_y = 0`: the arm shears with the load. None is
@@ -253,10 +253,10 @@ def _checked(
     fields = {"pressure": pressure, "base_pose": base_pose, "radii": segments[0].radii}
     if not isinstance(load, ExternalLoad):
         fields["load"] = load
-    given = {name: value for name, value in fields.items() if value is not None}
+    given = {name: value for name, value in fields.items() if not (value is None or isinstance(value, str))}
     values = dict(zip(given, as_floating(**given), strict=True))
     pressure = values["pressure"]
-    base = values.get("base_pose", hanging(pressure, columns))
+    base = as_base(values.get("base_pose", base_pose), pressure, columns)
     whole = _whole_load(load if isinstance(load, ExternalLoad) else values["load"], columns, pressure)
     check_segments(whole, len(segments))
     check_tensor("pressure", pressure, arm.actuator_count)

@@ -7,19 +7,20 @@ unit of their own segment's normalised arc; the number of columns says which.
 import math
 from collections.abc import Sequence
 from types import ModuleType
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torcharm.geometry import se2, se3
-from torcharm.inputs import broadcast_shapes, check_count, check_tensor, shown
+from torcharm.inputs import broadcast_shapes, check_choice, check_count, check_tensor, shown
 
-BASE_POSE = (0.0, 0.0, -math.pi / 2)
-"""The arm hangs: x right, y up, the base pointing down."""
-
-SPACE_BASE_POSE = ((0.0, 1.0, 0.0, 0.0), (-1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-"""The same in space: body x along world -y, body y along world x, body z along world z."""
+HEADINGS = {"hanging": -math.pi / 2, "upright": math.pi / 2, "horizontal": 0.0}
+"""Where a base may point by name, as the heading in the plane z = 0 [rad]: x is right, y is up."""
+HANGING = "hanging"
+BASE_POSE = (0.0, 0.0, HEADINGS[HANGING])
+"""Of a planar arm that hangs from the origin."""
 
 
 def group_of(columns: int) -> ModuleType:
@@ -27,14 +28,30 @@ def group_of(columns: int) -> ModuleType:
     return {3: se2, 6: se3}[columns]
 
 
-def hanging(like: Tensor, columns: int) -> Tensor:
-    """The base pose of a hanging arm for twists of 3 or 6 columns, in the dtype and on the device of a tensor."""
-    return like.new_tensor(BASE_POSE if columns == 3 else SPACE_BASE_POSE)
+def as_base(base_pose: Any, like: Tensor, columns: int) -> Tensor:
+    """The pose (3,) or (4, 4) that a name stands for, in the dtype and on the device of a tensor; None hangs the arm.
+
+    A pose stays as it is. In space body x points where the heading says, body z along world z.
+
+    Raises:
+        ValueError: there is no such name.
+    """
+    if not (base_pose is None or isinstance(base_pose, str)):
+        pose: Tensor = base_pose
+        return pose
+    name = HANGING if base_pose is None else base_pose
+    check_choice("base_pose", name, HEADINGS)
+    heading = HEADINGS[name]
+    if columns == 3:
+        return like.new_tensor((0.0, 0.0, heading))
+    cosine, sine = round(math.cos(heading)), round(math.sin(heading))
+    rows = ((cosine, -sine, 0, 0), (sine, cosine, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
+    return like.new_tensor(rows)
 
 
 def poses(
     twists: Float[Tensor, "*#batch N K"],
-    base_pose: Tensor | None = None,
+    base_pose: Tensor | str | None = None,
     *,
     segment_nodes: Sequence[int] | None = None,
     links: Sequence[Tensor | None] | None = None,
@@ -48,7 +65,7 @@ def poses(
     Args:
         twists: (..., N, 3) `(l, γ, κ)` or (..., N, 6) `(l, γ_y, γ_z, κ_x, κ_y, κ_z)` per unit of the segment's own
             normalised arc [m, rad], segment after segment.
-        base_pose: pose of node 1, (..., 3) [m, m, rad] or (..., 4, 4); None hangs the arm from the origin.
+        base_pose: pose of node 1, (..., 3) [m, m, rad] or (..., 4, 4); or of `HEADINGS`: None is "hanging".
         segment_nodes: the number of elements of each segment in series; None is one segment.
         links: for each segment the constant pose of the rigid link after it, or None. The link of the last segment
             lies between its end and the tip.
@@ -59,16 +76,15 @@ def poses(
     Raises:
         ValueError: shapes do not fit.
     """
-    group, counts = check_rod(twists, base_pose, segment_nodes)
-    base = hanging(twists, twists.shape[-1]) if base_pose is None else base_pose
+    group, counts, base = check_rod(twists, base_pose, segment_nodes)
     step = with_links(group.exp(element_twists(twists, counts)), counts, links)
     return chain(base, step, group)
 
 
 def check_rod(
-    twists: Tensor, base_pose: Tensor | None, segment_nodes: Sequence[int] | None
-) -> tuple[ModuleType, tuple[int, ...]]:
-    """The group and the elements of each segment, once shapes are known to fit.
+    twists: Tensor, base_pose: Tensor | str | None, segment_nodes: Sequence[int] | None
+) -> tuple[ModuleType, tuple[int, ...], Tensor]:
+    """The group, the elements of each segment and the base, once shapes are known to fit.
 
     Raises:
         ValueError: they do not.
@@ -76,11 +92,10 @@ def check_rod(
     columns = 6 if isinstance(twists, Tensor) and twists.ndim > 1 and twists.shape[-1] == 6 else 3
     check_tensor("twists", twists, "N", columns)
     group = group_of(columns)
-    if base_pose is not None:
-        check_tensor("base_pose", base_pose, *group.POSE_SHAPE)
-        batch = base_pose.shape[: base_pose.ndim - len(group.POSE_SHAPE)]
-        broadcast_shapes(twists=twists.shape[:-2], base_pose=batch)
-    return group, check_segment_nodes(segment_nodes, twists.shape[-2])
+    base = as_base(base_pose, twists, columns)
+    check_tensor("base_pose", base, *group.POSE_SHAPE)
+    broadcast_shapes(twists=twists.shape[:-2], base_pose=base.shape[: base.ndim - len(group.POSE_SHAPE)])
+    return group, check_segment_nodes(segment_nodes, twists.shape[-2]), base
 
 
 def check_segment_nodes(segment_nodes: Sequence[int] | None, nodes: int) -> tuple[int, ...]:

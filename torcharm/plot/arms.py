@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torcharm.actuators import Actuator, Bellows, McKibben
 from torcharm.arm import ArmDesign
-from torcharm.geometry import rod, se2
+from torcharm.geometry import se2
 from torcharm.inputs import TensorLike
 from torcharm.plot._common import (
     ATTAINABLE,
@@ -32,7 +32,7 @@ def arm_shape(
     twists: Float[Tensor, "*batch N 3"],
     *,
     tip_load: TensorLike | None = None,
-    base_pose: TensorLike | None = None,
+    base_pose: TensorLike | str | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """One arm at one shape: base plate, centreline, each actuator where it lies, and the load on the tip.
@@ -41,14 +41,13 @@ def arm_shape(
         arm: one design.
         twists: (N, 3) one shape [m, m, rad].
         tip_load: (3,) `(f_x, f_y, m)` in the world frame [N, N, N·m]; its force is an arrow, its size in the legend.
-        base_pose: (3,) pose of node 1 [m, m, rad]; None hangs the arm.
+        base_pose: of node 1, as of `Task`.
         ax: 2-D axes to draw in; None makes some.
 
     Raises:
         ValueError: there are several designs, shapes or loads, or the axes are not 2-D.
     """
-    arm, base = one_design("arm", arm), rod.BASE_POSE if base_pose is None else base_pose
-    task = Task(twists, (0.0, 0.0, 0.0) if tip_load is None else tip_load, base)
+    arm, task = one_design("arm", arm), Task(twists, (0.0, 0.0, 0.0) if tip_load is None else tip_load, base_pose)
     for name, value, dims in (("twists", task.twists, 2), ("tip_load", task.tip_load, 1)):
         if prod(value.shape[:-dims]) != 1:
             raise ValueError(f"{name}: must hold one, of shape {tuple(value.shape[-dims:])}, got {tuple(value.shape)}")

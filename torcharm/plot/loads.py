@@ -12,7 +12,6 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.attainability import evaluate
-from torcharm.geometry.rod import BASE_POSE
 from torcharm.inputs import TensorLike, as_floating, check_count
 from torcharm.plot._common import Array, array, axes_or_new, one_design
 from torcharm.task import WRENCH_AT, Task
@@ -125,7 +124,7 @@ def attainable_load_map(
     *,
     loads: Float[Tensor, "rows columns 3"] | None = None,
     metric: str = "absolute",
-    base_pose: TensorLike | None = None,
+    base_pose: TensorLike | str | None = None,
     wrench_at: str = WRENCH_AT,
     weights: tuple[float, float] = (1.0, 1.0),
     ax: Axes | None = None,
@@ -139,7 +138,7 @@ def attainable_load_map(
         twists: (N, 3) one shape [m, m, rad].
         loads: (R, C, 3) as for `load_map`; None takes `load_grid()`.
         metric, weights: as for `evaluate`.
-        base_pose: (3,) pose of node 1; None hangs the arm.
+        base_pose: of node 1, as of `Task`.
         wrench_at: as of `Task`.
         ax: 2-D axes to draw in; None makes some.
 
@@ -151,7 +150,7 @@ def attainable_load_map(
     shape = twists.detach().reshape(-1, *twists.shape[-2:])
     if len(shape) != 1:
         raise ValueError(f"twists: must hold one shape, (N, 3), got {tuple(twists.shape)}")
-    task = Task(shape[0].to(design.radii), places, BASE_POSE if base_pose is None else base_pose, wrench_at=wrench_at)
+    task = Task(shape[0].to(design.radii), places, base_pose, wrench_at=wrench_at)
     with torch.no_grad():
         found = evaluate(design, task, (metric,), signed=True, weights=weights)
     value = getattr(found, metric)

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries, RigidLink
-from torcharm.geometry.rod import chain, check_rod, element_twists, hanging, with_links
+from torcharm.geometry.rod import chain, check_rod, element_twists, with_links
 from torcharm.inputs import broadcast_shapes, check_choice, check_tensor, shown
 from torcharm.load import GRAVITY, ExternalLoad, PointLoad
 from torcharm.task import WRENCH_AT, WRENCH_PLACES, Task, check_segments
@@ -34,7 +34,7 @@ _ON_A_NODE = 1e-9
 def required_wrench(
     twists: Float[Tensor, "*#batch N K"],
     load: Tensor | ExternalLoad,
-    base_pose: Tensor | None = None,
+    base_pose: Tensor | str | None = None,
     *,
     wrench_at: str = WRENCH_AT,
     segment_nodes: Sequence[int] | None = None,
@@ -56,7 +56,7 @@ def required_wrench(
     Args:
         twists: (..., N, 3) or (..., N, 6), as of `poses` [m, rad].
         load: a tip load (..., 3) or (..., 6) in the world frame [N, N·m], or an ExternalLoad.
-        base_pose: pose of node 1, (..., 3) or (..., 4, 4); None hangs the arm.
+        base_pose: pose of node 1, as of `poses`.
         wrench_at: "middle" or "start".
         segment_nodes: number of elements of each segment in series; None is one segment.
         mass: the arm's own (...) [kg], or one for each segment, spread evenly over the segment's normalised arc; it
@@ -67,7 +67,7 @@ def required_wrench(
         ValueError: shapes do not fit.
     """
     check_choice("wrench_at", wrench_at, WRENCH_PLACES)
-    group, counts = check_rod(twists, base_pose, segment_nodes)
+    group, counts, base = check_rod(twists, base_pose, segment_nodes)
     columns = twists.shape[-1]
     if not isinstance(load, ExternalLoad):
         check_tensor("load", load, columns)
@@ -76,7 +76,6 @@ def required_wrench(
         raise ValueError(f"load: must be of {columns} components as the twists are, got {load.columns}")
     broadcast_shapes(twists=twists.shape[:-2], load=load.batch_shape)
     check_segments(load, len(counts))
-    base = hanging(twists, columns) if base_pose is None else base_pose
     rod = _rod(group, element_twists(twists, counts), base, counts, _check_links(links, counts), wrench_at)
     parts = [] if load.tip is None else [_carried(rod, load.tip.unsqueeze(-2), rod.tip_place)]
     for point in load.points:
