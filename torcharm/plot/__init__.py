@@ -19,6 +19,7 @@ from torcharm.plot.histograms import unattainability_histogram
 from torcharm.plot.hulls import hulls_along_arm, node_hull
 from torcharm.plot.loads import attainable_load_map, load_grid, load_map, polar_load_grid
 from torcharm.plot.optimisation import optimisation_figure
+from torcharm.plot.space import arm_in_space, hull_projections, node_hull_in_space
 from torcharm.plot.study import study_figure
 
 __all__ = [
@@ -29,12 +30,15 @@ __all__ = [
     "LONGEST_ARROW",
     "SMOOTHING",
     "UNATTAINABLE",
+    "arm_in_space",
     "arm_shape",
     "attainable_load_map",
+    "hull_projections",
     "hulls_along_arm",
     "load_grid",
     "load_map",
     "node_hull",
+    "node_hull_in_space",
     "optimisation_figure",
     "polar_load_grid",
     "study_figure",

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torcharm.actuators import Actuator, Bellows, McKibben
 from torcharm.arm import ArmDesign, check_planar
 from torcharm.geometry import rod
 from torcharm.task import Task
@@ -37,6 +38,11 @@ LONGEST_ARROW = 0.3  # of the largest force, as a share of the centreline's leng
 def array(value: Tensor) -> Array:
     """A tensor as numpy, without its gradients."""
     return np.asarray(value.detach().double().cpu())
+
+
+def kind_of(model: Actuator) -> str:
+    """The kind of a force model, of those that have a style."""
+    return "bellows" if isinstance(model, Bellows) else "muscle" if isinstance(model, McKibben) else "other"
 
 
 def fine_poses(task: Task) -> Array:

@@ -8,7 +8,6 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from torch import Tensor
 
-from torcharm.actuators import Actuator, Bellows, McKibben
 from torcharm.arm import ArmDesign
 from torcharm.geometry import se2
 from torcharm.inputs import TensorLike
@@ -21,6 +20,7 @@ from torcharm.plot._common import (
     axes_or_new,
     fine_poses,
     first_shape,
+    kind_of,
     one_design,
     one_shape,
 )
@@ -81,7 +81,7 @@ def draw_arm(axes: Axes, arm: ArmDesign, task: Task) -> None:
     line, radii = fine_poses(task), array(arm.radii)
     offset = torch.as_tensor(np.stack((0 * radii, radii, 0 * radii), -1))  # poses in the centreline's frame
     own = se2.compose(torch.as_tensor(line).unsqueeze(1), offset.expand(len(line), -1, -1)).numpy()
-    kinds = [_kind(model) for model in arm.actuators]
+    kinds = [kind_of(model) for model in arm.actuators]
     for index, kind in enumerate(kinds):
         colour, width = KIND_STYLES[kind]
         label = f"{kind} ({kinds.count(kind)})" if index == kinds.index(kind) else None
@@ -90,10 +90,6 @@ def draw_arm(axes: Axes, arm: ArmDesign, task: Task) -> None:
     half = 1.25 * max(np.abs(radii).max(), 0.01)
     plate = line[0, :2] + half * np.array([[-1], [1]]) * (-np.sin(line[0, 2]), np.cos(line[0, 2]))
     axes.plot(*plate.T, color="black", linewidth=7, solid_capstyle="butt", label="base")
-
-
-def _kind(model: Actuator) -> str:
-    return "bellows" if isinstance(model, Bellows) else "muscle" if isinstance(model, McKibben) else "other"
 
 
 def draw_loads(axes: Axes, task: Task, chosen: Mask, colour: str, *, width: float, prefix: str = "") -> None:

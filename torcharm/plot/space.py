@@ -1,0 +1,281 @@
+"""Arms and attainable sets in space."""
+
+from collections.abc import Sequence
+from math import prod
+from typing import Any
+
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
+from scipy.spatial import ConvexHull
+from torch import Tensor
+
+from torcharm.arm import ArmDesign
+from torcharm.arm_series import ArmSeries
+from torcharm.geometry import rod
+from torcharm.load import ExternalLoad
+from torcharm.plot._common import (
+    ARM_COLOURS,
+    ATTAINABLE,
+    KIND_STYLES,
+    LONGEST_ARROW,
+    SMOOTHING,
+    UNATTAINABLE,
+    Array,
+    array,
+    axes_or_new,
+    kind_of,
+)
+from torcharm.statics.external_load import HULL, task_wrench
+from torcharm.task import Task
+from torcharm.wrench_sets.design_task_grid import segments_of
+from torcharm.wrench_sets.wrench_set import hull_faces, wrench_hulls
+
+AROUND = 12
+"""Sides of a tube."""
+SLIM = 0.35
+"""A tube's radius over the least distance of two actuators, where no diameter is known."""
+HULL_LABELS = (r"force $f_x$ [N]", r"moment $m_y$ [N·m]", r"moment $m_z$ [N·m]")
+
+
+def arm_in_space(
+    arm: ArmDesign | ArmSeries,
+    task: Task,
+    *,
+    reached: Tensor | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """One arm as tubes, at the task's shape or at one that it reaches, with its loads as arrows; y points up.
+
+    Args:
+        arm: one spatial design, or segments in series.
+        task: one shape under one load.
+        reached: (N, 6) twists of another shape, as of `found.prediction.twists`: the tubes are drawn there, and the
+            task's centreline is dashed.
+        ax: 3-D axes to draw in; None makes some.
+
+    Raises:
+        ValueError: arm or task are planar or several, or the axes are not 3-D.
+    """
+    segments = _spatial("arm", arm)
+    if task.dimension != 3 or prod(task.batch_shape) != 1:
+        raise ValueError(f"task: must be one spatial task, got {task!r}")
+    axes, counts = axes_or_new(ax, "3d"), task.segment_nodes or (task.nodes,)
+    wanted = task.twists.detach().reshape(-1, 6)
+    shape = wanted if reached is None else reached.detach().reshape(-1, 6).to(wanted)
+    lines = _lines(arm, shape, task.base_pose, counts)
+    axes.computed_zorder = False  # else what lies within an arm would be hidden
+    _draw_base(axes, lines[0][0], max(float(segment.offsets.norm(dim=-1).max()) for segment in segments))
+    for segment, line in zip(segments, lines, strict=True):
+        _draw_tubes(axes, segment, line, 0.8 if reached is None else 0.3)
+    whole = np.concatenate(lines)
+    axes.plot(*_upright(whole[:, :3, 3]), color=ATTAINABLE, linewidth=1, linestyle="-.", zorder=3, label="centreline")
+    drawn = [whole[:, :3, 3]]
+    if reached is not None:
+        goal = np.concatenate(_lines(arm, wanted, task.base_pose, counts))[:, :3, 3]
+        axes.plot(*_upright(goal), color=UNATTAINABLE, linestyle="--", linewidth=2, zorder=4, label="task")
+        off = 1e3 * float(np.linalg.norm(goal[-1] - whole[-1, :3, 3]))
+        tips = (
+            {"fillstyle": "none", "color": UNATTAINABLE, "label": "its tip"},
+            {
+                "color": ATTAINABLE,
+                "label": f"tip reached, {off:.1f} mm off",
+            },
+        )
+        for place, how in zip((goal[-1:], whole[-1:, :3, 3]), tips, strict=True):
+            axes.plot(*_upright(place), "o", zorder=5, **how)
+        drawn.append(goal)
+    _draw_forces(axes, task.load, lines)
+    _limit(axes, np.concatenate(drawn), 0.06)
+    axes.legend(loc="upper left", fontsize="small")
+    return axes
+
+
+def node_hull_in_space(
+    arm: ArmDesign,
+    task: Task,
+    node: int,
+    *,
+    relative: bool = False,
+    ax: Axes | None = None,
+    colour: str = ARM_COLOURS[0],
+) -> Axes:
+    """What one node can provide, as a body of wrenches `(f_x, m_y, m_z)`, and what each load requires, as points.
+
+    Args:
+        arm: one spatial design.
+        task: one shape, with any number of loads.
+        node: 1 (the base) to N.
+        relative: differences from node 1, instead of wrenches.
+        ax: 3-D axes to draw in; None makes some.
+        colour: of the body.
+
+    Raises:
+        ValueError: arm or task are planar or several, the node is out of range, or the axes are not 3-D.
+    """
+    corners, required, outside = _hull_of(arm, task, node, relative)
+    axes = axes_or_new(ax, "3d")
+    faces = Poly3DCollection(corners[hull_faces(corners)], facecolor=colour, edgecolor=colour, linewidth=0.1, alpha=0.2)
+    axes.add_collection3d(faces)
+    for chosen, name, ink, marker in ((~outside, "inside", ATTAINABLE, "o"), (outside, "outside", UNATTAINABLE, "x")):
+        label = f"required, {name}: {chosen.sum()} of {len(chosen)}"
+        axes.plot(*required[chosen].T, linestyle="", marker=marker, color=ink, markersize=4, label=label)
+    points = np.concatenate((corners, required))
+    low, high = points.min(0), points.max(0)
+    room = np.maximum(0.05 * (high - low), 1e-3)
+    limits = [tuple(ends) for ends in np.stack((low - room, high + room), -1)]
+    axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
+    axes.set_box_aspect(None, zoom=0.9)
+    axes.set(xlabel=HULL_LABELS[0], ylabel=HULL_LABELS[1], zlabel=HULL_LABELS[2], title=f"node {node} of {task.nodes}")
+    axes.legend(loc="upper left", fontsize="small")
+    return axes
+
+
+def hull_projections(
+    arm: ArmDesign,
+    task: Task,
+    node: int,
+    *,
+    relative: bool = False,
+    axes: Sequence[Axes] | None = None,
+    colour: str = ARM_COLOURS[0],
+) -> Sequence[Axes]:
+    """The body of `node_hull_in_space` and its requirements, seen along each of the three axes.
+
+    A point within all three outlines may still be outside; its colour says so.
+
+    Args:
+        arm, task, node, relative, colour: as there.
+        axes: three 2-D axes to draw in; None makes some.
+
+    Raises:
+        ValueError: as there, or there are not three axes.
+    """
+    if axes is None:
+        from matplotlib import pyplot  # here alone: what pyplot makes, it also keeps
+
+        axes = list(pyplot.subplots(1, 3, figsize=(13, 4), layout="constrained")[1])
+    if len(axes) != 3:
+        raise ValueError(f"axes: must be three, got {len(axes)}")
+    corners, required, outside = _hull_of(arm, task, node, relative)
+    for panel, (x, y) in zip(axes, ((0, 1), (0, 2), (1, 2)), strict=True):
+        flat = corners[:, [x, y]]
+        ring = flat[ConvexHull(flat).vertices] if np.linalg.matrix_rank(flat - flat[0]) == 2 else flat
+        panel.fill(*ring.T, facecolor=colour, edgecolor=colour, alpha=0.25, label="pressures provide")
+        for chosen, name, ink, marker in (
+            (~outside, "inside", ATTAINABLE, "o"),
+            (outside, "outside", UNATTAINABLE, "x"),
+        ):
+            label = f"required, {name}: {chosen.sum()} of {len(chosen)}"
+            panel.plot(
+                *required[chosen][:, [x, y]].T, linestyle="", marker=marker, color=ink, markersize=4, label=label
+            )
+        panel.set(xlabel=HULL_LABELS[x], ylabel=HULL_LABELS[y])
+    axes[0].legend(loc="best", fontsize="small")
+    return axes
+
+
+def _spatial(field: str, arm: ArmDesign | ArmSeries) -> tuple[ArmDesign, ...]:
+    """The segments of one spatial design."""
+    if arm.dimension != 3 or prod(arm.batch_shape) != 1:
+        raise ValueError(f"{field}: must be one spatial design (offsets out of the plane, no batch), got {arm!r}")
+    return tuple(segment._map(lambda value: value.detach().reshape(-1)) for segment in segments_of(arm))
+
+
+def _lines(arm: ArmDesign | ArmSeries, twists: Tensor, base: Tensor, counts: Sequence[int]) -> list[Array]:
+    """Poses (SMOOTHING·N + 1, 4, 4) along each segment, without links."""
+    links = list(arm.links) if isinstance(arm, ArmSeries) else [None]
+    found, start = [], base
+    for own, link in zip(twists.split(list(counts)), links, strict=True):
+        line = rod.poses(own.repeat_interleave(SMOOTHING, 0), start)
+        found.append(array(line))
+        start = line[-1] if link is None else line[-1] @ link.end(3).reshape(4, 4).to(line)
+    if links[-1] is not None:  # the tip lies beyond the last segment
+        found[-1] = np.concatenate((found[-1], array(start)[None]))
+    return found
+
+
+def _draw_base(axes: Any, pose: Array, size: float) -> None:
+    """A plate across the backbone."""
+    turn = np.linspace(0, 2 * np.pi, 4 * AROUND)
+    rim = np.stack((0 * turn, 1.25 * size * np.cos(turn), 1.25 * size * np.sin(turn), 1 + 0 * turn))
+    plate = np.stack(_upright((pose @ rim)[:3].T), -1)
+    axes.add_collection3d(Poly3DCollection([plate], facecolor="0.4", alpha=0.6))
+
+
+def _draw_tubes(axes: Any, segment: ArmDesign, line: Array, alpha: float) -> None:
+    """Every actuator of one segment, in the colour of its kind."""
+    offsets, turn = array(segment.offsets), np.linspace(0, 2 * np.pi, AROUND + 1)
+    apart = [np.linalg.norm(a - b) for i, a in enumerate(offsets) for b in offsets[:i]]
+    slim = SLIM * min([float(one) for one in apart if one > 0] or [0.03])
+    radii = [slim] * len(offsets) if segment.diameter is None else (0.5 * array(segment.diameter)).tolist()
+    kinds = [kind_of(model) for model in segment.actuators]
+    named = {text.get_label() for text in axes.lines}
+    for index, (kind, radius) in enumerate(zip(kinds, radii, strict=True)):
+        (y, z), colour = offsets[index], KIND_STYLES[kind][0]
+        own = np.stack((0 * turn, y + radius * np.cos(turn), z + radius * np.sin(turn), 1 + 0 * turn))
+        skin = (line @ own)[:, :3]
+        axes.plot_surface(*(skin[:, c] for c in (0, 2, 1)), color=colour, alpha=alpha, linewidth=0, shade=True)
+        label = f"{kind} ({kinds.count(kind)})"
+        if index == kinds.index(kind) and label not in named:
+            axes.plot([], [], color=colour, linewidth=6, label=label)
+
+
+def _draw_forces(axes: Any, load: ExternalLoad, lines: Sequence[Array]) -> None:
+    """The force at the tip, and those of point loads and masses, as arrows of one scale."""
+    places, forces, names = [], [], []
+    if load.tip is not None and bool((load.tip[..., :3] != 0).any()):
+        places, forces, names = [lines[-1][-1]], [array(load.tip).reshape(-1)[:3]], ["tip load"]
+    for point in load.points:
+        line = lines[point.segment]
+        pose = line[round(point.at * (len(line) - 1))]
+        force = np.zeros(3) if point.wrench is None else array(point.wrench).reshape(-1)[:3]
+        if point.frame == "body":
+            force = pose[:3, :3] @ force
+        if load.gravity:
+            force = force - np.array([0.0, 9.81 * float(point.mass.reshape(-1)[0]), 0.0])
+        places, forces, names = [*places, pose], [*forces, force], [*names, "point load"]
+    most = max((np.linalg.norm(force) for force in forces), default=0.0)
+    if most == 0:
+        return
+    reach = sum(float(np.linalg.norm(np.diff(line[:, :3, 3], axis=0), axis=-1).sum()) for line in lines)
+    scale = LONGEST_ARROW * reach / most
+    for pose, force, name in zip(places, forces, names, strict=True):
+        at, way = _upright(pose[None, :3, 3]), _upright(scale * force[None])
+        axes.quiver(*at, *way, color=ATTAINABLE, linewidth=1.8, arrow_length_ratio=0.2, zorder=4)
+        axes.plot([], [], color=ATTAINABLE, marker=">", label=f"{name}, {np.linalg.norm(force):.3g} N")
+
+
+def _upright(points: Array) -> tuple[Array, Array, Array]:
+    """Points (P, 3) of the world in the order of the axes: x, z and, upwards, y."""
+    return points[:, 0], points[:, 2], points[:, 1]
+
+
+def _limit(axes: Any, points: Array, room: float) -> None:
+    """The same scale along all axes, z towards the viewer."""
+    low, high = points.min(0) - room, points.max(0) + room
+    axes.set(xlim=(low[0], high[0]), ylim=(high[2], low[2]), zlim=(low[1], high[1]))
+    axes.set(xlabel="x [m]", ylabel="z [m]", zlabel="y [m]")
+    axes.set_box_aspect((high - low)[[0, 2, 1]])
+
+
+@torch.no_grad()
+def _hull_of(arm: ArmDesign, task: Task, node: int, relative: bool) -> tuple[Array, Array, Any]:
+    """Vertices (V, 3) of one node's set, required wrenches (L, 3), and which of these lie outside."""
+    from torcharm.attainability import evaluate
+
+    _spatial("arm", arm)
+    if not isinstance(arm, ArmDesign):
+        raise ValueError(f"arm: must be an ArmDesign, of one segment, got {arm!r}")
+    if isinstance(node, bool) or not isinstance(node, int) or not 1 <= node <= task.nodes:
+        raise ValueError(f"node: must be an integer from 1 (base) to {task.nodes}, got {node!r}")
+    if task.dimension != 3 or prod(task.twists.shape[:-2]) != 1:
+        raise ValueError(f"task: must be spatial and hold one shape, got {task!r}")
+    name = "relative" if relative else "absolute"
+    distance = getattr(evaluate(arm, task, (name,)), f"{name}_per_node").reshape(-1, task.nodes)[:, node - 1]
+    corners = wrench_hulls(arm, task.twists.reshape(-1, 6), relative=relative).vertices.reshape(task.nodes, -1, 3)
+    required = task_wrench(arm, task)[..., HULL[6]].reshape(-1, task.nodes, 3)
+    if relative:
+        required = required - required[:, :1]
+    return array(corners[node - 1]), array(required[:, node - 1]), array(distance) > 0
