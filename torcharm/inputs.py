@@ -1,5 +1,6 @@
 """Turning what a person passes into tensors, with errors that name the field."""
 
+import difflib
 import math
 import operator
 from collections.abc import Collection, Iterator, Sequence
@@ -153,7 +154,13 @@ def refuse_graphs(name: str, value: Any, instead: str) -> None:
 def check_choice(name: str, value: object, allowed: Collection[str]) -> None:
     """Raise unless `value` is one of the allowed words."""
     if not isinstance(value, str) or value not in allowed:
-        raise ValueError(f"{name}: must be one of {', '.join(allowed)}, got {shown(value)}")
+        raise ValueError(f"{name}: must be one of {', '.join(allowed)}, got {shown(value)}{hint(value, allowed)}")
+
+
+def hint(word: object, allowed: Collection[str]) -> str:
+    """The word that was meant, if one is near, to end a message with."""
+    near = difflib.get_close_matches(word, allowed, 1) if isinstance(word, str) else []
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 def check_count(name: str, value: Any, low: int) -> int:

@@ -171,7 +171,8 @@ def solve_equilibrium(
     Args:
         arm: designs, of any batch shape; batch shapes of all arguments broadcast as in torch. In space κ_x is unknown
             where a `torsion_stiffness` is given.
-        pressure: (..., M) [kPa], not negative, segment after segment; limits of the arm are not enforced.
+        pressure: (..., M) or one for all [kPa], not negative, segment after segment; limits of the arm are not
+            enforced.
         load: a tip load (..., 3) or (..., 6) in the world frame [N, N·m], or an ExternalLoad.
         nodes: N, the number of elements, or one number for each segment; an integer serves each.
         base_pose: (..., 3) or (..., 4, 4) pose of node 1 [m, rad]; None hangs the arm.
@@ -256,6 +257,7 @@ def _checked(
     given = {name: value for name, value in fields.items() if value is not None}
     values = dict(zip(given, as_floating(**given), strict=True))
     pressure = values["pressure"]
+    pressure = pressure if pressure.ndim else pressure.expand(arm.actuator_count)
     base = values.get("base_pose", hanging(pressure, columns))
     whole = _whole_load(load if isinstance(load, ExternalLoad) else values["load"], columns, pressure)
     check_segments(whole, len(segments))
