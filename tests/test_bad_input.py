@@ -35,6 +35,13 @@ CASES = {
     # evaluate: kinds of arguments
     "ta.evaluate(arm, twists)": ("task", "tensor("),
     "ta.evaluate(task, arm)": ("arm", "Task("),
+    "ta.evaluate(arm, [task, twists])": ("task[1]", "tensor("),
+    "ta.predict_error(arm, [None])": ("task[0]", "None"),
+    "ta.search_pressure(arm, (task, arm))": ("task[1]", "ArmDesign("),
+    "ta.optimise_design(arm, [task, 3])": ("task[1]", "3"),
+    "ta.optimise_design(arm, [task, Task(torch.zeros(5, 6), torch.zeros(6))])": ("task[1]", "got 3"),
+    "ta.optimise_design(arm, twists)": ("task", "tensor("),
+    "ta.evaluate(arm, task, metrics='absolut')": ("metrics", "'absolut'; did you mean absolute?"),
     "ta.evaluate(None, task)": ("arm", "None"),
     "ta.evaluate(arm, task, metrics=None)": ("metrics", "None"),
     "ta.evaluate(arm, task, metrics=3)": ("metrics", "3"),

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -20,6 +20,8 @@ from torcharm.inputs import (
     shown,
 )
 from torcharm.load import ExternalLoad, check_tip
+
+T = TypeVar("T")
 
 WRENCH_AT = "middle"
 """Where an element's wrench is taken unless a task says otherwise. At the middle errors fall with 1/N²; at the start,
@@ -153,6 +155,44 @@ class Task:
                 value = value._map(change)
             object.__setattr__(task, field.name, value)
         return task
+
+
+def task_list(task: object) -> tuple[Task, ...]:
+    """The tasks of one task or of a list of them.
+
+    Raises:
+        ValueError: there is none, or one is no task.
+    """
+    if isinstance(task, Task):
+        return (task,)
+    if not isinstance(task, (list, tuple)):
+        raise ValueError(f"task: must be a Task or a list of them, got {shown(task)}")
+    if not task:
+        raise ValueError("task: must hold at least one task, got none")
+    for index, one in enumerate(task):
+        if not isinstance(one, Task):
+            raise ValueError(f"task[{index}]: must be a Task, got {shown(one)}")
+    return tuple(task)
+
+
+def for_each_task(task: object, work: Callable[[Task], T]) -> T | tuple[T, ...]:
+    """What some work makes of a task, or of each in a list of tasks; an error that names the task says which it is.
+
+    Raises:
+        ValueError: as for `task_list`, and by the work.
+    """
+    if not isinstance(task, (list, tuple)):
+        return work(task)  # type: ignore[arg-type]  # which says if it is none
+    found = []
+    for index, one in enumerate(task_list(task)):
+        try:
+            found.append(work(one))
+        except ValueError as error:
+            message = str(error)
+            if not message.startswith("task: "):
+                raise
+            raise ValueError(f"task[{index}]: {message.removeprefix('task: ')}") from None
+    return tuple(found)
 
 
 def check_segments(load: ExternalLoad, count: int) -> None:

@@ -48,6 +48,7 @@ class Attainability:
         distances_converged: whether every distance is finite and known to within its promise: the gap between its
             bounds is closed, or the solver's answer passed its check.
         signed: whether distances go on below 0 inside.
+        weights: k_f [1/N²] and k_m [1/(N·m)²] of distances.
         tolerance: what counts as held.
         arm, task: what was evaluated.
     """
@@ -62,6 +63,7 @@ class Attainability:
     impossible: Tensor
     distances_converged: Tensor
     signed: bool
+    weights: tuple[float, float]
     tolerance: PoseTolerance
     arm: ArmDesign | ArmSeries
     task: Task
