@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torcharm.actuators import Actuator, Bellows, McKibben, model_of
 from torcharm.inputs import (
+    HoldsTensors,
     TensorLike,
     as_floating,
     broadcast_shapes,
@@ -26,7 +27,7 @@ Index = int | slice | EllipsisType | Tensor | None
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class ArmDesign:
+class ArmDesign(HoldsTensors):
     """M actuators in parallel: where they sit, how long they are, how hard they may be driven.
 
     Any number of designs with the same kinds of actuators make one batch. An arm whose actuators lie in one plane

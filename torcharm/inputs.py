@@ -6,12 +6,14 @@ import operator
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import fields
 from functools import reduce
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
+
+Held = TypeVar("Held", bound="HoldsTensors")
 
 TensorLike = Tensor | npt.NDArray[Any] | float | int | Sequence[Any]
 """Whatever `torch.as_tensor` understands: tensors, numbers, nested lists, numpy arrays."""
@@ -84,6 +86,26 @@ def shapes_only(value: Any) -> str:
             counted = f": {int(held.sum())} of {held.numel()}" if held.dtype == torch.bool else ""
             parts.append(f"{field.name} {tuple(held.shape)}{counted}")
     return f"{type(value).__name__}({', '.join(parts)})"
+
+
+class HoldsTensors:
+    """A dataclass that holds tensors, or other such dataclasses, by themselves or in tuples."""
+
+    def to(self: Held, *args: Any, **kwargs: Any) -> Held:
+        """The same in another dtype or on another device, as `Tensor.to`; flags and whole numbers keep their dtype."""
+        moved = object.__new__(type(self))
+        for field in fields(self):  # type: ignore[arg-type]
+            object.__setattr__(moved, field.name, _moved(getattr(self, field.name), args, kwargs))
+        return moved
+
+
+def _moved(value: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+    """A value of a field after `to` with these arguments."""
+    if isinstance(value, HoldsTensors) or (isinstance(value, Tensor) and value.is_floating_point()):
+        return value.to(*args, **kwargs)
+    if isinstance(value, Tensor):
+        return value.to(torch.empty(0, device=value.device).to(*args, **kwargs).device)
+    return tuple(_moved(item, args, kwargs) for item in value) if isinstance(value, tuple) else value
 
 
 def check_tensor(name: str, value: object, *dims: str | int) -> None:

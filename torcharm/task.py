@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torcharm.geometry.rod import check_segment_nodes, group_of, hanging
 from torcharm.inputs import (
+    HoldsTensors,
     TensorLike,
     as_floating,
     broadcast_shapes,
@@ -31,7 +32,7 @@ WRENCH_PLACES = ("start", "middle")
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class Task:
+class Task(HoldsTensors):
     """Centreline shapes and the loads to hold them under; their batch dimensions broadcast.
 
     Attributes:
@@ -132,10 +133,6 @@ class Task:
     def dimension(self) -> int:
         """2 for a planar task, 3 for a spatial one."""
         return 2 if self.twists.shape[-1] == 3 else 3
-
-    def to(self, *args: Any, **kwargs: Any) -> "Task":
-        """The task in another dtype or on another device, as `Tensor.to`."""
-        return self._map(lambda value: value.to(*args, **kwargs))
 
     def __repr__(self) -> str:
         """Shapes, no numbers."""

@@ -23,7 +23,7 @@ from torcharm.design.objective import Objective, Problem
 from torcharm.design.optimise import ITERATIONS, TOLERANCE, check_arguments, outcome, starting_points
 from torcharm.design.result import OptimisedDesign
 from torcharm.design.space import DesignSpace
-from torcharm.inputs import shown
+from torcharm.inputs import HoldsTensors, shown
 from torcharm.task import Task
 
 MOST_ARCHITECTURES = 4096
@@ -32,7 +32,7 @@ SAME = 1e-12
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Architectures:
+class Architectures(HoldsTensors):
     """The best design of every architecture, the best architecture first.
 
     Attributes:

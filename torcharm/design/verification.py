@@ -7,11 +7,12 @@ from torch import Tensor
 
 from torcharm.design.result import OptimisedDesign
 from torcharm.design.task_errors import TaskErrors, searched
+from torcharm.inputs import HoldsTensors
 from torcharm.task import Task, task_list
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Verification:
+class Verification(HoldsTensors):
     """What the search reaches on T tasks with the given and with the best design."""
 
     before: TaskErrors

@@ -26,6 +26,7 @@ from torcharm.equilibrium.stability import buckles_in_torsion, lengths_positive,
 from torcharm.geometry import rod
 from torcharm.geometry.rod import group_of, hanging
 from torcharm.inputs import (
+    HoldsTensors,
     TensorLike,
     as_floating,
     broadcast_shapes,
@@ -59,7 +60,7 @@ class NotConvergedError(RuntimeError):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Equilibrium:
+class Equilibrium(HoldsTensors):
     """What `solve_equilibrium` found; `batch` is that of arm, pressure, load, base pose and start, broadcast.
 
     Attributes:

@@ -24,7 +24,7 @@ from torcharm.engine.threads import spread
 from torcharm.engine.wrench_fit import make_fit
 from torcharm.equilibrium.solve import TOLERANCE
 from torcharm.equilibrium.stability import lengths_positive, strain_excess
-from torcharm.inputs import shapes_only
+from torcharm.inputs import HoldsTensors, shapes_only
 from torcharm.pressure.errors import errors_at
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.pressure.prepared import Prepared, detached, prepare, stays_at
@@ -37,7 +37,7 @@ Unstable: no stable equilibrium was found. Impossible: the task's shape leaves a
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PredictedError:
+class PredictedError(HoldsTensors):
     """What `predict_error` found, of shape (*design batch, *task batch).
 
     Attributes:

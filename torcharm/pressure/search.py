@@ -18,7 +18,7 @@ from torcharm.engine.searches import LOT, Searches, search_all
 from torcharm.engine.threads import spread
 from torcharm.equilibrium.solve import TOLERANCE, NotConvergedError
 from torcharm.equilibrium.stability import strain_excess
-from torcharm.inputs import check_choice, check_count, check_flag, shapes_only
+from torcharm.inputs import HoldsTensors, check_choice, check_count, check_flag, shapes_only
 from torcharm.pressure.errors import errors_at
 from torcharm.pressure.outcome import nothing_found
 from torcharm.pressure.pose_cost import PoseCost
@@ -38,7 +38,7 @@ pressure then is next to a jump. Not found: no start led to a stable equilibrium
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PressureSearch:
+class PressureSearch(HoldsTensors):
     """What `search_pressure` found; `batch` is (*design batch, *task batch).
 
     Attributes:
