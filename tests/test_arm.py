@@ -4,7 +4,19 @@ import numpy as np
 import pytest
 import torch
 
-from torcharm import ArmDesign, Bellows, McKibben, antagonistic_arm, bellows_arm, mckibben_arm
+from torcharm import (
+    ArmDesign,
+    Bellows,
+    McKibben,
+    antagonistic_arm,
+    bellows_arm,
+    mckibben_arm,
+    reaction_wrench,
+    ring,
+    save_actuator,
+    solve_equilibrium,
+)
+from torcharm.actuators import SHIPPED
 
 PAIR = (Bellows(), McKibben())
 
@@ -48,6 +60,55 @@ def test_limits_override_the_models(limits):
 def test_one_limit_may_serve_all_actuators():
     assert pair(max_pressure=[20.0]).max_pressure.tolist() == [20.0, 20.0]
     assert pair(max_pressure=[[20.0], [30.0]]).max_pressure.tolist() == [[20.0, 20.0], [30.0, 30.0]]
+
+
+FIELDS = ("radii", "length", "max_pressure", "out_of_plane", "diameter", "mass", "torsion_stiffness")
+
+
+@pytest.mark.parametrize("number", [0.02, 1, np.float64(0.02), torch.tensor(0.02)], ids=lambda one: type(one).__name__)
+def test_every_field_of_numbers_takes_one_number(number):
+    for batch in ((), (3,)):
+        given = {"radii": torch.full((*batch, 2), 0.1)} | {name: number for name in FIELDS if name != "radii"}
+        arm = ArmDesign(actuators=PAIR, **given)
+        assert arm.batch_shape == batch
+        for name in FIELDS[1:]:
+            each_design = name in ("mass", "torsion_stiffness")
+            assert getattr(arm, name).shape == (batch if each_design else (*batch, 2))
+            assert getattr(arm, name).flatten().tolist() == pytest.approx([float(number)] * getattr(arm, name).numel())
+
+
+def test_one_radius_serves_all_actuators():
+    assert pair(0.02).radii.tolist() == [0.02, 0.02]
+    assert pair(0.02, [[0.3, 0.4], [0.5, 0.6]]).radii.tolist() == [[0.02, 0.02]] * 2
+    assert ArmDesign(0.02, 0.5, Bellows()).radii.tolist() == [0.02]
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_a_tensor_of_one_number_keeps_its_gradient(name):
+    value = torch.tensor(0.02, dtype=torch.float64, requires_grad=True)
+    arm = ArmDesign(actuators=PAIR, **({"radii": [-0.02, 0.03], "length": 0.5} | {name: value}))
+    count = 1 if name in ("mass", "torsion_stiffness") else 2
+    assert torch.autograd.grad(getattr(arm, name).sum(), value)[0].item() == count
+
+
+def test_ready_arms_and_rings_take_numbers_and_tensors_of_one():
+    size = torch.tensor(0.05, dtype=torch.float64, requires_grad=True)
+    for make in (antagonistic_arm, bellows_arm, mckibben_arm):
+        arm = make(size, 0.01, np.float64(0.4))
+        assert arm.length.tolist() == [0.4] * 4
+        assert torch.autograd.grad(arm.radii[3], size)[0].item() == 1.0
+    arm = ArmDesign(offsets=ring(size, 3), length=1, actuators="bellows", max_pressure=200.0, diameter=0.03)
+    assert arm.max_pressure.tolist() == [200.0] * 3
+    assert torch.autograd.grad(arm.offsets[0, 0], size)[0].item() == 1.0
+
+
+def test_one_pressure_serves_all_actuators():
+    arm, load = antagonistic_arm(), [0.0, -1.0, 0.0]
+    all_alike = solve_equilibrium(arm, 20.0, load, nodes=3)
+    assert torch.equal(all_alike.twists, solve_equilibrium(arm, [20.0] * 4, load, nodes=3).twists)
+    pressure = torch.tensor(20.0, dtype=torch.float64, requires_grad=True)
+    bent = reaction_wrench(ArmDesign([0.01, 0.02], 0.5, PAIR), all_alike.twists, pressure)
+    assert torch.autograd.grad(bent.sum(), pressure)[0].isfinite()
 
 
 @pytest.mark.parametrize(
@@ -134,6 +195,19 @@ def test_reversed_numpy_arrays_are_understood():
 
 def test_actuators_become_a_tuple():
     assert ArmDesign([0.1, 0.2], 0.5, [Bellows(), McKibben()]).actuators == PAIR
+
+
+def test_names_stand_for_the_shipped_models(tmp_path):
+    assert ArmDesign([0.1, 0.2], 0.5, "bellows").actuators == (Bellows(), Bellows())
+    own = McKibben(force_scale=2.0)
+    save_actuator(tmp_path / "own.toml", own)
+    given = ["bellows", "mckibben", own, tmp_path / "own.toml", str(tmp_path / "own.toml")]
+    arm = ArmDesign([0.1] * 5, 0.5, given)
+    assert arm.actuators == (Bellows(), McKibben(), own, own, own)
+    assert arm.max_pressure.tolist() == [50.0, 100.0, 100.0, 100.0, 100.0]
+    assert {name: ArmDesign(0.1, 0.5, name).actuators[0] for name in SHIPPED} == {
+        name: make() for name, make in SHIPPED.items()
+    }
 
 
 def test_any_object_with_the_five_members_is_an_actuator():

@@ -98,3 +98,12 @@ def test_surface_and_page_are_drawn_for_any_model(tmp_path):
     with pytest.raises(ValueError, match=r"^ax: must have the projection '3d'"):
         pc.force_surface(MODEL, ax=Figure().add_subplot())
     assert not plt.get_fignums()
+
+
+@pytest.mark.parametrize("draw", [pc.force_surface, pc.free_strain, pc.blocked_force])
+def test_models_are_drawn_by_name_and_by_path(tmp_path, draw):
+    ta.save_actuator(tmp_path / "m.toml", "bellows")
+    drawn = [draw(model) for model in (ta.Bellows(), "bellows", tmp_path / "m.toml")]
+    assert len({len(axes.get_children()) for axes in drawn}) == 1
+    with pytest.raises(ValueError, match=r"^model: must be .*got 'belows'; did you mean bellows\?"):
+        draw("belows")

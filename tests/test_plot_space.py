@@ -39,7 +39,7 @@ def labels(axes):
 def test_tubes_have_their_kinds_diameters_and_places(axes):
     arm, task = ring_arm(diameter=0.03), one_task()
     plot.arm_in_space(arm, task, ax=axes)
-    tubes = [tube._faces.reshape(-1, 3) for tube in axes.collections[1:]]  # after the base plate
+    tubes = [tube._faces.reshape(-1, 3) for tube in axes.collections[1:7]]  # after the base plate
     assert len(tubes) == 6
     assert {"bellows (3)", "muscle (3)", "centreline", "tip load, 2.69 N"} <= set(labels(axes))
     for tube, (y, z) in zip(tubes, arm.offsets.tolist(), strict=True):
@@ -73,9 +73,9 @@ def test_hulls_count_what_evaluate_counts(axes):
     arm = ring_arm()
     task = ta.Task(one_task().twists, ta.sample_loads(40, (8.0, 8.0, 8.0, 1.0, 1.0, 1.0)))
     inside = int((ta.evaluate(arm, task, ("absolute",)).absolute_per_node[:, 2] == 0).sum())
-    plot.node_hull_in_space(arm, task, 3, ax=axes)
+    plot.node_hull_in_space(arm, task, 2, ax=axes)
     assert f"required, inside: {inside} of 40" in labels(axes)
-    panels = plot.hull_projections(arm, task, 3)
+    panels = plot.hull_projections(arm, task, 2)
     assert all(f"required, inside: {inside} of 40" in labels(panel) for panel in panels)
     assert panels[0].get_xlabel() == panels[1].get_xlabel() != panels[2].get_xlabel()
     matplotlib.pyplot.close(panels[0].figure)
@@ -86,7 +86,7 @@ def test_hulls_count_what_evaluate_counts(axes):
     [
         (lambda: plot.arm_in_space(ta.antagonistic_arm(), one_task()), "arm"),
         (lambda: plot.arm_in_space(ring_arm(), ta.Task(ta.constant_curvature(1.0), [0.0] * 3)), "task"),
-        (lambda: plot.node_hull_in_space(ring_arm(), one_task(), 0), "node"),
+        (lambda: plot.node_hull_in_space(ring_arm(), one_task(), 6), "node"),
         (lambda: plot.hull_projections(ring_arm(), one_task(), 1, axes=[]), "axes"),
     ],
 )

@@ -1,4 +1,8 @@
-"""torcharm: can a soft continuum arm do the job? Attainability from a model, with gradients."""
+"""torcharm: can a soft continuum arm do the job? Attainability from a model, with gradients.
+
+Indices of nodes, actuators, segments and loads count from 0, in tensors, arguments and the brackets of error messages.
+Words, tables, figures and study files count from 1, the base's.
+"""
 
 from typing import TYPE_CHECKING, Any
 

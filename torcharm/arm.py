@@ -11,8 +11,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torcharm.actuators import Actuator, Bellows, McKibben, check_actuator
+from torcharm.actuators import Actuator, Bellows, McKibben, model_of
 from torcharm.inputs import (
+    HoldsTensors,
     TensorLike,
     as_floating,
     broadcast_shapes,
@@ -26,7 +27,7 @@ Index = int | slice | EllipsisType | Tensor | None
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class ArmDesign:
+class ArmDesign(HoldsTensors):
     """M actuators in parallel: where they sit, how long they are, how hard they may be driven.
 
     Any number of designs with the same kinds of actuators make one batch. An arm whose actuators lie in one plane
@@ -68,20 +69,21 @@ class ArmDesign:
         """Check and broadcast.
 
         Args:
-            radii: (..., M) [m]; a planar arm's only offsets.
+            radii: (..., M), or one for all [m]; a planar arm's only offsets.
             length: (..., M) one for each actuator, or (...) one for each design [m].
-            actuators: M force models or one for all, or paths of their files (a `Path`, or text that ends in .toml).
-            max_pressure: (..., M) [kPa]; None takes the models' own.
+            actuators: M force models or one for all: objects, names of shipped ones ("bellows", "mckibben"), or paths
+                of their files (a `Path`, or text that ends in .toml).
+            max_pressure: (..., M) or one for all [kPa]; None takes the models' own.
             offsets: (..., M, 2) a spatial arm's offsets (y, z) [m], in place of the radii; see `ring`.
             mass: (...) mass of the whole arm, one for each design [kg].
             torsion_stiffness: (...) one for each design [N·m²].
             diameter: (..., M) or one for all [m].
-            out_of_plane: (..., M) the offsets z beside radii that are the offsets y [m]: the other way to
-                write `offsets`.
+            out_of_plane: (..., M), or one for all, the offsets z beside radii that are the offsets y [m]: the other way
+                to write `offsets`.
 
         Raises:
             ValueError: shapes do not fit, or a value is not finite, a length is not positive,
-                a limit is negative, or a file holds no force model.
+                a limit is negative, a name stands for no model, or a file holds none.
         """
         if offsets is not None and (radii is not None or out_of_plane is not None):
             raise ValueError("offsets: must stand alone, in place of radii and out_of_plane, got both")
@@ -97,6 +99,8 @@ class ArmDesign:
         values = dict(zip(given, as_floating(**given), strict=True))
         if "offsets" in values:
             values["radii"], values["out_of_plane"] = values.pop("offsets").unbind(-1)
+        elif not values["radii"].ndim:
+            values["radii"] = values["radii"].expand(len(models))
         checked = _check_and_expand(values, len(models))
         for name, value in {**dict.fromkeys(optional), **checked, "actuators": models}.items():
             object.__setattr__(self, name, value)
@@ -209,22 +213,18 @@ def check_planar(arm: Any) -> None:
 
 
 def _models(actuators: Any, **across: Any) -> tuple[Actuator, ...]:
-    """Force models from objects and paths; one that is no list serves every offset across the arm."""
+    """Force models from objects, names and paths; one that is no list serves every offset across the arm."""
     (name,) = across
     (places,) = as_floating(**across)
     if name == "offsets" and (places.ndim < 2 or places.shape[-1] != 2):
         raise ValueError(f"offsets: must have shape (..., M, 2), got {tuple(places.shape)}")
-    given = actuators
     if isinstance(actuators, (Path, str)) or not isinstance(actuators, Sequence):
-        model = _from_file(actuators)
-        if not hasattr(model, "force"):
-            raise ValueError(f"actuators: must be a list of force models, or one for all, got {shown(actuators)}")
-        given = (model,) * (0 if places.ndim == 0 else places.shape[-2 if name == "offsets" else -1])
-    models = tuple(_from_file(model) for model in given)
+        count = places.shape[-2 if name == "offsets" else -1] if places.ndim else 1
+        models = (find_model("actuators", actuators),) * count
+    else:
+        models = tuple(find_model(f"actuators[{index}]", given) for index, given in enumerate(actuators))
     if not models:
         raise ValueError("actuators: must hold at least one force model, got none")
-    for index, model in enumerate(models):
-        check_actuator(f"actuators[{index}]" if given is actuators else "actuators", model)
     return models
 
 
@@ -232,7 +232,7 @@ def _check_and_expand(values: dict[str, Tensor], count: int) -> dict[str, Tensor
     """The tensors of a design, checked, in the shape of the batch."""
     _check_last("radii", values["radii"], count, ones=False)
     for name in ("max_pressure", "out_of_plane", "diameter"):
-        if name in values and (name != "diameter" or values[name].ndim):
+        if name in values and values[name].ndim:
             _check_last(name, values[name], count, ones=name != "out_of_plane")
     values["length"] = _per_actuator(values["length"], values["radii"], count)
     each_design = ("mass", "torsion_stiffness")
@@ -253,13 +253,17 @@ def _check_and_expand(values: dict[str, Tensor], count: int) -> dict[str, Tensor
     return {name: value.expand(shape[:-1] if name in each_design else shape) for name, value in values.items()}
 
 
-def _from_file(model: Any) -> Any:
-    """The model that a path stands for; what is no path stays as it is."""
-    if isinstance(model, Path) or (isinstance(model, str) and model.endswith(".toml")):
+def find_model(field: str, given: Any) -> Actuator:
+    """A force model from itself, from the name of a shipped one, or from the path of its file.
+
+    Raises:
+        ValueError: it is none, as `field` says.
+    """
+    if isinstance(given, Path) or (isinstance(given, str) and given.endswith(".toml")):
         from torcharm.actuators.model_file import load_actuator  # loads when it is first asked for
 
-        return load_actuator(model)
-    return model
+        return load_actuator(given)
+    return model_of(field, given)
 
 
 def _check_last(name: str, value: Tensor, count: int, *, ones: bool) -> None:

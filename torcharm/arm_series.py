@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -10,7 +9,7 @@ from torch import Tensor
 from torcharm.actuators import Actuator
 from torcharm.arm import ArmDesign
 from torcharm.geometry import se3
-from torcharm.inputs import TensorLike, as_floating, broadcast_shapes, check_at_least, check_finite, shown
+from torcharm.inputs import HoldsTensors, TensorLike, as_floating, broadcast_shapes, check_at_least, check_finite, shown
 
 _RIGID = 1e-6
 """How far a link's rotation may be from one, by the entries of RᵀR - 1: what single precision rounds to, and less
@@ -18,7 +17,7 @@ than any typing error."""
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class RigidLink:
+class RigidLink(HoldsTensors):
     """What does not deform: a connector between two segments, or a mount between the last one and the tip.
 
     Attributes:
@@ -83,14 +82,6 @@ class RigidLink:
         """The same link, weighing nothing."""
         return RigidLink(self.length, self.pose)
 
-    def to(self, *args: Any, **kwargs: Any) -> "RigidLink":
-        """The link in another dtype or on another device, as `Tensor.to`."""
-        link = object.__new__(type(self))
-        for name in ("length", "pose", "mass"):
-            value = getattr(self, name)
-            object.__setattr__(link, name, None if value is None else value.to(*args, **kwargs))
-        return link
-
     def __repr__(self) -> str:
         """Shapes, no numbers."""
         name, value = ("length", self.length) if self.pose is None else ("pose", self.pose)
@@ -115,7 +106,7 @@ def _check_pose(pose: Tensor) -> None:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ArmSeries:
+class ArmSeries(HoldsTensors):
     """Pressure segments one after the other, made by `series`.
 
     Attributes:
@@ -152,11 +143,6 @@ class ArmSeries:
         shape = self.batch_shape
         limits = [segment.max_pressure.expand(*shape, segment.actuator_count) for segment in self.segments]
         return torch.cat(limits, -1)
-
-    def to(self, *args: Any, **kwargs: Any) -> "ArmSeries":
-        """The arm in another dtype or on another device, as `Tensor.to`."""
-        links = tuple(None if link is None else link.to(*args, **kwargs) for link in self.links)
-        return ArmSeries(tuple(segment.to(*args, **kwargs) for segment in self.segments), links)
 
     def __repr__(self) -> str:
         """Kinds and shapes, no numbers."""

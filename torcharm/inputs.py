@@ -1,16 +1,19 @@
 """Turning what a person passes into tensors, with errors that name the field."""
 
+import difflib
 import math
 import operator
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import fields
 from functools import reduce
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
+
+Held = TypeVar("Held", bound="HoldsTensors")
 
 TensorLike = Tensor | npt.NDArray[Any] | float | int | Sequence[Any]
 """Whatever `torch.as_tensor` understands: tensors, numbers, nested lists, numpy arrays."""
@@ -85,6 +88,26 @@ def shapes_only(value: Any) -> str:
     return f"{type(value).__name__}({', '.join(parts)})"
 
 
+class HoldsTensors:
+    """A dataclass that holds tensors, or other such dataclasses, by themselves or in tuples."""
+
+    def to(self: Held, *args: Any, **kwargs: Any) -> Held:
+        """The same in another dtype or on another device, as `Tensor.to`; flags and whole numbers keep their dtype."""
+        moved = object.__new__(type(self))
+        for field in fields(self):  # type: ignore[arg-type]
+            object.__setattr__(moved, field.name, _moved(getattr(self, field.name), args, kwargs))
+        return moved
+
+
+def _moved(value: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+    """A value of a field after `to` with these arguments."""
+    if isinstance(value, HoldsTensors) or (isinstance(value, Tensor) and value.is_floating_point()):
+        return value.to(*args, **kwargs)
+    if isinstance(value, Tensor):
+        return value.to(torch.empty(0, device=value.device).to(*args, **kwargs).device)
+    return tuple(_moved(item, args, kwargs) for item in value) if isinstance(value, tuple) else value
+
+
 def check_tensor(name: str, value: object, *dims: str | int) -> None:
     """Raise unless `value` is a floating tensor of shape (..., *dims); a word stands for any size but 0."""
     form = f"(..., {', '.join(map(str, dims))})"
@@ -153,7 +176,13 @@ def refuse_graphs(name: str, value: Any, instead: str) -> None:
 def check_choice(name: str, value: object, allowed: Collection[str]) -> None:
     """Raise unless `value` is one of the allowed words."""
     if not isinstance(value, str) or value not in allowed:
-        raise ValueError(f"{name}: must be one of {', '.join(allowed)}, got {shown(value)}")
+        raise ValueError(f"{name}: must be one of {', '.join(allowed)}, got {shown(value)}{hint(value, allowed)}")
+
+
+def hint(word: object, allowed: Collection[str]) -> str:
+    """The word that was meant, if one is near, to end a message with."""
+    near = difflib.get_close_matches(word, allowed, 1) if isinstance(word, str) else []
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 def check_count(name: str, value: Any, low: int) -> int:

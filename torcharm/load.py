@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torcharm.inputs import (
+    HoldsTensors,
     TensorLike,
     as_floating,
     broadcast_shapes,
@@ -27,13 +28,13 @@ FRAMES = ("world", "body")
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class PointLoad:
+class PointLoad(HoldsTensors):
     """A wrench, a point mass or both at a place of the arm.
 
     Attributes:
         wrench: (..., 3) `(f_x, f_y, m)` in the plane, (..., 6) `(f_x, f_y, f_z, m_x, m_y, m_z)` in space
             [N, N·m], or None for a mass alone.
-        segment: index of the pressure segment that it sits on, counted from the base.
+        segment: index of the pressure segment that it sits on, from 0 at the base.
         at: the place on that segment's normalised arc, from 0 (its start) to 1 (its end, before a link).
         frame: "world" for a wrench of fixed direction, "body" for one that turns with the arm.
         mass: (...) [kg], which weighs where the load has gravity.
@@ -78,10 +79,6 @@ class PointLoad:
         object.__setattr__(self, "frame", frame)
         object.__setattr__(self, "mass", values["mass"])
 
-    def to(self, *args: Any, **kwargs: Any) -> "PointLoad":
-        """The load in another dtype or on another device, as `Tensor.to`."""
-        return self._map(lambda value: value.to(*args, **kwargs))
-
     def _map(self, change: Callable[[Tensor], Tensor]) -> "PointLoad":
         load = object.__new__(type(self))
         for name in ("segment", "at", "frame"):
@@ -97,7 +94,7 @@ class PointLoad:
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class ExternalLoad:
+class ExternalLoad(HoldsTensors):
     """All that loads an arm from outside.
 
     Attributes:
@@ -176,10 +173,6 @@ class ExternalLoad:
         for name, value in (("tip", tip), ("gravity", self.gravity), ("points", self.points)):
             object.__setattr__(load, name, value)
         return load
-
-    def to(self, *args: Any, **kwargs: Any) -> "ExternalLoad":
-        """The load in another dtype or on another device, as `Tensor.to`."""
-        return self._map(lambda value: value.to(*args, **kwargs))
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> "ExternalLoad":
         load = self.with_tip(None if self.tip is None else change(self.tip))

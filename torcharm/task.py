@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torcharm.geometry.rod import as_base, check_segment_nodes, group_of
 from torcharm.inputs import (
+    HoldsTensors,
     TensorLike,
     as_floating,
     broadcast_shapes,
@@ -20,6 +21,8 @@ from torcharm.inputs import (
 )
 from torcharm.load import ExternalLoad, check_tip
 
+T = TypeVar("T")
+
 WRENCH_AT = "middle"
 """Where an element's wrench is taken unless a task says otherwise. At the middle errors fall with 1/N²; at the start,
 the paper's place, with 1/N: a tip force bends an arm of ten elements 7 % too far, and its own weight 13 %."""
@@ -28,7 +31,7 @@ WRENCH_PLACES = ("start", "middle")
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class Task:
+class Task(HoldsTensors):
     """Centreline shapes and the loads to hold them under; their batch dimensions broadcast.
 
     Attributes:
@@ -131,10 +134,6 @@ class Task:
         """2 for a planar task, 3 for a spatial one."""
         return 2 if self.twists.shape[-1] == 3 else 3
 
-    def to(self, *args: Any, **kwargs: Any) -> "Task":
-        """The task in another dtype or on another device, as `Tensor.to`."""
-        return self._map(lambda value: value.to(*args, **kwargs))
-
     def __repr__(self) -> str:
         """Shapes, no numbers."""
         extra = "" if self.segment_nodes is None else f", segment_nodes={self.segment_nodes}"
@@ -153,6 +152,44 @@ class Task:
                 value = value._map(change)
             object.__setattr__(task, field.name, value)
         return task
+
+
+def task_list(task: object) -> tuple[Task, ...]:
+    """The tasks of one task or of a list of them.
+
+    Raises:
+        ValueError: there is none, or one is no task.
+    """
+    if isinstance(task, Task):
+        return (task,)
+    if not isinstance(task, (list, tuple)):
+        raise ValueError(f"task: must be a Task or a list of them, got {shown(task)}")
+    if not task:
+        raise ValueError("task: must hold at least one task, got none")
+    for index, one in enumerate(task):
+        if not isinstance(one, Task):
+            raise ValueError(f"task[{index}]: must be a Task, got {shown(one)}")
+    return tuple(task)
+
+
+def for_each_task(task: object, work: Callable[[Task], T]) -> T | tuple[T, ...]:
+    """What some work makes of a task, or of each in a list of tasks; an error that names the task says which it is.
+
+    Raises:
+        ValueError: as for `task_list`, and by the work.
+    """
+    if not isinstance(task, (list, tuple)):
+        return work(task)  # type: ignore[arg-type]  # which says if it is none
+    found = []
+    for index, one in enumerate(task_list(task)):
+        try:
+            found.append(work(one))
+        except ValueError as error:
+            message = str(error)
+            if not message.startswith("task: "):
+                raise
+            raise ValueError(f"task[{index}]: {message.removeprefix('task: ')}") from None
+    return tuple(found)
 
 
 def check_segments(load: ExternalLoad, count: int) -> None:

@@ -35,6 +35,7 @@ def test_monotonic_models():
 def test_the_papers_models():
     assert ta.monotonicity(ta.Bellows(), pressure_range=(0.0, 50.0)).monotonic
     full = ta.monotonicity(ta.Bellows())
+    assert ta.monotonicity("bellows") == full
     assert not full.monotonic
     assert 80 < full.up_to < 92
     muscle = ta.monotonicity(ta.McKibben(), (-0.3, 0.05))

@@ -36,6 +36,16 @@ def test_all_types_at_all_positions_best_first() -> None:
     assert repr(found).startswith(f"Architectures({found.names[0]} ")
 
 
+def test_models_go_by_name() -> None:
+    arm = ta.ArmDesign([-0.03, 0.03], 0.5, "bellows")
+    options = {"objective": NEWTONS, "starts": 1, "iterations": 3}
+    named = optimise_architectures(arm, TASK, models=["mckibben", ta.Bellows()], **options)
+    made = optimise_architectures(arm, TASK, models=[ta.McKibben(), ta.Bellows()], **options)
+    assert named.names == made.names
+    assert [one.value for one in named.designs] == [one.value for one in made.designs]
+    assert {type(model) for model in named.designs[0].best.actuators} <= {ta.Bellows, ta.McKibben}
+
+
 def test_the_default_objective_is_the_shape() -> None:
     """Muscle and bellows, of two architectures that are nearly each other's mirror image, is the better."""
     arm = ta.ArmDesign([-0.088, -0.024], 0.5, ta.Bellows())

@@ -78,7 +78,7 @@ def test_the_factor_is_where_unattainability_starts(metric):
         if found.unbounded[design, case]:
             continue
         factor = found.factor[design, case]
-        node = int(found.limiting_node[design, case]) - 1
+        node = int(found.limiting_node[design, case])
         for share, outside in ((1 - 1e-8, False), (1 + 1e-8, True)):
             grown = ta.Task(task.twists, task.tip_load[case] * factor * share)
             distance = getattr(ta.evaluate(arm[design], grown, (metric,), signed=True), f"{metric}_per_node")
@@ -220,7 +220,7 @@ class TestFlags:
         assert found.unbounded
         assert found.attainable_unloaded
         assert found.factor == torch.inf
-        assert found.limiting_node == 0
+        assert found.limiting_node == -1
 
     def test_and_to_none_by_one_that_cannot(self):
         arm = ta.ArmDesign([-0.02, 0.02], 0.52, [spring(), spring()])  # shorter than it wants to be
@@ -246,7 +246,7 @@ class TestFlags:
         assert found.factor.isnan()
         assert found.factor_per_node.isnan().all()
         assert not found.attainable
-        assert found.limiting_node == 0
+        assert found.limiting_node == -1
 
     def test_a_hull_without_area_ends_where_it_ends(self):
         """One actuator at radius r: wrenches (f, -r f) from 0 to 100 N, and a load in line with them."""
@@ -260,7 +260,7 @@ class TestFlags:
     def test_the_limiting_node_is_where_the_lever_is_longest(self):
         arm = ta.antagonistic_arm()
         found = ta.load_capacity(arm, ta.Task(ta.affine_curvature(0.0, 0.0), [1.0, 0.0, 0.0]))
-        assert found.limiting_node == 1
+        assert found.limiting_node == 0
         assert found.t_max == found.t_max_per_node[0]
 
     def test_strain_out_of_range_is_said(self):

@@ -226,9 +226,14 @@ def test_only_the_value_has_a_gradient():
 
 def test_without_qpth_one_line_says_so(monkeypatch):
     monkeypatch.setitem(sys.modules, "qpth.qp", None)
-    message = "^distance: 'qpth' needs the package qpth, which has no release for Python 3.13 and later; use 'gjk'$"
-    with pytest.raises(ValueError, match=message):
-        ta.qp_distance(double([2.0, 0.5]), SQUARE)
+    message = "^distance: 'qpth' needs the package qpth, which is not installed: `pip install qpth`.*, or use 'gjk'$"
+    task = ta.Task(ta.affine_curvature(0.0, 1.0, nodes=2), [0.0, 0.0, 0.0])
+    for ask in (
+        lambda: ta.qp_distance(double([2.0, 0.5]), SQUARE),
+        lambda: ta.evaluate(ta.bellows_arm(), task, "absolute", distance="qpth"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            ask()
 
 
 @pytest.mark.parametrize(

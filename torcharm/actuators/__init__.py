@@ -13,8 +13,10 @@ from torcharm.actuators.protocol import (
     pressure_knots,
     want_gradients,
 )
+from torcharm.actuators.shipped import SHIPPED, model_of
 
 __all__ = [
+    "SHIPPED",
     "Actuator",
     "Bellows",
     "Bending",
@@ -27,6 +29,7 @@ __all__ = [
     "check_actuator",
     "force_slopes",
     "is_linear_in_pressure",
+    "model_of",
     "monotonicity",
     "pressure_degree",
     "pressure_knots",

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torcharm.actuators.inspection import follows
-from torcharm.inputs import check_number, refuse_graphs, shown
+from torcharm.inputs import HoldsTensors, check_number, refuse_graphs, shown
 
 Number = float | Tensor
 """A tensor of one number makes results differentiable in it."""
@@ -46,7 +46,7 @@ class Bending(Protocol):
 
 
 @dataclass(frozen=True)
-class LinearBending:
+class LinearBending(HoldsTensors):
     """The paper's `τ = K (p / p_ref) κ/l`; a plain number K as `bending_stiffness` is this, too.
 
     Attributes:
@@ -73,7 +73,7 @@ class LinearBending:
 
 
 @dataclass(frozen=True)
-class ConstantBending:
+class ConstantBending(HoldsTensors):
     """`τ = K κ/l`, whatever the pressure.
 
     Attributes:

@@ -12,7 +12,7 @@ from torcharm.actuators.bending import Bending, Number
 from torcharm.actuators.fitting import Array
 from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS
 from torcharm.actuators.protocol import check_numbers
-from torcharm.inputs import TensorLike, check_number, refuse_graphs, shown
+from torcharm.inputs import HoldsTensors, TensorLike, check_number, refuse_graphs, shown
 
 SMOOTHNESS = 1e-6
 """Of `fit_gridded_model`: weight of roughness against the mean square of the residuals."""
@@ -22,7 +22,7 @@ Row = tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class GriddedActuator:
+class GriddedActuator(HoldsTensors):
     """Bicubic spline through forces on a grid: twice continuously differentiable, exact at the grid's points.
 
     The tensor product of cubic splines with not-a-knot ends (de Boor): with two points a side it is bilinear, with

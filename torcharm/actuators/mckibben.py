@@ -8,7 +8,7 @@ from torch import Tensor
 from torcharm.actuators.bending import Bending, Number
 from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS
 from torcharm.actuators.protocol import check_numbers
-from torcharm.inputs import plain_number
+from torcharm.inputs import HoldsTensors, plain_number
 
 _A1, _A2 = 1.038555666, 0.511454549
 _B1, _B2, _B3 = 1.963398204, -3.169979385, 4.231857967
@@ -55,7 +55,7 @@ _RISE_RATE = _RECOVERY_LIM / (_STRAIN_LIM - _STRAIN_CRIT) ** 2
 
 
 @dataclass(frozen=True)
-class McKibben:
+class McKibben(HoldsTensors):
     """A McKibben muscle: it pulls (force ≤ 0) when pressurised.
 
     The published piecewise model F is written with coefficients that depend on strain alone, so

@@ -16,9 +16,9 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 from torcharm.actuators.bending import Bending, ConstantBending, LinearBending
 from torcharm.actuators.characterisation import FittedActuator
 from torcharm.actuators.gridded import GriddedActuator
-from torcharm.actuators.mckibben import McKibben
-from torcharm.actuators.polynomial import Bellows, PolynomialActuator
+from torcharm.actuators.polynomial import PolynomialActuator
 from torcharm.actuators.protocol import Actuator
+from torcharm.actuators.shipped import SHIPPED, model_of
 from torcharm.files import atomic_write, read_file
 from torcharm.inputs import shown
 
@@ -28,26 +28,27 @@ _HEAD, _END = "# A torcharm force model. Its last line is: # end", "# end"
 _OPEN_END = re.compile(r"=\s*[\w.+-]*\d$")
 """A last line that ends within what may be a longer number."""
 
-KINDS: dict[str, type[Any]] = {
+KINDS: dict[str, Any] = {
     "polynomial": PolynomialActuator,
     "fitted polynomial": FittedActuator,
     "gridded": GriddedActuator,
-    "bellows": Bellows,
-    "mckibben": McKibben,
+    **SHIPPED,
 }
 BENDINGS: dict[str, type[Any]] = {"linear": LinearBending, "constant": ConstantBending}
 UNITS = {"strain": "1", "pressure": "kPa", "force": "N", "bending_stiffness": "N·m²"}
 """Units of every model file. A coefficient of ε^i p^j is in N/kPa^j."""
 
 
-def save_actuator(path: StrPath, model: Actuator) -> None:
-    """Write a force model to a TOML file; it appears whole, and what was there stays if it cannot be written.
+def save_actuator(path: StrPath, model: Actuator | str) -> None:
+    """Write a force model, or the shipped one of a name, to a TOML file.
+
+    The file appears whole, and what was there stays if it cannot be written.
 
     Raises:
         ValueError: the model is of a kind that no file can hold: of one's own, or with a bending function.
         OSError: the file cannot be written.
     """
-    text = actuator_text(model)
+    text = actuator_text(model_of("model", model))
     with atomic_write(path) as partial:
         partial.write_text(text, encoding="utf-8", newline="\n")
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 
 from torcharm.actuators.protocol import Actuator
+from torcharm.actuators.shipped import model_of
 from torcharm.inputs import check_count, shown
 
 FLAT = 1e-9
@@ -39,18 +40,23 @@ class Monotonicity:
 
 
 def monotonicity(
-    model: Actuator, strain_range: Range | None = None, pressure_range: Range | None = None, *, points: int = 201
+    model: Actuator | str,
+    strain_range: Range | None = None,
+    pressure_range: Range | None = None,
+    *,
+    points: int = 201,
 ) -> Monotonicity:
     """Look at the slope of force over pressure on a grid of points × points strains and pressures.
 
     Args:
-        model: any force model.
+        model: any force model, or the name of a shipped one.
         strain_range, pressure_range: the box; None takes the model's own.
         points: a side.
 
     Raises:
-        ValueError: a range is not two finite numbers in order, or there are fewer than 2 points.
+        ValueError: the model is none, a range is not two finite numbers in order, or there are fewer than 2 points.
     """
+    model = model_of("model", model)
     count = check_count("points", points, 2)
     axes = []
     for name, own in (

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torcharm.actuators.bending import Bending, Number
 from torcharm.actuators.protocol import check_numbers
-from torcharm.inputs import refuse_graphs, shown
+from torcharm.inputs import HoldsTensors, refuse_graphs, shown
 
 PAPER_BENDING_STIFFNESS = -1.0 / 3.5
 """K [N·m²]; the paper estimated one value for bellows and muscles alike."""
@@ -18,7 +18,7 @@ Coefficients = tuple[tuple[int, int, float], ...]
 
 
 @dataclass(frozen=True)
-class PolynomialActuator:
+class PolynomialActuator(HoldsTensors):
     """`f(ε, p) = Σ c_ij ε^i p^j` [N], positive pushing outward.
 
     Attributes:

@@ -10,11 +10,11 @@ from torch import Tensor
 from torcharm.actuators.bending import Bending, Number
 from torcharm.actuators.inspection import follows
 from torcharm.actuators.polynomial import PolynomialActuator
-from torcharm.inputs import TensorLike, as_floating, check_tensor, shown
+from torcharm.inputs import HoldsTensors, TensorLike, as_floating, check_tensor, shown
 
 
 @dataclass(frozen=True, eq=False)
-class TensorPolynomial:
+class TensorPolynomial(HoldsTensors):
     """A polynomial force model whose coefficients are a tensor, so that results differentiate by them.
 
     Actuators that share one of these share the coefficients. Equal to itself alone.

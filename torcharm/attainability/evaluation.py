@@ -1,7 +1,7 @@
 """Can these designs hold these shapes under these loads, and by how much do they miss?"""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, overload
 
 import torch
 from torch import Tensor
@@ -13,9 +13,9 @@ from torcharm.attainability.verdict import PoseTolerance
 from torcharm.inputs import check_choice, check_count, check_flag, check_number, shown
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.statics.cross_section import RANGE_SLACK
-from torcharm.task import Task
-from torcharm.wrench_sets.design_task_grid import design_task_grid, limits_in_range
-from torcharm.wrench_sets.node_distances import METRICS, SetOptions, node_distances
+from torcharm.task import Task, for_each_task
+from torcharm.wrench_sets.design_task_grid import DesignTaskGrid, design_task_grid, limits_in_range
+from torcharm.wrench_sets.node_distances import METRICS, NodeDistances, SetOptions, node_distances
 from torcharm.wrench_sets.vertex_sets import DistanceFunction, VertexSets, check_sets
 
 if TYPE_CHECKING:
@@ -26,9 +26,45 @@ CHOICES = (*METRICS, PREDICTED)
 """All metrics there are."""
 
 
+@overload
 def evaluate(
     arm: ArmDesign | ArmSeries,
     task: Task,
+    metrics: Sequence[str] = ...,
+    *,
+    tolerance: PoseTolerance | float | None = ...,
+    hull: str = ...,
+    samples: int | None = ...,
+    distance: str | DistanceFunction = ...,
+    weights: tuple[float, float] = ...,
+    power: int = ...,
+    signed: bool = ...,
+    pose_cost: PoseCost | None = ...,
+    chunk_size: int | None = ...,
+) -> Attainability: ...
+
+
+@overload
+def evaluate(
+    arm: ArmDesign | ArmSeries,
+    task: Sequence[Task],
+    metrics: Sequence[str] = ...,
+    *,
+    tolerance: PoseTolerance | float | None = ...,
+    hull: str = ...,
+    samples: int | None = ...,
+    distance: str | DistanceFunction = ...,
+    weights: tuple[float, float] = ...,
+    power: int = ...,
+    signed: bool = ...,
+    pose_cost: PoseCost | None = ...,
+    chunk_size: int | None = ...,
+) -> tuple[Attainability, ...]: ...
+
+
+def evaluate(
+    arm: ArmDesign | ArmSeries,
+    task: Task | Sequence[Task],
     metrics: Sequence[str] = CHOICES,
     *,
     tolerance: PoseTolerance | float | None = None,
@@ -40,7 +76,7 @@ def evaluate(
     signed: bool = False,
     pose_cost: PoseCost | None = None,
     chunk_size: int | None = None,
-) -> Attainability:
+) -> Attainability | tuple[Attainability, ...]:
     """Unattainability of every design on every task, in the plane and in space.
 
     At each node the reaction must equal the wrench that the load requires. *Absolute* unattainability is the distance
@@ -64,7 +100,8 @@ def evaluate(
 
     Args:
         arm: designs, of any batch shape; or segments in series.
-        task: tasks, of any batch shape, of the arm's dimension. Loads that share a shape share its sets.
+        task: tasks, of any batch shape, of the arm's dimension. Loads that share a shape share its sets. Or a list of
+            such, which may differ in their numbers of nodes and in their loads.
         metrics: which of "absolute", "relative", "predicted_error" to compute. Sets cost microseconds a task,
             the predicted error, which the verdict needs, some hundred.
         tolerance: how far off a pose may be and still counts as held; a number is the tip's [m].
@@ -82,6 +119,9 @@ def evaluate(
         pose_cost: what the predicted error measures; None is the paper's `PoseCost()`.
         chunk_size: (design, shape, load) triples worked on at once; None chooses. Bounds memory.
 
+    Returns:
+        What was found; of a list of tasks a tuple, with what was found for each, in their order.
+
     Raises:
         ValueError: an argument is none of those allowed, or arm and task do not fit.
     """
@@ -90,31 +130,40 @@ def evaluate(
     if chunk_size is not None:
         check_count("chunk_size", chunk_size, 1)
     asked, scale, allowed = _metrics(metrics), scale_of(weights), _tolerance(tolerance)
-    grid = design_task_grid(arm, task)
     measured = tuple(name for name in asked if name in METRICS)
-    options = SetOptions(measured, scale, signed, _by_vertices(arm, hull, samples, distance, signed))
-    prediction = _predict(arm, task, pose_cost) if PREDICTED in asked else None
-    nodes = node_distances(grid, options, chunk_size)
+
+    def evaluate_one(own: Task) -> Attainability:
+        grid = design_task_grid(arm, own)
+        options = SetOptions(measured, scale, signed, _by_vertices(arm, hull, samples, distance, signed))
+        prediction = _predict(arm, own, pose_cost) if PREDICTED in asked else None
+        return Attainability(
+            **_by_sets(grid, node_distances(grid, options, chunk_size), options, power),
+            prediction=prediction,
+            signed=signed,
+            weights=(float(weights[0]), float(weights[1])),
+            tolerance=allowed,
+            arm=arm,
+            task=own,
+        )
+
+    return for_each_task(task, evaluate_one)
+
+
+def _by_sets(grid: DesignTaskGrid, nodes: NodeDistances, options: SetOptions, power: int) -> dict[str, Any]:
+    """What distances of nodes say, by the names of `Attainability`'s attributes."""
     converged = (nodes.converged & nodes.distance.isfinite()).flatten(-2).all(-1) & ~nodes.impossible
     converged, impossible, excess = (grid.unflatten(x) for x in (converged, nodes.impossible, nodes.strain_excess))
-    per_node = {name: grid.unflatten(nodes.distance[..., k, :]) for k, name in enumerate(measured)}
+    found: dict[str, Any] = dict.fromkeys((*METRICS, *(f"{name}_per_node" for name in METRICS)))
     firsts = [part.start for part in grid.nodes]
-    total = {name: over_nodes(value, name, power, signed=signed, firsts=firsts) for name, value in per_node.items()}
-    return Attainability(
-        absolute=total.get("absolute"),
-        relative=total.get("relative"),
-        absolute_per_node=per_node.get("absolute"),
-        relative_per_node=per_node.get("relative"),
-        prediction=prediction,
-        strain_excess=excess,
-        in_range=(excess <= RANGE_SLACK) & limits_in_range(grid) & ~impossible,
-        impossible=impossible,
-        distances_converged=converged,
-        signed=signed,
-        tolerance=allowed,
-        arm=arm,
-        task=task,
-    )
+    for k, name in enumerate(options.metrics):
+        found[f"{name}_per_node"] = value = grid.unflatten(nodes.distance[..., k, :])
+        found[name] = over_nodes(value, name, power, signed=options.signed, firsts=firsts)
+    return found | {
+        "strain_excess": excess,
+        "in_range": (excess <= RANGE_SLACK) & limits_in_range(grid) & ~impossible,
+        "impossible": impossible,
+        "distances_converged": converged,
+    }
 
 
 def _tolerance(tolerance: PoseTolerance | float | None) -> PoseTolerance:

@@ -22,16 +22,23 @@ def one_design(segment: ArmDesign, batch: torch.Size, index: tuple[int, ...]) ->
     return segment._map(lambda value: value.detach().expand(*batch, value.shape[-1])[index])
 
 
-def missing(absolute: Tensor | None, relative: Tensor | None) -> str:
-    """Which node lacks how much, by distances (N,) from absolute sets, or from relative ones where none does; or ""."""
+def missing(absolute: Tensor | None, relative: Tensor | None, weights: tuple[float, float]) -> str:
+    """Which node, from 1, lacks how much; "" where none does.
+
+    Args:
+        absolute, relative: distances (N,) from the nodes' sets; the latter count where the former are none.
+        weights: k_f and k_m, by which forces and moments are one distance.
+    """
+    force, moment = weights
+    unit = f"(N and N·m, weights {force:g}{'' if force == moment else f' and {moment:g}'})"
     for distance, what in (
-        (absolute, "node {} lacks {:.3g} N"),
-        (relative, "no pressure serves all nodes: node {} lacks {:.3g} N of change from the base"),
+        (absolute, "node {} lacks {:.3g} {}"),
+        (relative, "no pressure serves all nodes: node {} lacks {:.3g} {} of change from the base"),
     ):
         if distance is not None:
             miss, node = distance.max(-1)
             if float(miss) > 0:
-                return what.format(int(node) + 1, float(miss))
+                return what.format(int(node) + 1, float(miss), unit)
     return ""
 
 

@@ -13,6 +13,7 @@ from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.attainability.reasons import UNDECIDED, missing, one_design, out_of_range
 from torcharm.attainability.verdict import VERDICTS, PoseTolerance, judge
+from torcharm.inputs import HoldsTensors
 from torcharm.task import Task
 from torcharm.wrench_sets.design_task_grid import segments_of
 
@@ -30,16 +31,18 @@ COLUMNS = (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Attainability:
+class Attainability(HoldsTensors):
     """What `evaluate` found; what was not asked for is None.
 
-    Shapes are (*design batch, *task batch), with N nodes or M actuators added where that is said.
+    Shapes are (*design batch, *task batch), with N nodes or M actuators added where that is said. Indices count from 0;
+    words, as of `reason`, count nodes and actuators from 1 at the base, as the paper does.
 
     Attributes:
         absolute, relative: unattainability summed over the nodes, the paper's sums, 0 where sets do not exclude the
             task. Their unit is that of `sqrt(k_f f² + k_m m²)`: weights of one mix newtons and newton-metres, as the
             paper does.
-        absolute_per_node, relative_per_node: (..., N) each node's distance to its set [N], not raised to a power.
+        absolute_per_node, relative_per_node: (..., N) each node's distance to its set, in the same unit, not raised to
+            a power.
         prediction: all that is known of the predicted error, with what it takes to trust it.
         strain_excess: largest strain of the task's shape beyond its actuator's characterised range, 0 if none is.
         in_range: whether every strain of the task's shape, and every pressure limit, lies in the characterised range.
@@ -48,6 +51,7 @@ class Attainability:
         distances_converged: whether every distance is finite and known to within its promise: the gap between its
             bounds is closed, or the solver's answer passed its check.
         signed: whether distances go on below 0 inside.
+        weights: k_f [1/N²] and k_m [1/(N·m)²] of distances.
         tolerance: what counts as held.
         arm, task: what was evaluated.
     """
@@ -62,6 +66,7 @@ class Attainability:
     impossible: Tensor
     distances_converged: Tensor
     signed: bool
+    weights: tuple[float, float]
     tolerance: PoseTolerance
     arm: ArmDesign | ArmSeries
     task: Task
@@ -96,7 +101,11 @@ class Attainability:
 
     @cached_property
     def reason(self) -> str | NDArray[Any]:
-        """Why a task is not held, in a sentence for each: the node, the actuator or what was not found; else empty."""
+        """Why a task is not held, in a sentence for each: the node, the actuator or what was not found; else empty.
+
+        Nodes and actuators are counted from 1 at the base, so that "node 1" is `worst_node` 0. What a node lacks is its
+        distance, which mixes N and N·m by the weights.
+        """
         shape = self.strain_excess.shape
         if not shape:
             return self._reason(())
@@ -125,9 +134,10 @@ class Attainability:
         absolute, relative = (
             None if value is None else value[index] for value in (self.absolute_per_node, self.relative_per_node)
         )
+        lacking = missing(absolute, relative, self.weights)
         if verdict != "missed":
-            return missing(absolute, relative)
-        cause = missing(absolute, relative) or "no pressure comes close enough, though sets do not exclude it"
+            return lacking
+        cause = lacking or "no pressure comes close enough, though sets do not exclude it"
         return f"{self._beyond_tolerance(index)}; {cause}"
 
     def _beyond_tolerance(self, index: tuple[int, ...]) -> str:
@@ -159,23 +169,23 @@ class Attainability:
 
     @property
     def node_miss(self) -> Tensor | None:
-        """(..., N) the distance of each node, by the first of absolute and relative that was asked for [N]."""
+        """(..., N) the distance of each node, by the first of absolute and relative that was asked for."""
         per_node = self.relative_per_node if self.absolute_per_node is None else self.absolute_per_node
         return None if per_node is None else per_node.clamp(min=0)
 
     @property
     def worst_node(self) -> Tensor | None:
-        """The index, from 0 at the base, of the node with the largest distance."""
+        """The index, from 0 at the base, of the node with the largest distance: in `reason` it is one more."""
         return None if self.node_miss is None else self.node_miss.argmax(-1)
 
     @property
     def worst_miss(self) -> Tensor | None:
-        """The largest distance of a node [N]."""
+        """The largest distance of a node, which mixes N and N·m by the weights."""
         return None if self.node_miss is None else self.node_miss.amax(-1)
 
     @property
     def capacity_margin(self) -> Tensor | None:
-        """Least distance over the nodes from the requirement to the boundary of its absolute set [N], above 0 inside.
+        """Least distance over the nodes from the requirement to the boundary of its absolute set, above 0 inside.
 
         None unless evaluated with `signed=True`: margins inside cost more than distances.
         """
@@ -198,7 +208,10 @@ class Attainability:
         return str(words) if words.ndim == 0 else words
 
     def to_dict(self) -> dict[str, list[Any]]:
-        """Columns with an entry for each design and task, counted from 0 in the order of their flattened batches."""
+        """Columns with an entry for each design and task, counted from 0 in the order of their flattened batches.
+
+        `worst_node` counts from 0, too, as it does in Python; the words of `reason` and pressures' names from 1.
+        """
         designs = self.arm.batch_shape.numel()
         tasks = self.strain_excess.numel() // max(designs, 1)
         columns: dict[str, list[Any]] = {

@@ -208,7 +208,7 @@ def _legend(plan: "Study", results: Sequence["StudyResult"], sums: bool) -> Iter
     else:
         yield "not excluded: no node lacks a wrench, which is necessary but not sufficient."
     if found.node_miss is not None:
-        yield "worst node: lacks most, on average, of the wrench that it needs; 1 is the base."
+        yield f"worst node: lacks most, on average, of the wrench that it needs, {_counted(plan)}; 1 is the base."
     if sums or found.prediction is None:
         yield f"sums over nodes: {_sums(plan)}."
 
@@ -224,7 +224,10 @@ _MEANINGS = {
 def _sums(plan: "Study") -> str:
     settings = plan.settings
     what = "squared distances" if settings.power == 2 else "distances"
-    if settings.weights == (1.0, 1.0):
-        return f"{what} from attainable wrenches, 1 N·m as 1 N"
-    force, moment = settings.weights
-    return f"{what} from attainable wrenches, {force:g} f² + {moment:g} m²"
+    return f"{what} from attainable wrenches, {_counted(plan)}"
+
+
+def _counted(plan: "Study") -> str:
+    """How forces and moments are one distance."""
+    force, moment = plan.settings.weights
+    return "1 N·m as 1 N" if force == moment == 1 else f"{force:g} f² + {moment:g} m²"

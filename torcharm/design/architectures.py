@@ -6,15 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm.actuators import Actuator, Bellows, McKibben
+from torcharm.actuators import SHIPPED, Actuator
 from torcharm.actuators.bending import active_moment, bending_model, passive_moment
-from torcharm.arm import ArmDesign
+from torcharm.arm import ArmDesign, find_model
 from torcharm.design.checkpoint import CURVATURES, Checkpoint, describe
 from torcharm.design.descent import Callback, Progress, descend_all
 from torcharm.design.feasible import feasible_designs
@@ -22,7 +23,7 @@ from torcharm.design.objective import Objective, Problem
 from torcharm.design.optimise import ITERATIONS, TOLERANCE, check_arguments, outcome, starting_points
 from torcharm.design.result import OptimisedDesign
 from torcharm.design.space import DesignSpace
-from torcharm.inputs import shown
+from torcharm.inputs import HoldsTensors, shown
 from torcharm.task import Task
 
 MOST_ARCHITECTURES = 4096
@@ -31,7 +32,7 @@ SAME = 1e-12
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Architectures:
+class Architectures(HoldsTensors):
     """The best design of every architecture, the best architecture first.
 
     Attributes:
@@ -61,7 +62,7 @@ def optimise_architectures(
     space: DesignSpace | None = None,
     objective: Objective | None = None,
     *,
-    models: Sequence[Actuator] | None = None,
+    models: Sequence[Actuator | str | Path] | None = None,
     starts: int = 4,
     seed: int = 0,
     iterations: int = ITERATIONS,
@@ -77,7 +78,8 @@ def optimise_architectures(
 
     Args:
         arm: gives the positions, and geometry to start from; not a series.
-        models: to choose from; None takes the paper's bellows and muscle. Limits are the models' own.
+        models: to choose from, given as an arm's actuators are; None takes the shipped ones, the paper's bellows and
+            muscle. Limits are the models' own.
         starts: for each architecture.
 
     The other arguments are those of `optimise_design`.
@@ -90,7 +92,7 @@ def optimise_architectures(
     if not isinstance(arm, ArmDesign):
         raise ValueError(f"arm: must be an ArmDesign, got {shown(arm)}")
     tasks = check_arguments(arm, task, space, objective, starts, seed, iterations, seconds)
-    kinds = (Bellows(), McKibben()) if models is None else tuple(models)
+    kinds = _kinds(models)
     count = arm.actuator_count
     if not kinds or len(kinds) ** count > MOST_ARCHITECTURES:
         raise ValueError(
@@ -125,6 +127,14 @@ def optimise_architectures(
         raise ValueError(f"space: no architecture has a feasible design; {next(iter(infeasible.values()))}")
     order = sorted(found, key=lambda name: found[name].value)
     return Architectures(tuple(order), tuple(found[name] for name in order), infeasible, mirrored, stopped)
+
+
+def _kinds(models: Any) -> tuple[Actuator, ...]:
+    """The force models to choose from."""
+    given = tuple(SHIPPED) if models is None else models
+    if isinstance(given, str) or not isinstance(given, Sequence):
+        raise ValueError(f"models: must be a list of force models, got {shown(given)}")
+    return tuple(find_model(f"models[{index}]", model) for index, model in enumerate(given))
 
 
 def _with_models(arm: ArmDesign, models: Sequence[Actuator]) -> ArmDesign:

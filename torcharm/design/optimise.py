@@ -19,7 +19,7 @@ from torcharm.design.result import OptimisedDesign
 from torcharm.design.space import Arm, Array, DesignSpace, given_values, one_of_batch
 from torcharm.design.task_errors import predicted, searched
 from torcharm.inputs import check_count, check_number, shown
-from torcharm.task import Task
+from torcharm.task import Task, for_each_task, task_list
 from torcharm.wrench_sets.design_task_grid import fitted
 
 ITERATIONS = 60
@@ -99,20 +99,19 @@ def check_arguments(
     seconds: float | None,
 ) -> tuple[Task, ...]:
     """The tasks as a tuple, everything checked."""
-    tasks = (task,) if isinstance(task, Task) else tuple(task)
     kinds: list[tuple[str, object, Any]] = [
         ("arm", arm, (ArmDesign, ArmSeries)),
         ("space", space, DesignSpace),
         ("objective", objective, Objective),
     ]
-    for name, value, kind in kinds + [("task", one, Task) for one in tasks]:
+    for name, value, kind in kinds:
         if not isinstance(value, kind):
             names = " or ".join(one.__name__ for one in (kind if isinstance(kind, tuple) else (kind,)))
             raise ValueError(f"{name}: must be of type {names}, got {shown(value)}")
-    if not tasks or any(0 in one.batch_shape for one in tasks):
+    tasks = task_list(task)
+    if any(0 in one.batch_shape for one in tasks):
         raise ValueError("task: must hold at least one task, got none")
-    for one in tasks:
-        fitted(arm, one)
+    for_each_task(task, lambda one: fitted(arm, one))
     check_count("starts", starts, 1)
     check_count("seed", seed, 0)
     check_count("iterations", iterations, 1)

@@ -7,10 +7,11 @@ from torch import Tensor
 from torcharm.design.objective import Objective
 from torcharm.design.space import Arm, DesignSpace
 from torcharm.design.task_errors import TaskErrors
+from torcharm.inputs import HoldsTensors
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OptimisedDesign:
+class OptimisedDesign(HoldsTensors):
     """The outcome of `optimise_design`.
 
     Attributes:

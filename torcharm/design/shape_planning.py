@@ -15,7 +15,7 @@ from torcharm.attainability import Attainability, evaluate
 from torcharm.design.objective import Objective, task_values
 from torcharm.design.space import Array
 from torcharm.geometry import rod, se3
-from torcharm.inputs import TensorLike, as_floating, check_count, check_finite, shown
+from torcharm.inputs import HoldsTensors, TensorLike, as_floating, check_count, check_finite, shown
 from torcharm.task import Task
 
 TIP_TOLERANCE = 1e-8
@@ -57,7 +57,7 @@ PAPER_SHAPES = (Smoothness(45.0, 0.5), Smoothness(20.0, 0.5), Smoothness(4.0, 0.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PlannedShape:
+class PlannedShape(HoldsTensors):
     """A shape, and what it takes to trust it.
 
     Attributes:

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from torcharm.design.space import Arm
+from torcharm.inputs import HoldsTensors
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.pressure.predicted_error import PredictedError, predict_error
 from torcharm.pressure.search import PressureSearch, search_pressure
@@ -14,7 +15,7 @@ from torcharm.task import Task
 
 
 @dataclass(frozen=True, eq=False)
-class TaskErrors:
+class TaskErrors(HoldsTensors):
     """Of one design on T tasks.
 
     Attributes:

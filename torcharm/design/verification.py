@@ -7,11 +7,12 @@ from torch import Tensor
 
 from torcharm.design.result import OptimisedDesign
 from torcharm.design.task_errors import TaskErrors, searched
-from torcharm.task import Task
+from torcharm.inputs import HoldsTensors
+from torcharm.task import Task, task_list
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Verification:
+class Verification(HoldsTensors):
     """What the search reaches on T tasks with the given and with the best design."""
 
     before: TaskErrors
@@ -60,6 +61,6 @@ def verify_design(
     Raises:
         ValueError: as for `torcharm.search_pressure`.
     """
-    tasks = (task,) if isinstance(task, Task) else tuple(task)
+    tasks = task_list(task)
     cost = result.objective.pose_cost
     return Verification(*(searched(arm, tasks, cost, starts, seed) for arm in (result.given, result.best)))

@@ -26,6 +26,7 @@ from torcharm.equilibrium.stability import buckles_in_torsion, lengths_positive,
 from torcharm.geometry import rod
 from torcharm.geometry.rod import as_base, group_of
 from torcharm.inputs import (
+    HoldsTensors,
     TensorLike,
     as_floating,
     broadcast_shapes,
@@ -59,7 +60,7 @@ class NotConvergedError(RuntimeError):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Equilibrium:
+class Equilibrium(HoldsTensors):
     """What `solve_equilibrium` found; `batch` is that of arm, pressure, load, base pose and start, broadcast.
 
     Attributes:
@@ -171,7 +172,8 @@ def solve_equilibrium(
     Args:
         arm: designs, of any batch shape; batch shapes of all arguments broadcast as in torch. In space κ_x is unknown
             where a `torsion_stiffness` is given.
-        pressure: (..., M) [kPa], not negative, segment after segment; limits of the arm are not enforced.
+        pressure: (..., M) or one for all [kPa], not negative, segment after segment; limits of the arm are not
+            enforced.
         load: a tip load (..., 3) or (..., 6) in the world frame [N, N·m], or an ExternalLoad.
         nodes: N, the number of elements, or one number for each segment; an integer serves each.
         base_pose: (..., 3) or (..., 4, 4) pose of node 1 [m, rad], or "hanging" (None), "upright" or "horizontal".
@@ -250,12 +252,15 @@ def _checked(
     segments, columns = segments_of(arm)[0], 3 if arm.dimension == 2 else 6
     counts = _counts(nodes, len(segments))
     group = group_of(columns)
-    fields = {"pressure": pressure, "base_pose": base_pose, "radii": segments[0].radii}
+    fields = {"pressure": pressure, "radii": segments[0].radii}
+    if not (base_pose is None or isinstance(base_pose, str)):
+        fields["base_pose"] = base_pose
     if not isinstance(load, ExternalLoad):
         fields["load"] = load
-    given = {name: value for name, value in fields.items() if not (value is None or isinstance(value, str))}
+    given = {name: value for name, value in fields.items() if value is not None}
     values = dict(zip(given, as_floating(**given), strict=True))
     pressure = values["pressure"]
+    pressure = pressure if pressure.ndim else pressure.expand(arm.actuator_count)
     base = as_base(values.get("base_pose", base_pose), pressure, columns)
     whole = _whole_load(load if isinstance(load, ExternalLoad) else values["load"], columns, pressure)
     check_segments(whole, len(segments))

@@ -13,6 +13,7 @@ from torch import Tensor
 from torcharm.actuators import Actuator, Bellows, McKibben
 from torcharm.arm import ArmDesign, check_planar
 from torcharm.geometry import rod
+from torcharm.inputs import check_count
 from torcharm.task import Task
 
 Array = NDArray[np.float64]
@@ -96,6 +97,14 @@ def choose(task: Task, loads: Sequence[int] | None) -> Task:
     if not chosen or not set(chosen) <= set(range(count)):
         raise ValueError(f"loads: must be one or more integers from 0 to {count - 1}, got {chosen!r:.60}")
     return Task(task.twists, task.tip_load[chosen], task.base_pose, wrench_at=task.wrench_at)
+
+
+def node_index(task: Task, node: int | Tensor) -> int:
+    """The index of a node, from 0, once it is known to be one of the task's."""
+    index = check_count("node", node, 0)
+    if index >= task.nodes:
+        raise ValueError(f"node: must be below {task.nodes}, the number of nodes, got {index}")
+    return index
 
 
 def axes_or_new(ax: Axes | None, projection: str = "rectilinear") -> Any:

@@ -4,6 +4,7 @@ As in `torcharm.plot`: every function but `characterisation_figure` draws into t
 some, and returns them; nothing is shown, and no setting is changed.
 """
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,11 @@ from torcharm.actuators import Actuator
 from torcharm.actuators.alignment import Recording, held_strains
 from torcharm.actuators.characterisation import FittedActuator
 from torcharm.actuators.monotonicity import monotonicity
+from torcharm.arm import find_model
 
 Array = NDArray[np.float64]
+ModelLike = Actuator | str | Path
+"""A force model, the name of a shipped one, or the path of its file."""
 
 MODEL, DATA, WARNING = "#D55E00", "#0072B2", "#CC79A7"
 STRAINS = "viridis"
@@ -30,17 +34,18 @@ MOST_DOTS = 4000
 """Samples drawn as dots; of more, every so many."""
 
 
-def force_surface(model: Actuator, recording: Recording | None = None, *, ax: Axes | None = None) -> Axes:
+def force_surface(model: ModelLike, recording: Recording | None = None, *, ax: Axes | None = None) -> Axes:
     """Force over the characterised box as a surface, with the samples that it was fitted to.
 
     Args:
-        model: any force model.
+        model: any force model, or what stands for one in an arm.
         recording: samples to draw.
         ax: 3-D axes to draw in; None makes some.
 
     Raises:
         ValueError: the axes are not 3-D.
     """
+    model = find_model("model", model)
     axes: Any = _axes(ax, "3d")
     strain, pressure, force = _surface(model)
     colours = {"color": MODEL, "alpha": 0.45, "edgecolor": MODEL, "linewidth": 0.3}
@@ -56,12 +61,12 @@ def force_surface(model: Actuator, recording: Recording | None = None, *, ax: Ax
 
 
 def force_at_held_strains(
-    model: Actuator, recording: Recording, *, ax: Axes | None = None, max_pressure: float | None = None
+    model: ModelLike, recording: Recording, *, ax: Axes | None = None, max_pressure: float | None = None
 ) -> Axes:
     """Force against pressure at each strain that was held: dots are samples, lines the model, colour the strain.
 
     Args:
-        model: any force model.
+        model: any force model, or what stands for one in an arm.
         recording: in which strains are held (see `held_strains`).
         ax: 2-D axes to draw in; None makes some.
         max_pressure: where lines end [kPa]; None ends each where its samples do.
@@ -69,6 +74,7 @@ def force_at_held_strains(
     Raises:
         ValueError: no strain is held, or the axes are not 2-D.
     """
+    model = find_model("model", model)
     holds = held_strains(recording)
     if not holds:
         raise ValueError("recording: must hold the strain still at times, got none that does")
@@ -95,17 +101,18 @@ def force_at_held_strains(
     return axes
 
 
-def residual_map(model: Actuator, recording: Recording, *, ax: Axes | None = None) -> Axes:
+def residual_map(model: ModelLike, recording: Recording, *, ax: Axes | None = None) -> Axes:
     """Mean residual, recorded minus model, over strain and pressure; white where it is zero, blank without samples.
 
     Args:
-        model: any force model.
+        model: any force model, or what stands for one in an arm.
         recording: samples.
         ax: 2-D axes to draw in; None makes some.
 
     Raises:
         ValueError: the axes are not 2-D.
     """
+    model = find_model("model", model)
     axes = _axes(ax)
     residual = recording.force - _force(model, recording.strain, recording.pressure)
     bins = [np.histogram_bin_edges(v, n) for v, n in ((recording.pressure, 45), (recording.strain, 21))]
@@ -122,18 +129,19 @@ def residual_map(model: Actuator, recording: Recording, *, ax: Axes | None = Non
     return axes
 
 
-def free_strain(model: Actuator, *, ax: Axes | None = None) -> Axes:
+def free_strain(model: ModelLike, *, ax: Axes | None = None) -> Axes:
     """Strain at which the actuator pushes and pulls on nothing: a muscle's free contraction, a bellows' extension.
 
     Where the model is not monotonic in pressure the background is hatched.
 
     Args:
-        model: any force model.
+        model: any force model, or what stands for one in an arm.
         ax: 2-D axes to draw in; None makes some.
 
     Raises:
         ValueError: the axes are not 2-D.
     """
+    model = find_model("model", model)
     axes = _axes(ax)
     strain, pressure, force = _surface(model)
     if force.min() < 0 < force.max():
@@ -155,12 +163,12 @@ def free_strain(model: Actuator, *, ax: Axes | None = None) -> Axes:
 
 
 def blocked_force(
-    model: Actuator, recording: Recording | None = None, *, strain: float = 0.0, ax: Axes | None = None
+    model: ModelLike, recording: Recording | None = None, *, strain: float = 0.0, ax: Axes | None = None
 ) -> Axes:
     """Force at a held strain, by default the neutral length, against pressure.
 
     Args:
-        model: any force model.
+        model: any force model, or what stands for one in an arm.
         recording: samples within 0.005 of the strain are drawn.
         strain: ε.
         ax: 2-D axes to draw in; None makes some.
@@ -168,6 +176,7 @@ def blocked_force(
     Raises:
         ValueError: the axes are not 2-D.
     """
+    model = find_model("model", model)
     axes = _axes(ax)
     if recording is not None:
         near = np.flatnonzero(np.abs(recording.strain - strain) <= 0.005)
@@ -183,12 +192,13 @@ def blocked_force(
     return axes
 
 
-def characterisation_figure(model: Actuator, recording: Recording) -> Figure:
+def characterisation_figure(model: ModelLike, recording: Recording) -> Figure:
     """One page on a fit, for `figure.savefig(path)`: held strains, surface, residuals, free strain, blocked force.
 
     Raises:
         ValueError: no strain is held.
     """
+    model = find_model("model", model)
     figure = Figure(figsize=(15.0, 9.5), layout="constrained")
     grid = figure.add_gridspec(2, 6)
     force_at_held_strains(model, recording, ax=figure.add_subplot(grid[0, :3]))

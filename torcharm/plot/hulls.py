@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
+from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.attainability import evaluate
@@ -22,6 +23,7 @@ from torcharm.plot._common import (
     array,
     axes_or_new,
     choose,
+    node_index,
     one_design,
     one_shape,
 )
@@ -65,7 +67,7 @@ def hulls_along_arm(
 def node_hull(
     arm: ArmDesign,
     task: Task,
-    node: int,
+    node: int | Tensor,
     *,
     relative: bool = False,
     hull: str = "exact",
@@ -77,18 +79,17 @@ def node_hull(
 
     Args:
         arm, task, relative, hull, samples, colour: as for `hulls_along_arm`.
-        node: 1 (the base) to N.
+        node: its index, from 0 at the base, such as `worst_node` of an evaluation; the title counts from 1.
         ax: 2-D axes to draw in; None makes some.
 
     Raises:
         ValueError: the node is out of range, the axes are not 2-D, or as for `hulls_along_arm`.
     """
-    if isinstance(node, bool) or not isinstance(node, int) or not 1 <= node <= task.nodes:
-        raise ValueError(f"node: must be an integer from 1 (base) to {task.nodes}, got {node!r}")
+    index = node_index(task, node)
     scene = make_scene(one_design("arm", arm), one_shape(task), relative, hull, samples)
     axes = axes_or_new(ax)
-    draw_node(axes, scene, node - 1, colour)
-    axes.set_title(f"node {node} of {task.nodes}")
+    draw_node(axes, scene, index, colour)
+    axes.set_title(f"node {index + 1} of {task.nodes}")
     axes.legend(loc="best")
     return axes
 

@@ -26,6 +26,7 @@ from torcharm.plot._common import (
     array,
     axes_or_new,
     kind_of,
+    node_index,
 )
 from torcharm.statics.external_load import HULL, task_wrench
 from torcharm.task import Task
@@ -95,7 +96,7 @@ def arm_in_space(
 def node_hull_in_space(
     arm: ArmDesign,
     task: Task,
-    node: int,
+    node: int | Tensor,
     *,
     relative: bool = False,
     ax: Axes | None = None,
@@ -106,8 +107,8 @@ def node_hull_in_space(
     Args:
         arm: one spatial design.
         task: one shape, with any number of loads.
-        node: 1 (the base) to N.
-        relative: differences from node 1, instead of wrenches.
+        node: its index, from 0 at the base, such as `worst_node` of an evaluation; the title counts from 1.
+        relative: differences from the first node, instead of wrenches.
         ax: 3-D axes to draw in; None makes some.
         colour: of the body.
 
@@ -127,7 +128,12 @@ def node_hull_in_space(
     limits = [tuple(ends) for ends in np.stack((low - room, high + room), -1)]
     axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
     axes.set_box_aspect(None, zoom=0.9)
-    axes.set(xlabel=HULL_LABELS[0], ylabel=HULL_LABELS[1], zlabel=HULL_LABELS[2], title=f"node {node} of {task.nodes}")
+    axes.set(
+        xlabel=HULL_LABELS[0],
+        ylabel=HULL_LABELS[1],
+        zlabel=HULL_LABELS[2],
+        title=f"node {int(node) + 1} of {task.nodes}",
+    )
     axes.legend(loc="upper left", fontsize="small")
     return axes
 
@@ -135,7 +141,7 @@ def node_hull_in_space(
 def hull_projections(
     arm: ArmDesign,
     task: Task,
-    node: int,
+    node: int | Tensor,
     *,
     relative: bool = False,
     axes: Sequence[Axes] | None = None,
@@ -261,21 +267,19 @@ def _limit(axes: Any, points: Array, room: float) -> None:
 
 
 @torch.no_grad()
-def _hull_of(arm: ArmDesign, task: Task, node: int, relative: bool) -> tuple[Array, Array, Any]:
+def _hull_of(arm: ArmDesign, task: Task, node: int | Tensor, relative: bool) -> tuple[Array, Array, Any]:
     """Vertices (V, 3) of one node's set, required wrenches (L, 3), and which of these lie outside."""
     from torcharm.attainability import evaluate
 
     _spatial("arm", arm)
     if not isinstance(arm, ArmDesign):
         raise ValueError(f"arm: must be an ArmDesign, of one segment, got {arm!r}")
-    if isinstance(node, bool) or not isinstance(node, int) or not 1 <= node <= task.nodes:
-        raise ValueError(f"node: must be an integer from 1 (base) to {task.nodes}, got {node!r}")
     if task.dimension != 3 or prod(task.twists.shape[:-2]) != 1:
         raise ValueError(f"task: must be spatial and hold one shape, got {task!r}")
-    name = "relative" if relative else "absolute"
-    distance = getattr(evaluate(arm, task, (name,)), f"{name}_per_node").reshape(-1, task.nodes)[:, node - 1]
+    index, name = node_index(task, node), "relative" if relative else "absolute"
+    distance = getattr(evaluate(arm, task, (name,)), f"{name}_per_node").reshape(-1, task.nodes)[:, index]
     corners = wrench_hulls(arm, task.twists.reshape(-1, 6), relative=relative).vertices.reshape(task.nodes, -1, 3)
     required = task_wrench(arm, task)[..., HULL[6]].reshape(-1, task.nodes, 3)
     if relative:
         required = required - required[:, :1]
-    return array(corners[node - 1]), array(required[:, node - 1]), array(distance) > 0
+    return array(corners[index]), array(required[:, index]), array(distance) > 0

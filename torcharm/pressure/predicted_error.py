@@ -6,8 +6,9 @@ No load is raised from zero, as the search does. In return a shape that is predi
 reaches when it is loaded: under compression there are several.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 import torch
@@ -23,11 +24,11 @@ from torcharm.engine.threads import spread
 from torcharm.engine.wrench_fit import make_fit
 from torcharm.equilibrium.solve import TOLERANCE
 from torcharm.equilibrium.stability import lengths_positive, strain_excess
-from torcharm.inputs import shapes_only
+from torcharm.inputs import HoldsTensors, shapes_only
 from torcharm.pressure.errors import errors_at
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.pressure.prepared import Prepared, detached, prepare, stays_at
-from torcharm.task import Task
+from torcharm.task import Task, for_each_task
 
 WORDS = ("converged", "at a kink", "not reached", "not converged", "unstable", "impossible")
 """What may be said of a prediction. At a kink: a minimum at a kink of a force model, which has no gradient. Not
@@ -39,7 +40,7 @@ MINIMA = (OPTIMUM, NO_GAIN, HELD_UP)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PredictedError:
+class PredictedError(HoldsTensors):
     """What `predict_error` found, of shape (*design batch, *task batch).
 
     Attributes:
@@ -96,7 +97,19 @@ class PredictedError:
         return WORDS[int(code)] if code.ndim == 0 else np.array(WORDS)[code]
 
 
-def predict_error(arm: ArmDesign | ArmSeries, task: Task, pose_cost: PoseCost | None = None) -> PredictedError:
+@overload
+def predict_error(arm: ArmDesign | ArmSeries, task: Task, pose_cost: PoseCost | None = ...) -> PredictedError: ...
+
+
+@overload
+def predict_error(
+    arm: ArmDesign | ArmSeries, task: Sequence[Task], pose_cost: PoseCost | None = ...
+) -> tuple[PredictedError, ...]: ...
+
+
+def predict_error(
+    arm: ArmDesign | ArmSeries, task: Task | Sequence[Task], pose_cost: PoseCost | None = None
+) -> PredictedError | tuple[PredictedError, ...]:
     """The least pose error that each design can be expected to reach on each task, without a forward solve.
 
     Errors, cost and pose errors are differentiable once in radii, offsets, lengths, limits, twists, loads, masses,
@@ -108,13 +121,16 @@ def predict_error(arm: ArmDesign | ArmSeries, task: Task, pose_cost: PoseCost | 
 
     Args:
         arm: designs, of any batch shape; or segments in series.
-        task: shapes and loads, of any batch shape; every design meets every task.
+        task: shapes and loads, of any batch shape; every design meets every task. Or a list of such.
         pose_cost: what is minimised; None is the paper's `PoseCost()`.
+
+    Returns:
+        What is predicted; of a list of tasks a tuple, with what is predicted for each, in their order.
 
     Raises:
         ValueError: an argument is none of those allowed, or arm and task do not fit.
     """
-    return prediction(arm, task, pose_cost)
+    return for_each_task(task, lambda one: prediction(arm, one, pose_cost))
 
 
 def prediction(

@@ -1,7 +1,8 @@
 """Pressure search: the pressure that brings an arm closest to a task, through its forward mechanics."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 import torch
@@ -17,13 +18,13 @@ from torcharm.engine.searches import LOT, Searches, search_all
 from torcharm.engine.threads import spread
 from torcharm.equilibrium.solve import TOLERANCE, NotConvergedError
 from torcharm.equilibrium.stability import strain_excess
-from torcharm.inputs import check_choice, check_count, check_flag, shapes_only
+from torcharm.inputs import HoldsTensors, check_choice, check_count, check_flag, shapes_only
 from torcharm.pressure.errors import errors_at
 from torcharm.pressure.outcome import nothing_found
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.pressure.prepared import Prepared, detached, prepare, stays_at
 from torcharm.pressure.starts import spread_points
-from torcharm.task import Task
+from torcharm.task import Task, for_each_task
 
 METHODS = ("multistart", "scipy")
 STARTS = {"multistart": 8, "scipy": 1}
@@ -37,7 +38,7 @@ pressure then is next to a jump. Not found: no start led to a stable equilibrium
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PressureSearch:
+class PressureSearch(HoldsTensors):
     """What `search_pressure` found; `batch` is (*design batch, *task batch).
 
     Attributes:
@@ -96,9 +97,43 @@ class PressureSearch:
         return WORDS[int(code)] if code.ndim == 0 else np.array(WORDS)[code]
 
 
+@overload
 def search_pressure(
     arm: ArmDesign | ArmSeries,
     task: Task,
+    method: str = ...,
+    *,
+    starts: int | None = ...,
+    rounds: int = ...,
+    pose_cost: PoseCost | None = ...,
+    shear_stiffness: float | None = ...,
+    seed: int = ...,
+    scipy_method: str = ...,
+    progress: bool | None = ...,
+    raise_on_failure: bool = ...,
+) -> PressureSearch: ...
+
+
+@overload
+def search_pressure(
+    arm: ArmDesign | ArmSeries,
+    task: Sequence[Task],
+    method: str = ...,
+    *,
+    starts: int | None = ...,
+    rounds: int = ...,
+    pose_cost: PoseCost | None = ...,
+    shear_stiffness: float | None = ...,
+    seed: int = ...,
+    scipy_method: str = ...,
+    progress: bool | None = ...,
+    raise_on_failure: bool = ...,
+) -> tuple[PressureSearch, ...]: ...
+
+
+def search_pressure(
+    arm: ArmDesign | ArmSeries,
+    task: Task | Sequence[Task],
     method: str = "multistart",
     *,
     starts: int | None = None,
@@ -109,7 +144,7 @@ def search_pressure(
     scipy_method: str = "L-BFGS-B",
     progress: bool | None = None,
     raise_on_failure: bool = False,
-) -> PressureSearch:
+) -> PressureSearch | tuple[PressureSearch, ...]:
     """The pressure within the limits that brings each design closest to each task.
 
     Minimises `Σ_i ω_i e_iᵀ K e_i` over `p ∈ [0, p̄]`, with the errors e_i of `ĝ_i(p)⁻¹ g_i*` and ĝ(p) the equilibrium
@@ -130,7 +165,7 @@ def search_pressure(
 
     Args:
         arm: designs, of any batch shape; or segments in series.
-        task: tasks, of any batch shape; every design meets every task.
+        task: tasks, of any batch shape; every design meets every task. Or a list of such.
         method: "multistart" or "scipy".
         starts: S, the number of descents at most; None takes 8 (multistart) or 1 (scipy).
         rounds: searches along boundaries at most (multistart).
@@ -140,6 +175,9 @@ def search_pressure(
         scipy_method: a bounded method of `scipy.optimize.minimize`.
         progress: whether to show a bar; None shows one for "scipy", on a terminal.
         raise_on_failure: makes it an error if any search does not converge.
+
+    Returns:
+        What was found; of a list of tasks a tuple, with what was found for each, in their order.
 
     Raises:
         ValueError: an argument is none of those allowed, or arm and task do not fit.
@@ -152,19 +190,23 @@ def search_pressure(
     check_flag("raise_on_failure", raise_on_failure)
     if progress is not None:
         check_flag("progress", progress)
-    prepared = prepare(arm, task, pose_cost, shear_stiffness)
-    plain = detached(prepared)
-    if method == "scipy":
-        from torcharm.pressure.scipy_baseline import search_one_by_one
 
-        found = search_one_by_one(plain, count, seed, scipy_method, progress)
-    else:
-        found = _found(plain, count, rounds, seed)
-    result = _result(prepared, plain, found)
-    failed = result.converged.numel() - int(result.converged.sum())
-    if raise_on_failure and failed:
-        raise NotConvergedError(f"{failed} of {result.converged.numel()} searches did not converge")
-    return result
+    def search_one(own: Task) -> PressureSearch:
+        prepared = prepare(arm, own, pose_cost, shear_stiffness)
+        plain = detached(prepared)
+        if method == "scipy":
+            from torcharm.pressure.scipy_baseline import search_one_by_one
+
+            found = search_one_by_one(plain, count, seed, scipy_method, progress)
+        else:
+            found = _found(plain, count, rounds, seed)
+        result = _result(prepared, plain, found)
+        failed = result.converged.numel() - int(result.converged.sum())
+        if raise_on_failure and failed:
+            raise NotConvergedError(f"{failed} of {result.converged.numel()} searches did not converge")
+        return result
+
+    return for_each_task(task, search_one)
 
 
 def _result(prepared: Prepared, plain: Prepared, found: Searches) -> PressureSearch:

@@ -12,7 +12,7 @@ from torcharm.arm_series import ArmSeries
 from torcharm.engine.pressure_model import make_work
 from torcharm.engine.threads import spread
 from torcharm.engine.wrench_fit import FitAnswers, fit_all, make_fit
-from torcharm.inputs import as_floating, check_at_least, check_count, check_finite, shapes_only
+from torcharm.inputs import HoldsTensors, as_floating, check_at_least, check_count, check_finite, shapes_only
 from torcharm.pressure.prepared import Prepared, detached, prepare
 from torcharm.pressure.starts import spread_points
 from torcharm.statics.external_load import HULL
@@ -23,7 +23,7 @@ STEPS, GAIN = 120, 1e-14
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PressureFit:
+class PressureFit(HoldsTensors):
     """What `fit_pressure` found; `batch` is (*design batch, *task batch).
 
     Attributes:

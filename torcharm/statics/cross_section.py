@@ -24,7 +24,7 @@ from torcharm.actuators.bending import (
 from torcharm.actuators.inspection import same_model
 from torcharm.arm import ArmDesign
 from torcharm.geometry.rod import material_curvature, offset_length, strain
-from torcharm.inputs import as_floating, broadcast_shapes, check_at_least, check_finite, check_tensor
+from torcharm.inputs import TensorLike, as_floating, broadcast_shapes, check_at_least, check_finite, check_tensor
 
 RANGE_SLACK = 1e-6
 """A strain beyond its characterised range by so little, or a pressure by so large a part of itself, is at its end: more
@@ -151,7 +151,7 @@ def _as_slice(members: list[int]) -> slice | list[int]:
 
 
 def reaction_wrench(
-    arm: ArmDesign, twists: Float[Tensor, "*#batch N K"], pressure: Float[Tensor, "*#batch M"]
+    arm: ArmDesign, twists: Float[Tensor, "*#batch N K"], pressure: TensorLike
 ) -> Float[Tensor, "... N D"]:
     """Reaction of each node to pressures [kPa], in the node's frame: `(f_x, m)` or, in space, `(f_x, m_y, m_z)`.
 
@@ -160,15 +160,16 @@ def reaction_wrench(
 
     Args:
         twists: (..., N, 3) or (..., N, 6) [m, rad].
-        pressure: (..., M) one for each actuator [kPa].
+        pressure: (..., M) one for each actuator, or one for all [kPa].
 
     Raises:
         ValueError: a pressure is negative or not finite, or shapes do not fit.
     """
     check_tensor("twists", twists, "N", 3 if arm.dimension == 2 else 6)
-    pressure, _ = as_floating(pressure=pressure, radii=arm.radii)
-    check_tensor("pressure", pressure, arm.actuator_count)
-    broadcast_shapes(twists=twists.shape[:-2], pressure=pressure.shape[:-1], radii=arm.batch_shape)
-    check_finite("pressure", pressure)
-    check_at_least("pressure", pressure, 0.0, unit="kPa")
-    return cross_sections(arm, twists).reaction(pressure.unsqueeze(-2))
+    given, _ = as_floating(pressure=pressure, radii=arm.radii)
+    given = given if given.ndim else given.expand(arm.actuator_count)
+    check_tensor("pressure", given, arm.actuator_count)
+    broadcast_shapes(twists=twists.shape[:-2], pressure=given.shape[:-1], radii=arm.batch_shape)
+    check_finite("pressure", given)
+    check_at_least("pressure", given, 0.0, unit="kPa")
+    return cross_sections(arm, twists).reaction(given.unsqueeze(-2))

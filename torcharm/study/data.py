@@ -8,11 +8,12 @@ from torcharm.design.objective import Objective
 from torcharm.design.optimise import ITERATIONS
 from torcharm.design.shape_planning import Smoothness
 from torcharm.design.space import DesignSpace
+from torcharm.inputs import HoldsTensors
 from torcharm.task import Task
 
 
 @dataclass(frozen=True)
-class NamedArm:
+class NamedArm(HoldsTensors):
     """One design, and what the study calls it.
 
     Raises:
@@ -28,7 +29,7 @@ class NamedArm:
 
 
 @dataclass(frozen=True)
-class NamedTask:
+class NamedTask(HoldsTensors):
     """A shape under any number of loads, and what the study calls it."""
 
     name: str
@@ -83,7 +84,7 @@ class NamedPlan:
 
 
 @dataclass(frozen=True)
-class Study:
+class Study(HoldsTensors):
     """Arms, tasks, how every arm is to be evaluated on every task, and how it may be made better."""
 
     name: str

@@ -1,6 +1,5 @@
 """Checks of single values in a study file, and the one line that says what is wrong with one."""
 
-import difflib
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,6 +8,8 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
+
+from torcharm.inputs import hint
 
 
 def refuse(text: str, key: str = "") -> PydanticCustomError:
@@ -28,12 +29,6 @@ def shown_value(value: object) -> str:
     except ValueError:  # Python writes out no integer of more than 4300 digits
         text = "a very large number"
     return text if len(text) <= 60 else f"{text[:57]}..."
-
-
-def hint(word: object, allowed: Sequence[str]) -> str:
-    """The word that was meant, if one is near."""
-    near = difflib.get_close_matches(word, allowed, 1) if isinstance(word, str) else []
-    return f"; did you mean {near[0]}?" if near else ""
 
 
 def one_of(allowed: Sequence[str]) -> BeforeValidator:

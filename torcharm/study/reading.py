@@ -11,15 +11,7 @@ from typing import Any
 import torch
 from pydantic import ValidationError
 
-from torcharm.actuators import (
-    Actuator,
-    Bellows,
-    Bending,
-    ConstantBending,
-    LinearBending,
-    McKibben,
-    PolynomialActuator,
-)
+from torcharm.actuators import SHIPPED, Actuator, Bending, ConstantBending, LinearBending, PolynomialActuator
 from torcharm.actuators.model_file import load_actuator
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
 from torcharm.attainability import CHOICES, PoseTolerance, check_measure
@@ -39,11 +31,11 @@ from torcharm.study.tables import (
     FileActuator,
     FreeArm,
     OptimiseTable,
-    PaperActuator,
     PaperArm,
     PlanTable,
     PolynomialTable,
     ShapedTask,
+    ShippedActuator,
     StudyTable,
     TwistTask,
 )
@@ -175,7 +167,7 @@ def _design(table: PaperArm | FreeArm, folder: Path) -> ArmDesign:
             raise ValueError(
                 f"{name}: must hold one number for each of the {len(actuators)} actuators, got {len(value)}"
             )
-    return ArmDesign(radii, table.length, actuators, [limit] if isinstance(limit, float) else limit)
+    return ArmDesign(radii, table.length, actuators, limit)
 
 
 def _sensible(arm: ArmDesign) -> ArmDesign:
@@ -186,7 +178,7 @@ def _sensible(arm: ArmDesign) -> ArmDesign:
     return arm
 
 
-def _actuator(table: PaperActuator | FileActuator | PolynomialTable, index: int, folder: Path) -> Actuator:
+def _actuator(table: ShippedActuator | FileActuator | PolynomialTable, index: int, folder: Path) -> Actuator:
     options = table.model_dump(exclude={"kind", "path", "bending"}, exclude_none=True)
     with within(field_path(["actuators", index])):
         if table.bending is not None:
@@ -194,8 +186,8 @@ def _actuator(table: PaperActuator | FileActuator | PolynomialTable, index: int,
         if isinstance(table, FileActuator):
             model: Any = load_actuator(folder / table.path)
             return replace(model, **options)
-        if isinstance(table, PaperActuator):
-            return Bellows(**options) if table.kind == "bellows" else McKibben(**options)
+        if isinstance(table, ShippedActuator):
+            return SHIPPED[table.kind](**options)
         for name in ("strain_range", "pressure_range"):
             low, high = options[name] = tuple(options[name])
             if not low < high:
@@ -204,7 +196,7 @@ def _actuator(table: PaperActuator | FileActuator | PolynomialTable, index: int,
         return PolynomialActuator(**options)
 
 
-def _bending(table: PaperActuator | PolynomialTable, bending: BendingTable) -> Bending:
+def _bending(table: ShippedActuator | PolynomialTable, bending: BendingTable) -> Bending:
     if table.bending_stiffness is not None:
         raise ValueError("bending: must not stand beside bending_stiffness, got both")
     if bending.kind == "linear":

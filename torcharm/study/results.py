@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torcharm.attainability import VERDICTS, Attainability, evaluate
 from torcharm.files import atomic_write, is_stream, plain_cell
+from torcharm.inputs import HoldsTensors
 from torcharm.study.data import NamedArm, NamedTask, Settings, Study
 from torcharm.wrench_sets.node_distances import METRICS
 
@@ -23,7 +24,7 @@ _MM, _DEG = 1e3, 180.0 / np.pi
 
 
 @dataclass(frozen=True)
-class StudyResult:
+class StudyResult(HoldsTensors):
     """What `torcharm.evaluate` found for one arm on one task; a load has the task's batch shape.
 
     Attributes:
@@ -130,8 +131,9 @@ def write_results(path: str | PathLike[str], results: Sequence[StudyResult], end
 
     Columns: arm; task; load, counted from 1; force_x_N, force_y_N and moment_Nm at the tip (in space six); verdict and
     reason; tip_error_mm, tip_rotation_error_deg and shape_error_mm; worst_node, counted from 1, and worst_miss_N;
-    absolute_N and relative_N, the paper's sums; in_range, strain_excess and status, as in `Attainability`; and the
-    pressure that comes nearest, pressure_1_kPa and so on, one for each actuator.
+    absolute_N and relative_N, the paper's sums, which mix N and N·m by the weights as the miss does; in_range,
+    strain_excess and status, as in `Attainability`; and the pressure that comes nearest, pressure_1_kPa and so on, one
+    for each actuator.
 
     Raises:
         ValueError: the ending is none of `RESULT_FORMATS`.

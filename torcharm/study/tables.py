@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
+from torcharm.actuators import SHIPPED
 from torcharm.attainability import CHOICES
 from torcharm.attainability.verdict import ROTATION
 from torcharm.design.objective import AGGREGATES, Objective
@@ -58,8 +59,8 @@ class BendingTable(Table):
     reference_pressure: PositivePressure | None = None
 
 
-class PaperActuator(Table):
-    """One of the paper's actuators, perhaps changed."""
+class ShippedActuator(Table):
+    """One of the force models that torcharm ships, perhaps changed."""
 
     kind: str
     bending_stiffness: float | None = None
@@ -68,7 +69,7 @@ class PaperActuator(Table):
     force_scale: float | None = None
 
 
-class FileActuator(PaperActuator):
+class FileActuator(ShippedActuator):
     """A force model from a file of its own, perhaps changed."""
 
     path: Annotated[str, Field(description="the path of a force model's file, from the study's folder")]
@@ -95,13 +96,16 @@ def _named_kind(value: Any) -> Any:
     return {"kind": value} if isinstance(value, str) else value
 
 
+def _by_model(value: Any) -> str:
+    return "<shipped>" if value["kind"] in SHIPPED else by_kind(value)
+
+
 ActuatorTable = Annotated[
-    Annotated[PaperActuator, Tag("<bellows>")]
-    | Annotated[PaperActuator, Tag("<mckibben>")]
+    Annotated[ShippedActuator, Tag("<shipped>")]
     | Annotated[PolynomialTable, Tag("<polynomial>")]
     | Annotated[FileActuator, Tag("<file>")],
-    Discriminator(by_kind),
-    kind_among("bellows", "mckibben", "polynomial", "file"),
+    Discriminator(_by_model),
+    kind_among(*SHIPPED, "polynomial", "file"),
     BeforeValidator(_named_kind),
 ]
 

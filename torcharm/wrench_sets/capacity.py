@@ -13,7 +13,7 @@ from torch.utils.checkpoint import checkpoint
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
-from torcharm.inputs import check_choice, check_count, shapes_only
+from torcharm.inputs import HoldsTensors, check_choice, check_count, shapes_only
 from torcharm.load import ExternalLoad, PointLoad
 from torcharm.statics.cross_section import CrossSections
 from torcharm.task import Task
@@ -36,7 +36,7 @@ from torcharm.wrench_sets.rays import evaluate_ends, find_ends
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LoadCapacity:
+class LoadCapacity(HoldsTensors):
     """What `load_capacity` found. Shapes are (*design batch, *task batch), with N nodes added per node.
 
     Factors multiply the task's payload: its tip load and the wrenches of its point loads. Where no factor serves, they
@@ -47,7 +47,7 @@ class LoadCapacity:
         t_min, t_max: the least and the largest factor, of either sign, that they allow. An arm may need a load:
             then `t_min` is above 0.
         t_min_per_node, t_max_per_node: the same for each node alone.
-        limiting_node: the node, from 1 (base) to N, that sets `factor`; 0 where none does.
+        limiting_node: the index, from 0 at the base, of the node that sets `factor`; -1 where none does.
         attainable: whether there is a factor of at least 0.
         attainable_unloaded: whether factor 0 is allowed.
         unbounded: whether `factor` is infinite, as that of a payload that asks nothing of any set.
@@ -171,7 +171,7 @@ def _over_nodes(
         t_max=torch.where(possible, most, torch.nan),
         t_min_per_node=torch.where(own, low, torch.nan),
         t_max_per_node=torch.where(own, high, torch.nan),
-        limiting_node=torch.where(serves & ~unbounded, limiting + 1, 0),
+        limiting_node=torch.where(serves & ~unbounded, limiting, -1),
         attainable=serves,
         attainable_unloaded=possible & (least <= 0) & (most >= 0),
         unbounded=unbounded,

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torcharm.inputs import broadcast_shapes, check_count, shapes_only
+from torcharm.inputs import HoldsTensors, broadcast_shapes, check_count, shapes_only
 from torcharm.wrench_sets.once import once
 
 TOLERANCE = 1e-6
@@ -22,7 +22,7 @@ ROUNDINGS = 16
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class HullDistance:
+class HullDistance(HoldsTensors):
     """Distances from points to sets given by vertices, with what it takes to trust them.
 
     `value` is differentiable where its solver says so, once; everything else carries no gradient.
@@ -53,7 +53,7 @@ class HullDistance:
 
 
 @dataclass(frozen=True, eq=False)
-class KktResiduals:
+class KktResiduals(HoldsTensors):
     """How far weights are from optimal; nothing has a unit.
 
     Attributes:

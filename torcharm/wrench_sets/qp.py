@@ -117,7 +117,8 @@ def require_qpth() -> Layer:
         from qpth.qp import QPFunction
     except ImportError as error:
         raise ValueError(
-            "distance: 'qpth' needs the package qpth, which has no release for Python 3.13 and later; use 'gjk'"
+            "distance: 'qpth' needs the package qpth, which is not installed: `pip install qpth`, on Python up to 3.12 "
+            "and with numpy below 2, or use 'gjk'"
         ) from error
     # Without its check that Q is positive definite, one bad element does not stop a whole batch at once.
     return QPFunction(verbose=-1, check_Q_spd=False)

@@ -16,7 +16,7 @@ from torcharm.actuators import is_linear_in_pressure, pressure_knots
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.geometry.rod import check_segment_nodes
-from torcharm.inputs import check_tensor, shapes_only, shown
+from torcharm.inputs import HoldsTensors, check_tensor, shapes_only, shown
 from torcharm.statics.cross_section import CrossSections, actuator_force, cross_sections
 from torcharm.wrench_sets.design_task_grid import flat_segments, segments_of
 from torcharm.wrench_sets.vertex_sets import EDGE_SAMPLES, check_sets, edge_pressures, edge_vertices
@@ -34,7 +34,7 @@ FLAT = 1e-9
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WrenchHulls:
+class WrenchHulls(HoldsTensors):
     """Attainable sets of C components, 2 in the plane and 3 in space, as the convex hulls of V vertices.
 
     Attributes:
