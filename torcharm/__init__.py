@@ -15,6 +15,8 @@ from torcharm.actuators import (
     McKibben,
     Monotonicity,
     PolynomialActuator,
+    chamber,
+    elastic_core,
     monotonicity,
 )
 from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm, ring
@@ -100,10 +102,12 @@ __all__ = [
     "antagonistic_arm",
     "arc_to",
     "bellows_arm",
+    "chamber",
     "coefficient_tensor",
     "constant_curvature",
     "cubic_curvature",
     "distance_to_hull",
+    "elastic_core",
     "estimate_offset",
     "evaluate",
     "fit_force_model",

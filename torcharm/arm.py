@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torcharm.actuators import Actuator, Bellows, McKibben, model_of
+from torcharm.actuators import Actuator, Bellows, McKibben, is_passive, model_of
 from torcharm.inputs import (
     HoldsTensors,
     TensorLike,
@@ -73,7 +73,7 @@ class ArmDesign(HoldsTensors):
             length: (..., M) one for each actuator, or (...) one for each design [m].
             actuators: M force models or one for all: objects, names of shipped ones ("bellows", "mckibben"), or paths
                 of their files (a `Path`, or text that ends in .toml).
-            max_pressure: (..., M) or one for all [kPa]; None takes the models' own.
+            max_pressure: (..., M) or one for all [kPa]; None takes the models' own, and 0 for passive ones.
             offsets: (..., M, 2) a spatial arm's offsets (y, z) [m], in place of the radii; see `ring`.
             mass: (...) mass of the whole arm, one for each design [kg].
             torsion_stiffness: (...) one for each design [N·m²].
@@ -92,7 +92,8 @@ class ArmDesign(HoldsTensors):
             if value is None:
                 raise ValueError(f"{name}: must be given, got None")
         models = _models(actuators, **given)
-        limits = [model.max_pressure for model in models] if max_pressure is None else max_pressure
+        own = [0.0 if is_passive(model) else model.max_pressure for model in models]
+        limits = own if max_pressure is None else max_pressure
         given |= {"length": length, "max_pressure": limits, "mass": mass}
         optional = {"out_of_plane": out_of_plane, "torsion_stiffness": torsion_stiffness, "diameter": diameter}
         given |= {name: value for name, value in optional.items() if value is not None}

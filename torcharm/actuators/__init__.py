@@ -9,10 +9,12 @@ from torcharm.actuators.protocol import (
     check_actuator,
     force_slopes,
     is_linear_in_pressure,
+    is_passive,
     pressure_degree,
     pressure_knots,
     want_gradients,
 )
+from torcharm.actuators.ready import chamber, elastic_core
 from torcharm.actuators.shipped import SHIPPED, model_of
 
 __all__ = [
@@ -26,9 +28,12 @@ __all__ = [
     "McKibben",
     "Monotonicity",
     "PolynomialActuator",
+    "chamber",
     "check_actuator",
+    "elastic_core",
     "force_slopes",
     "is_linear_in_pressure",
+    "is_passive",
     "model_of",
     "monotonicity",
     "pressure_degree",

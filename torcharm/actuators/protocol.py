@@ -8,8 +8,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm.actuators.bending import Bending, Number, active_moment, bending_model, passive_moment
-from torcharm.actuators.inspection import holds_numbers_only, written_out
+from torcharm.actuators.bending import (
+    Bending,
+    ConstantBending,
+    Number,
+    active_moment,
+    bending_model,
+    passive_moment,
+)
+from torcharm.actuators.inspection import follows, holds_numbers_only, written_out
 from torcharm.inputs import plain_number, shown
 
 T = TypeVar("T")
@@ -132,6 +139,12 @@ def is_linear_in_pressure(actuator: Actuator) -> bool:
     """Whether the model says that its force is affine in pressure."""
     degree = pressure_degree(actuator)
     return degree is not None and degree <= 1 and not written_out(actuator, "pressure_knots")
+
+
+def is_passive(actuator: Actuator) -> bool:
+    """Whether the model says that pressure changes neither its force nor its moment: an elastic core, or a hose."""
+    constant = follows(actuator.bending_stiffness, ConstantBending, "active")
+    return constant and pressure_degree(actuator) == 0 and not written_out(actuator, "pressure_knots")
 
 
 def force_slopes(actuator: Actuator, strain: Tensor, pressure: Tensor) -> tuple[Tensor, Tensor, Tensor]:

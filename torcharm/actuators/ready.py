@@ -1,0 +1,65 @@
+"""Ready models for arms of one body: its pressure chambers, and the elastic material around them."""
+
+from torcharm.actuators.bending import ConstantBending, Number
+from torcharm.actuators.polynomial import PolynomialActuator
+from torcharm.inputs import check_number
+
+PASCALS = 1e3
+"""In a kilopascal."""
+USUAL_STRAINS = (-0.3, 1.0)
+"""Where soft silicones are usually taken for linear."""
+
+
+def chamber(
+    area: Number,
+    max_pressure: Number = 100.0,
+    strain_range: tuple[float, float] = USUAL_STRAINS,
+) -> PolynomialActuator:
+    """A pressure chamber in an elastic body: `f = p · area`, at any strain; it resists neither stretch nor bending.
+
+    Args:
+        area: of the chamber's cross-section [m²].
+        max_pressure: highest pressure in use, and to which the body is characterised [kPa].
+        strain_range: to which it is.
+
+    Raises:
+        ValueError: the area is not above 0, or as for `PolynomialActuator`.
+    """
+    check_number("area", area, 0.0, strict=True, unit="m²")
+    return PolynomialActuator(
+        coefficients=((0, 1, PASCALS),),
+        strain_range=strain_range,
+        pressure_range=(0.0, float(max_pressure)),
+        max_pressure=max_pressure,
+        bending_stiffness=0.0,
+        force_scale=area,
+    )
+
+
+def elastic_core(
+    axial_stiffness: Number,
+    bending_stiffness: Number,
+    strain_range: tuple[float, float] = USUAL_STRAINS,
+) -> PolynomialActuator:
+    """The body itself, a passive actuator: `f = -EA ε`, `τ = -EI κ/l`, whatever the pressure.
+
+    An arm's limit for it is 0. Its resistance to torsion, GJ, is the arm's `torsion_stiffness`.
+
+    Args:
+        axial_stiffness: EA [N].
+        bending_stiffness: EI [N·m²].
+        strain_range: to which the material is characterised.
+
+    Raises:
+        ValueError: a stiffness is not above 0, or as for `PolynomialActuator`.
+    """
+    check_number("axial_stiffness", axial_stiffness, 0.0, strict=True, unit="N")
+    check_number("bending_stiffness", bending_stiffness, 0.0, strict=True, unit="N·m²")
+    return PolynomialActuator(
+        coefficients=((1, 0, -1.0),),
+        strain_range=strain_range,
+        pressure_range=(0.0, 1.0),
+        max_pressure=1.0,
+        bending_stiffness=ConstantBending(-bending_stiffness),
+        force_scale=axial_stiffness,
+    )
