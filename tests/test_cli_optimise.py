@@ -79,6 +79,20 @@ def test_optimise_shows_and_saves_a_better_arm(tmp_path: Path) -> None:
     assert "antagonistic: better, as a pressure search confirms" in answer.stdout
 
 
+def test_the_best_arm_is_a_table_to_paste_into_the_study(tmp_path: Path) -> None:
+    answer = _run(tmp_path, "optimise", "study.toml", "--out", "best.toml")
+    assert answer.returncode == 0, answer.stderr
+    assert answer.stdout.splitlines()[-1] == "Wrote best.toml."
+    table = (tmp_path / "best.toml").read_text(encoding="utf-8")
+    assert "[[arm]]" not in answer.stdout
+    given, best = parse_study(STUDY.replace("[[task]]", f"{table}\n[[task]]", 1)).arms
+    assert best.name == "antagonistic, optimised"
+    assert best.design.actuators == given.design.actuators
+    assert best.design.radii.tolist() != given.design.radii.tolist()
+    for values in (best.design.radii, best.design.length):
+        assert all(f"{1e3 * value:.1f}" in answer.stdout for value in values.tolist())
+
+
 def test_one_plan_without_a_shape_costs_only_its_own_row(tmp_path: Path) -> None:
     far = '[[plan]]\nname = "far"\ntip_pose = [3.0, 3.0, 0.0]\ntip_load = [6.0, 0.0, 0.0]\nnodes = 3\n\n'
     answer = _run(

@@ -212,12 +212,12 @@ def test_a_study_sets_bending_models(tmp_path, actuator, bending):
 @pytest.mark.parametrize(
     ("actuator", "message"),
     [
-        ('{ kind = "file" }', "path: missing; must be the path of a force model's file"),
+        ('{ kind = "file" }', "path: missing; must be a text in quotes"),
         ('{ kind = "file", path = "none.toml" }', "none.toml: cannot be read: No such file"),
         ('{ kind = "file", path = "study.toml" }', "study.toml: kind: must be one of polynomial"),
         ('{ kind = "bellows", bending = 3 }', "bending: must be a table, got 3"),
         ('{ kind = "bellows", bending = { kind = "wild", stiffness = 1 } }', "kind: must be one of linear, constant"),
-        ('{ kind = "bellows", bending = { kind = "linear" } }', "stiffness: missing; must be K, a number"),
+        ('{ kind = "bellows", bending = { kind = "linear" } }', "stiffness: missing; must be a number"),
         (
             '{ kind = "bellows", bending_stiffness = 1, bending = { kind = "linear", stiffness = 1 } }',
             "bending: must not stand beside bending_stiffness",

@@ -459,8 +459,11 @@ BAD_STUDIES = {
     "TOML, too deep": ("a = " + "[" * 5000, "is not valid TOML"),
     "TOML, too many digits": ("a = " + "1" * 5000, "too many digits"),
     "empty": ("", "study.toml: name: missing; must be a text"),
-    "no arm": ('name = "x"', "arm: missing; must be at least one [[arm]]"),
-    "no task": ('name = "x"\n[[arm]]\nname = "a"\nkind = "bellows"', "task: missing; must be at least one [[task]]"),
+    "no arm": ('name = "x"', "arm: missing; must be tables that begin with [[arm]]"),
+    "no task": (
+        'name = "x"\n[[arm]]\nname = "a"\nkind = "bellows"',
+        "task: missing; must be tables that begin with [[task]]",
+    ),
     "empty arms": ('name = "x"\narm = []\ntask = []', "arm: must be tables that begin with [[arm]], got []"),
     "one bracket": (
         'name = "x"\ntask = []\n[arm]\nname = "a"',

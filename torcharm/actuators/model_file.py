@@ -4,7 +4,6 @@ A file holds a kind, what that kind is made of, the units (always strain, kPa, N
 quality and provenance. Floats are written so that they read back exactly: a round trip changes nothing.
 """
 
-import json
 import re
 import tomllib
 from collections.abc import Mapping
@@ -19,6 +18,7 @@ from torcharm.actuators.gridded import GriddedActuator
 from torcharm.actuators.polynomial import PolynomialActuator
 from torcharm.actuators.protocol import Actuator
 from torcharm.actuators.shipped import SHIPPED, model_of
+from torcharm.actuators.toml_text import toml_entry, toml_value
 from torcharm.files import atomic_write, read_file
 from torcharm.inputs import shown
 
@@ -74,7 +74,7 @@ def actuator_text(model: Actuator) -> str:
         tables["provenance"] = dict(provenance)
         if quality is not None:
             tables["quality"] = _plain(quality)
-    head = [_HEAD, f"kind = {_toml(kind)}", *_entries(values)]
+    head = [_HEAD, f"kind = {toml_value(kind)}", *_entries(values)]
     rest = [line for name, table in tables.items() for line in _section(name, table)]
     return "\n".join([*head, *rest, "", _END]) + "\n"
 
@@ -206,9 +206,6 @@ def _value(raw: Any, hint: Any, field: str) -> Any:
     return raw
 
 
-# TOML, of the few things that a model holds.
-
-
 def _section(name: str, table: Mapping[str, Any]) -> list[str]:
     """A table, with the tables in it after it."""
     flat = {key: value for key, value in table.items() if not isinstance(value, dict)}
@@ -218,22 +215,4 @@ def _section(name: str, table: Mapping[str, Any]) -> list[str]:
 
 
 def _entries(values: Mapping[str, Any]) -> list[str]:
-    return [f"{_key(key)} = {_toml(value)}" for key, value in values.items() if value is not None]
-
-
-def _key(key: str) -> str:
-    return key if key.isascii() and key.replace("_", "").isalnum() else _toml(key)
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{_key(key)} = {_toml(item)}" for key, item in value.items()) + " }"
-    if isinstance(value, list | tuple):
-        items = [_toml(item) for item in value]
-        nested = any(isinstance(item, list | tuple | dict) for item in value)
-        return "[\n" + "".join(f"  {item},\n" for item in items) + "]" if nested else f"[{', '.join(items)}]"
-    return repr(float(value)) if isinstance(value, float) else repr(int(value))
+    return [toml_entry(key, value) for key, value in values.items() if value is not None]

@@ -3,10 +3,12 @@
 A mistake that a person can make ends in one line on the standard error and exit code 2.
 """
 
+import re
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from torcharm.cli import evaluate, fit, init, optimise, plan, search, shape
 from torcharm.cli.terminal import INTERRUPTED, fail
@@ -56,12 +58,29 @@ def _root(
     pass  # holds the options of torcharm itself; `main` shows the help if there are none
 
 
-app.command(epilog="Example: torcharm init arms.toml")(init.init)
-app.command(epilog="Example: torcharm evaluate study.toml --out results.csv --figure picture.png")(evaluate.evaluate)
-app.command(epilog="Example: torcharm fit --instron run.csv --pressure run.txt --actuators 4 --out my_bellows.toml")(
-    fit.fit
-)
-app.command(epilog="Example: torcharm search study.toml --out pressures.csv")(search.search)
-app.command(epilog="Example: torcharm shape --pressure 20,30,20,25 --load 2,-3,0.1 --figure shape.png")(shape.shape)
-app.command(epilog="Example: torcharm optimise study.toml --out best.csv --figure best.png")(optimise.optimise)
-app.command(epilog="Example: torcharm plan study.toml --out shapes.csv")(plan.plan)
+class _Command(TyperCommand):
+    """A command in whose help texts brackets are brackets, as in [[plan]], and not rich's markup."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.help = _without_markup(self.help)
+        for parameter in self.params:
+            if getattr(parameter, "help", None):
+                parameter.help = _without_markup(parameter.help)  # type: ignore[attr-defined]
+
+
+def _without_markup(text: str | None) -> str | None:
+    """The text with a backslash before each bracket that rich would take for the beginning of a tag."""
+    return text and re.sub(r"(?=\[[a-z#/@])", r"\\", text)
+
+
+for _function, _example in (
+    (init.init, "torcharm init arms.toml"),
+    (evaluate.evaluate, "torcharm evaluate study.toml --out results.csv --figure picture.png"),
+    (fit.fit, "torcharm fit --instron run.csv --pressure run.txt --actuators 4 --out my_bellows.toml"),
+    (search.search, "torcharm search study.toml --out pressures.csv --figure reached.png"),
+    (shape.shape, "torcharm shape --pressure 20,30,20,25 --load 2,-3,0.1 --figure shape.png"),
+    (optimise.optimise, "torcharm optimise study.toml --out best.toml --figure best.png"),
+    (plan.plan, "torcharm plan study.toml --out shapes.csv --figure shapes.png"),
+):
+    app.command(cls=_Command, epilog=f"Example: {_example}")(_function)

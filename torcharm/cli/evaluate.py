@@ -12,11 +12,11 @@ import typer
 
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
+    check_ending,
     check_outputs,
-    check_result_format,
     count,
-    figure_paths,
     mistakes,
+    numbered,
     open_console,
     progress,
     save_all,
@@ -51,11 +51,11 @@ def evaluate(
         if paper and study is not None:
             raise ValueError(f"--paper: stands alone, got the study {study} too")
         check_outputs(study, out, figure)
-        check_result_format(out)
-        from torcharm.study import evaluate_study, example_study, load_study, paper_study
+        from torcharm.study import RESULT_FORMATS, evaluate_study, example_study, load_study, paper_study
 
+        check_ending("--out", out, RESULT_FORMATS)
         plan = paper_study() if paper else example_study() if study is None else load_study(study)
-        for path in [] if figure is None else figure_paths(figure, plan.tasks):
+        for path in numbered(figure, len(plan.tasks)):
             check_writable(path, "--figure")
         started = time.perf_counter()
         results: list[StudyResult] = []
@@ -104,11 +104,10 @@ def _outputs(
     if out is not None:
         rows, ending = sum(result.loads for result in results), f".{check_format(out)}"
         yield out, lambda path: write_results(path, results, ending), f" ({count(rows, 'row')})."
-    if figure is not None:
-        for place, task in zip(figure_paths(figure, plan.tasks), plan.tasks, strict=True):
-            shown = [result for result in results if result.task is task]
-            if shown:
-                yield place, partial(_draw, task=task, results=shown), f" ({task.name})."
+    for place, task in zip(numbered(figure, len(plan.tasks)), plan.tasks, strict=False):
+        shown = [result for result in results if result.task is task]
+        if shown:
+            yield place, partial(_draw, task=task, results=shown), f" ({task.name})."
 
 
 def _draw(path: Path, task: "NamedTask", results: Sequence["StudyResult"]) -> None:

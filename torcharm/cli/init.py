@@ -10,15 +10,18 @@ from torcharm.cli.terminal import mistakes, open_console, say
 
 def init(
     path: Annotated[Path, typer.Argument(help="Where to write it.")] = Path("study.toml"),
+    every: Annotated[
+        bool, typer.Option("--all", help="Write every key that a study may have, what it may be, and its default.")
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Overwrite the file if there is one.")] = False,
 ) -> None:
-    """Write a commented study to start from."""
+    """Write a commented study to start from; with --all, a reference of all keys, which is a study too."""
     with mistakes():
         from torcharm.files import atomic_write
-        from torcharm.study import example_text
+        from torcharm.study import example_text, key_reference
 
         if path.exists() and not force:
             raise ValueError(f"{path}: is there already; --force overwrites it")
         with atomic_write(path) as partial:
-            partial.write_text(example_text(), encoding="utf-8", newline="\n")
+            partial.write_text(key_reference() if every else example_text(), encoding="utf-8", newline="\n")
         say(open_console(), f"Wrote {path}. Evaluate it with: torcharm evaluate {path}")

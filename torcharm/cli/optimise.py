@@ -1,23 +1,26 @@
 """`torcharm optimise`: every arm of a study made better on all its tasks together."""
 
 import csv
+import math
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
-    INTERRUPTED,
+    check_ending,
     check_outputs,
     count,
-    fail,
     mistakes,
+    numbered,
     open_console,
+    progress,
     save_all,
     say,
 )
@@ -26,15 +29,21 @@ from torcharm.files import check_writable, plain_cell
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from torcharm.design import OptimisedDesign, Progress
+    from torcharm.design import Objective, OptimisedDesign, Progress
+    from torcharm.study import NamedArm, Study
 
-Found = Sequence[tuple[str, "OptimisedDesign"]]
+Found = Sequence[tuple["NamedArm", "OptimisedDesign"]]
 
 
 def optimise(
     study: Annotated[Path, typer.Argument(help="A study, as TOML; its table [optimise] says what may change.")],
     out: Annotated[
-        Path | None, typer.Option("--out", help="Write a CSV file: a row for every arm and actuator, given and best.")
+        Path | None,
+        typer.Option(
+            "--out",
+            help="Write the best arms: to a file .toml as tables [[arm]] to paste into a study, or to a file .csv as "
+            "a row for every arm and actuator, given and best.",
+        ),
     ] = None,
     figure: Annotated[
         Path | None,
@@ -50,38 +59,49 @@ def optimise(
     """
     with mistakes():
         check_outputs(study, out, figure)
+        check_ending("--out", out, ("csv", "toml"))
         _check_checkpoint(study, out, figure, checkpoint)
-        from torcharm.design import optimise_design
         from torcharm.study import load_study
 
         plan = load_study(study)
-        how, total = plan.optimisation, len(plan.arms)
         for option, path in (("--figure", figure), ("--checkpoint", checkpoint)):
-            for index in range(total if path is not None else 0):
-                check_writable(_numbered(path, index, total) or "", option)
-        tasks = [named.task for named in plan.tasks]
-        console = open_console()
-        results: list[tuple[str, OptimisedDesign]] = []
+            for one in numbered(path, len(plan.arms)):
+                check_writable(one, option)
+        results, interrupted = _optimise(plan, numbered(checkpoint, len(plan.arms)))
+        if results:
+            _tell(results)
+        save_all(open_console(), _outputs(results, out, numbered(figure, len(plan.arms))))
+        if interrupted:
+            raise KeyboardInterrupt
+
+
+def _optimise(plan: "Study", checkpoints: Sequence[Path]) -> "tuple[Found, bool]":
+    """The arms in their order, up to the one at which Ctrl-C came, and whether it did."""
+    from torcharm.design import optimise_design
+
+    how, tasks = plan.optimisation, [named.task for named in plan.tasks]
+    results: list[tuple[NamedArm, OptimisedDesign]] = []
+    with progress("optimising", how.starts * len(plan.arms)) as move, _warnings_in_a_line():
         for index, arm in enumerate(plan.arms):
-            with _warnings_in_a_line(), _shown_progress(arm.name) as told:
-                result = optimise_design(
-                    arm.design,
-                    tasks,
-                    how.space,
-                    how.objective,
-                    starts=how.starts,
-                    seed=how.seed,
-                    iterations=how.iterations,
-                    checkpoint=_numbered(checkpoint, index, total),
-                    callback=told,
-                )
-            results.append((arm.name, result))
+            options: dict[str, Any] = {"starts": how.starts, "seed": how.seed, "iterations": how.iterations}
+            options["checkpoint"] = checkpoints[index] if checkpoints else None
+            options["callback"] = partial(_move, move, arm.name, index * how.starts, how.objective)
+            try:
+                result = optimise_design(arm.design, tasks, how.space, how.objective, **options)
+            except KeyboardInterrupt:  # before or after its descents
+                return results, True
+            results.append((arm, result))
             if result.stopped == "interrupted":
-                break
-        _tell(results)
-        save_all(console, _outputs(results, out, figure, total))
-        if results[-1][1].stopped == "interrupted":
-            fail("interrupted", INTERRUPTED)
+                return results, True
+            move(to=(index + 1) * how.starts)
+    return results, False
+
+
+def _move(move: Callable[..., None], name: str, before: int, objective: "Objective", done: "Progress") -> None:
+    """Move the bar on to the starts that have ended, with the best value until then."""
+    scale, unit = (1e3, "mm") if objective.unit == "m" else (1.0, objective.unit)
+    best = f"{scale * done.value:.4g} {unit}" if math.isfinite(done.value) else "-"
+    move(to=before + done.start, words=f"{name}, best {best}")
 
 
 def _check_checkpoint(study: Path, out: Path | None, figure: Path | None, checkpoint: Path | None) -> None:
@@ -94,30 +114,31 @@ def _tell(results: Found) -> None:
     from torcharm.design.result import objective_words
 
     console = open_console()
-    console.print(_table(results))
+    console.print(_errors_table(results))
+    console.print()
+    console.print(_designs_table(results))
     console.print()
     first = results[0][1]
     words, tasks = objective_words(first.objective), count(len(first.after.stable), "task")
     unit = "mm" if first.objective.unit == "m" else "N"
-    say(console, f"Value: {words} [{unit}], of {tasks}. Tip: mean predicted error [mm]. Designs are in mm and kPa.")
-    for name, result in results:
-        say(console, f"{name}: {result.status}.")
+    say(console, f"Value: {words} [{unit}], of {tasks}. Tip: mean predicted error [mm].")
+    for arm, result in results:
+        say(console, f"{arm.name}: {result.status}.")
         if result.violated and result.best is not result.given:
-            say(console, f"{name}: the given arm breaks: {'; '.join(result.violated)}.")
+            say(console, f"{arm.name}: the given arm breaks: {'; '.join(result.violated)}.")
         if result.active:
-            say(console, f"{name}: the best arm is held back by: {'; '.join(result.active)}.")
+            say(console, f"{arm.name}: the best arm is held back by: {'; '.join(result.active)}.")
 
 
 def _outputs(
-    results: Found, out: Path | None, figure: Path | None, total: int
+    results: Found, out: Path | None, figures: Sequence[Path]
 ) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
-    if out is not None:
-        yield out, lambda path: _write(path, results), "."
-    for index, (name, result) in enumerate(results if figure is not None else ()):
+    if out is not None and results:
+        yield out, lambda path: _write(path, results, out.suffix.lower()), "."
+    for place, (arm, result) in zip(figures, results, strict=False):
         from torcharm.plot import optimisation_figure
 
-        drawn = optimisation_figure(result, name)
-        yield _numbered(figure, index, total) or Path(), drawn.savefig, f" ({name})."
+        yield place, optimisation_figure(result, arm.name).savefig, f" ({arm.name})."
 
 
 @contextmanager
@@ -129,72 +150,83 @@ def _warnings_in_a_line() -> Iterator[None]:
         yield
 
 
-@contextmanager
-def _shown_progress(name: str) -> "Iterator[Callable[[Progress], None]]":
-    """A progress bar on the standard error, if it is a terminal; yields what updates it."""
-    from rich.console import Console
-    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as Bar
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("best {task.fields[value]}"),
-        TimeElapsedColumn(),
-    )
-    with Bar(*columns, console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bar:
-        task = bar.add_task(name, total=None, value="-")
-
-        def told(progress: "Progress") -> None:
-            bar.update(task, completed=progress.start, total=progress.starts, value=f"{progress.value:.4g}")
-
-        yield told
+def _write(path: Path, results: Found, ending: str) -> None:
+    if ending == ".toml":
+        path.write_text(_toml(results), encoding="utf-8", newline="\n")
+    else:
+        _write_rows(path, results)
 
 
-def _numbered(path: Path | None, index: int, total: int) -> Path | None:
-    if path is None or total == 1:
-        return path
-    return path.with_stem(f"{path.stem}-{index + 1}")
-
-
-def _write(path: Path, results: Found) -> None:
+def _toml(results: Found) -> str:
     from torcharm.arm import ArmDesign
+    from torcharm.study import arm_to_toml
 
+    tables = []
+    for arm, result in results:
+        assert isinstance(result.best, ArmDesign)  # studies hold no others
+        tables.append(f"# {result.status}\n" + arm_to_toml(result.best, f"{arm.name}, optimised", arm.files))
+    return "\n".join(tables)
+
+
+def _write_rows(path: Path, results: Found) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         fields = ("radius_m", "length_m", "max_pressure_kPa")
         writer.writerow(("arm", "actuator", "model", *(f"given_{name}" for name in fields), *fields))
-        for name, result in results:
-            columns = []
-            for arm in (result.given, result.best):
-                assert isinstance(arm, ArmDesign)  # studies hold no others
-                columns += [value.tolist() for value in (arm.radii, arm.length, arm.max_pressure)]
-            for index, values in enumerate(zip(*columns, strict=True)):
+        for arm, result in results:
+            for index, values in enumerate(_values(result)):
                 model = type(result.best.actuators[index]).__name__
-                writer.writerow((plain_cell(name), index + 1, plain_cell(model), *values))
+                writer.writerow((plain_cell(arm.name), index + 1, plain_cell(model), *values))
 
 
-def _table(results: Found) -> "Table":
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
+def _values(result: "OptimisedDesign") -> Iterator[tuple[float, ...]]:
+    """For each actuator radius, length and limit, given and then best."""
     from torcharm.arm import ArmDesign
 
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
-    table.add_column("arm", overflow="fold")
+    columns = []
+    for arm in (result.given, result.best):
+        assert isinstance(arm, ArmDesign)  # studies hold no others
+        columns += [value.tolist() for value in (arm.radii, arm.length, arm.max_pressure)]
+    return zip(*columns, strict=True)
+
+
+def _errors_table(results: Found) -> "Table":
+    from rich.text import Text
+
+    table = _new_table("arm")
     for name in ("value\ngiven", "value\nbest", "tip\ngiven", "tip\nbest"):
-        table.add_column(name, justify="right")
-    for name in ("radii", "lengths", "limits"):
-        table.add_column(name, overflow="fold")
-    for name, result in results:
-        best, scale = result.best, 1e3 if result.objective.unit == "m" else 1.0
-        assert isinstance(best, ArmDesign)
+        table.add_column(name, justify="right", no_wrap=True)
+    for arm, result in results:
+        scale = 1e3 if result.objective.unit == "m" else 1.0
         table.add_row(
-            Text(name),
+            Text(arm.name),
             *(f"{scale * value:.4g}" for value in (result.given_value, result.value)),
             *(f"{side.tip_mm:.4g}" for side in (result.before, result.after)),
-            *(" ".join(f"{1e3 * value:.1f}" for value in field.tolist()) for field in (best.radii, best.length)),
-            " ".join(f"{value:.3g}" for value in best.max_pressure.tolist()),
         )
+    return table
+
+
+def _designs_table(results: Found) -> "Table":
+    """A row for each actuator: what it was and is."""
+    from rich.text import Text
+
+    table = _new_table("arm")
+    table.add_column("actuator", overflow="fold", max_width=16)
+    for name in ("radius [mm]", "length [mm]", "limit [kPa]"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for arm, result in results:
+        for index, (*given, radius, length, limit) in enumerate(_values(result)):
+            pairs = zip(given, (radius, length, limit), (1e3, 1e3, 1.0), strict=True)
+            cells = [f"{scale * old:.1f} → {scale * new:.1f}" for old, new, scale in pairs]
+            model = f"{index + 1} {type(result.best.actuators[index]).__name__}"
+            table.add_row(Text("" if index else arm.name), Text(model), *cells)
+    return table
+
+
+def _new_table(first: str) -> "Table":
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
+    table.add_column(first, overflow="fold", max_width=20)
     return table

@@ -1,66 +1,143 @@
 """`torcharm plan`: shapes through the tip poses of a study."""
 
 import csv
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from torcharm.cli.terminal import check_outputs, count, mistakes, open_console, save_all, say
-from torcharm.files import plain_cell
+from torcharm.cli.terminal import (
+    FIGURE_FORMATS,
+    check_ending,
+    check_outputs,
+    count,
+    mistakes,
+    numbered,
+    open_console,
+    progress,
+    save_all,
+    say,
+)
+from torcharm.files import check_writable, plain_cell
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from torcharm.design.shape_planning import PlannedShape
+    from torcharm.study import NamedArm, Study
+    from torcharm.study.data import NamedPlan
 
-Found = tuple[str, str, "PlannedShape"]
+Found = tuple["NamedPlan", "NamedArm", "PlannedShape"]
 
 
 def plan(
     study: Annotated[Path, typer.Argument(help="A study, as TOML, with tables that begin with [[plan]].")],
     out: Annotated[
-        Path | None, typer.Option("--out", help="Write a CSV file: a row for every plan, arm and node.")
+        Path | None, typer.Option("--out", help="Write a row for every plan, arm and node, to a file .csv.")
+    ] = None,
+    figure: Annotated[
+        Path | None,
+        typer.Option("--figure", help=f"Draw the shapes, to a file ending in {', '.join(FIGURE_FORMATS)}."),
     ] = None,
 ) -> None:
     """Find shapes through the tip poses of a study, for each of its arms.
 
-    Each element's wrench is taken at its middle.
+    Each element's wrench is taken at its middle. Ctrl-C ends the work and shows what was found until then.
     """
     with mistakes():
-        check_outputs(study, out, None)
-        from torcharm.design.shape_planning import plan_shape
+        check_outputs(study, out, figure)
+        check_ending("--out", out, ("csv",))
         from torcharm.study import load_study
-        from torcharm.study.fields import within
 
         read = load_study(study)
         if not read.plans:
             raise ValueError(f"{study}: plan: must hold at least one table that begins with [[plan]], got none")
-        console = open_console()
+        for path in numbered(figure, len(read.plans)):
+            check_writable(path, "--figure")
         found: list[Found] = []
+        interrupted = False
+        try:
+            _find(read, found)
+        except KeyboardInterrupt:  # what is finished is shown and written all the same
+            interrupted = True
+        _tell(found)
+        save_all(open_console(), _outputs(read, found, out, figure))
+        if interrupted:
+            raise KeyboardInterrupt
+        refused = [f"{_whose(one)}: {one[-1].status}" for one in found if one[-1].status.startswith(REFUSED)]
+        if refused:
+            raise ValueError(f"{study}: {'; '.join(refused)}")
+
+
+REFUSED = "refused: "
+"""How the status begins of a plan that is none, as `plan_shape` says by an error."""
+
+
+def _find(read: "Study", found: list[Found]) -> None:
+    """Append to `found` what is found of each plan by each arm."""
+    import torch
+
+    from torcharm.design.shape_planning import PlannedShape, plan_shape
+
+    with progress("planning", len(read.plans) * len(read.arms)) as advance:
         for wanted in read.plans:
             for arm in read.arms:
-                with within(f"{study}: plan", f"{wanted.name}, {arm.name}"):
-                    shape = plan_shape(
-                        arm.design,
-                        wanted.tip_pose,
-                        wanted.tip_load,
-                        wanted.smoothness,
-                        nodes=wanted.nodes,
-                        base_pose=wanted.base_pose,
-                        in_range=wanted.in_range,
-                    )
-                found.append((wanted.name, arm.name, shape))
-        console.print(_table(found))
-        missing = [one for one in found if not one[-1].found]
-        if missing:
-            console.print()
-        for plan_name, arm_name, shape in missing:
-            say(console, f"{plan_name}, {arm_name}: {shape.status}.")
-        if out is not None:
-            rows = sum(len(shape.twists) for *_, shape in found if shape.found)
-            save_all(console, [(out, lambda path: _write(path, found), f" ({count(rows, 'row')}).")])
+                pose, load, how = wanted.tip_pose, wanted.tip_load, wanted.smoothness
+                options = {"nodes": wanted.nodes, "base_pose": wanted.base_pose, "in_range": wanted.in_range}
+                try:
+                    shape = plan_shape(arm.design, pose, load, how, **options)  # type: ignore[arg-type]
+                except ValueError as error:  # costs this plan alone
+                    none = torch.full((wanted.nodes, 3), math.nan)
+                    shape = PlannedShape(f"{REFUSED}{error}", none, math.nan, math.nan, None)
+                found.append((wanted, arm, shape))
+                advance()
+
+
+def _whose(one: Found) -> str:
+    return f"{one[0].name}, {one[1].name}"
+
+
+def _tell(found: Sequence[Found]) -> None:
+    console = open_console()
+    if not found:
+        return
+    console.print(_table(found))
+    console.print()
+    for one in found:
+        if not one[-1].found:
+            say(console, f"{_whose(one)}: {one[-1].status}.")
+    for line in LEGEND:
+        say(console, line)
+
+
+LEGEND = (
+    "cost: what was minimised; tip off: how far from the planned tip the arm is predicted to be",
+    "absolute, relative: what nodes lack in sum; lengths and bends: least and largest of the elements",
+)
+
+
+def _outputs(
+    read: "Study", found: Sequence[Found], out: Path | None, figure: Path | None
+) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
+    if out is not None and found:
+        rows = sum(len(shape.twists) for *_, shape in found if shape.found)
+        yield out, lambda path: _write(path, found), f" ({count(rows, 'row')})."
+    for place, wanted in zip(numbered(figure, len(read.plans)), read.plans, strict=False):
+        shown = [one for one in found if one[0] is wanted and not one[-1].status.startswith(REFUSED)]
+        if shown:
+            yield place, partial(_draw, found=shown), f" ({wanted.name})."
+
+
+def _draw(path: Path, found: Sequence[Found]) -> None:
+    from torcharm.plot import plan_figure
+
+    wanted = found[0][0]
+    shapes = [(arm.name, arm.design, shape) for _, arm, shape in found]
+    drawn = plan_figure(shapes, wanted.name, wanted.tip_pose, wanted.tip_load, base_pose=wanted.base_pose)
+    drawn.savefig(path)
 
 
 def _table(found: Sequence[Found]) -> "Table":
@@ -69,22 +146,19 @@ def _table(found: Sequence[Found]) -> "Table":
     from rich.text import Text
 
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
-    for name in ("plan", "arm"):
-        table.add_column(name, overflow="fold")
-    for name in ("cost", "absolute", "relative", "tip error", "lengths", "curvatures"):
-        table.add_column(name, justify="right", overflow="fold")
-    table.add_column("strain\nin range")
-    for name, arm, shape in found:
-        result = shape.attainability
+    table.add_column("plan,\narm", overflow="fold", max_width=30)
+    for heading in ("cost", "tip off\n[mm]", "absolute\nrelative", "lengths\n[m]", "bends\n[rad]"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("verdict", overflow="fold", max_width=12)
+    for wanted, arm, shape in found:
+        result, name = shape.attainability, Text(f"{wanted.name},\n{arm.name}")
         if result is None:
-            table.add_row(Text(name), Text(arm), "no shape", *["-"] * 6)
+            table.add_row(name, *["-"] * 5, "no shape" if shape.status.startswith("no") else "refused")
             continue
-        metrics = ["-" if value is None else f"{float(value):.4g}" for value in (result.absolute, result.relative)]
+        sums = ["-" if value is None else f"{float(value):.4g}" for value in (result.absolute, result.relative)]
         spans = [f"{float(column.min()):.3f}\n{float(column.max()):.3f}" for column in shape.twists.unbind(-1)]
-        inside = "yes" if bool(result.in_range) else "no"
-        table.add_row(
-            Text(name), Text(arm), f"{shape.cost:.4g}", *metrics, f"{shape.tip_error:.1e}", spans[0], spans[2], inside
-        )
+        off = "-" if result.tip_error is None else f"{1e3 * float(result.tip_error):.3g}"
+        table.add_row(name, f"{shape.cost:.4g}", off, "\n".join(sums), spans[0], spans[2], str(result.verdict))
     return table
 
 
@@ -92,6 +166,6 @@ def _write(path: Path, found: Sequence[Found]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("plan", "arm", "node", "length_m", "shear_m", "curvature_rad"))
-        for name, arm, shape in (one for one in found if one[-1].found):
+        for wanted, arm, shape in (one for one in found if one[-1].found):
             for node, twist in enumerate(shape.twists.tolist(), 1):
-                writer.writerow((plain_cell(name), plain_cell(arm), node, *twist))
+                writer.writerow((plain_cell(wanted.name), plain_cell(arm.name), node, *twist))

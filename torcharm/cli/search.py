@@ -2,17 +2,29 @@
 
 import csv
 import math
-import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torcharm.cli.terminal import check_outputs, count, mistakes, open_console, save_all, say
-from torcharm.files import atomic_write, is_stream, plain_cell
+from torcharm.cli.terminal import (
+    FIGURE_FORMATS,
+    check_ending,
+    check_outputs,
+    count,
+    mistakes,
+    numbered,
+    open_console,
+    progress,
+    save_all,
+    say,
+)
+from torcharm.files import atomic_write, check_writable, is_stream, plain_cell
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -20,6 +32,7 @@ if TYPE_CHECKING:
     from torcharm.pressure.search import PressureSearch
     from torcharm.study import NamedArm, NamedTask
 
+Found = Sequence[tuple["NamedArm", "PressureSearch"]]
 BLOCKS = {"multistart": 100, "scipy": 1}
 """Loads searched at once: what an interruption may lose."""
 PAUSE = 2.0
@@ -31,7 +44,16 @@ def search(
         Path | None, typer.Argument(help="A study, as TOML. Without one, the paper's validation.", show_default=False)
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", help="Write a CSV file: a row for every arm, task and load, as it is found.")
+        Path | None,
+        typer.Option("--out", help="Write a row for every arm, task and load, as it is found, to a file .csv."),
+    ] = None,
+    figure: Annotated[
+        Path | None,
+        typer.Option(
+            "--figure",
+            help="Draw the shapes reached under the loads of least, median and largest tip error, to a file ending "
+            f"in {', '.join(FIGURE_FORMATS)}.",
+        ),
     ] = None,
     method: Annotated[str, typer.Option(help="multistart, or scipy (the paper's, slow).")] = "multistart",
     starts: Annotated[
@@ -39,9 +61,13 @@ def search(
     ] = None,
     weights: Annotated[str, typer.Option(help="Of the nodes: ramp, uniform, tip.")] = "ramp",
 ) -> None:
-    """Search the pressure that brings every arm closest to every task, through its forward mechanics."""
+    """Search the pressure that brings every arm closest to every task, through its forward mechanics.
+
+    Ctrl-C ends the search and shows what was found until then.
+    """
     with mistakes():
-        check_outputs(study, out, None)
+        check_outputs(study, out, figure)
+        check_ending("--out", out, ("csv",))
         from torcharm.inputs import check_choice
         from torcharm.pressure.pose_cost import NODE_WEIGHTS
         from torcharm.pressure.search import METHODS
@@ -52,33 +78,83 @@ def search(
         if starts is not None and starts < 1:
             raise ValueError(f"--starts: must be at least 1, got {starts}")
         plan = paper_study() if study is None else load_study(study)
-        console = open_console()
+        for path in numbered(figure, len(plan.tasks)):
+            check_writable(path, "--figure")
         kept = _Rows(out, _header(max(arm.design.actuator_count for arm in plan.arms)))
+        results: list[tuple[NamedTask, Found]] = []
+        interrupted = False
         with kept:
             for task in plan.tasks:
-                rows = []
-                for arm in plan.arms:
-                    found = []
-                    for first, block in _blocks(arm, task, method, starts, weights):
-                        found.append(block)
-                        kept.add(_rows(arm, task, first, block))
-                    rows.append((arm.name, found))
-                loads = count(sum(len(block.cost) for block in rows[0][1]), "load")
-                say(console, f"Task {task.name}, {count(task.task.nodes, 'node')}, {loads}")
-                console.print()
-                console.print(_table(rows))
-                console.print()
-                for name, found in rows:
-                    failed = sum(int(block.cost.isinf().sum()) for block in found)
-                    if failed:
-                        loads = count(failed, "load")
-                        say(
-                            console, f"{name}: no equilibrium was found under {loads}, left out of all but `converged`."
-                        )
-        for line in LEGEND:
+                found, interrupted = _search(plan.arms, task, kept, method, starts, weights)
+                if found:
+                    results.append((task, found))
+                    _report(task, found)
+                if interrupted:
+                    break
+        console = open_console()
+        for line in LEGEND if results else ():
             say(console, line)
-        if out is not None:
-            save_all(console, [(out, kept.write, f" ({count(len(kept.rows), 'row')}).")])
+        save_all(console, _outputs(kept, results, numbered(figure, len(plan.tasks))))
+        if interrupted:
+            raise KeyboardInterrupt
+
+
+def _search(
+    arms: "Sequence[NamedArm]", task: "NamedTask", kept: "_Rows", method: str, starts: int | None, weights: str
+) -> "tuple[Found, bool]":
+    """What is found of all arms on one task, and whether Ctrl-C came between."""
+    import torch
+
+    from torcharm.pressure.search import PressureSearch
+
+    blocks: dict[str, list[PressureSearch]] = {arm.name: [] for arm in arms}
+    interrupted = False
+    with progress(task.name, len(arms) * len(_starts_of_blocks(task, method))) as advance:
+        try:
+            for arm in arms:
+                for first, block in _blocks(arm, task, method, starts, weights):
+                    blocks[arm.name].append(block)
+                    kept.add(_rows(arm, task, first, block))
+                    advance()
+        except KeyboardInterrupt:  # what is finished is shown and written all the same
+            interrupted = True
+    names = [field.name for field in fields(PressureSearch)]
+    found = []
+    for arm in arms:
+        if own := blocks[arm.name]:
+            columns = (torch.cat([getattr(block, name) for block in own]) for name in names)
+            found.append((arm, PressureSearch(*columns)))
+    return found, interrupted
+
+
+def _report(task: "NamedTask", found: "Found") -> None:
+    console = open_console()
+    loads = count(math.prod(task.task.batch_shape), "load")
+    say(console, f"Task {task.name}, {count(task.task.nodes, 'node')}, {loads}")
+    console.print()
+    console.print(_table(found))
+    console.print()
+    for arm, result in found:
+        failed = int(result.cost.isinf().sum())
+        if failed:
+            loads = count(failed, "load")
+            say(console, f"{arm.name}: no equilibrium was found under {loads}, left out of all but `converged`.")
+
+
+def _outputs(
+    kept: "_Rows", results: "Sequence[tuple[NamedTask, Found]]", figures: Sequence[Path]
+) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
+    if kept.path is not None and results:
+        yield kept.path, kept.write, f" ({count(len(kept.rows), 'row')})."
+    for place, (task, found) in zip(figures, results, strict=False):
+        yield place, partial(_draw, task=task, found=found), f" ({task.name})."
+
+
+def _draw(path: Path, task: "NamedTask", found: "Found") -> None:
+    from torcharm.plot import search_figure
+
+    shown = [(arm.name, arm.design, result) for arm, result in found]
+    search_figure(shown, task.name, task.task).savefig(path)
 
 
 class _Rows:
@@ -129,13 +205,15 @@ LEGEND = (
 )
 
 
+def _starts_of_blocks(task: "NamedTask", method: str) -> range:
+    """The first load of each block, from 0."""
+    return range(0, math.prod(task.task.batch_shape), BLOCKS[method])
+
+
 def _blocks(
     arm: "NamedArm", task: "NamedTask", method: str, starts: int | None, weights: str
 ) -> "Iterator[tuple[int, PressureSearch]]":
     """The searches of one arm on one task, some loads at a time, with the number of the first load."""
-    from rich.console import Console
-    from rich.progress import track
-
     from torcharm.pressure.pose_cost import PoseCost
     from torcharm.pressure.search import search_pressure
     from torcharm.task import Task
@@ -143,11 +221,8 @@ def _blocks(
     whole = task.task
     loads = whole.tip_load.expand(*whole.batch_shape, 3).reshape(-1, 3)
     shapes = whole.twists.expand(*whole.batch_shape, *whole.twists.shape[-2:]).reshape(-1, *whole.twists.shape[-2:])
-    size = BLOCKS[method]
-    places = range(0, len(loads), size)
-    errors = Console(stderr=True)
-    for first in track(places, f"{arm.name}, {task.name}", console=errors, transient=True, disable=not _seen()):
-        here = slice(first, first + size)
+    for first in _starts_of_blocks(task, method):
+        here = slice(first, first + BLOCKS[method])
         part = Task(
             shapes[here],
             loads[here],
@@ -156,14 +231,8 @@ def _blocks(
             wrench_at=whole.wrench_at,
             segment_nodes=whole.segment_nodes,
         )
-        yield (
-            first + 1,
-            search_pressure(arm.design, part, method, starts=starts, pose_cost=PoseCost(weights), progress=False),
-        )
-
-
-def _seen() -> bool:
-    return sys.stderr.isatty()
+        found = search_pressure(arm.design, part, method, starts=starts, pose_cost=PoseCost(weights), progress=False)
+        yield first + 1, found
 
 
 def _header(actuators: int) -> list[str]:
@@ -197,29 +266,24 @@ def _rows(arm: "NamedArm", task: "NamedTask", first: int, found: "PressureSearch
         ]
 
 
-def _table(rows: "Sequence[tuple[str, list[PressureSearch]]]") -> "Table":
-    import torch
+def _table(found: "Found") -> "Table":
     from rich import box
     from rich.table import Table
     from rich.text import Text
 
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
-    table.add_column("arm", overflow="fold")
+    table.add_column("arm", overflow="fold", max_width=24)
     for heading in ("cost\nmedian", "cost\nlargest", "tip [mm]\nmedian", "converged", "snapped", "out of\nrange"):
-        table.add_column(heading, justify="right")
-    for name, blocks in rows:
-        cost, tip, converged, continued, within = (
-            torch.cat([getattr(block, field) for block in blocks])
-            for field in ("cost", "tip_error", "converged", "continued", "in_range")
-        )
-        found = cost.isfinite()
-        best, near = cost[found], tip[found]
+        table.add_column(heading, justify="right", no_wrap=True)
+    for arm, result in found:
+        cost, known = result.cost, result.cost.isfinite()
+        best, near = cost[known], result.tip_error[known]
         measured = (best.quantile(0.5), best.max(), 1e3 * near.quantile(0.5)) if len(best) else ()
         cells = (
             *([f"{value:.4g}" for value in measured] or ["-"] * 3),
-            f"{int(converged.sum())} of {len(cost)}",
-            str(int((found & ~continued).sum())),
-            str(int((found & ~within).sum())),
+            f"{int(result.converged.sum())} of {len(cost)}",
+            str(int((known & ~result.continued).sum())),
+            str(int((known & ~result.in_range).sum())),
         )
-        table.add_row(Text(name), *cells)
+        table.add_row(Text(arm.name), *cells)
     return table

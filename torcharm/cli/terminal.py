@@ -6,12 +6,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from torcharm.files import atomic_write, check_writable
+from torcharm.files import atomic_write, check_writable, is_stream
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-    from torcharm.study import NamedTask
 
 FIGURE_FORMATS = ("png", "pdf", "svg", "jpg", "eps")
 MISTAKE, INTERRUPTED = 2, 130
@@ -51,35 +49,38 @@ def check_outputs(study: Path | None, out: Path | None, figure: Path | None) -> 
             raise ValueError(f"{option}: {path}: is the study itself, must be another file")
     if figure is None:
         return
-    if figure.suffix.lower().removeprefix(".") not in FIGURE_FORMATS:
-        raise ValueError(
-            f"--figure: {figure}: must end in one of .{', .'.join(FIGURE_FORMATS)}, got {figure.suffix or 'no ending'}"
-        )
+    check_ending("--figure", figure, FIGURE_FORMATS)
     if out is not None and out.resolve() == figure.resolve():
         raise ValueError(f"--figure: {figure}: is the file of --out, must be another")
 
 
-def check_result_format(out: Path | None) -> None:
-    """Raise a ValueError unless an output of results, if there is one, ends as a format of them."""
-    if out is None:
+def check_ending(option: str, path: Path | None, allowed: Sequence[str]) -> None:
+    """Raise a ValueError unless an output, if there is one, ends in one of the formats allowed, or is a stream."""
+    if path is None or path.suffix.lower().removeprefix(".") in allowed or (option == "--out" and is_stream(path)):
         return
-    from torcharm.study import check_format
-
-    try:
-        check_format(out)
-    except ValueError as error:
-        raise ValueError(f"--out: {error}") from None
+    which = f"one of .{', .'.join(allowed)}" if len(allowed) > 2 else f".{' or .'.join(allowed)}"
+    raise ValueError(f"{option}: {path}: must end in {which}, got {path.suffix or 'no ending'}")
 
 
 @contextmanager
-def progress(what: str, total: int) -> Iterator[Callable[[], None]]:
-    """A bar on the standard error, of a terminal only, which the function that is given moves on by one."""
-    from rich.console import Console
-    from rich.progress import Progress
+def progress(what: str, total: int) -> Iterator[Callable[..., None]]:
+    """A bar on the standard error, of a terminal only.
 
-    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bar:
-        task = bar.add_task(what, total=total)
-        yield lambda: bar.advance(task)
+    Gives a function that moves it on by one; or to so many of the total, as `to=3`, with some words behind the bar.
+    """
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import Progress, TextColumn
+
+    columns = (*Progress.get_default_columns(), TextColumn("{task.fields[words]}", markup=False))
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not sys.stderr.isatty()) as bar:
+        task = bar.add_task(escape(what), total=total, words="")
+
+        def move(to: int | None = None, words: str = "") -> None:
+            bar.update(task, advance=1 if to is None else None, completed=to, words=words)
+
+        yield move
 
 
 def save_all(console: "Console", outputs: Iterable[tuple[Path, Callable[[Path], object], str]]) -> None:
@@ -104,11 +105,11 @@ def save_all(console: "Console", outputs: Iterable[tuple[Path, Callable[[Path], 
         raise ValueError("; ".join(failed))
 
 
-def figure_paths(path: Path, tasks: Sequence["NamedTask"]) -> list[Path]:
-    """The path itself for one task; with the task's number for each of several."""
-    if len(tasks) == 1:
-        return [path]
-    return [path.with_stem(f"{path.stem}-{index}") for index in range(1, len(tasks) + 1)]
+def numbered(path: Path | None, count: int) -> list[Path]:
+    """The path itself for one thing to write; with the thing's number for each of several; nothing without a path."""
+    if path is None or count == 1:
+        return [] if path is None else [path]
+    return [path.with_stem(f"{path.stem}-{index}") for index in range(1, count + 1)]
 
 
 def open_console() -> "Console":

@@ -1,7 +1,7 @@
 """Pictures of arms, tasks, attainable sets and results.
 
-`import torcharm` loads no matplotlib; `from torcharm import plot` does. Except for the two figures, every function
-draws into the axes it is given, or makes some, and returns them. Nothing is shown, and no setting is changed.
+`import torcharm` loads no matplotlib; `from torcharm import plot` does. Except where a whole figure is made, every
+function draws into the axes it is given, or makes some, and returns them. Nothing is shown, and no setting is changed.
 Colour is never the only cue: the attainable is black and solid or a dot, the rest vermillion and dashed or a cross.
 """
 
@@ -19,6 +19,7 @@ from torcharm.plot.histograms import unattainability_histogram
 from torcharm.plot.hulls import hulls_along_arm, node_hull
 from torcharm.plot.loads import attainable_load_map, load_grid, load_map, polar_load_grid
 from torcharm.plot.optimisation import optimisation_figure
+from torcharm.plot.shapes import plan_figure, search_figure
 from torcharm.plot.space import arm_in_space, hull_projections, node_hull_in_space
 from torcharm.plot.study import study_figure
 
@@ -40,7 +41,9 @@ __all__ = [
     "node_hull",
     "node_hull_in_space",
     "optimisation_figure",
+    "plan_figure",
     "polar_load_grid",
+    "search_figure",
     "study_figure",
     "task_shape",
     "unattainability_histogram",

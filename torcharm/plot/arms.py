@@ -15,6 +15,7 @@ from torcharm.plot._common import (
     ATTAINABLE,
     KIND_STYLES,
     LONGEST_ARROW,
+    UNATTAINABLE,
     Mask,
     array,
     axes_or_new,
@@ -90,6 +91,12 @@ def draw_arm(axes: Axes, arm: ArmDesign, task: Task) -> None:
     half = 1.25 * max(np.abs(radii).max(), 0.01)
     plate = line[0, :2] + half * np.array([[-1], [1]]) * (-np.sin(line[0, 2]), np.cos(line[0, 2]))
     axes.plot(*plate.T, color="black", linewidth=7, solid_capstyle="butt", label="base")
+
+
+def draw_reached(axes: Axes, twists: Tensor, base_pose: TensorLike, label: str) -> None:
+    """The centreline at which an arm is, or is predicted to be, beside the shape that it should have."""
+    task = Task(twists, (0.0, 0.0, 0.0), base_pose)
+    axes.plot(*fine_poses(task)[:, :2].T, color=UNATTAINABLE, linewidth=2, linestyle="--", label=label, gid="reached")
 
 
 def draw_loads(axes: Axes, task: Task, chosen: Mask, colour: str, *, width: float, prefix: str = "") -> None:

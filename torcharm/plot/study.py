@@ -9,11 +9,9 @@ from matplotlib.ticker import FuncFormatter
 
 from torcharm.arm import ArmDesign
 from torcharm.attainability import VERDICTS, Attainability
-from torcharm.geometry import rod
 from torcharm.plot._common import (
     ARM_COLOURS,
     ATTAINABLE,
-    SMOOTHING,
     VERDICT_STYLES,
     Array,
     Mask,
@@ -21,7 +19,7 @@ from torcharm.plot._common import (
     first_shape,
     one_design,
 )
-from torcharm.plot.arms import draw_arm, draw_loads
+from torcharm.plot.arms import draw_arm, draw_loads, draw_reached
 from torcharm.plot.hulls import draw_node, limit_node_axes, make_scene
 from torcharm.task import Task
 
@@ -179,6 +177,5 @@ def _draw_predicted(axes: Any, first: Task, found: Attainability, drawn: Mask) -
         return
     index = int(known[np.argsort(error[known])[(len(known) - 1) // 2]])
     twists = found.prediction.twists.detach().reshape(-1, *found.prediction.twists.shape[-2:])[index]
-    line = array(rod.poses(twists.repeat_interleave(SMOOTHING, 0), first.base_pose))
     label = f"predicted under load {index + 1}: tip off by {error[index]:.3g} mm"
-    axes.plot(*line[:, :2].T, color="#D55E00", linewidth=2, linestyle="--", label=label, gid="predicted")
+    draw_reached(axes, twists, first.base_pose, label)

@@ -10,8 +10,10 @@ radians, forces in newtons, moments in newton-metres, pressures in kilopascals. 
 """
 
 from torcharm.study.data import NamedArm, NamedTask, Settings, Study
+from torcharm.study.key_reference import key_reference
 from torcharm.study.reading import example_study, example_text, load_study, paper_study, parse_study
 from torcharm.study.results import (
+    RESULT_FORMATS,
     StudyResult,
     Summary,
     check_format,
@@ -20,18 +22,22 @@ from torcharm.study.results import (
     summarise,
     write_results,
 )
+from torcharm.study.writing import arm_to_toml
 
 __all__ = [
+    "RESULT_FORMATS",
     "NamedArm",
     "NamedTask",
     "Settings",
     "Study",
     "StudyResult",
     "Summary",
+    "arm_to_toml",
     "check_format",
     "evaluate_study",
     "example_study",
     "example_text",
+    "key_reference",
     "load_study",
     "paper_study",
     "parse_study",

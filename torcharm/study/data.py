@@ -16,12 +16,18 @@ from torcharm.task import Task
 class NamedArm(HoldsTensors):
     """One design, and what the study calls it.
 
+    Attributes:
+        name: of the arm.
+        design: what it is.
+        files: for each actuator the path of its force model's file, as the study has it, or None; empty if none has.
+
     Raises:
         ValueError: the design is a batch.
     """
 
     name: str
     design: ArmDesign
+    files: tuple[str | None, ...] = ()
 
     def __post_init__(self) -> None:
         if self.design.batch_shape:

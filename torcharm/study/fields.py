@@ -4,9 +4,12 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Annotated, Any
+from dataclasses import dataclass
+from types import NoneType, UnionType
+from typing import Annotated, Any, ClassVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, ValidationError, model_validator
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from torcharm.inputs import hint
@@ -31,7 +34,18 @@ def shown_value(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def one_of(allowed: Sequence[str]) -> BeforeValidator:
+@dataclass(frozen=True)
+class Check(BeforeValidator):
+    """A check of a value before pydantic's own.
+
+    Attributes:
+        words: what it allows, for messages and for the reference of all keys.
+    """
+
+    words: str = ""
+
+
+def one_of(allowed: Sequence[str]) -> Check:
     """One of the words allowed."""
 
     def check(value: Any) -> Any:
@@ -39,10 +53,10 @@ def one_of(allowed: Sequence[str]) -> BeforeValidator:
             raise refuse(f"must be one of {', '.join(allowed)}, got {shown_value(value)}{hint(value, allowed)}")
         return value
 
-    return BeforeValidator(check)
+    return Check(check, words=f"one of {', '.join(allowed)}" if len(allowed) > 1 else f'the word "{allowed[0]}"')
 
 
-def entries(*names: str) -> BeforeValidator:
+def entries(*names: str) -> Check:
     """A list with an entry for each name."""
 
     def check(value: Any) -> Any:
@@ -50,10 +64,10 @@ def entries(*names: str) -> BeforeValidator:
             raise refuse(f"must be a list of {len(names)}, [{', '.join(names)}], got {shown_value(value)}")
         return value
 
-    return BeforeValidator(check)
+    return Check(check, words=f"a list [{', '.join(names)}]")
 
 
-def filled(what: str) -> BeforeValidator:
+def filled(what: str) -> Check:
     """A list with at least one entry."""
 
     def check(value: Any) -> Any:
@@ -61,7 +75,7 @@ def filled(what: str) -> BeforeValidator:
             raise refuse(f"must be {what}, got {shown_value(value)}")
         return value
 
-    return BeforeValidator(check)
+    return Check(check, words=what)
 
 
 def check_name(value: Any) -> Any:
@@ -71,7 +85,7 @@ def check_name(value: Any) -> Any:
     return value
 
 
-def either(what: str, *kinds: type) -> BeforeValidator:
+def either(what: str, *kinds: type) -> Check:
     """A value of one of some kinds, which are told in words."""
 
     def check(value: Any) -> Any:
@@ -79,7 +93,7 @@ def either(what: str, *kinds: type) -> BeforeValidator:
             raise refuse(f"must be {what}, got {shown_value(value)}")
         return value
 
-    return BeforeValidator(check)
+    return Check(check, words=what)
 
 
 def alternatives(first: str, *second: str) -> BeforeValidator:
@@ -129,8 +143,13 @@ def by_key(key: str) -> Discriminator:
 
 
 class Table(BaseModel):
-    """A table of the file: unknown and missing keys are found before any value is looked at."""
+    """A table of the file: unknown and missing keys are found before any value is looked at.
 
+    Every key has a description, and examples if it is required or its default is to leave it out.
+    """
+
+    stands_alone: ClassVar[bool] = True
+    """Whether the table that its examples make can be read as it is: one that names a file cannot."""
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
     @model_validator(mode="before")
@@ -144,13 +163,35 @@ class Table(BaseModel):
                 raise refuse(f"unknown key{hint(key, allowed) or ';'} allowed: {', '.join(allowed)}", key)
         for key, field in cls.model_fields.items():
             if field.is_required() and key not in value:
-                raise refuse(f"missing; must be {field.description}", key)
+                raise refuse(f"missing; must be {allowed_words(field)}", key)
         return value
 
 
+def allowed_words(field: FieldInfo) -> str:
+    """What a key may be, in words, from its checks, its type and its bounds."""
+    return _words(field.annotation, field.metadata)
+
+
+def _words(kind: Any, metadata: Sequence[Any]) -> str:
+    flat = [part for one in metadata for part in (one.metadata if isinstance(one, FieldInfo) else (one,))]
+    if get_origin(kind) in (Union, UnionType) and NoneType in get_args(kind):
+        (kind,) = (choice for choice in get_args(kind) if choice is not NoneType)
+    if get_origin(kind) is Annotated:
+        kind, *own = get_args(kind)
+        return _words(kind, [*flat, *own])
+    words = next((part.words for part in flat if isinstance(part, Check) and part.words), _TYPES.get(kind, ""))
+    if get_origin(kind) is list and (each := _words(get_args(kind)[0], ())) not in ("", _TYPES[float]):
+        words = f"{words}, each {each}" if words else f"a list of {each}"
+    bounds = [text.format(getattr(part, key)) for part in flat for key, text in _BOUNDS.items() if hasattr(part, key)]
+    return f"{words}, {' and '.join(bounds)}" if bounds else words
+
+
+_TYPES = {float: "a number", int: "a whole number", bool: "true or false", str: "a text in quotes"}
+_BOUNDS = {"gt": "above {:g}", "ge": "at least {:g}", "lt": "below {}", "le": "at most {}"}
+
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
-Name = Annotated[str, BeforeValidator(check_name), Field(description="a text of one line")]
+Name = Annotated[str, Check(check_name, words="a text of one line")]
 Range = Annotated[list[float], entries("lowest", "highest")]
 
 # Messages

@@ -21,21 +21,23 @@ from torcharm.design.shape_planning import Smoothness
 from torcharm.design.space import DesignSpace
 from torcharm.files import read_file
 from torcharm.shapes import affine_curvature, cubic_curvature
+from torcharm.study.arm_tables import (
+    BendingTable,
+    FileActuator,
+    FreeArm,
+    PaperArm,
+    PolynomialTable,
+    ShippedActuator,
+)
 from torcharm.study.data import NamedArm, NamedPlan, NamedTask, Optimisation, Settings, Study
 from torcharm.study.fields import field_path, first_mistake, one_line, shown_value, within
 from torcharm.study.tables import (
-    BendingTable,
     CubicShape,
     DrawnLoads,
     EvaluateTable,
-    FileActuator,
-    FreeArm,
     OptimiseTable,
-    PaperArm,
     PlanTable,
-    PolynomialTable,
     ShapedTask,
-    ShippedActuator,
     StudyTable,
     TwistTask,
 )
@@ -126,7 +128,7 @@ def _study(table: StudyTable, folder: Path) -> Study:
     arms, tasks = [], []
     for index, entry in enumerate(table.arm):
         with within(field_path(["arm", index]), entry.name):
-            arms.append(NamedArm(entry.name, _sensible(_design(entry, folder))))
+            arms.append(NamedArm(entry.name, _sensible(_design(entry, folder)), _files(entry)))
     for index, job in enumerate(table.task):
         with within(field_path(["task", index]), job.name):
             tasks.append(NamedTask(job.name, _task(job)))
@@ -156,7 +158,7 @@ def _check_unique(section: str, tables: Sequence[PaperArm | FreeArm | ShapedTask
 def _design(table: PaperArm | FreeArm, folder: Path) -> ArmDesign:
     limit = table.max_pressure
     if isinstance(table, FreeArm):
-        actuators = tuple(_actuator(entry, index, folder) for index, entry in enumerate(table.actuators))
+        actuators = tuple(make_actuator(entry, index, folder) for index, entry in enumerate(table.actuators))
         radii = torch.tensor(table.radii, dtype=torch.float64)
     else:
         given = table.model_dump(include={"outer_radius", "inner_radius"}, exclude_none=True)
@@ -170,6 +172,13 @@ def _design(table: PaperArm | FreeArm, folder: Path) -> ArmDesign:
     return ArmDesign(radii, table.length, actuators, limit)
 
 
+def _files(table: PaperArm | FreeArm) -> tuple[str | None, ...]:
+    """Of each actuator the path of its force model's file, or None."""
+    if isinstance(table, PaperArm):
+        return ()
+    return tuple(entry.path if isinstance(entry, FileActuator) else None for entry in table.actuators)
+
+
 def _sensible(arm: ArmDesign) -> ArmDesign:
     """The arm, unless its numbers are in other units."""
     question = question_about_arm((arm,))
@@ -178,7 +187,8 @@ def _sensible(arm: ArmDesign) -> ArmDesign:
     return arm
 
 
-def _actuator(table: ShippedActuator | FileActuator | PolynomialTable, index: int, folder: Path) -> Actuator:
+def make_actuator(table: ShippedActuator | FileActuator | PolynomialTable, index: int, folder: Path) -> Actuator:
+    """The force model of an arm's table, which is the one at this index; files' paths start at the folder."""
     options = table.model_dump(exclude={"kind", "path", "bending"}, exclude_none=True)
     with within(field_path(["actuators", index])):
         if table.bending is not None:

@@ -5,7 +5,6 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
-from torcharm.actuators import SHIPPED
 from torcharm.attainability import CHOICES
 from torcharm.attainability.verdict import ROTATION
 from torcharm.design.objective import AGGREGATES, Objective
@@ -13,12 +12,12 @@ from torcharm.design.objective import METRICS as OBJECTIVES
 from torcharm.design.optimise import ITERATIONS
 from torcharm.design.space import FIELDS, TIES
 from torcharm.geometry.rod import BASE_POSE
+from torcharm.study.arm_tables import ArmTable
 from torcharm.study.data import Settings
 from torcharm.study.fields import (
     Name,
     NotNegative,
     Positive,
-    Range,
     Table,
     alternatives,
     by_key,
@@ -34,16 +33,11 @@ from torcharm.study.fields import (
 )
 from torcharm.study.units import (
     Angle,
-    Length,
     LengthRange,
-    Lengths,
-    Limits,
     Load,
-    NotNegativeLength,
     Pose,
     PositiveAngle,
     PositiveLength,
-    PositivePressure,
     PressureRange,
     Twist,
 )
@@ -51,114 +45,24 @@ from torcharm.task import WRENCH_PLACES
 from torcharm.wrench_sets.vertex_sets import DISTANCES, HULLS
 
 
-class BendingTable(Table):
-    """A bending model in place of a number K."""
-
-    kind: Annotated[str, one_of(("linear", "constant")), Field(description="one of linear, constant")]
-    stiffness: Annotated[float, Field(description="K, a number [N·m²]")]
-    reference_pressure: PositivePressure | None = None
-
-
-class ShippedActuator(Table):
-    """One of the force models that torcharm ships, perhaps changed."""
-
-    kind: str
-    bending_stiffness: float | None = None
-    bending: BendingTable | None = None
-    max_pressure: PositivePressure | None = None
-    force_scale: float | None = None
-
-
-class FileActuator(ShippedActuator):
-    """A force model from a file of its own, perhaps changed."""
-
-    path: Annotated[str, Field(description="the path of a force model's file, from the study's folder")]
-
-
-class PolynomialTable(Table):
-    """A polynomial force model."""
-
-    kind: str
-    coefficients: Annotated[
-        list[Annotated[list[float], entries("power of strain", "power of pressure", "coefficient")]],
-        filled("a list of [power of strain, power of pressure, coefficient]"),
-        Field(description="a list of [power of strain, power of pressure, coefficient]"),
-    ]
-    strain_range: Annotated[Range, Field(description="[lowest, highest], the strains that were characterised")]
-    pressure_range: Annotated[PressureRange, Field(description="[lowest, highest], the pressures characterised [kPa]")]
-    max_pressure: Annotated[PositivePressure, Field(description="the highest pressure in use [kPa]")]
-    bending_stiffness: float | None = None
-    bending: BendingTable | None = None
-    force_scale: float | None = None
-
-
-def _named_kind(value: Any) -> Any:
-    return {"kind": value} if isinstance(value, str) else value
-
-
-def _by_model(value: Any) -> str:
-    return "<shipped>" if value["kind"] in SHIPPED else by_kind(value)
-
-
-ActuatorTable = Annotated[
-    Annotated[ShippedActuator, Tag("<shipped>")]
-    | Annotated[PolynomialTable, Tag("<polynomial>")]
-    | Annotated[FileActuator, Tag("<file>")],
-    Discriminator(_by_model),
-    kind_among(*SHIPPED, "polynomial", "file"),
-    BeforeValidator(_named_kind),
-]
-
-
-class PaperArm(Table):
-    """One of the paper's arms."""
-
-    name: Name
-    kind: Annotated[str, one_of(("antagonistic", "bellows", "mckibben"))]
-    outer_radius: NotNegativeLength | None = None
-    inner_radius: NotNegativeLength | None = None
-    length: Lengths = 0.5
-    max_pressure: Limits | None = None
-
-
-class FreeArm(Table):
-    """Any actuators side by side."""
-
-    name: Name
-    radii: Annotated[
-        list[Length], filled("a list of numbers [m]"), Field(description="a list of offsets, one for each actuator [m]")
-    ]
-    length: Annotated[Lengths, Field(description="a number, or a list of one for each actuator [m]")]
-    actuators: Annotated[
-        list[ActuatorTable],
-        filled("a list of force models such as bellows"),
-        Field(description="a list of force models, one for each radius"),
-    ]
-    max_pressure: Limits | None = None
-
-
-ArmTable = Annotated[
-    Annotated[PaperArm, Tag("<with>")] | Annotated[FreeArm, Tag("<without>")],
-    by_key("kind"),
-    alternatives("kind", "radii", "actuators"),
-]
-
-
 class AffineShape(Table):
-    """A shape of affine curvature."""
+    """A shape whose curvature is affine in the arc s, from 0 at the base to 1 at the tip."""
 
-    kind: str
-    slope: Annotated[Angle, Field(description="a number [rad]")]
-    intercept: Annotated[Angle, Field(description="a number [rad]")]
-    length: PositiveLength = 0.5
-    nodes: Annotated[int, Field(ge=1, le=10_000)] = 10
+    kind: Annotated[str, one_of(("affine",))] = Field(description="That it is such a shape.", examples=["affine"])
+    slope: Angle = Field(description="Change of the curvature from base to tip.", examples=[0.0])
+    intercept: Angle = Field(description="Curvature at the base.", examples=[1.0, "60 deg"])
+    length: PositiveLength = Field(default=0.5, description="Length of the centreline.", examples=["490 mm"])
+    nodes: Annotated[int, Field(ge=1, le=10_000)] = Field(
+        default=10, description="Elements into which the arm is divided."
+    )
 
 
 class CubicShape(AffineShape):
-    """A shape of cubic curvature."""
+    """A shape of curvature cubic s³ + quadratic s² + slope s + intercept."""
 
-    cubic: Annotated[Angle, Field(description="a number [rad]")]
-    quadratic: Annotated[Angle, Field(description="a number [rad]")]
+    kind: Annotated[str, one_of(("cubic",))] = Field(description="That it is such a shape.", examples=["cubic"])
+    cubic: Angle = Field(description="Factor of s³.", examples=[4.0])
+    quadratic: Angle = Field(description="Factor of s².", examples=[-6.0])
 
 
 ShapeTable = Annotated[
@@ -175,11 +79,17 @@ def _check_not_negative(value: list[float]) -> list[float]:
 
 
 class DrawnLoads(Table):
-    """Random loads."""
+    """Random loads at the tip, each component even between minus and plus half its scale."""
 
-    count: Annotated[int, Field(ge=1, le=1_000_000, description="a whole number of loads")]
-    scale: Annotated[Load, AfterValidator(_check_not_negative)] = [20.0, 20.0, 2.0]
-    seed: Annotated[int, Field(ge=0, lt=2**32)] = 100
+    count: Annotated[int, Field(ge=1, le=1_000_000)] = Field(description="How many.", examples=[40])
+    scale: Annotated[Load, AfterValidator(_check_not_negative)] = Field(
+        default=[20.0, 20.0, 2.0],
+        description="The width in which each component lies, at least 0.",
+        examples=[[4.0, 4.0, 0.4]],
+    )
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = Field(
+        default=100, description="Of the draw: the same gives the same loads."
+    )
 
 
 LoadsTable = Annotated[
@@ -192,27 +102,45 @@ LoadsTable = Annotated[
     Discriminator(by_list),
     either("a list of [f_x, f_y, m], or a table with count, scale and seed", list, dict),
 ]
-_loads_field = Field(description="a list of [f_x, f_y, m] [N, N, N·m], or a table with count, scale and seed")
+_loads = Field(
+    description="Loads at the tip in the world frame, x to the right and y up: forces, and the moment.",
+    examples=[[[0.0, 0.0, 0.0], [1.0, "-200 gf", 0.1]]],
+)
+_base_pose = Field(
+    default=list(BASE_POSE),
+    description="Place and heading of the arm's base; by default it hangs from the origin.",
+    examples=[[0.0, 0.0, "-90 deg"]],
+)
+_wrench_at = Field(
+    default="middle",
+    description="Where on its element a node's wrench is taken; the start is the paper's, and less exact.",
+    examples=["start"],
+)
 
 
 class ShapedTask(Table):
-    """A task with a shape by name."""
+    """A task: a shape by name, and the loads to hold it under."""
 
-    name: Name
-    shape: ShapeTable
-    loads: Annotated[LoadsTable, _loads_field]
-    base_pose: Pose = list(BASE_POSE)
-    wrench_at: Annotated[str, one_of(WRENCH_PLACES)] = "middle"
+    name: Name = Field(description="What tables and files call the task; no two have the same name.", examples=["bend"])
+    shape: ShapeTable = Field(description="The centreline to hold.")
+    loads: LoadsTable = _loads
+    base_pose: Pose = _base_pose
+    wrench_at: Annotated[str, one_of(WRENCH_PLACES)] = _wrench_at
 
 
 class TwistTask(Table):
-    """A task with a shape by its twists."""
+    """A task whose shape is given element by element."""
 
-    name: Name
-    twists: Annotated[list[Twist], filled("a list of [l, γ, κ], one for each node")]
-    loads: Annotated[LoadsTable, _loads_field]
-    base_pose: Pose = list(BASE_POSE)
-    wrench_at: Annotated[str, one_of(WRENCH_PLACES)] = "middle"
+    name: Name = Field(
+        description="What tables and files call the task; no two have the same name.", examples=["twists"]
+    )
+    twists: Annotated[list[Twist], filled("a list of [l, γ, κ], one for each node")] = Field(
+        description="Length, shear and curvature of each element from the base on, as if all the arm were like it.",
+        examples=[[[0.48, 0.0, 1.0], [0.48, 0.0, "30 deg"], [0.48, 0.0, 0.0]]],
+    )
+    loads: LoadsTable = _loads
+    base_pose: Pose = _base_pose
+    wrench_at: Annotated[str, one_of(WRENCH_PLACES)] = _wrench_at
 
 
 TaskTable = Annotated[
@@ -229,70 +157,152 @@ def _no_closed_form(value: Any) -> Any:
 
 
 class EvaluateTable(Table):
-    """How to evaluate."""
+    """How torcharm evaluate evaluates arms on tasks."""
 
     metrics: Annotated[
         list[Annotated[str, one_of(CHOICES)]], filled(f"a list of metrics, such as {json.dumps(CHOICES)}")
-    ] = list(CHOICES)
-    tolerance: PositiveLength | None = None
-    rotation_tolerance: PositiveAngle = ROTATION
-    hull: Annotated[str, one_of(HULLS)] = Settings.hull
-    samples: Annotated[int, Field(ge=2, le=1_000_000)] | None = Settings.samples
-    distance: Annotated[str, one_of(DISTANCES), BeforeValidator(_no_closed_form)] = Settings.distance
-    weights: Annotated[list[Positive], entries("k_f", "k_m")] = list(Settings.weights)
-    power: Annotated[int, Field(ge=1, le=2)] = Settings.power
-    signed: bool = Settings.signed
+    ] = Field(
+        default=list(CHOICES), description="What is computed; fewer of them cost less.", examples=[["predicted_error"]]
+    )
+    tolerance: PositiveLength | None = Field(
+        default=None,
+        description="How far tip and shape may be off for a task to be held. Without it, 2 % of the arm's length.",
+        examples=["10 mm"],
+    )
+    rotation_tolerance: PositiveAngle = Field(
+        default=ROTATION,
+        description="How far the tip may be turned for a task to be held; 5 degrees.",
+        examples=["5 deg"],
+    )
+    hull: Annotated[str, one_of(HULLS)] = Field(
+        default=Settings.hull,
+        description="Attainable sets exactly, or by points on edges as in the paper.",
+        examples=["edges"],
+    )
+    samples: Annotated[int, Field(ge=2, le=1_000_000)] | None = Field(
+        default=Settings.samples,
+        description='Points on each edge or curve, for hull = "edges" or a distance other than "gjk".',
+        examples=[3],
+    )
+    distance: Annotated[str, one_of(DISTANCES), BeforeValidator(_no_closed_form)] = Field(
+        default=Settings.distance,
+        description='How distances are solved: "gjk" is exact, "qpth" a differentiable QP layer, "scipy" slow.',
+        examples=["scipy"],
+    )
+    weights: Annotated[list[Positive], entries("k_f", "k_m")] = Field(
+        default=list(Settings.weights),
+        description="Weights k_f [1/N²] and k_m [1/(N·m)²] of a distance, sqrt(k_f f² + k_m m²).",
+        examples=[[1.0, 100.0]],
+    )
+    power: Annotated[int, Field(ge=1, le=2)] = Field(
+        default=Settings.power, description="1 sums distances over the nodes, 2 their squares.", examples=[2]
+    )
+    signed: bool = Field(
+        default=Settings.signed,
+        description="Whether tasks that are attainable count minus their margin, not 0.",
+        examples=[True],
+    )
 
 
 class BoundsTable(Table):
-    """How far an optimiser may go."""
+    """How far torcharm optimise may go, in what is free."""
 
-    radii: LengthRange | None = None
-    length: LengthRange | None = None
-    max_pressure: PressureRange | None = None
+    radii: LengthRange | None = Field(
+        default=None, description="Of each actuator. Without it, 0.1 m to either side.", examples=[[-0.1, 0.1]]
+    )
+    length: LengthRange | None = Field(
+        default=None,
+        description="Of each actuator. Without it, from half to one and a half times the given.",
+        examples=[[0.3, 0.7]],
+    )
+    max_pressure: PressureRange | None = Field(
+        default=None,
+        description="Of each limit, where max_pressure is free. Without it, from 0 to the force models' own.",
+        examples=[[0.0, 50.0]],
+    )
 
 
 class OptimiseTable(Table):
-    """How to optimise."""
+    """How torcharm optimise makes arms better, each on all tasks together."""
 
-    free: Annotated[list[Annotated[str, one_of(FIELDS)]], filled(f"a list of fields, such as {json.dumps(FIELDS)}")] = [
-        "radii",
-        "length",
-    ]
-    tied: Annotated[str, one_of(TIES)] | None = None
-    bounds: BoundsTable = BoundsTable()
-    spacing: PositiveLength | None = None
-    in_range: bool = True
-    metric: Annotated[str, one_of(OBJECTIVES)] = Objective.metric
-    relative_weight: NotNegative = Objective.relative_weight
-    over: Annotated[str, one_of(AGGREGATES)] = Objective.over
-    starts: Annotated[int, Field(ge=1, le=100_000)] = 8
-    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
-    iterations: Annotated[int, Field(ge=1)] = ITERATIONS
+    free: Annotated[list[Annotated[str, one_of(FIELDS)]], filled(f"a list of fields, such as {json.dumps(FIELDS)}")] = (
+        Field(
+            default=["radii", "length"],
+            description="What may change; angles are of arms in space alone.",
+            examples=[["radii", "length", "max_pressure"]],
+        )
+    )
+    tied: Annotated[str, one_of(TIES)] | None = Field(
+        default=None,
+        description="Keep arms symmetric, or all actuators alike. Without it, each changes on its own.",
+        examples=["mirror"],
+    )
+    bounds: BoundsTable = Field(default=BoundsTable(), description="How far what is free may go.")
+    spacing: PositiveLength | None = Field(
+        default=None,
+        description="Least distance between the centres of actuators. Without it, 5 mm.",
+        examples=["20 mm"],
+    )
+    in_range: bool = Field(
+        default=True, description="Whether strains and limits stay in the characterised range.", examples=[False]
+    )
+    metric: Annotated[str, one_of(OBJECTIVES)] = Field(
+        default=Objective.metric,
+        description="What is made small: the shape error, or what nodes lack.",
+        examples=["unattainability"],
+    )
+    relative_weight: NotNegative = Field(
+        default=Objective.relative_weight,
+        description="Weight of relative beside absolute unattainability, for that metric.",
+        examples=[1.0],
+    )
+    over: Annotated[str, one_of(AGGREGATES)] = Field(
+        default=Objective.over, description="Whether the mean over the tasks counts, or the worst.", examples=["worst"]
+    )
+    starts: Annotated[int, Field(ge=1, le=100_000)] = Field(
+        default=8, description="Designs from which it descends; more find better ones, and take longer."
+    )
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = Field(default=0, description="Of the random starts.")
+    iterations: Annotated[int, Field(ge=1)] = Field(default=ITERATIONS, description="At most, of each start.")
 
 
 class PlanTable(Table):
-    """A tip pose for which shapes are to be found."""
+    """A tip pose for which torcharm plan finds a shape of each arm."""
 
-    name: Name
-    tip_pose: Annotated[Pose, Field(description="[x, y, θ] [m, m, rad]")]
-    tip_load: Annotated[Load, Field(description="[f_x, f_y, m] [N, N, N·m]")]
-    length_weight: NotNegative | None = None
-    reference_length: PositiveLength | None = None
-    nodes: Annotated[int, Field(ge=2, le=200)] = 10
-    in_range: bool | None = None
-    base_pose: Pose = list(BASE_POSE)
+    name: Name = Field(description="What tables and files call the plan.", examples=["drawer"])
+    tip_pose: Pose = Field(description="Place and heading of the tip.", examples=[[0.35, -0.3, 0.0]])
+    tip_load: Load = Field(
+        description="Force and moment at the tip under which the shape is to be held.", examples=[[6.0, 0.0, 0.0]]
+    )
+    length_weight: NotNegative | None = Field(
+        default=None,
+        description="Weight of lengths in the smoothest shape [rad/m], with reference_length. Without both, the shape "
+        "that the arm holds best.",
+        examples=[45.0],
+    )
+    reference_length: PositiveLength | None = Field(
+        default=None, description="Length that the smoothest shape keeps to, with length_weight.", examples=[0.5]
+    )
+    nodes: Annotated[int, Field(ge=2, le=200)] = Field(
+        default=10, description="Elements into which the arm is divided."
+    )
+    in_range: bool | None = Field(
+        default=None,
+        description="Whether strains stay in the characterised range. Without it, unless the smoothest shape is asked.",
+        examples=[False],
+    )
+    base_pose: Pose = _base_pose
 
 
 class StudyTable(Table):
     """The whole file."""
 
-    name: Name
-    description: str = ""
-    arm: Annotated[list[ArmTable], filled("tables that begin with [[arm]]"), Field(description="at least one [[arm]]")]
-    task: Annotated[
-        list[TaskTable], filled("tables that begin with [[task]]"), Field(description="at least one [[task]]")
-    ]
-    evaluate: EvaluateTable = EvaluateTable()
-    optimise: OptimiseTable = OptimiseTable()
-    plan: list[PlanTable] = []
+    name: Name = Field(description="What the study is called.", examples=["all keys"])
+    description: str = Field(
+        default="", description="A line that tables show beside the name.", examples=["Two arms, a drawer."]
+    )
+    arm: Annotated[list[ArmTable], filled("tables that begin with [[arm]]")] = Field(description="The arms.")
+    task: Annotated[list[TaskTable], filled("tables that begin with [[task]]")] = Field(description="The tasks.")
+    evaluate: EvaluateTable = Field(default=EvaluateTable(), description="How arms are evaluated.")
+    optimise: OptimiseTable = Field(default=OptimiseTable(), description="How arms are optimised.")
+    plan: list[PlanTable] = Field(default=[], description="Tip poses to plan shapes for.")

@@ -4,9 +4,9 @@ import math
 import re
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag
+from pydantic import Discriminator, Field, Tag
 
-from torcharm.study.fields import by_list, either, entries, refuse, shown_value
+from torcharm.study.fields import Check, by_list, either, entries, refuse, shown_value
 
 LENGTH = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "in": 0.0254}
 ANGLE = {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180, "turn": 2 * math.pi}
@@ -25,14 +25,17 @@ def parsed(value: Any, units: dict[str, float]) -> Any:
         return value
     found = _NUMBER.fullmatch(value)
     if found is None or found[2] not in units:
-        own, allowed = next(iter(units)), ", ".join(units)
-        raise refuse(f"must be a number [{own}] or a text of one and a unit ({allowed}), got {shown_value(value)}")
+        raise refuse(f"must be {_in_unit_words(units)}, got {shown_value(value)}")
     return float(found[1]) * units[found[2]]
 
 
-def in_unit(units: dict[str, float]) -> BeforeValidator:
+def in_unit(units: dict[str, float]) -> Check:
     """A number, or a text of a number and one of the units."""
-    return BeforeValidator(lambda value: parsed(value, units))
+    return Check(lambda value: parsed(value, units), words=_in_unit_words(units))
+
+
+def _in_unit_words(units: dict[str, float]) -> str:
+    return f"a number [{next(iter(units))}] or a text of one and a unit ({', '.join(units)})"
 
 
 Angle = Annotated[float, in_unit(ANGLE)]
@@ -66,8 +69,11 @@ def each_in(*columns: tuple[str, dict[str, float]]) -> Any:
     def check(value: Any) -> Any:
         return [parsed(part, units) for part, (_, units) in zip(value, columns, strict=True)]
 
+    names = [name for name, _ in columns]
+    own = ", ".join(next(iter(units)) for _, units in columns)
+    words = f"a list [{', '.join(names)}] of numbers [{own}] or texts with a unit"
     # What is written last is checked first: the number of entries, then each entry's unit
-    return Annotated[list[float], BeforeValidator(check), entries(*(name for name, _ in columns))]
+    return Annotated[list[float], Check(check, words=words), entries(*names)]
 
 
 Load = each_in(("f_x", FORCE), ("f_y", FORCE), ("m", MOMENT))

@@ -1,0 +1,231 @@
+"""What every command shares: help texts, widths, endings of outputs, progress bars and Ctrl-C."""
+
+import csv
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from test_cli import invoke, mistake
+from test_cli_optimise import STUDY
+
+from torcharm import cli
+from torcharm.design import shape_planning
+
+FAR = """
+[[plan]]
+name = "too far for numbers"
+tip_pose = [1e160, 0.0, 0.0]
+tip_load = [6.0, 0.0, 0.0]
+nodes = 3
+"""
+
+
+@pytest.fixture
+def study_file(tmp_path: Path) -> Path:
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY, encoding="utf-8")
+    return path
+
+
+COMMANDS = {
+    "evaluate": (".csv or .json",),
+    "fit": ("[N·m²]", "[default: 40.0]", "[required]"),
+    "init": ("--all",),
+    "optimise": ("its table [optimise]", "tables [[arm]] to paste", ".toml", ".csv"),
+    "plan": ("begin with [[plan]]", "to a file .csv"),
+    "search": ("to a file .csv", "--figure"),
+    "shape": ("force y [N], moment [N·m]",),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_holds_its_brackets_within_80_columns(command):
+    output = re.sub(r"\x1b\[[\d;]*m", "", invoke(command, "--help"))
+    words = " ".join(output.replace("│", " ").split())
+    for part in COMMANDS[command]:
+        assert part in words, part
+    assert "[]" not in words
+    assert "\\" not in words
+    assert max(len(line) for line in output.splitlines()) <= 80
+
+
+def test_every_bracket_of_the_source_is_in_the_help():
+    """What is written in brackets in a help text is shown, whatever command it belongs to."""
+    for path in sorted(Path(cli.__file__).parent.glob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        written = re.findall(r'help="[^"]*?(\[+[^\]"]+\]+)', text)
+        if written:
+            shown = " ".join(invoke(path.stem, "--help").replace("│", " ").split())
+            assert [part for part in written if part not in shown] == []
+
+
+@pytest.mark.parametrize("command", ["search", "optimise", "plan"])
+def test_tables_fit_80_columns_and_cut_no_number(study_file, command):
+    named = STUDY.replace('name = "antagonistic"', 'name = "an arm with a name too long for a table"')
+    study_file.write_text(named.replace('"shape 1"', '"a plan with a long name"'), encoding="utf-8")
+    output = invoke(command, study_file)
+    table = [line for block in re.split(r"\n\n", output) if "───" in block for line in block.splitlines()]
+    assert table
+    assert max(len(line.rstrip()) for line in table) <= 80
+    assert "…" not in output
+    assert not re.search(r"\d[.e]-?\s*$", "\n".join(table), re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("command", "out", "allowed"),
+    [
+        ("evaluate", "a.txt", ".csv or .json, got .txt"),
+        ("search", "a.json", ".csv, got .json"),
+        ("plan", "a", ".csv, got no ending"),
+        ("optimise", "a.json", ".csv or .toml, got .json"),
+    ],
+)
+def test_outputs_of_other_endings_are_refused(monkeypatch, capsys, study_file, command, out, allowed):
+    monkeypatch.chdir(study_file.parent)
+    message = mistake(monkeypatch, capsys, command, "study.toml", "--out", out)
+    assert message == f"--out: {out}: must end in {allowed}"
+    assert [path.name for path in study_file.parent.iterdir()] == ["study.toml"]
+
+
+# Pictures
+
+
+def test_plan_and_search_draw_a_picture_for_each_plan_and_task(study_file):
+    folder = study_file.parent
+    study_file.write_text(STUDY + FAR, encoding="utf-8")
+    assert f"Wrote {folder / 'near-1.png'} (reach)." in invoke("search", study_file, "--figure", folder / "near.png")
+    study_file.write_text(STUDY, encoding="utf-8")
+    assert f"Wrote {folder / 'plan.svg'} (shape 1)." in invoke("plan", study_file, "--figure", folder / "plan.svg")
+    assert sorted(path.name for path in folder.iterdir()) == ["near-1.png", "near-2.png", "plan.svg", "study.toml"]
+    assert (folder / "near-2.png").read_bytes().startswith(b"\x89PNG")
+
+
+# Plans that fail, and Ctrl-C
+
+
+def test_a_plan_that_is_an_error_costs_only_its_own_row(monkeypatch, capsys, study_file):
+    study_file.write_text(STUDY.replace("[[plan]]", FAR + "[[plan]]"), encoding="utf-8")
+    out = study_file.parent / "shapes.csv"
+    monkeypatch.setattr(sys, "argv", ["torcharm", "plan", str(study_file), "--out", str(out)])
+    with pytest.raises(SystemExit) as caught:
+        cli.main()
+    output = capsys.readouterr()
+    assert caught.value.code == 2
+    assert output.err.count("\n") == 1
+    assert "too far for numbers, antagonistic: refused: tip_pose: must be finite" in output.err
+    assert "refused" in output.out
+    with out.open(encoding="utf-8") as file:
+        assert [row["plan"] for row in csv.DictReader(file)] == ["shape 1"] * 10
+
+
+def test_plan_keeps_what_was_found_before_ctrl_c(monkeypatch, capsys, study_file):
+    second = STUDY[STUDY.index("[[plan]]") :].replace("shape 1", "shape 2")
+    study_file.write_text(STUDY + second, encoding="utf-8")
+    whole, calls = shape_planning.plan_shape, []
+
+    def interrupted(*arguments, **options):
+        calls.append(1)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return whole(*arguments, **options)
+
+    monkeypatch.setattr(shape_planning, "plan_shape", interrupted)
+    out = study_file.parent / "shapes.csv"
+    monkeypatch.setattr(sys, "argv", ["torcharm", "plan", str(study_file), "--out", str(out)])
+    with pytest.raises(SystemExit) as caught:
+        cli.main()
+    output = capsys.readouterr()
+    assert caught.value.code == 130
+    assert output.err == "torcharm: interrupted\n"
+    assert "shape 1" in output.out
+    assert "shape 2" not in output.out
+    assert len(out.read_text(encoding="utf-8").splitlines()) == 11
+
+
+def test_search_keeps_what_was_found_before_ctrl_c(monkeypatch, capsys, study_file):
+    from torcharm.pressure import search
+
+    whole, calls = search.search_pressure, []
+
+    def interrupted(*arguments, **options):
+        calls.append(1)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return whole(*arguments, **options)
+
+    monkeypatch.setattr(search, "search_pressure", interrupted)
+    out = study_file.parent / "found.csv"
+    monkeypatch.setattr(sys, "argv", ["torcharm", "search", str(study_file), "--out", str(out)])
+    with pytest.raises(SystemExit) as caught:
+        cli.main()
+    output = capsys.readouterr()
+    assert caught.value.code == 130
+    assert output.err == "torcharm: interrupted\n"
+    assert "Task reach" in output.out
+    assert "Task hold" not in output.out
+    assert len(out.read_text(encoding="utf-8").splitlines()) == 3
+
+
+def test_optimise_keeps_what_was_found_before_ctrl_c(monkeypatch, capsys, study_file):
+    from torcharm import design
+
+    study_file.write_text(STUDY.replace("[[task]]", '[[arm]]\nname = "b"\nkind = "bellows"\n\n[[task]]', 1))
+    whole, calls = design.optimise_design, []
+
+    def interrupted(*arguments, **options):
+        calls.append(1)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return whole(*arguments, **options)
+
+    monkeypatch.setattr(design, "optimise_design", interrupted)
+    out = study_file.parent / "best.toml"
+    monkeypatch.setattr(sys, "argv", ["torcharm", "optimise", str(study_file), "--out", str(out)])
+    with pytest.raises(SystemExit) as caught:
+        cli.main()
+    output = capsys.readouterr()
+    assert caught.value.code == 130
+    assert output.err.splitlines()[-1] == "torcharm: interrupted"
+    assert "antagonistic: better" in output.out
+    assert out.read_text(encoding="utf-8").count("[[arm]]") == 1
+
+
+# On a terminal
+
+
+def on_a_terminal(*arguments: object) -> str:
+    """What the command writes to a terminal that is its standard error."""
+    pty = pytest.importorskip("pty")
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-m", "torcharm.cli", *map(str, arguments)]
+    env = os.environ | {"TERM": "xterm", "COLUMNS": "100"}
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=theirs, env=env) as process:
+        os.close(theirs)
+        parts = []
+        while True:
+            try:
+                part = os.read(ours, 65536)
+            except OSError:  # Linux says so at the end
+                break
+            if not part:
+                break
+            parts.append(part)
+    os.close(ours)
+    assert process.returncode == 0
+    return b"".join(parts).decode()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="terminals are other ones there")
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [("evaluate", "evaluating"), ("search", "hold"), ("plan", "planning"), ("optimise", "optimising")],
+)
+def test_bars_end_at_100_percent(study_file, command, words):
+    shown = re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", on_a_terminal(command, study_file))
+    frames = [frame for frame in re.split(r"[\r\n]+", shown) if words in frame]
+    assert frames
+    assert "100%" in frames[-1]
+    assert any("0%" in frame and "100%" not in frame for frame in frames)

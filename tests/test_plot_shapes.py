@@ -1,0 +1,115 @@
+"""Pages of what a search reaches and of planned shapes."""
+
+import dataclasses
+import io
+
+import numpy as np
+import pytest
+import torch
+from matplotlib.quiver import Quiver
+
+import torcharm as ta
+from torcharm import plot
+from torcharm.design.shape_planning import PlannedShape
+
+TASK = ta.Task(ta.affine_curvature(-1.0, 1.0, nodes=4), ta.sample_loads(5, (4, 4, 0.4)))
+
+
+@pytest.fixture(scope="module")
+def found():
+    return ta.search_pressure(ta.antagonistic_arm(), TASK, starts=2)
+
+
+def lines(axes, name):
+    return [line for line in axes.lines if name in (line.get_gid(), line.get_label())]
+
+
+def test_search_shows_the_least_the_median_and_the_largest_error(found):
+    figure = plot.search_figure([("soft", ta.antagonistic_arm(), found)], "bent", TASK)
+    order = found.tip_error.argsort()
+    for axes, rank, load in zip(figure.axes, ("least", "median", "largest"), order[[0, 2, 4]], strict=True):
+        which, off, load_shown = axes.get_title().splitlines()
+        assert which == f"soft: {rank} error of 5 loads"
+        assert off.startswith(f"tip off by {1e3 * float(found.tip_error[load]):.3g} mm, turned by")
+        assert load_shown.startswith(f"load {int(load) + 1}: ")
+        (reached,) = lines(axes, "reached")
+        np.testing.assert_allclose(reached.get_xydata()[:: plot.SMOOTHING], ta.poses(found.twists[load])[:, :2])
+        assert (reached.get_color(), reached.get_linestyle()) == (plot.UNATTAINABLE, "--")
+        (target,) = lines(axes, "centreline")
+        np.testing.assert_allclose(target.get_xydata()[:: plot.SMOOTHING], ta.poses(TASK.twists)[:, :2])
+        (arrow,) = [one for one in axes.collections if isinstance(one, Quiver)]
+        np.testing.assert_allclose((arrow.U[0], arrow.V[0]), TASK.tip_load[load, :2])
+        assert axes.get_xlabel() == "x [m]"
+        assert axes.get_ylabel() == "y [m]"
+    assert len({axes.get_xlim() for axes in figure.axes}) == 1
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == [
+        *("bellows", "muscle", "shape of the task", "base", "tip load", "reached")
+    ]
+    figure.savefig(io.BytesIO())
+
+
+@pytest.mark.parametrize(("lost", "titles"), [(3, ["least", "largest"]), (4, ["only"]), (5, ["no"])])
+def test_search_leaves_out_what_was_not_found(found, lost, titles):
+    error = found.tip_error.clone()
+    error[:lost] = torch.inf
+    some = dataclasses.replace(found, tip_error=error)
+    figure = plot.search_figure([("soft", ta.antagonistic_arm(), some)], "bent", TASK)
+    assert [axes.get_title().split()[1] for axes in figure.axes] == titles
+    whole = figure.axes[0].get_title()
+    assert f"{lost} not found" in whole or whole == "soft: no equilibrium was found"
+    figure.savefig(io.BytesIO())
+
+
+def test_arms_with_fewer_equilibria_show_their_ends(found):
+    error = found.tip_error.clone()
+    error[:3] = torch.inf
+    some = dataclasses.replace(found, tip_error=error)
+    figure = plot.search_figure(
+        [(name, ta.antagonistic_arm(), one) for name, one in (("a", found), ("b", some))], "", TASK
+    )
+    shown = [axes.get_title().partition(" error")[0] for axes in figure.axes]
+    assert shown == ["a: least", "a: median", "a: largest", "b: least", "b: largest", ""]
+
+
+def test_search_of_one_load_and_of_several_shapes(found):
+    task = ta.Task(TASK.twists, (1.0, -2.0, 0.1))
+    one = ta.search_pressure(ta.bellows_arm(), task, starts=1)
+    figure = plot.search_figure([("soft", ta.bellows_arm(), one)], "one", task)
+    assert [axes.get_title().splitlines()[0] for axes in figure.axes] == ["soft: only load"]
+    two = ta.Task(ta.affine_curvature([-1.0, 1.0], 1.0, nodes=4), TASK.tip_load[:2])
+    figure = plot.search_figure([("soft", ta.bellows_arm(), ta.search_pressure(ta.bellows_arm(), two))], "two", two)
+    assert "the first of 2 shapes" in figure.get_suptitle()
+    assert len(figure.axes) == 1
+    with pytest.raises(ValueError, match="results: must hold at least one arm"):
+        plot.search_figure([], "none", TASK)
+    with pytest.raises(ValueError, match="must be of at most 1 tasks, got 5"):
+        plot.search_figure([("soft", ta.antagonistic_arm(), found)], "one", task)
+
+
+def test_plan_shows_the_shape_the_pose_and_where_the_arm_is_predicted():
+    pose, load = (0.15, -0.43, -0.6), (0.0, -1.0, 0.0)
+    arm = ta.antagonistic_arm(0.04, 0.01, 0.48)
+    shape = ta.plan_shape(arm, pose, load, nodes=4)
+    none = PlannedShape("no shape: none of 4", torch.full((4, 3), torch.nan), np.nan, np.nan, None)
+    figure = plot.plan_figure([("soft", arm, shape), ("other", arm, none)], "drawer", pose, load)
+    first, second = figure.axes
+    assert f"predicted tip off by {1e3 * float(shape.attainability.tip_error):.3g} mm" in first.get_title()
+    assert second.get_title() == "other: no shape"
+    (planned,) = lines(first, "centreline")
+    np.testing.assert_allclose(planned.get_xydata()[-1], pose[:2], atol=1e-7)
+    (predicted,) = lines(first, "reached")
+    np.testing.assert_allclose(
+        predicted.get_xydata()[:: plot.SMOOTHING], ta.poses(shape.attainability.prediction.twists)[:, :2]
+    )
+    for axes in figure.axes:
+        (plate,) = lines(axes, "tip pose wanted")
+        left, right, middle, _ = plate.get_xydata()
+        np.testing.assert_allclose((left + right) / 2, pose[:2])
+        assert float(np.dot(right - left, (np.cos(pose[2]), np.sin(pose[2])))) == pytest.approx(0, abs=1e-12)
+        np.testing.assert_allclose(middle, pose[:2])
+        assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [m]", "y [m]")
+        assert lines(axes, "base")
+    figure.savefig(io.BytesIO())
+    with pytest.raises(ValueError, match="shapes: must hold at least one arm"):
+        plot.plan_figure([], "none", pose, load)
