@@ -52,8 +52,8 @@ def arm_in_space(
     Args:
         arm: one spatial design, or segments in series.
         task: one shape under one load.
-        reached: (N, 6) twists of another shape, as of `found.prediction.twists`: the tubes are drawn there, and the
-            task's centreline is dashed.
+        reached: (N, 6) twists of another shape, as of `found.prediction.twists`: the tubes are drawn there, around a
+            dashed centreline, and the task's is solid.
         ax: 3-D axes to draw in; None makes some.
 
     Raises:
@@ -71,21 +71,15 @@ def arm_in_space(
     for segment, line in zip(segments, lines, strict=True):
         _draw_tubes(axes, segment, line, 0.8 if reached is None else 0.3)
     whole = np.concatenate(lines)
-    axes.plot(*_upright(whole[:, :3, 3]), color=ATTAINABLE, linewidth=1, linestyle="-.", zorder=3, label="centreline")
+    ink, dashes, label = (ATTAINABLE, "-.", "centreline") if reached is None else (UNATTAINABLE, "--", "reached")
+    axes.plot(*_upright(whole[:, :3, 3]), color=ink, linewidth=1.5, linestyle=dashes, zorder=4, label=label)
     drawn = [whole[:, :3, 3]]
     if reached is not None:
         goal = np.concatenate(_lines(arm, wanted, task.base_pose, counts))[:, :3, 3]
-        axes.plot(*_upright(goal), color=UNATTAINABLE, linestyle="--", linewidth=2, zorder=4, label="task")
-        off = 1e3 * float(np.linalg.norm(goal[-1] - whole[-1, :3, 3]))
-        tips = (
-            {"fillstyle": "none", "color": UNATTAINABLE, "label": "its tip"},
-            {
-                "color": ATTAINABLE,
-                "label": f"tip reached, {off:.1f} mm off",
-            },
-        )
-        for place, how in zip((goal[-1:], whole[-1:, :3, 3]), tips, strict=True):
-            axes.plot(*_upright(place), "o", zorder=5, **how)
+        axes.plot(*_upright(goal), color=ATTAINABLE, linewidth=2, zorder=3, label="task")
+        axes.plot(*_upright(goal[-1:]), "o", color=ATTAINABLE, zorder=5, label="its tip")
+        label = f"tip reached, {1e3 * float(np.linalg.norm(goal[-1] - whole[-1, :3, 3])):.1f} mm off"
+        axes.plot(*_upright(whole[-1:, :3, 3]), "o", color=UNATTAINABLE, fillstyle="none", zorder=5, label=label)
         drawn.append(goal)
     _draw_forces(axes, task.load, lines)
     _limit(axes, np.concatenate(drawn), 0.06)
