@@ -397,7 +397,7 @@ class TestStudyFigure:
 
     def test_the_predicted_shape_is_that_of_the_median_load(self):
         figure, (result,) = self.draw(self.ARMS[:1])
-        (line,) = (line for axes in figure.axes for line in axes.lines if line.get_gid() == "predicted")
+        (line,) = (line for axes in figure.axes for line in axes.lines if line.get_gid() == "reached")
         index = int(line.get_label().split("load ")[1].split(":")[0]) - 1
         error = result.tip_error
         assert float(error[index]) == pytest.approx(float(error[error.isfinite()].median()))

@@ -4,9 +4,10 @@
     results = list(evaluate_study(study))
     write_results("results.csv", results)
 
-`example_text()` is a commented study that shows every section. Lengths are in metres, angles in
-radians, forces in newtons, moments in newton-metres, pressures in kilopascals. Entries of lists
-(arms, tasks, loads, nodes) are counted from 1, in tables and in error messages.
+`example_text()` is a commented study that shows every section, `key_reference()` one of every key,
+and `arm_to_toml` writes a design as a table of a study. Lengths are in metres, angles in radians,
+forces in newtons, moments in newton-metres, pressures in kilopascals. Entries of lists (arms, tasks,
+loads, nodes) are counted from 1, in tables and in error messages.
 """
 
 from torcharm.study.data import NamedArm, NamedTask, Settings, Study
