@@ -149,11 +149,11 @@ def test_sets_alone_only_exclude():
     worst = int(found.worst_node[1])
     miss = float(found.absolute_per_node[1, worst])
     assert miss == float(found.absolute_per_node[1].max()) == float(found.worst_miss[1])
-    assert found.reason[1] == f"node {worst + 1} lacks {miss:.3g} (N and N·m, weights 1)"
+    assert found.reason[1] == f"node {worst + 1} lacks {miss:.3g} N (1 N·m as 1 N)"
     weighted = ta.evaluate(ARM, task, ("absolute",), weights=(1.0, 25.0))
-    assert weighted.reason[1].endswith("(N and N·m, weights 1 and 25)")
+    assert weighted.reason[1].endswith("(by weights 1 of N², 25 of (N·m)²)")
     relative = ta.evaluate(ARM, task, ("relative",)).reason[1]
-    assert "(N and N·m, weights 1) of change from the base" in relative
+    assert "N (1 N·m as 1 N) of change from the base" in relative
 
 
 def test_the_margin_is_positive_inside():

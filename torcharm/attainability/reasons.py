@@ -30,7 +30,9 @@ def missing(absolute: Tensor | None, relative: Tensor | None, weights: tuple[flo
         weights: k_f and k_m, by which forces and moments are one distance.
     """
     force, moment = weights
-    unit = f"(N and N·m, weights {force:g}{'' if force == moment else f' and {moment:g}'})"
+    unit = (
+        "N (1 N·m as 1 N)" if (force, moment) == (1.0, 1.0) else f"(by weights {force:g} of N², {moment:g} of (N·m)²)"
+    )
     for distance, what in (
         (absolute, "node {} lacks {:.3g} {}"),
         (relative, "no pressure serves all nodes: node {} lacks {:.3g} {} of change from the base"),

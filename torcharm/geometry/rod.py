@@ -28,7 +28,7 @@ def group_of(columns: int) -> ModuleType:
     return {3: se2, 6: se3}[columns]
 
 
-def as_base(base_pose: Any, like: Tensor, columns: int) -> Tensor:
+def as_base(base_pose: Any, like: Tensor, columns: int) -> Any:
     """The pose (3,) or (4, 4) that a name stands for, in the dtype and on the device of a tensor; None hangs the arm.
 
     A pose stays as it is. In space body x points where the heading says, body z along world z.
@@ -37,8 +37,7 @@ def as_base(base_pose: Any, like: Tensor, columns: int) -> Tensor:
         ValueError: there is no such name.
     """
     if not (base_pose is None or isinstance(base_pose, str)):
-        pose: Tensor = base_pose
-        return pose
+        return base_pose
     name = HANGING if base_pose is None else base_pose
     check_choice("base_pose", name, HEADINGS)
     heading = HEADINGS[name]

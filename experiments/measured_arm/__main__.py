@@ -1,0 +1,3 @@
+from experiments.measured_arm.run import main
+
+main()

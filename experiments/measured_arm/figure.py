@@ -1,0 +1,58 @@
+"""The picture: where tips were measured and where the model puts them, and errors by hypothesis."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from experiments.measured_arm.module import States
+
+if TYPE_CHECKING:
+    from experiments.measured_arm.run import Row
+
+MEASURED, MODEL = "#000000", "#D55E00"
+CASES = {"noload": ("no load", "#0072B2"), "load1": ("pulled at the tip", "#E69F00")}
+
+
+def draw(states: States, modelled: Tensor, rows: "Sequence[Row]") -> Figure:
+    """Tips from below, and the errors of all states by hypothesis."""
+    figure = Figure(figsize=(12, 5), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1, 1.2))
+    measured, model = 1e3 * states.tip.numpy(), 1e3 * modelled.numpy()
+    for seen, said in zip(measured, model, strict=True):
+        left.plot([seen[0], said[0]], [seen[2], said[2]], color="0.7", linewidth=1, zorder=1)
+    for case, (name, _) in CASES.items():
+        own = np.array([word == case for word in states.case])
+        style = {"linestyle": "", "marker": "o" if case == "noload" else "^"}
+        left.plot(*measured[own][:, [0, 2]].T, color=MEASURED, label=f"measured, {name}", **style)
+        left.plot(*model[own][:, [0, 2]].T, color=MODEL, fillstyle="none", label=f"model, {name}", **style)
+    left.set(xlabel="x [mm]", ylabel="z [mm]", title="The tip from above: published constants, nothing fitted")
+    left.set_aspect("equal", adjustable="datalim")
+    left.legend(fontsize="small")
+    names = list(dict.fromkeys(row.hypothesis for row in rows))
+    for shift, (case, (name, colour)) in zip((-0.17, 0.17), CASES.items(), strict=True):
+        for place, hypothesis in enumerate(names):
+            errors = [row.tip_error_mm for row in rows if row.hypothesis == hypothesis and row.case == case]
+            spots = np.full(len(errors), place + shift)
+            marker = "o" if case == "noload" else "^"
+            right.plot(
+                spots,
+                errors,
+                color=colour,
+                marker=marker,
+                linestyle="",
+                markersize=5,
+                alpha=0.7,
+                label=name if place == 0 else None,
+            )
+            right.plot([place + shift - 0.12, place + shift + 0.12], [np.median(errors)] * 2, color=colour, linewidth=3)
+    right.set_xticks(range(len(names)), [name.replace(" ", "\n", 1) for name in names])
+    right.set(
+        ylabel="tip error [mm]",
+        title="Fitted on half of the states, judged on the other half",
+        ylim=(0, None),
+    )
+    right.legend()
+    return figure
