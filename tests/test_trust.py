@@ -9,6 +9,8 @@ import torch
 from typer.testing import CliRunner
 
 import torcharm as ta
+from experiments.trust.agreement import counted
+from experiments.trust.run import EACH
 from torcharm import cli
 from torcharm.study import evaluate_study, parse_study, write_results
 
@@ -326,3 +328,10 @@ def test_the_command_says_what_is_impossible_and_asks_about_units(tmp_path):
     refused = CliRunner().invoke(cli.app, ["evaluate", str(path)], env={"COLUMNS": "300"})
     assert refused.exit_code == 2
     assert "are curvatures in degrees?" in refused.stderr
+
+
+def test_trusted_predictions_agree_with_the_search():
+    rows = [row for row in counted(range(12)) if row.status in ("converged", "at a kink")]
+    tasks = sum(row.tasks for row in rows)
+    assert tasks > 0.6 * 12 * EACH
+    assert sum(row.prediction_larger + row.search_larger for row in rows) <= 0.01 * tasks
