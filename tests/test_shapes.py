@@ -89,6 +89,19 @@ def test_an_arc_has_gradients():
     assert torch.autograd.gradcheck(ta.arc_to, (tip,))
 
 
+@pytest.mark.parametrize("tip", [(0.4, 0.0), (0.4, 0.0, 0.0)])
+def test_an_arc_straight_ahead_has_the_gradients_of_its_neighbours(tip):
+    def slopes(point):
+        point = torch.tensor(point, dtype=torch.float64, requires_grad=True)
+        twists = ta.arc_to(point, 1, "horizontal")[0]
+        return torch.stack(
+            [torch.autograd.grad(entry, point, retain_graph=True)[0] for entry in twists if entry.requires_grad]
+        )
+
+    there, beside = slopes(tip), slopes((tip[0], 1e-7, *tip[2:]))
+    assert torch.allclose(there, beside[: len(there)], atol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("call", "field"),
     [

@@ -92,12 +92,16 @@ class ArmDesign(HoldsTensors):
             if value is None:
                 raise ValueError(f"{name}: must be given, got None")
         models = _models(actuators, **given)
-        own = [0.0 if is_passive(model) else model.max_pressure for model in models]
+        passive = [is_passive(model) for model in models]
+        own = [0.0 if without else model.max_pressure for without, model in zip(passive, models, strict=True)]
         limits = own if max_pressure is None else max_pressure
         given |= {"length": length, "max_pressure": limits, "mass": mass}
         optional = {"out_of_plane": out_of_plane, "torsion_stiffness": torsion_stiffness, "diameter": diameter}
         given |= {name: value for name, value in optional.items() if value is not None}
         values = dict(zip(given, as_floating(**given), strict=True))
+        if values["max_pressure"].ndim == 0 and any(passive):  # one limit for all is one for all that it drives
+            driven = [float(not without) for without in passive]
+            values["max_pressure"] = values["max_pressure"] * values["max_pressure"].new_tensor(driven)
         if "offsets" in values:
             values["radii"], values["out_of_plane"] = values.pop("offsets").unbind(-1)
         elif not values["radii"].ndim:

@@ -20,6 +20,8 @@ from torcharm.inputs import (
     check_finite,
 )
 
+AHEAD = 1e-9
+"""Sine of the angle within which a point counts as straight ahead: the turn's own slope is good to the square of it."""
 BEHIND = 1e-9
 """Sine of the angle within which a point straight behind the base is one: rounding decides which way round."""
 
@@ -129,14 +131,18 @@ def arc_to(tip: TensorLike, nodes: int = 10, base_pose: TensorLike | str | None 
     if base.shape != group_of(columns).POSE_SHAPE:
         raise ValueError(f"base_pose: must have shape {group_of(columns).POSE_SHAPE}, got {tuple(base.shape)}")
     ahead, *across = _from_base(point, base)
-    aside = across[0] if columns == 3 else torch.hypot(*across)
-    chord = torch.hypot(ahead, aside)
-    if bool(((chord == 0) | ((aside.abs() <= BEHIND * chord) & (ahead < 0))).any()):
+    square = sum(part * part for part in across)
+    chord = (ahead * ahead + square).sqrt()
+    if bool(((chord == 0) | ((square <= (BEHIND * chord) ** 2) & (ahead < 0))).any()):
         raise ValueError("tip: must lie neither at the base nor straight behind it, where no one arc leads")
+    straight = square <= (AHEAD * chord) ** 2  # there the turn is (2/x) times the offset across, to rounding
+    aside = torch.where(straight, chord, square).sqrt()
     half = torch.atan2(aside, ahead)
-    length = chord / torch.sinc(half / math.pi)
-    direction = None if columns == 3 else torch.atan2(across[1], across[0])
-    return constant_curvature(2 * half, length, nodes, direction)
+    turn = 2 * torch.where(straight, 1 / chord, half / aside)
+    length = torch.where(straight, chord, chord / torch.sinc(half / math.pi))
+    none = torch.zeros_like(length)
+    bends = (turn * across[0],) if columns == 3 else (none, none, -turn * across[1], turn * across[0])
+    return torch.stack((length, none, *bends), -1).unsqueeze(-2).expand(*length.shape, nodes, columns)
 
 
 def _from_base(point: Tensor, base: Tensor) -> tuple[Tensor, ...]:

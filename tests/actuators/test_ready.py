@@ -27,6 +27,12 @@ def test_a_core_is_passive_and_chambers_are_not():
     assert body().max_pressure.tolist() == [100.0, 100.0, 100.0, 0.0]
 
 
+def test_one_number_for_all_drives_the_chambers_alone():
+    given = {"offsets": body().offsets, "length": 0.05, "actuators": body().actuators}
+    assert ta.ArmDesign(**given, max_pressure=40.0).max_pressure.tolist() == [40.0, 40.0, 40.0, 0.0]
+    assert bool(ta.solve_equilibrium(body(), 20.0, [0.0] * 6).in_range)
+
+
 def test_a_body_stretches_and_bends_as_its_closed_form():
     """Without load: `EA ε = Σ p A`, and `EI κ/l = Σ p A r` of an arc."""
     arm, pressure = body(), torch.tensor([30.0, 0.0, 0.0, 0.0], dtype=torch.float64)
@@ -66,6 +72,7 @@ def test_searches_leave_the_core_alone():
     ("call", "field"),
     [
         (lambda: ta.chamber(-1.0), "area"),
+        (lambda: ta.chamber(200.0), "area"),
         (lambda: ta.chamber(AREA, max_pressure=-1.0), "max_pressure"),
         (lambda: ta.elastic_core(0.0, BEND), "axial_stiffness"),
         (lambda: ta.elastic_core(STRETCH, math.nan), "bending_stiffness"),

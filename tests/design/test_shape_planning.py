@@ -75,7 +75,7 @@ def test_the_best_held_shape_is_held() -> None:
     assert _tip_error(plan.twists) < 1e-8
     assert plan.found
     assert plan.attainability is not None
-    assert bool(plan.attainability.in_range)
+    assert bool(plan.attainability.shape_in_range)
     assert plan.cost < 1e-2 * float(found.absolute + found.relative)
 
 

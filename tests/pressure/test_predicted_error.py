@@ -192,3 +192,20 @@ def test_one_prediction_and_batches_are_quick():
     ta.predict_error(arm, many)
     assert middle - started < 0.05
     assert (time.process_time() - middle) / 100 < 0.003
+
+
+@pytest.mark.parametrize("nodes", [10, 40])
+def test_shapes_that_an_arm_has_been_seen_to_hold_are_predicted_to_be_held(nodes):
+    """Equilibria at random pressures, reached from rest: half of their pressures are far from those tried first."""
+    generator = torch.Generator().manual_seed(3)
+    arm = ta.mckibben_arm()
+    load = (torch.rand(60, 3, generator=generator, dtype=torch.float64) - 0.5) * torch.tensor(
+        [10.0, 10.0, 0.6]
+    ).double()
+    share = torch.rand(60, 4, generator=generator, dtype=torch.float64)
+    pressure = arm.max_pressure * share * (torch.rand(60, 4, generator=generator) > 0.4)
+    held = ta.solve_equilibrium(arm, pressure, load, nodes=nodes)
+    kept = held.stable & held.continued & held.in_range
+    assert kept.sum() > 50
+    found = ta.predict_error(arm, ta.Task(held.twists[kept], load[kept]))
+    assert found.shape_error.max() < 1e-3

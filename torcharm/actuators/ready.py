@@ -6,8 +6,13 @@ from torcharm.inputs import check_number
 
 PASCALS = 1e3
 """In a kilopascal."""
+ANY_PRESSURE = 1e6
+"""What does not depend on pressure is characterised at all that there are [kPa]."""
 USUAL_STRAINS = (-0.3, 1.0)
 """Where soft silicones are usually taken for linear."""
+
+LARGEST_AREA = 1.0
+"""Of a chamber [m²]: more was meant in other units."""
 
 
 def chamber(
@@ -23,13 +28,14 @@ def chamber(
         strain_range: to which it is.
 
     Raises:
-        ValueError: the area is not above 0, or as for `PolynomialActuator`.
+        ValueError: the area is not above 0 and at most 1, or as for `PolynomialActuator`.
     """
-    check_number("area", area, 0.0, strict=True, unit="m²")
+    if check_number("area", area, 0.0, strict=True, unit="m²") > LARGEST_AREA:
+        raise ValueError(f"area: must be at most {LARGEST_AREA:g} m² (is it in mm²?), got {float(area):g}")
     return PolynomialActuator(
         coefficients=((0, 1, PASCALS),),
         strain_range=strain_range,
-        pressure_range=(0.0, float(max_pressure)),
+        pressure_range=(0.0, check_number("max_pressure", max_pressure, 0.0, strict=True, unit="kPa")),
         max_pressure=max_pressure,
         bending_stiffness=0.0,
         force_scale=area,
@@ -58,7 +64,7 @@ def elastic_core(
     return PolynomialActuator(
         coefficients=((1, 0, -1.0),),
         strain_range=strain_range,
-        pressure_range=(0.0, 1.0),
+        pressure_range=(0.0, ANY_PRESSURE),
         max_pressure=1.0,
         bending_stiffness=ConstantBending(-bending_stiffness),
         force_scale=axial_stiffness,

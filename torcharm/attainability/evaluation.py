@@ -160,7 +160,7 @@ def _by_sets(grid: DesignTaskGrid, nodes: NodeDistances, options: SetOptions, po
         found[name] = over_nodes(value, name, power, signed=options.signed, firsts=firsts)
     return found | {
         "strain_excess": excess,
-        "in_range": (excess <= RANGE_SLACK) & limits_in_range(grid) & ~impossible,
+        "shape_in_range": (excess <= RANGE_SLACK) & limits_in_range(grid) & ~impossible,
         "impossible": impossible,
         "distances_converged": converged,
     }

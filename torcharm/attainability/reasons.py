@@ -16,6 +16,9 @@ UNDECIDED = {
     "not reached": "stable there, but loading and inflating from rest leads to another shape",
 }
 
+NOTHING = 1e-6
+"""A miss [N] that explains nothing: of the size of rounding."""
+
 
 def one_design(segment: ArmDesign, batch: torch.Size, index: tuple[int, ...]) -> ArmDesign:
     """One design of a segment, whose arm has a batch of designs."""
@@ -39,7 +42,7 @@ def missing(absolute: Tensor | None, relative: Tensor | None, weights: tuple[flo
     ):
         if distance is not None:
             miss, node = distance.max(-1)
-            if float(miss) > 0:
+            if float(miss) > NOTHING:
                 return what.format(int(node) + 1, float(miss), unit)
     return ""
 

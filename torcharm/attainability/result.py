@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
+from torcharm.attainability.questions import question
 from torcharm.attainability.reasons import UNDECIDED, missing, one_design, out_of_range
 from torcharm.attainability.verdict import VERDICTS, PoseTolerance, judge
 from torcharm.inputs import HoldsTensors
@@ -45,7 +46,8 @@ class Attainability(HoldsTensors):
             a power.
         prediction: all that is known of the predicted error, with what it takes to trust it.
         strain_excess: largest strain of the task's shape beyond its actuator's characterised range, 0 if none is.
-        in_range: whether every strain of the task's shape, and every pressure limit, lies in the characterised range.
+        shape_in_range: whether every strain of the task's shape, and every pressure limit, lies in the characterised
+            range.
         impossible: whether the shape leaves an actuator no length, or less, at some node: a strain of -1 or below, as
             of curvatures in degrees or lengths in millimetres. All metrics are infinite there.
         distances_converged: whether every distance is finite and known to within its promise: the gap between its
@@ -62,7 +64,7 @@ class Attainability(HoldsTensors):
     relative_per_node: Tensor | None
     prediction: "PredictedError | None"
     strain_excess: Tensor
-    in_range: Tensor
+    shape_in_range: Tensor
     impossible: Tensor
     distances_converged: Tensor
     signed: bool
@@ -90,6 +92,12 @@ class Attainability(HoldsTensors):
     def pressure(self) -> Tensor | None:
         """(..., M) the pressure that reaches it [kPa]."""
         return None if self.prediction is None else self.prediction.pressure
+
+    @property
+    def in_range(self) -> Tensor:
+        """Whether the task's shape, the limits and the shape predicted, if one was, are in the characterised range."""
+        found = self.prediction
+        return self.shape_in_range if found is None else self.shape_in_range & (found.in_range | ~found.stable)
 
     @cached_property
     def verdict(self) -> str | NDArray[Any] | None:
@@ -124,9 +132,9 @@ class Attainability(HoldsTensors):
         nodes = task.segment_nodes or (task.nodes,)
         if verdict == "impossible" and not bool(self.impossible[index]):
             return "the centreline of the shape would have no length"
-        if not bool(self.in_range[index]):
-            twists = task.twists.expand(*task.batch_shape, *task.twists.shape[-2:])[index[lead:]]
-            return out_of_range(segments, twists.detach(), nodes)
+        twists = task.twists.detach().expand(*task.batch_shape, *task.twists.shape[-2:])[index[lead:]]
+        if not bool(self.shape_in_range[index]):
+            return out_of_range(segments, twists, nodes)
         if verdict == "excluded by range" and self.prediction is not None:
             return f"predicted: {out_of_range(segments, self.prediction.twists[index].detach(), nodes)}"
         if verdict == "undecided":
@@ -138,7 +146,7 @@ class Attainability(HoldsTensors):
         if verdict != "missed":
             return lacking
         cause = lacking or "no pressure comes close enough, though sets do not exclude it"
-        return f"{self._beyond_tolerance(index)}; {cause}"
+        return "; ".join(filter(None, (self._beyond_tolerance(index), cause, question(segments, twists, nodes))))
 
     def _beyond_tolerance(self, index: tuple[int, ...]) -> str:
         """Which error of a prediction is beyond what is tolerated, the first of them."""

@@ -30,6 +30,14 @@ ROTATION = math.radians(5.0)
 """How far the tip may be turned unless told otherwise [rad]: that moves the end of a tool that is a quarter as long as
 the arm by the same 2 % of the arm's length."""
 
+WIDEST = {"tip": 1.0, "rotation": math.pi, "shape": 1.0}
+"""What no tolerance exceeds [m, rad]: more was meant in other units."""
+WIDEST_WORDS = {
+    "tip": "1 m (is it in millimetres?)",
+    "rotation": "π rad (is it in degrees?)",
+    "shape": "1 m (is it in millimetres?)",
+}
+
 
 @dataclass(frozen=True)
 class PoseTolerance:
@@ -41,7 +49,7 @@ class PoseTolerance:
         shape: mean distance of the shape, as `shape_error` [m]; None is the same as for the tip.
 
     Raises:
-        ValueError: a tolerance is not a number above 0.
+        ValueError: a tolerance is not a number above 0, or above 1 m or π.
     """
 
     tip: float | None = None
@@ -52,7 +60,10 @@ class PoseTolerance:
         for name in ("tip", "rotation", "shape"):
             value = getattr(self, name)
             if value is not None:
-                object.__setattr__(self, name, check_number(f"tolerance.{name}", value, 0.0, strict=True))
+                number = check_number(f"tolerance.{name}", value, 0.0, strict=True)
+                if number > WIDEST[name]:
+                    raise ValueError(f"tolerance.{name}: must be at most {WIDEST_WORDS[name]}, got {number:g}")
+                object.__setattr__(self, name, number)
 
     def lengths(self, arm: ArmDesign | ArmSeries) -> tuple[Tensor, Tensor]:
         """(*design batch) tolerances of tip and shape [m] for arms of their lengths."""
@@ -80,7 +91,7 @@ def judge(
         arm: the designs.
         prediction: of all of them on all tasks.
         tolerance: what counts as held.
-        in_range: whether the task's shape and the limits lie in the characterised range.
+        in_range: whether the task's shape, the limits and the shape predicted lie in the characterised range.
         impossible: whether an actuator would have no length at the task's shape.
     """
     tasks = prediction.tip_error.ndim - len(arm.batch_shape)
@@ -89,5 +100,5 @@ def judge(
     close = close & (prediction.tip_rotation_error <= tolerance.rotation)
     found = torch.where(close, HELD, torch.where(prediction.at_minimum, MISSED, UNDECIDED))
     found = torch.where(prediction.stable & prediction.reached, found, UNDECIDED)
-    found = torch.where(in_range & (prediction.in_range | ~prediction.stable), found, EXCLUDED)
+    found = torch.where(in_range, found, EXCLUDED)
     return torch.where(impossible | ~prediction.possible, IMPOSSIBLE, found)

@@ -67,6 +67,8 @@ def evaluate(
                     advance()
             except KeyboardInterrupt:  # what is finished is shown and written all the same
                 interrupted = True
+        if interrupted and not results:  # nothing is worth a file that may be there
+            raise KeyboardInterrupt
         console = open_console()
         if as_json:
             _print_json(results)
@@ -170,6 +172,7 @@ def _columns(summary: "Summary", sums: bool) -> dict[str, str]:
         cells["held"] = f"{summary.held} of {summary.loads}"
         cells["tip off\n[mm]"] = _number(1e3 * median["tip_error"])
         cells["turned\n[°]"] = _number(math.degrees(median["tip_rotation_error"]))
+        cells["shape\n[mm]"] = _number(1e3 * median["shape_error"])
     elif summary.not_excluded is not None:
         cells["not\nexcluded"] = f"{summary.not_excluded} of {summary.loads}"
     if summary.not_excluded is not None:

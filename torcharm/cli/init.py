@@ -9,7 +9,9 @@ from torcharm.cli.terminal import mistakes, open_console, say
 
 
 def init(
-    path: Annotated[Path, typer.Argument(help="Where to write it.")] = Path("study.toml"),
+    path: Annotated[
+        Path | None, typer.Argument(help="Where to write it.", show_default="study.toml; with --all all_keys.toml")
+    ] = None,
     every: Annotated[
         bool, typer.Option("--all", help="Write every key that a study may have, what it may be, and its default.")
     ] = False,
@@ -20,6 +22,7 @@ def init(
         from torcharm.files import atomic_write
         from torcharm.study import example_text, key_reference
 
+        path = path or Path("all_keys.toml" if every else "study.toml")
         if path.exists() and not force:
             raise ValueError(f"{path}: is there already; --force overwrites it")
         with atomic_write(path) as partial:

@@ -1,8 +1,8 @@
 """The pressures at which arms that are put down at a shape come closest to it.
 
 From half the limits, or the most promising of other pressures where there is no stable equilibrium near the shape, the
-cost is followed to a minimum, through stable equilibria wherever there are any. Where the error may vanish, pressures
-that hold the very shape are looked for as well.
+cost is followed to a minimum, through stable equilibria wherever there are any. From pressures that almost hold the
+very shape, or do, as the wrenches there say, it is followed once more.
 """
 
 import math
@@ -33,12 +33,11 @@ Array = NDArray[Any]
 
 SCREENED = (3, 8, 64)
 """Pressures at which an arm is tried that does not stay near the shape at half the limits; and again, of more."""
-MAY_HOLD, ALMOST_HOLDS = 5e-2, 5e-3
-"""Errors over the arm's length below which some pressure may hold the very shape, and where it is looked for with
-patience."""
-FITS, PATIENT_FITS = 2, 24
+ALMOST_HOLDS = 5e-2
+"""Mean error over the arm's length below which pressures that hold the very shape are looked for with patience."""
+FITS, PATIENT_FITS = 2, 10
 """Pressures from which it is looked for."""
-FIT_STEPS, PATIENT_FIT_STEPS = 15, 40
+FIT_STEPS, PATIENT_FIT_STEPS = 15, 20
 """Steps of each."""
 FIT_GAIN, PATIENT_FIT_GAIN = 1e-2, 1e-4
 """Share of the squared distance that a step must promise: all of it where the shape can be held."""
@@ -132,8 +131,11 @@ def _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, be
 
 @part
 def _near(problem, work, b, at, share):  # type: ignore[no-untyped-def]
-    """Whether the error of a slot all but vanishes, and is more than rounding."""
-    error = math.sqrt(2.0 * work.points.known[at, HALF_COST]) / problem.scale.length[b]
+    """Whether the mean error of a slot is below a share of the length, and more than rounding."""
+    weight = 0.0
+    for i in range(problem.goal.weight.shape[0]):
+        weight += problem.goal.weight[i, 0]
+    error = math.sqrt(2.0 * work.points.known[at, HALF_COST] / max(weight, 1e-300)) / problem.scale.length[b]
     return FLOOR < error < share
 
 
@@ -143,7 +145,7 @@ def _predict(problem, work, fit, b, shape, draws):  # type: ignore[no-untyped-de
     points, best, ended, free = work.points, 0, NO_START, False
     for turn in range(3):
         here = 0 if turn == 0 else 2
-        share, first, starts, steps, gain = MAY_HOLD, 0, FITS, FIT_STEPS, FIT_GAIN
+        share, first, starts, steps, gain = math.inf, 0, FITS, FIT_STEPS, FIT_GAIN
         if turn == 0:
             _start(problem, work, b, shape, draws)
             free = not points.known[0, STABLE] > 0.0

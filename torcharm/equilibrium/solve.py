@@ -252,6 +252,8 @@ def _checked(
     segments, columns = segments_of(arm)[0], 3 if arm.dimension == 2 else 6
     counts = _counts(nodes, len(segments))
     group = group_of(columns)
+    if pressure is None:
+        raise ValueError("pressure: must be given, got None")
     fields = {"pressure": pressure, "radii": segments[0].radii}
     if not (base_pose is None or isinstance(base_pose, str)):
         fields["base_pose"] = base_pose

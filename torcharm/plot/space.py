@@ -64,24 +64,29 @@ def arm_in_space(
         raise ValueError(f"task: must be one spatial task, got {task!r}")
     axes, counts = axes_or_new(ax, "3d"), task.segment_nodes or (task.nodes,)
     wanted = task.twists.detach().reshape(-1, 6)
+    if reached is not None and reached.shape[-2:] != wanted.shape:
+        raise ValueError(
+            f"reached: must have shape {tuple(wanted.shape)}, as the task's twists, got {tuple(reached.shape)}"
+        )
     shape = wanted if reached is None else reached.detach().reshape(-1, 6).to(wanted)
-    lines = _lines(arm, shape, task.base_pose, counts)
+    lines, tip = _lines(arm, shape, task.base_pose, counts)
     axes.computed_zorder = False  # else what lies within an arm would be hidden
     _draw_base(axes, lines[0][0], max(float(segment.offsets.norm(dim=-1).max()) for segment in segments))
     for segment, line in zip(segments, lines, strict=True):
         _draw_tubes(axes, segment, line, 0.8 if reached is None else 0.3)
-    whole = np.concatenate(lines)
+    whole = np.concatenate((*lines, tip[None]))
     ink, dashes, label = (ATTAINABLE, "-.", "centreline") if reached is None else (UNATTAINABLE, "--", "reached")
     axes.plot(*_upright(whole[:, :3, 3]), color=ink, linewidth=1.5, linestyle=dashes, zorder=4, label=label)
     drawn = [whole[:, :3, 3]]
     if reached is not None:
-        goal = np.concatenate(_lines(arm, wanted, task.base_pose, counts))[:, :3, 3]
+        goals, end = _lines(arm, wanted, task.base_pose, counts)
+        goal = np.concatenate((*goals, end[None]))[:, :3, 3]
         axes.plot(*_upright(goal), color=ATTAINABLE, linewidth=2, zorder=3, label="task")
         axes.plot(*_upright(goal[-1:]), "o", color=ATTAINABLE, zorder=5, label="its tip")
         label = f"tip reached, {1e3 * float(np.linalg.norm(goal[-1] - whole[-1, :3, 3])):.1f} mm off"
         axes.plot(*_upright(whole[-1:, :3, 3]), "o", color=UNATTAINABLE, fillstyle="none", zorder=5, label=label)
         drawn.append(goal)
-    _draw_forces(axes, task.load, lines)
+    drawn.append(_draw_forces(axes, task.load, lines, tip))
     _limit(axes, np.concatenate(drawn), 0.06)
     axes.legend(loc="upper left", fontsize="small")
     return axes
@@ -183,17 +188,17 @@ def _spatial(field: str, arm: ArmDesign | ArmSeries) -> tuple[ArmDesign, ...]:
     return tuple(segment._map(lambda value: value.detach().reshape(-1)) for segment in segments_of(arm))
 
 
-def _lines(arm: ArmDesign | ArmSeries, twists: Tensor, base: Tensor, counts: Sequence[int]) -> list[Array]:
-    """Poses (SMOOTHING·N + 1, 4, 4) along each segment, without links."""
+def _lines(
+    arm: ArmDesign | ArmSeries, twists: Tensor, base: Tensor, counts: Sequence[int]
+) -> tuple[list[Array], Array]:
+    """Poses (SMOOTHING·N + 1, 4, 4) along each segment, without links, and that of the tip."""
     links = list(arm.links) if isinstance(arm, ArmSeries) else [None]
     found, start = [], base
     for own, link in zip(twists.split(list(counts)), links, strict=True):
         line = rod.poses(own.repeat_interleave(SMOOTHING, 0), start)
         found.append(array(line))
         start = line[-1] if link is None else line[-1] @ link.end(3).reshape(4, 4).to(line)
-    if links[-1] is not None:  # the tip lies beyond the last segment
-        found[-1] = np.concatenate((found[-1], array(start)[None]))
-    return found
+    return found, array(start)
 
 
 def _draw_base(axes: Any, pose: Array, size: float) -> None:
@@ -222,11 +227,11 @@ def _draw_tubes(axes: Any, segment: ArmDesign, line: Array, alpha: float) -> Non
             axes.plot([], [], color=colour, linewidth=6, label=label)
 
 
-def _draw_forces(axes: Any, load: ExternalLoad, lines: Sequence[Array]) -> None:
-    """The force at the tip, and those of point loads and masses, as arrows of one scale."""
+def _draw_forces(axes: Any, load: ExternalLoad, lines: Sequence[Array], tip: Array) -> Array:
+    """The force at the tip, and those of point loads and masses, as arrows of one scale; returns their ends (A, 3)."""
     places, forces, names = [], [], []
     if load.tip is not None and bool((load.tip[..., :3] != 0).any()):
-        places, forces, names = [lines[-1][-1]], [array(load.tip).reshape(-1)[:3]], ["tip load"]
+        places, forces, names = [tip], [array(load.tip).reshape(-1)[:3]], ["tip load"]
     for point in load.points:
         line = lines[point.segment]
         pose = line[round(point.at * (len(line) - 1))]
@@ -238,13 +243,14 @@ def _draw_forces(axes: Any, load: ExternalLoad, lines: Sequence[Array]) -> None:
         places, forces, names = [*places, pose], [*forces, force], [*names, "point load"]
     most = max((np.linalg.norm(force) for force in forces), default=0.0)
     if most == 0:
-        return
+        return tip[None, :3, 3]
     reach = sum(float(np.linalg.norm(np.diff(line[:, :3, 3], axis=0), axis=-1).sum()) for line in lines)
     scale = LONGEST_ARROW * reach / most
     for pose, force, name in zip(places, forces, names, strict=True):
         at, way = _upright(pose[None, :3, 3]), _upright(scale * force[None])
         axes.quiver(*at, *way, color=ATTAINABLE, linewidth=1.8, arrow_length_ratio=0.2, zorder=4)
         axes.plot([], [], color=ATTAINABLE, marker=">", label=f"{name}, {np.linalg.norm(force):.3g} N")
+    return np.stack([pose[:3, 3] + scale * force for pose, force in zip(places, forces, strict=True)])
 
 
 def _upright(points: Array) -> tuple[Array, Array, Array]:
