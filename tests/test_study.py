@@ -763,3 +763,18 @@ def test_a_study_of_predicted_errors(tmp_path):
     (only,) = evaluate_study(alone)
     assert only.verdicts == result.verdicts
     assert summarise(only).worst_node is summarise(only).not_excluded is None
+
+
+@pytest.mark.parametrize(
+    ("name", "heading"), [("hanging", -math.pi / 2), ("upright", math.pi / 2), ("horizontal", 0.0)]
+)
+def test_a_base_goes_by_name(name, heading):
+    text = example_text().replace('# base_pose = "hanging" ', f'base_pose = "{name}" #')
+    assert f'base_pose = "{name}"' in text
+    assert parse_study(text).tasks[1].task.base_pose.tolist() == [0.0, 0.0, heading]
+
+
+def test_no_such_base_names_those_that_are():
+    text = example_text().replace('# base_pose = "hanging" ', 'base_pose = "uprigt" #')
+    with pytest.raises(ValueError, match=r"base_pose: must be one of hanging, .*did you mean upright"):
+        parse_study(text)

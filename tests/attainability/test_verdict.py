@@ -77,7 +77,7 @@ def test_what_is_not_found_is_undecided():
     task = ta.Task(ta.affine_curvature(0.2, -0.1, length=0.44, nodes=6), [0.0, 8.0, 0.0])
     found = ta.evaluate(arm, task)
     assert found.verdict == "undecided"
-    assert found.reason == "no stable equilibrium near the task's shape was found"
+    assert found.reason.startswith("no stable equilibrium near the task's shape was found")
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,9 @@ from torcharm.attainability.questions import question
 from torcharm.statics.cross_section import RANGE_SLACK, cross_sections, per_actuator
 
 UNDECIDED = {
-    "not converged": "a stable shape, but perhaps not the best pressure: the minimisation did not converge",
-    "unstable": "no stable equilibrium near the task's shape was found",
-    "not reached": "stable there, but loading and inflating from rest leads to another shape",
+    "not converged": "a stable shape, but perhaps not the best pressure: search_pressure may find a better one",
+    "unstable": "no stable equilibrium near the task's shape was found: search_pressure follows the arm from rest",
+    "not reached": "stable there, but loading from rest leads to another shape: search_pressure finds the closest",
 }
 
 NOTHING = 1e-6

@@ -161,7 +161,7 @@ def _toml(results: Found) -> str:
     from torcharm.arm import ArmDesign
     from torcharm.study import arm_to_toml
 
-    tables = []
+    tables = ["# To append to a study.\n"]
     for arm, result in results:
         assert isinstance(result.best, ArmDesign)  # studies hold no others
         tables.append(f"# {result.status}\n" + arm_to_toml(result.best, f"{arm.name}, optimised", arm.files))

@@ -11,10 +11,12 @@ from torcharm.design.objective import AGGREGATES, Objective
 from torcharm.design.objective import METRICS as OBJECTIVES
 from torcharm.design.optimise import ITERATIONS
 from torcharm.design.space import FIELDS, TIES
-from torcharm.geometry.rod import BASE_POSE
+from torcharm.geometry.rod import BASE_POSE, HEADINGS
+from torcharm.inputs import hint
 from torcharm.study.arm_tables import ArmTable
 from torcharm.study.data import Settings
 from torcharm.study.fields import (
+    Check,
     Name,
     NotNegative,
     Positive,
@@ -106,10 +108,23 @@ _loads = Field(
     description="Loads at the tip in the world frame, x to the right and y up: forces, and the moment.",
     examples=[[[0.0, 0.0, 0.0], [1.0, "-200 gf", 0.1]]],
 )
+
+
+def _named_base(value: Any) -> Any:
+    """The pose that a name stands for, at the origin."""
+    if isinstance(value, str) and value not in HEADINGS:
+        names = ", ".join(HEADINGS)
+        raise refuse(
+            f"must be one of {names}, or a list of 3, [x, y, θ], got {shown_value(value)}{hint(value, HEADINGS)}"
+        )
+    return [0.0, 0.0, HEADINGS[value]] if isinstance(value, str) else value
+
+
+BasePose = Annotated[Pose, Check(_named_base)]
 _base_pose = Field(
     default=list(BASE_POSE),
-    description="Place and heading of the arm's base; by default it hangs from the origin.",
-    examples=[[0.0, 0.0, "-90 deg"]],
+    description="Place and heading of the arm's base, or hanging (the default), upright or horizontal at the origin.",
+    examples=["upright", [0.0, 0.0, "-90 deg"]],
 )
 _wrench_at = Field(
     default="middle",
@@ -124,7 +139,7 @@ class ShapedTask(Table):
     name: Name = Field(description="What tables and files call the task; no two have the same name.", examples=["bend"])
     shape: ShapeTable = Field(description="The centreline to hold.")
     loads: LoadsTable = _loads
-    base_pose: Pose = _base_pose
+    base_pose: BasePose = _base_pose
     wrench_at: Annotated[str, one_of(WRENCH_PLACES)] = _wrench_at
 
 
@@ -139,7 +154,7 @@ class TwistTask(Table):
         examples=[[[0.48, 0.0, 1.0], [0.48, 0.0, "30 deg"], [0.48, 0.0, 0.0]]],
     )
     loads: LoadsTable = _loads
-    base_pose: Pose = _base_pose
+    base_pose: BasePose = _base_pose
     wrench_at: Annotated[str, one_of(WRENCH_PLACES)] = _wrench_at
 
 
@@ -291,7 +306,7 @@ class PlanTable(Table):
         description="Whether strains stay in the characterised range. Without it, unless the smoothest shape is asked.",
         examples=[False],
     )
-    base_pose: Pose = _base_pose
+    base_pose: BasePose = _base_pose
 
 
 class StudyTable(Table):
