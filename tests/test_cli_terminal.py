@@ -121,51 +121,49 @@ def test_a_plan_that_is_an_error_costs_only_its_own_row(monkeypatch, capsys, stu
         assert [row["plan"] for row in csv.DictReader(file)] == ["shape 1"] * 10
 
 
-def test_plan_keeps_what_was_found_before_ctrl_c(monkeypatch, capsys, study_file):
-    second = STUDY[STUDY.index("[[plan]]") :].replace("shape 1", "shape 2")
-    study_file.write_text(STUDY + second, encoding="utf-8")
-    whole, calls = shape_planning.plan_shape, []
+def interrupt_the_second_call(monkeypatch, module, name):
+    """As if Ctrl-C came when a function has done its work once and begins again."""
+    whole, calls = getattr(module, name), []
 
-    def interrupted(*arguments, **options):
+    def interrupted_then(*arguments, **options):
         calls.append(1)
         if len(calls) == 2:
             raise KeyboardInterrupt
         return whole(*arguments, **options)
 
-    monkeypatch.setattr(shape_planning, "plan_shape", interrupted)
-    out = study_file.parent / "shapes.csv"
-    monkeypatch.setattr(sys, "argv", ["torcharm", "plan", str(study_file), "--out", str(out)])
+    monkeypatch.setattr(module, name, interrupted_then)
+
+
+def interrupted(monkeypatch, capsys, *arguments):
+    """What the command prints, which ends as interrupted."""
+    monkeypatch.setattr(sys, "argv", ["torcharm", *arguments])
     with pytest.raises(SystemExit) as caught:
         cli.main()
     output = capsys.readouterr()
     assert caught.value.code == 130
-    assert output.err == "torcharm: interrupted\n"
-    assert "shape 1" in output.out
-    assert "shape 2" not in output.out
+    assert output.err.splitlines()[-1] == "torcharm: interrupted"
+    return output.out
+
+
+def test_plan_keeps_what_was_found_before_ctrl_c(monkeypatch, capsys, study_file):
+    second = STUDY[STUDY.index("[[plan]]") :].replace("shape 1", "shape 2")
+    study_file.write_text(STUDY + second, encoding="utf-8")
+    interrupt_the_second_call(monkeypatch, shape_planning, "plan_shape")
+    out = study_file.parent / "shapes.csv"
+    output = interrupted(monkeypatch, capsys, "plan", str(study_file), "--out", str(out))
+    assert "shape 1" in output
+    assert "shape 2" not in output
     assert len(out.read_text(encoding="utf-8").splitlines()) == 11
 
 
 def test_search_keeps_what_was_found_before_ctrl_c(monkeypatch, capsys, study_file):
     from torcharm.pressure import search
 
-    whole, calls = search.search_pressure, []
-
-    def interrupted(*arguments, **options):
-        calls.append(1)
-        if len(calls) == 2:
-            raise KeyboardInterrupt
-        return whole(*arguments, **options)
-
-    monkeypatch.setattr(search, "search_pressure", interrupted)
+    interrupt_the_second_call(monkeypatch, search, "search_pressure")
     out = study_file.parent / "found.csv"
-    monkeypatch.setattr(sys, "argv", ["torcharm", "search", str(study_file), "--out", str(out)])
-    with pytest.raises(SystemExit) as caught:
-        cli.main()
-    output = capsys.readouterr()
-    assert caught.value.code == 130
-    assert output.err == "torcharm: interrupted\n"
-    assert "Task reach" in output.out
-    assert "Task hold" not in output.out
+    output = interrupted(monkeypatch, capsys, "search", str(study_file), "--out", str(out))
+    assert "Task reach" in output
+    assert "Task hold" not in output
     assert len(out.read_text(encoding="utf-8").splitlines()) == 3
 
 
@@ -173,23 +171,10 @@ def test_optimise_keeps_what_was_found_before_ctrl_c(monkeypatch, capsys, study_
     from torcharm import design
 
     study_file.write_text(STUDY.replace("[[task]]", '[[arm]]\nname = "b"\nkind = "bellows"\n\n[[task]]', 1))
-    whole, calls = design.optimise_design, []
-
-    def interrupted(*arguments, **options):
-        calls.append(1)
-        if len(calls) == 2:
-            raise KeyboardInterrupt
-        return whole(*arguments, **options)
-
-    monkeypatch.setattr(design, "optimise_design", interrupted)
+    interrupt_the_second_call(monkeypatch, design, "optimise_design")
     out = study_file.parent / "best.toml"
-    monkeypatch.setattr(sys, "argv", ["torcharm", "optimise", str(study_file), "--out", str(out)])
-    with pytest.raises(SystemExit) as caught:
-        cli.main()
-    output = capsys.readouterr()
-    assert caught.value.code == 130
-    assert output.err.splitlines()[-1] == "torcharm: interrupted"
-    assert "antagonistic: better" in output.out
+    output = interrupted(monkeypatch, capsys, "optimise", str(study_file), "--out", str(out))
+    assert "antagonistic: better" in output
     assert out.read_text(encoding="utf-8").count("[[arm]]") == 1
 
 

@@ -20,6 +20,7 @@ from torcharm.inputs import (
     check_at_least,
     check_count,
     check_finite,
+    one_for_all,
     shown,
 )
 
@@ -104,8 +105,8 @@ class ArmDesign(HoldsTensors):
             values["max_pressure"] = values["max_pressure"] * values["max_pressure"].new_tensor(driven)
         if "offsets" in values:
             values["radii"], values["out_of_plane"] = values.pop("offsets").unbind(-1)
-        elif not values["radii"].ndim:
-            values["radii"] = values["radii"].expand(len(models))
+        else:
+            values["radii"] = one_for_all(values["radii"], len(models))
         checked = _check_and_expand(values, len(models))
         for name, value in {**dict.fromkeys(optional), **checked, "actuators": models}.items():
             object.__setattr__(self, name, value)

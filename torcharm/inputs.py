@@ -213,6 +213,11 @@ def check_above_zero(name: str, value: Any) -> float | None:
         raise ValueError(f"{name}: must be a finite number above 0, or None, got {shown(value)}") from None
 
 
+def one_for_all(value: Tensor, count: int) -> Tensor:
+    """A value for each of so many actuators (..., M): one number serves them all."""
+    return value if value.ndim else value.expand(count)
+
+
 def broadcast_shapes(**shapes: tuple[int, ...]) -> torch.Size:
     """`torch.broadcast_shapes` with an error that names the fields."""
     try:

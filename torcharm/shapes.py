@@ -10,7 +10,7 @@ import math
 import torch
 from torch import Tensor
 
-from torcharm.geometry.rod import as_base, group_of
+from torcharm.geometry.rod import as_base, goes_by_name, group_of
 from torcharm.inputs import (
     TensorLike,
     as_floating,
@@ -119,8 +119,7 @@ def arc_to(tip: TensorLike, nodes: int = 10, base_pose: TensorLike | str | None 
             no one arc leads.
     """
     check_count("nodes", nodes, 1)
-    named = base_pose is None or isinstance(base_pose, str)
-    given = {"tip": tip} if named else {"tip": tip, "base_pose": base_pose}
+    given = {"tip": tip} if goes_by_name(base_pose) else {"tip": tip, "base_pose": base_pose}
     point, *pose = as_floating(**given)
     for name, value in zip(given, (point, *pose), strict=True):
         check_finite(name, value)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm.geometry.rod import as_base, check_segment_nodes, group_of
+from torcharm.geometry.rod import as_base, check_segment_nodes, goes_by_name, group_of
 from torcharm.inputs import (
     HoldsTensors,
     TensorLike,
@@ -79,8 +79,7 @@ class Task(HoldsTensors):
         given: dict[str, Any] = {"twists": twists}
         if tip_load is not None:
             given["tip_load"] = tip_load
-        named = base_pose is None or isinstance(base_pose, str)
-        if not named:
+        if not goes_by_name(base_pose):
             given["base_pose"] = base_pose
         others = {} if load is None else {f"load.{name}": value for name, value in load.tensors().items()}
         values = dict(zip((*given, *others), as_floating(**given, **others), strict=True))
@@ -91,7 +90,7 @@ class Task(HoldsTensors):
                 f"got {tuple(twists_.shape)}"
             )
         columns = twists_.shape[-1]
-        base = as_base(base_pose if named else values["base_pose"], twists_, columns)
+        base = as_base(values.get("base_pose", base_pose), twists_, columns)
         pose_shape = group_of(columns).POSE_SHAPE
         if base.shape != pose_shape:
             raise ValueError(f"base_pose: must have shape {pose_shape}, got {tuple(base.shape)}")

@@ -18,7 +18,7 @@ from scipy.optimize import minimize_scalar
 
 from experiments.measured_arm import figure
 from experiments.measured_arm.limits import Limit, limits
-from experiments.measured_arm.module import Hypothesis, States, read_states, tips
+from experiments.measured_arm.module import END_LENGTH, LENGTH, Hypothesis, States, read_states, tips
 from experiments.rows import write_rows
 
 HERE = Path(__file__).parent
@@ -90,7 +90,7 @@ def fitted(states: States, field: str, ends: tuple[float, float], seen: list[int
 
 
 def rows_of(name: str, states: States, how: Hypothesis, value: float, which: range) -> Iterator[Row]:
-    straight = torch.tensor([0.0, -(44e-3 + 14.5e-3), 0.0], dtype=torch.float64)
+    straight = torch.tensor([0.0, -(LENGTH + END_LENGTH), 0.0], dtype=torch.float64)
     apart, moved = (tips(how, states) - states.tip).norm(dim=-1), (states.tip - straight).norm(dim=-1)
     for index in which:
         errors = 1e3 * float(apart[index]), 1e3 * float(moved[index])

@@ -10,7 +10,6 @@ ANY_PRESSURE = 1e6
 """What does not depend on pressure is characterised at all that there are [kPa]."""
 USUAL_STRAINS = (-0.3, 1.0)
 """Where soft silicones are usually taken for linear."""
-
 LARGEST_AREA = 1.0
 """Of a chamber [m²]: more was meant in other units."""
 

@@ -30,13 +30,12 @@ ROTATION = math.radians(5.0)
 """How far the tip may be turned unless told otherwise [rad]: that moves the end of a tool that is a quarter as long as
 the arm by the same 2 % of the arm's length."""
 
-WIDEST = {"tip": 1.0, "rotation": math.pi, "shape": 1.0}
-"""What no tolerance exceeds [m, rad]: more was meant in other units."""
-WIDEST_WORDS = {
-    "tip": "1 m (is it in millimetres?)",
-    "rotation": "π rad (is it in degrees?)",
-    "shape": "1 m (is it in millimetres?)",
+WIDEST = {
+    "tip": (1.0, "1 m (is it in millimetres?)"),
+    "rotation": (math.pi, "π rad (is it in degrees?)"),
+    "shape": (1.0, "1 m (is it in millimetres?)"),
 }
+"""What no tolerance exceeds, and in words: more was meant in other units."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +60,9 @@ class PoseTolerance:
             value = getattr(self, name)
             if value is not None:
                 number = check_number(f"tolerance.{name}", value, 0.0, strict=True)
-                if number > WIDEST[name]:
-                    raise ValueError(f"tolerance.{name}: must be at most {WIDEST_WORDS[name]}, got {number:g}")
+                most, words = WIDEST[name]
+                if number > most:
+                    raise ValueError(f"tolerance.{name}: must be at most {words}, got {number:g}")
                 object.__setattr__(self, name, number)
 
     def lengths(self, arm: ArmDesign | ArmSeries) -> tuple[Tensor, Tensor]:

@@ -28,7 +28,7 @@ class CheckedCacheFile(IndexDataCacheFile):
     def _load_index(self) -> Any:
         try:
             return super()._load_index()
-        except Exception:
+        except Exception:  # as above: a damaged list is an empty one, and all is compiled and kept anew
             return {}
 
     def _load_data(self, name: str) -> Any:

@@ -24,7 +24,7 @@ from torcharm.equilibrium.gradient import with_gradients
 from torcharm.equilibrium.problem import Problem
 from torcharm.equilibrium.stability import buckles_in_torsion, lengths_positive, stays, strain_excess
 from torcharm.geometry import rod
-from torcharm.geometry.rod import as_base, group_of
+from torcharm.geometry.rod import as_base, goes_by_name, group_of
 from torcharm.inputs import (
     HoldsTensors,
     TensorLike,
@@ -37,6 +37,7 @@ from torcharm.inputs import (
     check_finite,
     check_flag,
     check_tensor,
+    one_for_all,
     refuse_transforms,
     shapes_only,
     shown,
@@ -255,14 +256,14 @@ def _checked(
     if pressure is None:
         raise ValueError("pressure: must be given, got None")
     fields = {"pressure": pressure, "radii": segments[0].radii}
-    if not (base_pose is None or isinstance(base_pose, str)):
+    if not goes_by_name(base_pose):
         fields["base_pose"] = base_pose
     if not isinstance(load, ExternalLoad):
         fields["load"] = load
     given = {name: value for name, value in fields.items() if value is not None}
     values = dict(zip(given, as_floating(**given), strict=True))
     pressure = values["pressure"]
-    pressure = pressure if pressure.ndim else pressure.expand(arm.actuator_count)
+    pressure = one_for_all(pressure, arm.actuator_count)
     base = as_base(values.get("base_pose", base_pose), pressure, columns)
     whole = _whole_load(load if isinstance(load, ExternalLoad) else values["load"], columns, pressure)
     check_segments(whole, len(segments))

@@ -28,6 +28,11 @@ def group_of(columns: int) -> ModuleType:
     return {3: se2, 6: se3}[columns]
 
 
+def goes_by_name(base_pose: object) -> bool:
+    """Whether a base pose is one of `HEADINGS`, or None, which is one, too."""
+    return base_pose is None or isinstance(base_pose, str)
+
+
 def as_base(base_pose: Any, like: Tensor, columns: int) -> Any:
     """The pose (3,) or (4, 4) that a name stands for, in the dtype and on the device of a tensor; None hangs the arm.
 
@@ -36,7 +41,7 @@ def as_base(base_pose: Any, like: Tensor, columns: int) -> Any:
     Raises:
         ValueError: there is no such name.
     """
-    if not (base_pose is None or isinstance(base_pose, str)):
+    if not goes_by_name(base_pose):
         return base_pose
     name = HANGING if base_pose is None else base_pose
     check_choice("base_pose", name, HEADINGS)

@@ -19,7 +19,7 @@ from torcharm.plot.histograms import unattainability_histogram
 from torcharm.plot.hulls import hulls_along_arm, node_hull
 from torcharm.plot.loads import attainable_load_map, load_grid, load_map, polar_load_grid
 from torcharm.plot.optimisation import optimisation_figure
-from torcharm.plot.shapes import plan_figure, search_figure
+from torcharm.plot.shape_figures import plan_figure, search_figure
 from torcharm.plot.space import arm_in_space, hull_projections, node_hull_in_space
 from torcharm.plot.study import study_figure
 

@@ -124,10 +124,15 @@ def draw_node(axes: Axes, scene: Scene, index: int, colour: str) -> None:
     ring, point, inside = scene.hulls[index], scene.required[:, index], scene.inside[:, index]
     axes.fill(*ring.T, facecolor=colour, alpha=0.25, label="pressures provide")
     axes.plot(*ring.T, color=colour, marker=".", markersize=3)
+    draw_required(axes, point, inside)
+    axes.set(xlabel=scene.labels[0], ylabel=scene.labels[1])
+
+
+def draw_required(axes: Axes, points: Array, inside: Mask) -> None:
+    """Wrenches (L, 2 or 3) that loads require, as dots inside a set and as crosses outside, counted."""
     for kept, name, ink, marker in ((inside, "inside", ATTAINABLE, "o"), (~inside, "outside", UNATTAINABLE, "x")):
         label = f"required, {name}: {kept.sum()} of {len(kept)}"
-        axes.plot(*point[kept].T, color=ink, marker=marker, markersize=4, linestyle="", label=label)
-    axes.set(xlabel=scene.labels[0], ylabel=scene.labels[1])
+        axes.plot(*points[kept].T, color=ink, marker=marker, markersize=4, linestyle="", label=label)
 
 
 def limit_node_axes(panels: Sequence[Axes], scenes: Sequence[Scene]) -> None:

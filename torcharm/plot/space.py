@@ -14,7 +14,7 @@ from torch import Tensor
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.geometry import rod
-from torcharm.load import ExternalLoad
+from torcharm.load import GRAVITY, ExternalLoad
 from torcharm.plot._common import (
     ARM_COLOURS,
     ATTAINABLE,
@@ -28,6 +28,7 @@ from torcharm.plot._common import (
     kind_of,
     node_index,
 )
+from torcharm.plot.hulls import draw_required
 from torcharm.statics.external_load import HULL, task_wrench
 from torcharm.task import Task
 from torcharm.wrench_sets.design_task_grid import segments_of
@@ -118,9 +119,7 @@ def node_hull_in_space(
     axes = axes_or_new(ax, "3d")
     faces = Poly3DCollection(corners[hull_faces(corners)], facecolor=colour, edgecolor=colour, linewidth=0.1, alpha=0.2)
     axes.add_collection3d(faces)
-    for chosen, name, ink, marker in ((~outside, "inside", ATTAINABLE, "o"), (outside, "outside", UNATTAINABLE, "x")):
-        label = f"required, {name}: {chosen.sum()} of {len(chosen)}"
-        axes.plot(*required[chosen].T, linestyle="", marker=marker, color=ink, markersize=4, label=label)
+    draw_required(axes, required, ~outside)
     points = np.concatenate((corners, required))
     low, high = points.min(0), points.max(0)
     room = np.maximum(0.05 * (high - low), 1e-3)
@@ -168,14 +167,7 @@ def hull_projections(
         flat = corners[:, [x, y]]
         ring = flat[ConvexHull(flat).vertices] if np.linalg.matrix_rank(flat - flat[0]) == 2 else flat
         panel.fill(*ring.T, facecolor=colour, edgecolor=colour, alpha=0.25, label="pressures provide")
-        for chosen, name, ink, marker in (
-            (~outside, "inside", ATTAINABLE, "o"),
-            (outside, "outside", UNATTAINABLE, "x"),
-        ):
-            label = f"required, {name}: {chosen.sum()} of {len(chosen)}"
-            panel.plot(
-                *required[chosen][:, [x, y]].T, linestyle="", marker=marker, color=ink, markersize=4, label=label
-            )
+        draw_required(panel, required[:, [x, y]], ~outside)
         panel.set(xlabel=HULL_LABELS[x], ylabel=HULL_LABELS[y])
     axes[0].legend(loc="best", fontsize="small")
     return axes
@@ -239,7 +231,7 @@ def _draw_forces(axes: Any, load: ExternalLoad, lines: Sequence[Array], tip: Arr
         if point.frame == "body":
             force = pose[:3, :3] @ force
         if load.gravity:
-            force = force - np.array([0.0, 9.81 * float(point.mass.reshape(-1)[0]), 0.0])
+            force = force - np.array([0.0, GRAVITY * float(point.mass.reshape(-1)[0]), 0.0])
         places, forces, names = [*places, pose], [*forces, force], [*names, "point load"]
     most = max((np.linalg.norm(force) for force in forces), default=0.0)
     if most == 0:

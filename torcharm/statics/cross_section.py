@@ -24,7 +24,15 @@ from torcharm.actuators.bending import (
 from torcharm.actuators.inspection import same_model
 from torcharm.arm import ArmDesign
 from torcharm.geometry.rod import material_curvature, offset_length, strain
-from torcharm.inputs import TensorLike, as_floating, broadcast_shapes, check_at_least, check_finite, check_tensor
+from torcharm.inputs import (
+    TensorLike,
+    as_floating,
+    broadcast_shapes,
+    check_at_least,
+    check_finite,
+    check_tensor,
+    one_for_all,
+)
 
 RANGE_SLACK = 1e-6
 """A strain beyond its characterised range by so little, or a pressure by so large a part of itself, is at its end: more
@@ -167,7 +175,7 @@ def reaction_wrench(
     """
     check_tensor("twists", twists, "N", 3 if arm.dimension == 2 else 6)
     given, _ = as_floating(pressure=pressure, radii=arm.radii)
-    given = given if given.ndim else given.expand(arm.actuator_count)
+    given = one_for_all(given, arm.actuator_count)
     check_tensor("pressure", given, arm.actuator_count)
     broadcast_shapes(twists=twists.shape[:-2], pressure=given.shape[:-1], radii=arm.batch_shape)
     check_finite("pressure", given)

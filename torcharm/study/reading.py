@@ -132,7 +132,8 @@ def _study(table: StudyTable, folder: Path) -> Study:
     for index, job in enumerate(table.task):
         with within(field_path(["task", index]), job.name):
             tasks.append(NamedTask(job.name, _task(job)))
-    settings = _settings(table.evaluate)
+    with within("evaluate", ""):
+        settings = _settings(table.evaluate)
     for arm in arms:
         for task in tasks:
             with within("evaluate", arm.name):

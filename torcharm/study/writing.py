@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from torcharm.actuators import Actuator, Bellows, ConstantBending, LinearBending, McKibben, PolynomialActuator
+from torcharm.actuators import SHIPPED, Actuator, ConstantBending, LinearBending, PolynomialActuator
 from torcharm.actuators.toml_text import toml_entry
 from torcharm.arm import ArmDesign, check_planar
 from torcharm.inputs import plain_number, shown
@@ -15,7 +15,7 @@ from torcharm.study.arm_tables import FreeArm
 from torcharm.study.fields import field_path, first_mistake, one_line
 from torcharm.study.reading import make_actuator
 
-KINDS: dict[type[Any], str] = {Bellows: "bellows", McKibben: "mckibben", PolynomialActuator: "polynomial"}
+KINDS: dict[Any, str] = {model: name for name, model in SHIPPED.items()} | {PolynomialActuator: "polynomial"}
 """Of force models that a study can name or write out."""
 ALLOWED = (
     "a study holds Bellows() and McKibben() of any max_pressure, bending_stiffness and force_scale, a "

@@ -1,7 +1,7 @@
 """Every design against every task: what the two batches are flattened to, and how they are put together again."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain, product
 from math import prod
 from typing import Any
@@ -94,13 +94,6 @@ class DesignTaskGrid:
         """The cross-sections (B, P) of some designs of a segment on some shapes."""
         arm = self.segments[segment]
         return cross_sections(arm[designs, None], self.twists[shapes, self.nodes[segment]])
-
-    def with_designs(self, arm: Arm) -> "DesignTaskGrid":
-        """Other designs of the same actuators, of one batch dimension, for the same tasks."""
-        segments = flat_segments(arm)
-        mass = _masses(segments)[:, : self.required.mass.shape[1]]
-        required = replace(self.required, mass=mass)
-        return replace(self, segments=segments, required=required, design_batch=tuple(arm.batch_shape))
 
     def unflatten(self, value: Tensor) -> Tensor:
         """(B, P, L, ...) as (*design batch, *task batch, ...)."""

@@ -49,6 +49,7 @@ def find_nearest_vertices(point: Tensor, vertices: Tensor, *, signed: bool = Fal
     dimension, eps = point.shape[-1], torch.finfo(point.dtype).eps
     points, corners = point.double().cpu(), vertices.double().cpu()
     finite = points.isfinite().all(-1) & corners.isfinite().flatten(1).all(-1, keepdim=True)
+    # the engine gets numbers only; what had none is told so below, by `finite`
     points, corners = points.nan_to_num(0.0, 0.0, 0.0), corners.nan_to_num(0.0, 0.0, 0.0)
     unit = power_of_two(torch.maximum(points.abs().amax((1, 2)), corners.abs().amax((1, 2))))
     contiguous = [np.ascontiguousarray((x / unit.view(-1, 1, 1)).numpy()) for x in (points, corners)]

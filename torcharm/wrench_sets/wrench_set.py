@@ -206,6 +206,7 @@ def _candidates(sections: CrossSections, relative: bool, samples: int | None) ->
     for a, model in enumerate(models):
         bound = limit[..., a]
         knots = torch.cat([pressure_knots(model, place[..., a]) for place in places]).movedim(0, -1)
+        # a kink without a place, as of a strain that no pressure brings to one, adds the curve's start once more
         kinks = (knots / torch.where(bound > 0, bound, 1.0).unsqueeze(-1)).nan_to_num(0.0).clamp(0, 1)
         rows.append(torch.cat((even.expand(*strain.shape[:-1], count), kinks), -1).sort(-1).values.unsqueeze(-1))
     most = max(row.shape[-2] for row in rows)
