@@ -9,7 +9,7 @@ import torcharm as ta
 from torcharm.engine import balances
 from torcharm.engine.arms import arms_of
 from torcharm.engine.loads import loads_of
-from torcharm.engine.newton_step import make_room
+from torcharm.engine.room import make_room
 from torcharm.statics.cross_section import reaction_wrench
 from torcharm.statics.external_load import required_wrench
 

@@ -86,6 +86,17 @@ def _say_what_is_there(module: Any, sizes: Any) -> None:
                 argument.attributes.dereferenceable = argument.type.pointee.get_abi_size(sizes)
 
 
+class InlinedLibrary(PartLibrary):
+    """Code of a function that becomes part of each that calls it."""
+
+    def add_ir_module(self, module: Any) -> None:
+        """Add the function's own code."""
+        for function in module.functions:
+            if not function.is_declaration:
+                function.attributes.add("alwaysinline")
+        super().add_ir_module(module)
+
+
 class KernelLibrary(JITCodeLibrary):
     """Code of a kernel with all of its parts, which are its own."""
 
@@ -97,7 +108,8 @@ class KernelLibrary(JITCodeLibrary):
                 self.add_linking_library(called)
 
     def _optimize_final_module(self) -> None:
-        """Once and lightly, without copies of loops that would be for long ones: here they run over a few elements.
+        """Once and lightly, without what speeds up long loops: here they run over a few elements, and are written out
+        where it is known over how many.
 
         LLVM's third level takes twice as long as the first, for code that is 5 % faster.
 
@@ -111,9 +123,8 @@ class KernelLibrary(JITCodeLibrary):
             elif function.linkage.name == "external":
                 function.add_function_attribute("noinline")
         options = create_pipeline_tuning_options(speed_level=1)
-        options.loop_unrolling = options.loop_interleaving = options.loop_vectorization = options.slp_vectorization = (
-            False
-        )
+        options.loop_unrolling = True
+        options.loop_interleaving = options.loop_vectorization = options.slp_vectorization = False
         builder = create_pass_builder(self._codegen._tm, options)
         builder.getModulePassManager().run(self._final_module, builder)
 
@@ -155,6 +166,12 @@ class PartCompiler(Compiler):
             passes.add_pass(one, one.__name__)
         passes.finalize()
         return [passes]
+
+
+class InlinedCompiler(PartCompiler):
+    """For parts that become part of what calls them."""
+
+    kind = InlinedLibrary
 
 
 class KernelCompiler(PartCompiler):

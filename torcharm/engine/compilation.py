@@ -17,25 +17,33 @@ def kernel(function: F) -> F:
 
     So it cannot make arrays: room to work in is an argument.
     """
-    return _compiled(function, cache=True, _nrt=False)
+    return _compiled(function, "KernelCompiler", cache=True, _nrt=False)
 
 
 def part(function: F) -> F:
     """A part of kernels, compiled once for all that call it."""
-    return _compiled(function, cache=False, _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+    return _compiled(function, "PartCompiler", **_OF_PARTS)
 
 
-def _compiled(function: F, **options: Any) -> F:
+def inlined_part(function: F) -> F:
+    """A part that becomes part of what calls it: there loops are written out whose lengths are given by constants."""
+    return _compiled(function, "InlinedCompiler", **_OF_PARTS)
+
+
+_OF_PARTS: dict[str, Any] = {"cache": False, "_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
+
+def _compiled(function: F, compiler: str, **options: Any) -> F:
     import numba
 
+    from torcharm.engine import code_parts
     from torcharm.engine.code_cache import guard
-    from torcharm.engine.code_parts import KernelCompiler, PartCompiler, once_for_all_numbers
 
     config: Any = numba.config
     # numba takes code from disk unless the function's own file has changed; that of what it calls may have
     chosen, folder = config.CACHE_DIR, _folder()
     every: dict[str, Any] = {"nogil": True, "error_model": "numpy", **options}
-    every["pipeline_class"] = KernelCompiler if every["cache"] else PartCompiler
+    every["pipeline_class"] = getattr(code_parts, compiler)
     every["cache"] = every["cache"] and folder is not None
     try:
         config.CACHE_DIR = folder or chosen
@@ -45,7 +53,7 @@ def _compiled(function: F, **options: Any) -> F:
         if every["cache"]:
             guard(compiled)
         if every.get("no_cpython_wrapper"):
-            once_for_all_numbers(compiled)
+            code_parts.once_for_all_numbers(compiled)
         return compiled
     finally:
         config.CACHE_DIR = chosen

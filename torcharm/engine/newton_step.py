@@ -15,111 +15,18 @@ J: the number of positive ones is that of unstable directions where J is symmetr
 are zero where no load follows the body.
 """
 
-from typing import Any, NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
-from torcharm.engine.arms import Arms
-from torcharm.engine.carried_load import (
-    Share,
-    Spot,
-    add_load_at_end,
-    add_load_inside,
-    add_own_weight,
-    clear_share,
-    make_share,
-    make_spot,
-)
-from torcharm.engine.compilation import part
+from torcharm.engine.carried_load import add_load_at_end, add_load_inside, add_own_weight, clear_share
+from torcharm.engine.compilation import inlined_part, part
 from torcharm.engine.elements import write_lever, write_link, write_motion
-from torcharm.engine.references import by_reference
-from torcharm.engine.sections import Drive, Sections, make_drive, make_sections, write_rates, write_section
-
-Array = NDArray[Any]
+from torcharm.engine.sections import write_rates, write_section
 
 SINGULAR = 64 * np.finfo(np.float64).eps
 """Of the largest number in its row: a pivot so small is rounding, and stands for a direction without stiffness, in
 which steps are 0."""
-
-
-@by_reference
-class Room(NamedTuple):
-    """Room to work in, for one thread: what belongs to one arm.
-
-    Attributes:
-        drive, sections: its actuators and sections.
-        node: (N + 1, P) poses of the nodes and the tip.
-        end: (S, P) poses of the segments' ends, before their links.
-        frame: (N, P) poses at which wrenches are taken.
-        move, half_move: (N, K, C) B and B'.
-        lever: (N, K, C) C.
-        carried: (N, C) q at full load, which is ∂R/∂λ.
-        residual: (N, C) R.
-        wrench: (K,) W at full load.
-        spread: (K, K) S.
-        turned: (K, K) K(W) and S, summed.
-        factor: (N, C, C) L in triangular factors, with the inverse pivots on the diagonal.
-        feed: (N, C, K) L⁻¹ G.
-        pull: (N, K, C) how an element's own unknowns change the wrench before it.
-        beyond, section: what loads inside of an element add, to what lies before it and to its own section.
-        spot: for one load.
-        sum: (K,) for one right-hand side.
-        pivots: (2,) numbers of positive pivots, and of those that are zero.
-    """
-
-    drive: Drive
-    sections: Sections
-    node: Array
-    end: Array
-    frame: Array
-    move: Array
-    half_move: Array
-    lever: Array
-    carried: Array
-    residual: Array
-    wrench: Array
-    spread: Array
-    turned: Array
-    factor: Array
-    feed: Array
-    pull: Array
-    beyond: Share
-    section: Share
-    spot: Spot
-    sum: Array
-    pivots: Array
-
-
-def make_room(arms: Arms) -> Room:
-    """Room for one arm of these."""
-    nodes, size, columns, numbers = arms.first_node[-1], arms.size, len(arms.unknown), arms.link.shape[2]
-    move, half_move, lever = np.zeros((3, nodes, size, columns))
-    carried, residual = np.zeros((2, nodes, columns))
-    spread, turned = np.zeros((2, size, size))
-    return Room(
-        drive=make_drive(arms),
-        sections=make_sections(arms),
-        node=np.zeros((nodes + 1, numbers)),
-        end=np.zeros((arms.link.shape[1], numbers)),
-        frame=np.zeros((nodes, numbers)),
-        move=move,
-        half_move=half_move,
-        lever=lever,
-        carried=carried,
-        residual=residual,
-        wrench=np.zeros(size),
-        spread=spread,
-        turned=turned,
-        factor=np.zeros((nodes, columns, columns)),
-        feed=np.zeros((nodes, columns, size)),
-        pull=np.zeros((nodes, size, columns)),
-        beyond=make_share(arms),
-        section=make_share(arms),
-        spot=make_spot(arms),
-        sum=np.zeros(size),
-        pivots=np.zeros(2, dtype=np.int64),
-    )
+PLANE_SIZE, PLANE_COLUMNS = 3, 2
+"""Numbers of a twist in the plane, and those that are unknown without shear: loops over so few are written out."""
 
 
 @part
@@ -168,7 +75,16 @@ def write_balance(arms, loads, room, b, twist, factor, linear_shift, angular_shi
         factor: λ on all loads.
         linear_shift, angular_shift: on the diagonal of J in linear and in angular components, 0 for J itself.
     """
-    size, first_row = arms.size, first_loaded_row(arms, loads)
+    if arms.size == PLANE_SIZE and len(arms.unknown) == PLANE_COLUMNS:
+        _sweep(arms, loads, room, b, twist, factor, linear_shift, angular_shift, PLANE_SIZE, PLANE_COLUMNS)
+    else:
+        _sweep(arms, loads, room, b, twist, factor, linear_shift, angular_shift, arms.size, len(arms.unknown))
+
+
+@inlined_part
+def _sweep(arms, loads, room, b, twist, factor, linear_shift, angular_shift, size, columns):  # type: ignore[no-untyped-def]
+    """As `write_balance`, of twists of so many numbers, of which so many are unknown."""
+    first_row = first_loaded_row(arms, loads)
     room.pivots[0] = room.pivots[1] = 0
     for r in range(size):
         room.wrench[r] = 0.0
@@ -196,11 +112,11 @@ def write_balance(arms, loads, room, b, twist, factor, linear_shift, angular_shi
             while q >= 0 and loads.element[q] == i:
                 add_load_inside(arms, loads, room, b, q, i, twist, share, factor)
                 q -= 1
-            _write_residual(arms, room, i, factor, inside)
-            _write_slopes(arms, room, i, first_row, loads.middle, inside)
+            _write_residual(arms, room, i, factor, inside, size, columns)
+            _write_slopes(arms, room, i, first_row, loads.middle, inside, size, columns)
             _shift(arms, room, i, linear_shift, angular_shift)
-            _factor(arms, room, i)
-            _eliminate(arms, room, i, first_row)
+            _factor(arms, room, i, size, columns)
+            _eliminate(arms, room, i, first_row, size, columns)
             if inside:
                 _take_share(room)
 
@@ -224,7 +140,7 @@ def factor_section(arms, room, i, linear_shift, angular_shift):  # type: ignore[
         for e in range(len(arms.unknown)):
             room.factor[i, c, e] = room.sections.slope[i, c, e]
     _shift(arms, room, i, linear_shift, angular_shift)
-    _factor(arms, room, i)
+    _factor(arms, room, i, arms.size, len(arms.unknown))
 
 
 @part
@@ -236,15 +152,15 @@ def _take_share(room):  # type: ignore[no-untyped-def]
             room.spread[r, c] += room.beyond.by_start[r, c]
 
 
-@part
-def _write_residual(arms, room, i, factor, inside):  # type: ignore[no-untyped-def]
+@inlined_part
+def _write_residual(arms, room, i, factor, inside, size, columns):  # type: ignore[no-untyped-def]
     """Write what a section carries, its residual, and K of the wrench that it carries."""
-    size, turned, total = arms.size, room.turned, room.sum
+    turned, total = room.turned, room.sum
     for r in range(size):
         total[r] = room.wrench[r]
         if inside:
             total[r] += room.section.wrench[r]
-    for c in range(len(arms.unknown)):
+    for c in range(columns):
         carried = 0.0
         for r in range(size):
             carried += room.lever[i, r, c] * total[r]
@@ -270,10 +186,10 @@ def _write_residual(arms, room, i, factor, inside):  # type: ignore[no-untyped-d
     turned[5, 0], turned[5, 1] = -y, x
 
 
-@part
-def _write_slopes(arms, room, i, first_row, middle, inside):  # type: ignore[no-untyped-def]
+@inlined_part
+def _write_slopes(arms, room, i, first_row, middle, inside, size, columns):  # type: ignore[no-untyped-def]
     """Write L in `factor`, G in `feed`, and in `pull` how the element's own unknowns change the wrench before it."""
-    size, columns, turned = arms.size, len(arms.unknown), room.turned
+    turned = room.turned
     for r in range(first_row, size):
         for c in range(columns):
             total = 0.0
@@ -313,10 +229,10 @@ def _write_slopes(arms, room, i, first_row, middle, inside):  # type: ignore[no-
             room.feed[i, e, k] = total
 
 
-@part
-def _factor(arms, room, i):  # type: ignore[no-untyped-def]
+@inlined_part
+def _factor(arms, room, i, size, columns):  # type: ignore[no-untyped-def]
     """Factor L in place, without pivoting; the diagonal takes the inverse pivots, 0 for those that are zero."""
-    columns, matrix = len(arms.unknown), room.factor
+    matrix = room.factor
     for c in range(columns):
         largest = 0.0
         for k in range(columns):
@@ -335,10 +251,10 @@ def _factor(arms, room, i):  # type: ignore[no-untyped-def]
             matrix[i, c, c] = 1.0 / pivot
 
 
-@part
-def _eliminate(arms, room, i, first_row):  # type: ignore[no-untyped-def]
+@inlined_part
+def _eliminate(arms, room, i, first_row, size, columns):  # type: ignore[no-untyped-def]
     """Make `feed` of G the product L⁻¹ G, and take the element's own unknowns out of S."""
-    size, columns, matrix, feed = arms.size, len(arms.unknown), room.factor, room.feed
+    matrix, feed = room.factor, room.feed
     for c in range(columns):
         for e in range(c):
             for k in range(size):
@@ -360,7 +276,16 @@ def _eliminate(arms, room, i, first_row):  # type: ignore[no-untyped-def]
 @part
 def solve(arms, loads, room, change):  # type: ignore[no-untyped-def]
     """Replace a right-hand side (N, C) by `J⁻¹` times it; J as factored by `write_balance`."""
-    size, columns, nodes = arms.size, len(arms.unknown), change.shape[0]
+    if arms.size == PLANE_SIZE and len(arms.unknown) == PLANE_COLUMNS:
+        _solve_sweep(arms, loads, room, change, PLANE_SIZE, PLANE_COLUMNS)
+    else:
+        _solve_sweep(arms, loads, room, change, arms.size, len(arms.unknown))
+
+
+@inlined_part
+def _solve_sweep(arms, loads, room, change, size, columns):  # type: ignore[no-untyped-def]
+    """As `solve`, of twists of so many numbers, of which so many are unknown."""
+    nodes = change.shape[0]
     first_row, matrix, total = first_loaded_row(arms, loads), room.factor, room.sum
     for r in range(size):
         total[r] = 0.0

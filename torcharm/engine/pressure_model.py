@@ -15,10 +15,11 @@ from torcharm.engine.arms import Arms, Loads
 from torcharm.engine.box_step import BoxStep, make_box_step
 from torcharm.engine.compilation import part
 from torcharm.engine.continuation import FAILED, find_equilibrium
-from torcharm.engine.newton_step import Room, first_angular, make_room, solve, write_balance, write_shape
+from torcharm.engine.newton_step import first_angular, solve, write_balance, write_shape
 from torcharm.engine.path import Path, Scale, copy_twists, make_path, move_size
 from torcharm.engine.pose_error import Errors, Goal, make_errors, write_errors
 from torcharm.engine.references import by_reference
+from torcharm.engine.room import Room, make_room
 from torcharm.engine.sections import set_pressure, write_rates
 
 Array = NDArray[Any]

@@ -16,7 +16,7 @@ from torcharm.engine.boundary_search import SAME_SHAPE, WORTH, follow_boundary, 
 from torcharm.engine.box_step import optimality
 from torcharm.engine.compilation import kernel, part
 from torcharm.engine.continuation import FAILED
-from torcharm.engine.descent import CLOSE, RUNNING, STEPS, descend
+from torcharm.engine.descent import CLOSE, OPTIMUM, RUNNING, STABILITY_ENDS, STEPS, descend
 from torcharm.engine.path import copy_twists
 from torcharm.engine.pressure_model import (
     EVALUATIONS,
@@ -35,6 +35,8 @@ from torcharm.engine.search_room import (
     FIRST_LOST,
     LOADED,
     LOST,
+    NEAR,
+    TRIED,
     improves,
     keep_lost,
     keep_point,
@@ -45,8 +47,12 @@ Array = NDArray[Any]
 
 LOT = 4
 """Places of which the arm is loaded at one: that of the least expected cost."""
-AGREE = 4
-"""Descents that must end where others have before the rest is spared."""
+AGREE, AGREES, AGREES_AT_KINK = 4, 2, 1
+"""What descents must count together that end where others have, before the rest is spared; what one counts, and one
+that is held up there, as at a kink of a force model: from elsewhere there may be a way on."""
+NOWHERE, AGREED, AGREED_AT_KINK, ELSEWHERE, BEST_UNDER_WAY, BEST_ENDED = range(6)
+"""What came of a descent: no equilibrium; an end that is known, at an optimum or not; one that is no better; the best
+that is known, but where the arm moves on, or is about to lose its stability; or the best, at its end."""
 SAME_PLACE = 1e-4
 """Difference of two places that counts as none: the costs of minima differ by a 1e-8th then."""
 
@@ -141,6 +147,35 @@ def _same_place(points, a, b):  # type: ignore[no-untyped-def]
 
 
 @part
+def _descend_and_load(problem, work, search, b, begun, at_end, start, tolerance):  # type: ignore[no-untyped-def]
+    """Descend from the first slot, and load the arm at the end; returns what came of it, and what that costs.
+
+    Args:
+        begun: slot of the point that was loaded, where the descent begins.
+        at_end: whether the best point is the end of a descent.
+    """
+    points = work.points
+    end, ended = descend(problem, work, b, 0, 1, False, points.known[BEST, HALF_COST], STEPS)
+    if not math.isfinite(points.known[end, HALF_COST]):
+        return NOWHERE, math.inf
+    if at_end and _same_place(points, end, BEST) and distance_of(problem, work, b, end, BEST) <= SAME_SHAPE:
+        return AGREED if ended == OPTIMUM else AGREED_AT_KINK, points.known[BEST, HALF_COST]
+    how = reach_and_keep(problem, work, search, b, end, ENDED, start, tolerance)
+    same = how != FAILED and distance_of(problem, work, b, end, ENDED) <= SAME_SHAPE
+    came = ELSEWHERE
+    if not same and keep_lost(problem, work, search, b, end, begun):
+        came = AGREED
+    if how == FAILED:
+        return came, math.inf
+    value = points.known[ENDED, HALF_COST]
+    if not improves(work, BEST, ENDED):  # it may have begun at the best that is known
+        keep_point(work, search, BEST, ENDED)
+        there = same and ended != RUNNING and ended != STABILITY_ENDS
+        came = BEST_ENDED if there else BEST_UNDER_WAY
+    return came, value
+
+
+@part
 def _multistart(problem, work, search, b, shape, pool, spread, start, tolerance):  # type: ignore[no-untyped-def]
     """Descend from all starts, and confirm the ends; whether the best point is one."""
     points, at_end, agreed, above = work.points, False, 0, -1.0
@@ -154,23 +189,41 @@ def _multistart(problem, work, search, b, shape, pool, spread, start, tolerance)
             continue
         if s > 0:
             above = points.known[begun, HALF_COST]
-        end, ended = descend(problem, work, b, 0, 1, False, points.known[BEST, HALF_COST], STEPS)
-        if not math.isfinite(points.known[end, HALF_COST]):
-            continue
-        if at_end and _same_place(points, end, BEST) and distance_of(problem, work, b, end, BEST) <= SAME_SHAPE:
-            search.start_cost[s] = 2.0 * points.known[BEST, HALF_COST]
-            agreed += 1
-            continue
-        how = reach_and_keep(problem, work, search, b, end, ENDED, start, tolerance)
-        same = how != FAILED and distance_of(problem, work, b, end, ENDED) <= SAME_SHAPE
-        if not same and keep_lost(problem, work, search, b, end, begun):
-            agreed += 1
-        if how == FAILED:
-            continue
-        search.start_cost[s] = 2.0 * points.known[ENDED, HALF_COST]
-        if not improves(work, BEST, ENDED):  # it may have begun at the best that is known
-            keep_point(work, search, BEST, ENDED)
-            at_end = same and ended != RUNNING
+        came, value = _descend_and_load(problem, work, search, b, begun, at_end, start, tolerance)
+        search.start_cost[s] = 2.0 * value
+        agreed += AGREES * (came == AGREED) + AGREES_AT_KINK * (came == AGREED_AT_KINK)
+        if came >= BEST_UNDER_WAY:
+            at_end = came == BEST_ENDED
+    return at_end
+
+
+@part
+def _try_other_ends(problem, work, search, b, at_end, start, tolerance):  # type: ignore[no-untyped-def]
+    """Descend from where one pressure of the best point is at its other end, as long as that leads to a better one.
+
+    Minima lie in corners of the box, and the way from one to the next is often uphill. Returns whether the best point
+    is the end of a descent.
+    """
+    points, count = work.points, work.points.place.shape[1]
+    for _ in range(count):
+        points.known[NEAR, HALF_COST] = math.inf
+        for other in range(count):
+            for m in range(count):
+                points.place[AIM, m] = points.place[BEST, m]
+            points.place[AIM, other] = 1.0 if points.place[BEST, other] < 0.5 else 0.0
+            reach_and_keep(problem, work, search, b, AIM, TRIED, start, tolerance)
+            if points.known[TRIED, HALF_COST] < points.known[NEAR, HALF_COST]:
+                keep_point(work, search, NEAR, TRIED)
+        if not math.isfinite(points.known[NEAR, HALF_COST]):
+            break
+        if improves(work, NEAR, BEST):
+            keep_point(work, search, BEST, NEAR)
+            at_end = False
+        copy_point(points, 0, NEAR)
+        came, _ = _descend_and_load(problem, work, search, b, NEAR, at_end, start, tolerance)
+        if came < BEST_UNDER_WAY:
+            break
+        at_end = came == BEST_ENDED
     return at_end
 
 
@@ -184,6 +237,8 @@ def _search(problem, work, search, b, shape, pool, spread, rounds, start, tolera
         points.known[j, HALF_COST] = math.inf
     points.known[BEST, HALF_COST] = math.inf
     at_end = _multistart(problem, work, search, b, shape, pool, spread, start, tolerance)
+    if math.isfinite(points.known[BEST, HALF_COST]):
+        at_end = _try_other_ends(problem, work, search, b, at_end, start, tolerance)
     work.path.stays[0] = False
     if rounds > 0 and not at_end and math.isfinite(points.known[BEST, HALF_COST]):
         at_end = release(problem, work, search, b, BEST, start, tolerance)

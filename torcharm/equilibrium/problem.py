@@ -16,8 +16,8 @@ from torcharm.engine import balances
 from torcharm.engine.arms import Arms, Loads, arms_of, numbers
 from torcharm.engine.continuation import find_equilibria
 from torcharm.engine.loads import loads_of
-from torcharm.engine.newton_step import make_room
 from torcharm.engine.path import Array, Found, Scale, make_path
+from torcharm.engine.room import make_room
 from torcharm.engine.threads import spread
 from torcharm.load import ExternalLoad
 from torcharm.statics.balance import balance_residual, unknown_columns

@@ -152,10 +152,11 @@ def search_pressure(
     returned is the one that continuation from zero load reaches (see `solve_equilibrium`).
 
     "multistart" descends by Levenberg and Marquardt's steps in the box, along stable equilibria: from the task's
-    shape, and from pressures that are promising to first order there or spread over the box, until four descents
-    agree; one that will not come below the best that is known is given up. Ends are confirmed by continuation. Under
-    compression it may lead elsewhere: an arm buckles to one side or
-    to the other, and the best pressures often lie where that is decided. There the cost jumps. The boundary is found
+    shape, and from pressures that are promising to first order there or spread over the box, until three descents
+    agree (five at a kink of a force model), and then from where one pressure of the best is at its other end; one that
+    will not come below the best that is known is given up. Ends are confirmed by continuation. Under compression it
+    may lead elsewhere: an arm buckles to one side or to the other, and the best pressures often lie where that is
+    decided. There the cost jumps. The boundary is found
     by Newton's method, as where the equilibria on the way bifurcate, and the search goes on along it; it is not
     `converged`. "scipy" is the paper's baseline, one equilibrium at a time: `scipy.optimize.minimize` with finite
     differences, from the middle of the box and, for more starts, from points spread over it.
@@ -167,7 +168,7 @@ def search_pressure(
         arm: designs, of any batch shape; or segments in series.
         task: tasks, of any batch shape; every design meets every task. Or a list of such.
         method: "multistart" or "scipy".
-        starts: S, the number of descents at most; None takes 8 (multistart) or 1 (scipy).
+        starts: S, the number of descents at most, before those from other ends; None takes 8 (multistart) or 1 (scipy).
         rounds: searches along boundaries at most (multistart).
         pose_cost: what is minimised; None is the paper's `PoseCost()`.
         shear_stiffness: as for `solve_equilibrium`.
