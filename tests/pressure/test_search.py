@@ -113,3 +113,41 @@ def test_spread_points_begin_in_the_middle_and_are_the_same_at_every_call():
 def test_mistakes_are_named(given, named):
     with pytest.raises(ValueError, match=named):
         ta.search_pressure(ta.bellows_arm(), planar_task(1), **given)
+
+
+def random_arms(count, size):
+    """Arms of bellows and muscles in any order, side by side."""
+    for seed in range(count):
+        draw = torch.Generator().manual_seed(300 + seed)
+        kinds = torch.randint(2, (size,), generator=draw).tolist()
+        radii = 0.16 * torch.rand(size, generator=draw, dtype=torch.float64) - 0.08
+        yield ta.ArmDesign(radii, 0.5, [(ta.Bellows, ta.McKibben)[kind]() for kind in kinds])
+
+
+@pytest.mark.parametrize("size", [3, 4, 6])
+def test_no_converged_search_is_better_with_one_pressure_at_its_other_end(size):
+    task = ta.Task(ta.affine_curvature(-2.0, 2.0, nodes=6), ta.sample_loads(20, (20, 20, 3)))
+    compared = 0
+    for arm in random_arms(4, size):
+        found = ta.search_pressure(arm, task)
+        for other in range(size):
+            pressure, limit = found.pressure.clone(), arm.max_pressure[other]
+            pressure[:, other] = torch.where(pressure[:, other] < 0.5 * limit, limit, 0.0)
+            loaded = ta.solve_equilibrium(arm, pressure, task.tip_load, 6)
+            cost = ta.PoseCost()(ta.poses(task.twists) - loaded.poses)
+            counts = found.converged & loaded.stable & loaded.continued
+            compared += int(counts.sum())
+            assert bool((found.cost <= cost * (1 + 1e-6) + 1e-12)[counts].all())
+    assert compared > 100
+
+
+def test_seeds_hardly_change_a_converged_search():
+    apart = compared = 0
+    for arm in random_arms(6, 4):
+        task = ta.Task(ta.affine_curvature(-2.0, 2.0, nodes=6), ta.sample_loads(20, (20, 20, 3)))
+        one, other = (ta.search_pressure(arm, task, seed=seed) for seed in (0, 1))
+        both = one.converged & other.converged
+        compared += int(both.sum())
+        apart += int(((one.shape_error - other.shape_error).abs() > 1e-3)[both].sum())
+    assert compared > 60
+    assert apart <= 0.02 * compared
