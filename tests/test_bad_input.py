@@ -142,7 +142,7 @@ CASES = {
     "ta.optimise_design(spatial, task)": ("task", "got 2"),
     "ta.optimise_design(ta.series([arm, arm]), task)": ("segment_nodes", "Task("),
     "ta.optimise_design(arm, task, objective='mean')": ("objective", "'mean'"),
-    "ta.optimise_architectures(ta.series([arm, arm]), task)": ("arm", "ArmSeries("),
+    "ta.optimise_architectures(ta.series([arm, arm]), task)": ("segment_nodes", "Task("),
     "ta.Objective(pose_cost=3)": ("pose_cost", "3"),
     "ta.DesignSpace(in_range=1)": ("in_range", "1"),
     "ta.evaluate(arm, Task(torch.zeros(5, 6), torch.zeros(6)))": ("task", "got 3"),

@@ -59,7 +59,7 @@ def test_the_end_of_the_constraints_is_the_end_of_the_range() -> None:
 @pytest.mark.parametrize(("arm", "task"), [(ta.antagonistic_arm(), TASK), (RING, IN_SPACE)])
 def test_derivatives_of_constraints_are_those_of_differences(arm: ta.ArmDesign, task: ta.Task) -> None:
     free = ("radii", "length", "max_pressure") if arm.dimension == 2 else ("radii", "angles", "length")
-    feasible = feasible_designs(DesignSpace(free=free), arm, [task])
+    feasible = feasible_designs(DesignSpace(free=free, tied="none"), arm, [task])
     point = np.random.default_rng(1).random(feasible.dimension)
     step = 1e-6 * np.eye(feasible.dimension)
     ends = [np.stack([feasible.constraint_values(point + sign * way)[0] for way in step], -1) for sign in (1, -1)]
@@ -89,6 +89,33 @@ def test_in_space_rings_stay_rings_and_turn() -> None:
     assert bool(ta.evaluate(designs, IN_SPACE, "absolute").in_range.all())
 
 
+def test_unless_told_otherwise_every_ring_keeps_to_itself_and_a_core_to_the_backbone() -> None:
+    offsets = torch.cat((ta.ring(0.06, 3), torch.zeros(1, 2).double(), ta.ring(0.03, 6, phase=0.3)))
+    models = [ta.Bellows() for _ in range(3)] + [ta.Bellows()] + [ta.McKibben() for _ in range(6)]
+    arm = ta.ArmDesign(offsets=offsets, length=[0.4] * 3 + [0.38] + [0.4] * 6, actuators=models)
+    task = ta.Task([[0.39, 0.0, 0.0, 0.0, 0.1, -0.2]] * 2, [0.0] * 6)
+    feasible = feasible_designs(DesignSpace(), arm, [task])
+    assert feasible.dimension == 5  # two radii and three lengths
+    designs = feasible.design(np.array(feasible.random(8, 0)))
+    rings = (slice(0, 3), slice(4, 10))
+    for own in rings:
+        radius = designs.offsets[:, own].norm(dim=-1)  # type: ignore[union-attr]
+        torch.testing.assert_close(radius, radius[:, :1].expand_as(radius))
+        assert float(radius[:, 0].std()) > 1e-3
+        direction = designs.offsets[:, own] / radius.unsqueeze(-1)  # type: ignore[union-attr]
+        torch.testing.assert_close(direction, (offsets[own] / offsets[own].norm(dim=-1, keepdim=True)).expand(8, -1, 2))
+        lengths = designs.length[:, own]  # type: ignore[union-attr]
+        torch.testing.assert_close(lengths, lengths[:, :1].expand_as(lengths))
+    assert float(designs.offsets[:, 3].abs().max()) == 0.0  # type: ignore[union-attr]
+    turned = _designs(DesignSpace(free="angles"), arm, task)
+    angle = turned.offsets[..., 1].atan2(turned.offsets[..., 0])
+    off = angle - angle[:, :1] - torch.atan2(offsets[:, 1], offsets[:, 0])
+    by = [off[:, own].sin().asin() for own in rings]  # of the first ring, nothing: it turns as one
+    torch.testing.assert_close(by[0], torch.zeros_like(by[0]), atol=1e-9, rtol=0)
+    torch.testing.assert_close(by[1].abs(), by[1].abs()[:, :1].expand_as(by[1]), atol=1e-9, rtol=0)
+    assert float(by[1].abs()[:, 0].std()) > 0.05
+
+
 def test_a_mirrored_arm_in_space_stays_its_own_mirror_image() -> None:
     offsets = [[0.05, 0.02], [0.03, -0.04], [-0.03, -0.04], [-0.05, 0.02]]
     arm = ta.ArmDesign(offsets=offsets, length=0.4, actuators=ta.Bellows())
@@ -105,7 +132,7 @@ def test_diameters_keep_actuators_apart_and_none_share_a_place() -> None:
     plain = _designs(DesignSpace(in_range=False), ta.mckibben_arm())
     assert float(plain.radii.diff(dim=-1).min()) >= LEAST_SPACING - FEASIBLE
     thick = ta.ArmDesign(offsets=RING.offsets, length=0.4, actuators=ta.Bellows(), diameter=0.05)
-    designs = _designs(DesignSpace(free=("radii", "angles")), thick, IN_SPACE)
+    designs = _designs(DesignSpace(free=("radii", "angles"), tied="none"), thick, IN_SPACE)
     place = torch.stack((designs.radii, designs.out_of_plane), -1)
     assert float(torch.cdist(place, place)[:, ~torch.eye(3, dtype=torch.bool)].min()) >= 0.05 - FEASIBLE
     named = feasible_designs(DesignSpace(), ta.mckibben_arm(), [TASK]).violated_by(ta.mckibben_arm())
@@ -166,7 +193,8 @@ def test_segments_in_series_have_their_own_values() -> None:
         ({"free": "max_pressure", "bounds": {"max_pressure": (200.0, 300.0)}}, "characterised pressures"),
         ({"free": "angles"}, "the arm is planar"),
         ({"tied": ((0, 4),)}, "counted from 0"),
-        ({"tied": "mirrored"}, "must be one of mirror, equal"),
+        ({"tied": "mirrored"}, "must be one of mirror, equal, ring, none"),
+        ({"tied": "ring"}, "must not be 'ring' for a planar arm"),
     ],
 )
 def test_what_cannot_be_is_said(space: dict[str, Any], words: str) -> None:

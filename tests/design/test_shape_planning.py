@@ -121,6 +121,32 @@ def test_in_space_a_tip_pose_is_met_in_place_and_turn(bend: tuple[float, float])
     torch.testing.assert_close(plan.twists, wanted, atol=5e-4, rtol=0)
 
 
+BUNDLE = ta.ArmDesign(
+    offsets=torch.cat((ta.ring(0.06, 3), ta.ring(0.03, 6, phase=0.5))),
+    length=0.4,
+    actuators=[ta.Bellows()] * 3 + [ta.McKibben()] * 6,
+    mass=0.5,
+)
+PAYLOAD = ta.ExternalLoad([0.3, 0.0, -0.2, 0.0, 0.0, 0.0], gravity=True, points=[ta.PointLoad(mass=0.1, at=0.7)])
+
+
+@pytest.mark.parametrize("seed", [4])
+def test_a_pose_that_the_arm_reaches_under_weight_and_payload_has_a_shape_that_is_held(seed: int) -> None:
+    pressure = BUNDLE.max_pressure * torch.rand(9, generator=torch.Generator().manual_seed(seed)).double()
+    reached = ta.solve_equilibrium(BUNDLE, pressure, PAYLOAD, nodes=5)
+    assert bool(reached.stable)
+    tip = reached.poses[-1]
+    plan = plan_shape(BUNDLE, tip, PAYLOAD, nodes=5, starts=1)
+    assert plan.found
+    torch.testing.assert_close(ta.poses(plan.twists)[-1], tip, atol=1e-7, rtol=0)
+    found = ta.evaluate(BUNDLE, ta.Task(plan.twists, load=PAYLOAD), ("absolute", "relative"))
+    assert bool(found.shape_in_range)
+    assert found.absolute == pytest.approx(0.0, abs=1e-3)
+    assert found.relative == pytest.approx(0.0, abs=1e-3)
+    assert plan.attainability is not None
+    assert plan.attainability.task.load.gravity
+
+
 def test_a_planar_tip_in_space_has_the_planar_shape() -> None:
     flat = plan_shape(ARM, TIP, LOAD, PAPER_SHAPES[0])
     length, _, bend = flat.twists.unbind(-1)
@@ -151,12 +177,14 @@ def test_that_no_shape_is_found_is_said_and_no_error() -> None:
         ({"tip_pose": (0.3, math.nan, 0.0)}, "tip_pose"),
         ({"arm": RING}, "tip_pose: must have shape \\(4, 4\\)"),
         ({"nodes": 1}, "nodes"),
+        ({"load": (1.0, 0.0)}, "load: must have shape"),
+        ({"load": ta.ExternalLoad([0.0] * 6)}, "load: must be of 3 components"),
         ({"starts": 0}, "starts"),
         ({"arm": ta.bellows_arm(outer_radius=torch.tensor([0.03, 0.04]))}, "one design"),
     ],
 )
 def test_arguments_are_checked(options: dict[str, Any], words: str) -> None:
-    given = {"arm": ARM, "tip_pose": TIP, "tip_load": LOAD, "starts": 1} | options
+    given = {"arm": ARM, "tip_pose": TIP, "load": LOAD, "starts": 1} | options
     with pytest.raises(ValueError, match=words):
         plan_shape(**given)
 

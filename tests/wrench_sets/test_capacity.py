@@ -339,7 +339,7 @@ def test_the_payload_grows_and_the_arms_own_weight_does_not(metric):
     tip = double([0.4, -0.6, 0.3, 0.0, 0.01, 0.0])
 
     def with_payload(t):
-        points = [ta.PointLoad(t * point, at=0.6, mass=0.05)]
+        points = [ta.PointLoad(t * point, at=0.6)]
         return ta.Task(twists, load=ta.ExternalLoad(tip=t * tip, gravity=True, points=points))
 
     found, checked = assert_ends_lie_on_boundaries(arm, with_payload(1.0), metric, with_payload)
@@ -431,8 +431,63 @@ def test_arm_and_task_of_different_dtype_are_promoted():
     assert torch.equal(found.factor, same.factor)
 
 
-def test_point_masses_alone_are_no_payload_to_scale():
-    load = ta.ExternalLoad(gravity=True, points=[ta.PointLoad(mass=0.1)])
-    task = ta.Task(ta.affine_curvature(0.5, 1.0, length=0.5), load=load)
-    with pytest.raises(ValueError, match=r"^load: must hold a wrench to scale, got point masses only"):
+def in_space(nodes, length, *turn):
+    return double([[length, 0.0, 0.0, 0.0, *turn]]).expand(nodes, 6)
+
+
+def bundle(radius, muscles, length, mass):
+    """Three bellows outside and some muscles inside."""
+    offsets = torch.cat((ta.ring(radius, 3), ta.ring(radius / 2, muscles, phase=0.5)))
+    return ta.ArmDesign(
+        offsets=offsets, length=length, actuators=[ta.Bellows()] * 3 + [ta.McKibben()] * muscles, mass=mass
+    )
+
+
+PAYLOADS = {  # arm, shape, and the most kilograms that a scan goes to
+    "plane": (
+        ta.ArmDesign(ta.antagonistic_arm().radii, 0.5, ta.antagonistic_arm().actuators, mass=0.4),
+        {"twists": ta.affine_curvature(0.3, 0.2, length=0.49)},
+        8.0,
+    ),
+    "bellows outside, muscles inside": (bundle(0.06, 6, 0.4, 0.5), {"twists": in_space(10, 0.39, 0.3, 0.5)}, 2.0),
+    "two modules and a link": (
+        ta.series([bundle(0.06, 6, 0.3, 0.3), ta.RigidLink(length=0.03, mass=0.05), bundle(0.05, 3, 0.25, 0.2)]),
+        {
+            "twists": torch.cat((in_space(4, 0.29, 0.1, 0.2), in_space(4, 0.24, -0.2, 0.1))),
+            "segment_nodes": (4, 4),
+        },
+        2.0,
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", ["point mass", "tip force"])
+@pytest.mark.parametrize("name", PAYLOADS)
+def test_the_largest_payload_is_where_a_scan_of_payloads_ends(name, kind):
+    """Under the weight of arm and links, at every payload for its own what `evaluate` says of the whole load."""
+    arm, shape, most = PAYLOADS[name]
+    segment = len(shape.get("segment_nodes", (0,))) - 1
+
+    def task(kilograms):
+        if kind == "point mass":
+            load = ta.ExternalLoad(gravity=True, points=[ta.PointLoad(mass=kilograms, segment=segment)])
+        else:
+            load = ta.ExternalLoad(tip=[0.0, -9.81 * kilograms] + [0.0] * (3 * arm.dimension - 5), gravity=True)
+        return ta.Task(**shape, load=load)
+
+    found = ta.load_capacity(arm, task(0.1))
+    assert found.attainable_unloaded
+    assert 0.02 < 0.1 * found.factor < most
+    scanned = np.linspace(1e-6, most, 41)
+    held = [ta.evaluate(arm, task(float(mass)), ("absolute",)).absolute.item() == 0 for mass in scanned]
+    assert held == (scanned <= 0.1 * found.factor.item()).tolist()
+    assert any(held)
+    assert not all(held)
+    for share, outside in ((1 - 1e-7, False), (1 + 1e-7, True)):
+        assert (ta.evaluate(arm, task(0.1 * share * found.factor.item()), ("absolute",)).absolute > 0) == outside
+
+
+def test_weight_alone_is_no_payload_to_scale():
+    task = ta.Task(ta.affine_curvature(0.5, 1.0, length=0.5), load=ta.ExternalLoad(gravity=True))
+    with pytest.raises(ValueError, match=r"^load: must hold a payload to scale, a tip load or point loads, got none"):
         ta.load_capacity(ta.antagonistic_arm(), task)

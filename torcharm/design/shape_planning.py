@@ -14,8 +14,10 @@ from torcharm.arm import ArmDesign
 from torcharm.attainability import Attainability, evaluate
 from torcharm.design.objective import Objective, task_values
 from torcharm.design.space import Array
+from torcharm.equilibrium.solve import whole_load
 from torcharm.geometry import rod, se3
 from torcharm.inputs import HoldsTensors, TensorLike, as_floating, check_count, check_finite, shown
+from torcharm.load import ExternalLoad
 from torcharm.task import Task
 
 TIP_TOLERANCE = 1e-8
@@ -88,7 +90,7 @@ class PlannedShape(HoldsTensors):
 def plan_shape(
     arm: ArmDesign,
     tip_pose: TensorLike,
-    tip_load: TensorLike,
+    load: TensorLike | ExternalLoad,
     objective: Objective | Smoothness | None = None,
     *,
     nodes: int = 10,
@@ -98,7 +100,7 @@ def plan_shape(
     seed: int = 0,
     iterations: int = 200,
 ) -> PlannedShape:
-    """The shape through a tip pose that minimises an objective of one arm under tip loads.
+    """The shape through a tip pose that minimises an objective of one arm under its loads.
 
     A shape of N elements is its lengths and curvatures, 2N unknowns in the plane and 3N in space; the tip takes three
     or six. Each element's wrench is taken at its middle. scipy's SLSQP with torch's gradients from several starts, and
@@ -108,8 +110,8 @@ def plan_shape(
         arm: one design.
         tip_pose: (3,) [m, m, rad] or (4, 4) in the world frame. Headings in the plane are not wrapped: the arm turns by
             `tip heading - base heading` in all, so adding 2π asks for a loop more.
-        tip_load: (..., 3) or (..., 6) loads under which the shape is to be held [N, N·m]; several count as the
-            objective says.
+        load: under which the shape is to be held: tip loads (..., 3) or (..., 6) in the world frame [N, N·m], or an
+            `ExternalLoad` with the arm's weight and payloads. Several count as the objective says.
         objective: of the shape as a task of this arm; None takes absolute plus relative unattainability, of squared
             distances and without margins, so that any attainable shape will do. Or a `Smoothness`, of which the arm
             and the loads have no part.
@@ -124,30 +126,29 @@ def plan_shape(
     Raises:
         ValueError: an argument is none of those allowed.
     """
-    problem, load = _problem(arm, tip_pose, tip_load, objective, nodes, base_pose, in_range)
+    problem, whole = _problem(arm, tip_pose, load, objective, nodes, base_pose, in_range)
     check_count("starts", starts, 1)
     judge = Objective("unattainability", power=2, relative_weight=1.0, margin=False) if objective is None else objective
     if isinstance(judge, Smoothness):
         plans = [_smoothest(problem, judge, iterations)]
     else:
-        shaped = Task(torch.zeros(nodes, problem.columns).to(arm.radii), load, problem.base.to(arm.radii))
-        plans = _best_held(problem, judge, shaped, starts, seed, iterations)
+        plans = _best_held(problem, judge, whole, starts, seed, iterations)
     met = [plan for plan in plans if problem.violation(plan[0]) < TIP_TOLERANCE]
     if not met:
         return _no_shape(problem)
     unknowns, cost = min(met, key=lambda plan: float(plan[1](torch.from_numpy(plan[0]))))
-    return _plan(problem, judge, unknowns, cost, load)
+    return _plan(problem, judge, unknowns, cost, whole)
 
 
 def _problem(
     arm: ArmDesign,
     tip_pose: TensorLike,
-    tip_load: TensorLike,
+    load: TensorLike | ExternalLoad,
     objective: Objective | Smoothness | None,
     nodes: int,
     base_pose: TensorLike | str | None,
     in_range: bool | None,
-) -> "tuple[_TipProblem, Tensor]":
+) -> "tuple[_TipProblem, ExternalLoad]":
     if not isinstance(arm, ArmDesign) or arm.batch_shape:
         raise ValueError(f"arm: must be one design, got {shown(arm)}")
     if objective is not None and not isinstance(objective, (Objective, Smoothness)):
@@ -155,15 +156,18 @@ def _problem(
     check_count("nodes", nodes, 2)
     columns = 3 if arm.dimension == 2 else 6
     base = rod.as_base(base_pose, arm.radii, columns)
-    goal, start, load, _ = as_floating(tip_pose=tip_pose, base_pose=base, tip_load=tip_load, arm=arm.radii)
+    goal, start, _ = as_floating(tip_pose=tip_pose, base_pose=base, arm=arm.radii)
     shape = rod.group_of(columns).POSE_SHAPE
     for name, value in (("tip_pose", goal), ("base_pose", start)):
         if value.shape != shape:
             raise ValueError(f"{name}: must have shape {shape} for this arm, got {tuple(value.shape)}")
         check_finite(name, value)
+    if not isinstance(load, ExternalLoad):
+        load, _ = as_floating(load=load, arm=arm.radii)
+    whole = whole_load(load, columns, arm.radii)
     limited = not isinstance(objective, Smoothness) if in_range is None else in_range
     strains = _strain_rows(arm, nodes) if limited else None
-    return _TipProblem(arm, goal.double().cpu(), start.double().cpu(), nodes, columns, strains), load
+    return _TipProblem(arm, goal.double().cpu(), start.double().cpu(), nodes, columns, strains), whole
 
 
 def _no_shape(problem: "_TipProblem") -> PlannedShape:
@@ -174,11 +178,11 @@ def _no_shape(problem: "_TipProblem") -> PlannedShape:
 
 
 def _plan(
-    problem: "_TipProblem", judge: Objective | Smoothness, unknowns: Array, cost: Cost, load: Tensor
+    problem: "_TipProblem", judge: Objective | Smoothness, unknowns: Array, cost: Cost, load: ExternalLoad
 ) -> PlannedShape:
     at = torch.from_numpy(unknowns)
     twists = problem.twists(at).to(problem.arm.radii)
-    task = Task(twists, load.to(twists), problem.base.to(twists))
+    task = problem.task(twists, load)
     options: dict[str, Any] = {}
     if isinstance(judge, Objective):
         options = {"weights": judge.weights, "power": judge.power}
@@ -215,6 +219,10 @@ class _TipProblem:
         for column, value in zip(COLUMNS[self.arm.dimension], (length * LENGTH_UNIT, *bends), strict=True):
             whole[column] = value
         return torch.stack(whole, -1)
+
+    def task(self, twists: Tensor, load: ExternalLoad) -> Task:
+        """A shape (N, 3 or 6) as the task to hold it under loads."""
+        return Task(twists, base_pose=self.base.to(twists), load=load)
 
     def _miss(self, unknowns: Tensor) -> Tensor:
         tip = rod.poses(self.twists(unknowns), self.base)[self.nodes]
@@ -347,12 +355,12 @@ def _smoothest(problem: _TipProblem, judge: Smoothness, iterations: int) -> tupl
 
 
 def _best_held(
-    problem: _TipProblem, judge: Objective, task: Task, starts: int, seed: int, iterations: int
+    problem: _TipProblem, judge: Objective, load: ExternalLoad, starts: int, seed: int, iterations: int
 ) -> list[tuple[Array, Cost]]:
     """From each start the shape that the arm holds best."""
 
     def cost(z: Tensor) -> Tensor:
-        shaped = Task(problem.twists(z).to(task.twists), task.tip_load, task.base_pose)
+        shaped = problem.task(problem.twists(z).to(problem.arm.radii), load)
         return judge.total(task_values(judge, problem.arm, shaped)).double()
 
     random = np.random.default_rng(seed)

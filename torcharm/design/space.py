@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from torcharm.actuators.inspection import same_model
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.inputs import check_choice, check_flag, check_number, shown
@@ -16,7 +17,9 @@ from torcharm.statics.balance import segments_of
 FIELDS = ("radii", "angles", "length", "max_pressure")
 """Of each actuator, in the order in which their values are kept."""
 UNITS = {"radii": "m", "angles": "rad", "length": "m", "max_pressure": "kPa"}
-TIES = ("mirror", "equal")
+TIES = ("mirror", "equal", "ring", "none")
+SAME = 1e-6
+"""Radii, lengths [m] and limits [kPa] no further apart count as equal in a given arm: single precision rounds so."""
 FARTHEST = 0.1
 """The default bound on radii [m], unless a given arm reaches further: a wider arm is no slender rod."""
 LEAST_SPACING = 0.005
@@ -36,11 +39,14 @@ class DesignSpace:
         free: which of "radii", "angles", "length", "max_pressure" may change; the rest stays as given. In the plane
             radii are the offsets, positive to the left; in space, with the angles from the arm's left towards body z,
             they are polar coordinates.
-        tied: which actuators change together. "mirror" makes a symmetric arm: actuator α and M + 1 - α have opposite
-            radii in the plane, equal ones in space and angles that turn oppositely, and equal lengths and limits.
-            "equal" gives all one value (in the plane of no use for radii), and turns all angles together. Groups such
-            as ((0, 3), (1, 2)) have radii of equal size, whose signs are the given arm's, equal lengths and limits, and
-            turn together. A mapping ties each field in its own way: {"radii": "mirror", "length": "equal"}.
+        tied: which actuators change together. "ring", in space: those of one model, radius, length, limit and diameter
+            stay alike and turn together, and one on the backbone stays there. "mirror" makes a symmetric arm:
+            actuator α and M + 1 - α have opposite radii in the plane, equal ones in space and angles that turn
+            oppositely, and equal lengths and limits. "equal" gives all one value (in the plane of no use for radii),
+            and turns all angles together. "none" ties nothing. Groups such as ((0, 3), (1, 2)) have radii of equal
+            size, whose signs are the given arm's, equal lengths and limits, and turn together. A mapping ties each
+            field in its own way: {"radii": "mirror", "length": "equal"}. None, and fields that a mapping leaves out:
+            "ring" in space, "none" in the plane.
         bounds: for each free field (lowest, highest), as numbers or one number for each actuator [m, rad, m, kPa].
             Without them: radii within ±0.1 m, in space up to 0.1 m (or what the given arm has), angles within half a
             turn of the given ones, lengths from half to one and a half times the given ones, limits from 0 to the
@@ -160,7 +166,7 @@ def free_values(space: DesignSpace, arm: Arm) -> FreeValues:
                 continue
             base[place, own] = zero = given[0] if name == "angles" else 0 * given[0]
             least, most = _bounds(space, name, segment, given)
-            for members, signs in tied_groups(space, name, given[0], arm.dimension):
+            for members, signs in tied_groups(space, name, values[0, :, own], segment):
                 sides = np.stack((least[members] - zero[members], most[members] - zero[members])) * signs
                 low, high = float(sides.min(0).max()), float(sides.max(0).min())
                 what = f"{name} of actuator{'s' * (len(members) > 1)} {_listed(members, first)}"
@@ -214,15 +220,19 @@ def _bounds(space: DesignSpace, name: str, segment: ArmDesign, values: Array) ->
     return least, most
 
 
-def tied_groups(space: DesignSpace, name: str, values: Array, dimension: int) -> list[tuple[list[int], Array]]:
-    """Actuators of a segment that share one free value, and with which sign."""
-    tie = space.tied.get(name) if isinstance(space.tied, Mapping) else space.tied
-    count = len(values)
+def tied_groups(space: DesignSpace, name: str, given: Array, segment: ArmDesign) -> list[tuple[list[int], Array]]:
+    """Actuators of a segment of values (4, M) that share one free value of a field, and with which sign."""
+    tie, planar = space.tied.get(name) if isinstance(space.tied, Mapping) else space.tied, segment.dimension == 2
     if tie is None:
-        return [([index], np.ones(1)) for index in range(count)]
-    signed = name == "radii" and dimension == 2
+        tie = "none" if planar else "ring"
+    values, count = given[FIELDS.index(name)], segment.actuator_count
+    signed = name == "radii" and planar
     if isinstance(tie, str):
         check_choice("tied", tie, TIES)
+        if tie == "ring":
+            return [(group, np.ones(len(group))) for group in _rings(name, given, segment)]
+        if tie == "none":
+            return [([index], np.ones(1)) for index in range(count)]
         if tie == "equal":
             return [(list(range(count)), np.ones(count))]
         opposite = signed or name == "angles"
@@ -236,6 +246,28 @@ def tied_groups(space: DesignSpace, name: str, values: Array, dimension: int) ->
     groups += [[index] for index in range(count) if index not in named]
     sign = np.where(values < 0, -1.0, 1.0) if signed else np.ones(count)
     return [(group, sign[group] if len(group) > 1 else np.ones(1)) for group in groups]
+
+
+def _rings(name: str, given: Array, segment: ArmDesign) -> list[list[int]]:
+    """Actuators that are alike in all but their angle; of those on the backbone, none that could leave it."""
+    if segment.dimension == 2:
+        raise ValueError("tied: must not be 'ring' for a planar arm, which has no rings")
+    radius, _, *rest = given
+    diameter = segment.radii if segment.diameter is None else segment.diameter
+    size = diameter.detach().double().cpu().reshape(-1, len(radius))[0].numpy() * (segment.diameter is not None)
+    values = np.stack((radius, *rest, size))
+    found: list[list[int]] = []
+    for index, model in enumerate(segment.actuators):
+        if name in ("radii", "angles") and radius[index] <= SAME:
+            continue
+        for group in found:
+            first = group[0]
+            if same_model(model, segment.actuators[first]) and np.ptp(values[:, [first, index]], axis=1).max() <= SAME:
+                group.append(index)
+                break
+        else:
+            found.append([index])
+    return found
 
 
 def _checked_groups(tie: Any, count: int) -> list[list[int]]:

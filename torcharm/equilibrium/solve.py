@@ -265,7 +265,7 @@ def _checked(
     pressure = values["pressure"]
     pressure = one_for_all(pressure, arm.actuator_count)
     base = as_base(values.get("base_pose", base_pose), pressure, columns)
-    whole = _whole_load(load if isinstance(load, ExternalLoad) else values["load"], columns, pressure)
+    whole = whole_load(load if isinstance(load, ExternalLoad) else values["load"], columns, pressure)
     check_segments(whole, len(segments))
     check_tensor("pressure", pressure, arm.actuator_count)
     check_finite("pressure", pressure)
@@ -295,7 +295,7 @@ def _counts(nodes: Any, segments: int) -> tuple[int, ...]:
     return tuple(check_count("nodes", count, 1) for count in nodes)
 
 
-def _whole_load(load: ExternalLoad | Tensor, columns: int, like: Tensor) -> ExternalLoad:
+def whole_load(load: ExternalLoad | Tensor, columns: int, like: Tensor) -> ExternalLoad:
     """All that loads the arm, in one dtype."""
     if not isinstance(load, ExternalLoad):
         check_tip("load", load, (columns,))

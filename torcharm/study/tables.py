@@ -249,7 +249,8 @@ class OptimiseTable(Table):
     )
     tied: Annotated[str, one_of(TIES)] | None = Field(
         default=None,
-        description="Keep arms symmetric, or all actuators alike. Without it, each changes on its own.",
+        description="Keep arms symmetric, or all actuators alike. Without it, rings in space stay rings, and in the "
+        "plane each changes on its own.",
         examples=["mirror"],
     )
     bounds: BoundsTable = Field(default=BoundsTable(), description="How far what is free may go.")

@@ -1,8 +1,8 @@
 """How much of a payload a design can bear at a shape: where a growing payload leaves the attainable sets.
 
-The wrench that a node requires is linear in the payload: `t` times the payload requires the weight's wrench and `t`
-times the payload's. It moves along a line, and a convex set cuts an interval of factors out of that line. An arm bears
-the factors that lie in the intervals of all its nodes.
+The wrench that a node requires is linear in the payload: `t` times the payload requires the wrench of the arm's own
+weight and `t` times the payload's. It moves along a line, and a convex set cuts an interval of factors out of that
+line. An arm bears the factors that lie in the intervals of all its nodes.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from torch.utils.checkpoint import checkpoint
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.inputs import HoldsTensors, check_choice, check_count, shapes_only
-from torcharm.load import ExternalLoad, PointLoad
+from torcharm.load import ExternalLoad
 from torcharm.statics.cross_section import CrossSections
 from torcharm.task import Task
 from torcharm.wrench_sets.design_task_grid import (
@@ -23,6 +23,7 @@ from torcharm.wrench_sets.design_task_grid import (
     fitted,
     limits_in_range,
     map_chunks,
+    without_link_masses,
 )
 from torcharm.wrench_sets.node_distances import (
     METRICS,
@@ -39,8 +40,8 @@ from torcharm.wrench_sets.rays import evaluate_ends, find_ends
 class LoadCapacity(HoldsTensors):
     """What `load_capacity` found. Shapes are (*design batch, *task batch), with N nodes added per node.
 
-    Factors multiply the task's payload: its tip load and the wrenches of its point loads. Where no factor serves, they
-    are NaN; a bound that there is not is infinite.
+    Factors multiply the task's payload: its tip load and its point loads, wrenches and masses. Where no factor serves,
+    they are NaN; a bound that there is not is infinite.
 
     Attributes:
         factor: the largest factor of at least 0 that the sets of all nodes allow.
@@ -84,8 +85,8 @@ def load_capacity(
 ) -> LoadCapacity:
     """The largest factor by which every task's payload can grow, at its shape, for every design.
 
-    The payload is the tip load and the wrenches of point loads. What gravity pulls on, the arm's own mass, links and
-    point masses, weighs the same at every factor.
+    The payload is the tip load and all point loads, their wrenches and their masses. What the arm and its links weigh
+    under gravity stays the same at every factor.
 
     Along the outward normal n where the line `w_0 + t w` leaves a node's set, `t = (h(n) - n·w_0)/(n·w)`, with h the
     set's support function. Sets are those of `evaluate`, exact for any force model. Differentiable once with respect
@@ -103,53 +104,22 @@ def load_capacity(
         chunk_size: (design, shape, load) triples worked on at once; None chooses. Bounds memory.
 
     Raises:
-        ValueError: an argument is none of those allowed, arm and task do not fit, or there is no wrench to scale.
+        ValueError: an argument is none of those allowed, arm and task do not fit, or there is no payload to scale.
     """
     check_choice("metric", metric, METRICS)
     if chunk_size is not None:
         check_count("chunk_size", chunk_size, 1)
     arm, task = fitted(arm, task)
-    if task.load.tip is None and task.load.points and all(point.wrench is None for point in task.load.points):
-        raise ValueError(
-            "load: must hold a wrench to scale, got point masses only, which weigh the same at every factor "
-            "(give the payload as a tip load or as PointLoad(wrench=...))"
-        )
-    weight, payload = _weight_and_payload(task)
-    grid = design_task_grid(arm, weight)
-    direction = design_task_grid(arm, payload).required.external
+    if task.load.tip is None and not task.load.points:
+        raise ValueError("load: must hold a payload to scale, a tip load or point loads, got none")
+    nothing = task.twists.new_zeros(task.twists.shape[-1]).expand(*task.batch_shape, -1)
+    weight = ExternalLoad(nothing, task.load.gravity)
+    own = Task(task.twists, None, task.base_pose, weight, task.wrench_at, task.segment_nodes)
+    grid = design_task_grid(arm, own)
+    direction = design_task_grid(without_link_masses(arm), task).required.external
     ends = _per_node(grid, direction, metric == "relative", chunk_size)
     low, high, slack, converged, excess, impossible = (grid.unflatten(part) for part in ends)
     return _over_nodes(low, high, slack, converged, excess, impossible, limits_in_range(grid))
-
-
-def _weight_and_payload(task: Task) -> tuple[Task, Task]:
-    """The task under what gravity pulls on alone, and under its other loads alone, both of the whole batch."""
-    load = task.load
-    nothing = task.twists.new_zeros(task.twists.shape[-1]).expand(*task.batch_shape, -1)
-    weights = tuple(
-        PointLoad(
-            None if point.wrench is None else torch.zeros_like(point.wrench),
-            point.segment,
-            point.at,
-            point.frame,
-            point.mass,
-        )
-        for point in load.points
-    )
-    wrenches = tuple(
-        PointLoad(point.wrench, point.segment, point.at, point.frame)
-        for point in load.points
-        if point.wrench is not None
-    )
-    tip = nothing if load.tip is None else nothing + load.tip
-    return (
-        _with_load(task, ExternalLoad(nothing, load.gravity, weights)),
-        _with_load(task, ExternalLoad(tip, points=wrenches)),
-    )
-
-
-def _with_load(task: Task, load: ExternalLoad) -> Task:
-    return Task(task.twists, None, task.base_pose, load, task.wrench_at, task.segment_nodes)
 
 
 def _over_nodes(

@@ -193,11 +193,18 @@ def _required(
     if not task.load.gravity or not (mass.requires_grad or bool((mass != 0).any())):
         return RequiredWrench(external, external.new_zeros(0, P, *external.shape[-2:]), mass[:, :0])
     bare, units = ExternalLoad(gravity=True), []
-    weightless = None if links is None else [link and link.without_mass() for link in links]
+    weightless = None if links is None else without_link_masses(arm).links  # type: ignore[union-attr]
     for index in range(len(segments)):
         own = [1.0 if index == other else 0.0 for other in range(len(segments))]
         units.append(required_wrench(task.twists, bare, task.base_pose, mass=own, links=weightless, **options))
     return RequiredWrench(external, torch.stack([flat(unit, 1)[:, 0] for unit in units]), mass)
+
+
+def without_link_masses(arm: Arm) -> Arm:
+    """The same arm, of which the links weigh nothing."""
+    if isinstance(arm, ArmDesign):
+        return arm
+    return ArmSeries(arm.segments, tuple(link and link.without_mass() for link in arm.links))
 
 
 def _masses(segments: tuple[ArmDesign, ...]) -> Tensor:

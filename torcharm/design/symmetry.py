@@ -1,0 +1,144 @@
+"""Which architectures are each other's image: an arm turned about its backbone, or mirrored, that meets the same tasks.
+
+An orthogonal map Q across the backbone takes offsets `d` to `Q d`. With `T = diag(1, Q)` it takes body vectors v to
+`T v` and body axial vectors (curvatures, moments) to `det(T) T v`; loads in the world likewise, by `B T Bᵀ` with B the
+rotation of the base.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torcharm.actuators import Actuator
+from torcharm.actuators.bending import active_moment, bending_model, passive_moment
+from torcharm.arm import ArmDesign
+from torcharm.design.checkpoint import CURVATURES
+from torcharm.design.space import Arm, DesignSpace
+from torcharm.task import Task
+
+SAME = 1e-9
+"""Offsets, lengths [m] and bounds, loads and shapes no further apart are the same: roundings of a turn, or of what a
+person typed."""
+Order = tuple[int, ...]
+
+
+def symmetries(arm: Arm, models: Sequence[Actuator], tasks: Sequence[Task], space: DesignSpace) -> list[Order]:
+    """Orders of the positions that make of an architecture another with the same best design; the given one is first.
+
+    An image counts if offsets, lengths, diameters, bounds and ties given are their own image, each model bears the
+    opposite moment at the opposite curvature, and the tasks are the same in some order. Where an arm in space may turn
+    freely, tasks need not be. What cannot be told at a glance counts as no image: then more is tried, and nothing lost.
+    """
+    found = [tuple(range(arm.actuator_count))]
+    if not isinstance(arm, ArmDesign) or isinstance(space.tied, Mapping) or not all(_is_odd(one) for one in models):
+        return found
+    if space.tied is not None and not isinstance(space.tied, str):
+        return found
+    turns = "angles" in space.free and "angles" not in space.bounds and space.tied != "mirror"
+    for turn in _candidates(arm):
+        order = _order(arm, turn, space)
+        if order is None or order in found or (space.tied == "mirror" and order != found[0][::-1]):
+            continue
+        if (turns and bool(torch.linalg.det(turn) > 0)) or _alike(_rows(tasks), _rows(tasks, turn)):
+            found.append(order)
+    return found
+
+
+def _candidates(arm: ArmDesign) -> Iterator[Tensor]:
+    """(3, 3) maps T that take an actuator to where some other is; in the plane the mirror image alone."""
+    if arm.dimension == 2:
+        yield torch.diag(torch.tensor((1.0, -1.0, 1.0), dtype=torch.float64))
+        return
+    y, z = arm.offsets.detach().double().cpu().reshape(-1, arm.actuator_count, 2)[0].unbind(-1)
+    first = int(torch.hypot(y, z).argmax())
+    angles = torch.atan2(z, y)
+    for sign in (1.0, -1.0):
+        for angle in (angles - sign * angles[first]).tolist():
+            cos, sin = np.cos(angle), np.sin(angle)
+            yield torch.tensor(((1.0, 0.0, 0.0), (0.0, cos, -sign * sin), (0.0, sin, sign * cos)), dtype=torch.float64)
+
+
+def _order(arm: ArmDesign, turn: Tensor, space: DesignSpace) -> Order | None:
+    """For each position that to which a map takes it, if the geometry given is its own image."""
+    offsets = arm.offsets.detach().double().cpu().reshape(-1, arm.actuator_count, 2)
+    image = offsets @ turn[1:, 1:].T
+    order = torch.cdist(image[:1], offsets[:1])[0].argmin(-1)
+    kept = [arm.length] if arm.diameter is None else [arm.length, arm.diameter]
+    alike = [(image, offsets[:, order]), *((value, value[..., order]) for value in kept)]
+    if len(set(order.tolist())) < len(order) or any(bool(((a - b).abs() > SAME).any()) for a, b in alike):
+        return None
+    for name, bounds in space.bounds.items():
+        try:
+            low, high = (np.broadcast_to(np.asarray(end, dtype=np.float64), len(order)) for end in bounds)
+        except (TypeError, ValueError):
+            return None  # said where the bounds are put to use
+        turned = (-high, -low) if name == "radii" and arm.dimension == 2 else (low, high)
+        if max(np.abs(turned[0] - low[order]).max(), np.abs(turned[1] - high[order]).max()) > SAME:
+            return None
+    return tuple(order.tolist())
+
+
+def _is_odd(model: Actuator) -> bool:
+    """Whether a model bears the opposite moment at the opposite curvature."""
+    if bending_model(model.bending_stiffness) is None:
+        return True
+    with torch.no_grad():
+        moments = [part(model.bending_stiffness, CURVATURES) for part in (active_moment, passive_moment)]
+    known = [moment for moment in moments if moment is not None]
+    return all(bool(((one + one.flip(-1)).abs() <= SAME * one.abs().amax()).all()) for one in known)
+
+
+def _rows(tasks: Sequence[Task], turn: Tensor | None = None) -> list[tuple[Any, ...]] | None:
+    """Every task as numbers, in units of SAME, or its image under a map; None if that is no task of this kind."""
+    found: list[tuple[Any, ...]] = []
+    for task in tasks:
+        map_ = torch.eye(3, dtype=torch.float64) if turn is None else turn
+        sign, base = torch.linalg.det(map_), _rotation(task)
+        world = base @ map_ @ base.T
+        up = world.new_tensor((0.0, 1.0, 0.0))
+        if any(point.wrench is not None for point in task.load.points):
+            return None
+        if task.load.gravity and float((world @ up - up).abs().max()) > SAME:
+            return None
+        shape = _in_space(task.twists, task.dimension).expand(*task.batch_shape, task.nodes, 6)
+        load = _in_space(task.tip_load, task.dimension).expand(*task.batch_shape, 6)
+        shape = torch.cat((shape[..., :3] @ map_.T, sign * shape[..., 3:] @ map_.T), -1).flatten(-2)
+        load = torch.cat((load[..., :3] @ world.T, sign * load[..., 3:] @ world.T), -1)
+        weights = [point.mass.detach().double().cpu().expand(task.batch_shape) for point in task.load.points]
+        places = tuple((point.segment, point.at) for point in task.load.points)
+        about = (*task.base_pose.flatten().tolist(), task.wrench_at, task.nodes, task.load.gravity, places)
+        whole = torch.cat((shape, load, *(weight.unsqueeze(-1) for weight in weights)), -1)
+        found += [(about, *row) for row in (whole.flatten(0, -2) / SAME).round().add(0.0).tolist()]
+    return sorted(found)
+
+
+def _alike(some: list[tuple[Any, ...]] | None, others: list[tuple[Any, ...]] | None) -> bool:
+    """Whether sorted rows agree to one unit."""
+    if some is None or others is None:
+        return False
+    return all(
+        one[0] == other[0] and all(abs(a - b) <= 1 for a, b in zip(one[1:], other[1:], strict=True))
+        for one, other in zip(some, others, strict=True)
+    )
+
+
+def _in_space(value: Tensor, dimension: int) -> Tensor:
+    """Twists or wrenches of six components."""
+    value = value.detach().double().cpu()
+    if dimension == 3:
+        return value
+    along, across, about = value.unbind(-1)
+    none = torch.zeros_like(along)
+    return torch.stack((along, across, none, none, none, about), -1)
+
+
+def _rotation(task: Task) -> Tensor:
+    """(3, 3) of the base."""
+    base = task.base_pose.detach().double().cpu()
+    if task.dimension == 3:
+        return base[:3, :3]
+    cos, sin = float(base[2].cos()), float(base[2].sin())
+    return torch.tensor(((cos, -sin, 0.0), (sin, cos, 0.0), (0.0, 0.0, 1.0)), dtype=torch.float64)
