@@ -1,0 +1,3 @@
+from experiments.antagonism_in_space.run import main
+
+main()

@@ -1,0 +1,1 @@
+"""How many pressure segments does a shape need, and does its tip need fewer?"""

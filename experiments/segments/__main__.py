@@ -1,0 +1,3 @@
+from experiments.segments.run import main
+
+main()
