@@ -18,9 +18,10 @@ from torcharm.actuators import (
     elastic_core,
 )
 from torcharm.actuators.model_file import load_actuator
-from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm, ring
+from torcharm.arm import ArmDesign, ring
 from torcharm.arm_series import ArmSeries, RigidLink, series
 from torcharm.attainability.questions import question_about_arm
+from torcharm.ready_arms import antagonistic_arm, bellows_arm, mckibben_arm
 from torcharm.statics.balance import segments_of
 from torcharm.study.arm_tables import (
     BendingTable,
