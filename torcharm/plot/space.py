@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 from scipy.spatial import ConvexHull
 from torch import Tensor
@@ -285,6 +286,8 @@ def _limit(axes: Any, points: Array, room: float) -> None:
     low, high = points.min(0) - room, points.max(0) + room
     axes.set(xlim=(low[0], high[0]), ylim=(high[2], low[2]), zlim=(low[1], high[1]))
     axes.set(xlabel="x [m]", ylabel="z [m]", zlabel="y [m]")
+    for axis, size in zip((axes.xaxis, axes.yaxis), (high - low)[[0, 2]], strict=True):
+        axis.set_major_locator(MaxNLocator(int(np.clip(10 * size / (high - low).max(), 2, 8))))
     axes.set_box_aspect((high - low)[[0, 2, 1]])
 
 

@@ -81,9 +81,9 @@ def example_study() -> Study:
     return parse_study(example_text(), "torcharm/studies/example.toml")
 
 
-def example_text() -> str:
-    """The text of a commented study to start from; `torcharm init` writes it."""
-    return _shipped("example.toml")
+def example_text(space: bool = False) -> str:
+    """The text of a commented study to start from, in the plane or in space; `torcharm init` writes it."""
+    return _shipped("space.toml" if space else "example.toml")
 
 
 def _shipped(name: str) -> str:
