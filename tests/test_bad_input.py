@@ -34,6 +34,7 @@ def polynomial(*terms, **changes):
 CASES = {
     # evaluate: kinds of arguments
     "ta.evaluate(arm, twists)": ("task", "tensor("),
+    "ta.study.arm_to_toml(task, 'a')": ("arm", "Task("),
     "ta.evaluate(task, arm)": ("arm", "Task("),
     "ta.evaluate(arm, [task, twists])": ("task[1]", "tensor("),
     "ta.predict_error(arm, [None])": ("task[0]", "None"),

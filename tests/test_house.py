@@ -22,6 +22,7 @@ ROOMS = (
     "actuators",
     "arm",
     "arm_series",
+    "ready_arms",
     "load",
     "task",
     "statics",

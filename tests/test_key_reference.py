@@ -1,13 +1,17 @@
 """The study that holds every key: made from the tables' models, so that it cannot go stale."""
 
+import math
 import re
 
 import pytest
+import torch
 from test_cli import invoke
 
 import torcharm as ta
 from torcharm.actuators.model_file import save_actuator
+from torcharm.actuators.toml_text import toml_value
 from torcharm.study import evaluate_study, key_reference, parse_study
+from torcharm.study.arm_tables import SegmentTable
 from torcharm.study.fields import Table
 from torcharm.study.tables import StudyTable
 
@@ -17,6 +21,7 @@ HEADING = re.compile(r"#?(\[+[\w.]+\]+)")
 NEEDS = {  # keys left out that need others, and with what they are used
     ("evaluate", "samples"): ('hull = "exact"', 'hull = "edges"'),
     ("optimise.bounds", "max_pressure"): ('free = ["radii", "length"]', 'free = ["radii", "length", "max_pressure"]'),
+    ("task", "payloads"): ("gravity = false", "gravity = true"),
     ("plan", "length_weight"): ("#reference_length", "reference_length"),
     ("plan", "reference_length"): ("#length_weight", "length_weight"),
 }
@@ -69,7 +74,7 @@ LEFT_OUT = [
 
 def test_it_is_a_study_as_it_is_and_is_evaluated():
     study = parse_study(TEXT)
-    assert [type(model) for model in study.arms[1].design.actuators] == [ta.Bellows, ta.PolynomialActuator]
+    assert [arm.name for arm in study.arms] == ["paper", "own"]
     assert len(study.tasks) == 2
     assert len(study.plans) == 1
     results = list(evaluate_study(study))
@@ -82,7 +87,8 @@ def test_every_key_of_every_model_stands_under_what_the_model_is(model):
     assert all(field.description for field in model.model_fields.values())
     assert all(field.description.endswith(".") for field in model.model_fields.values())
     flat = " ".join(line.removeprefix("# ") if line.startswith("# ") else f"\n{line}\n" for line in LINES)
-    begin = 0 if model is StudyTable else flat.index(" ".join(model.__doc__.split()))
+    shown = next(one for one in models() if issubclass(one, model))  # a model with all of its keys stands for it
+    begin = 0 if model is StudyTable else flat.index(" ".join(shown.__doc__.split()))
     for key in model.model_fields:
         assert re.search(rf"\n#?({key} = |\[+([\w.]+\.)?{key}\]+\n)", flat[begin:]), key
 
@@ -94,52 +100,101 @@ def test_every_entry_says_what_it_is_by_default():
             assert re.search(r"(Required|Left out by default|Default: .*)\.$", comment), line
 
 
+SPACE = ("offsets", "ring", "torsion_stiffness", "direction")
+"""Keys of arms and shapes in space, which the study in the plane does not hold."""
+
+
 @pytest.mark.parametrize("index", LEFT_OUT, ids=[f"{blocks(LINES)[i][1]}.{LINES[i][1:]}"[:60] for i in LEFT_OUT])
 def test_what_is_left_out_may_be_used(index):
     key = ENTRY.fullmatch(LINES[index])[1]
     if key in ("loads", "actuators"):
         pytest.skip("stands in place of whole tables, see below")
+    if key in SPACE or "[[0.0, 1.0" in LINES[index]:
+        pytest.skip("of space, see below")
     parse_study(uses(LINES, index))
 
 
-def use_block(text, heading, without=""):
-    """The text with a table that was left out, in place of another; of keys that stand twice the first."""
-    parts = text.split("\n\n")
-    kept = []
-    for part in parts:
-        lines = part.splitlines()
-        if without and without in lines:
-            continue
-        if heading in lines:
-            seen = set()
-            for place, line in enumerate(lines):
-                entry = ENTRY.fullmatch(line)
-                if line == heading or (entry and entry[1] not in seen and entry[1] not in ("bending_stiffness",)):
-                    lines[place] = line.removeprefix("#")
-                    seen.add(entry[1] if entry else "")
-            part = "\n".join(lines)
-        kept.append(part)
-    return "\n\n".join(kept)
+IN_SPACE = """
+name = "space"
+[[arm]]
+name = "one"
+length = 0.5
+actuators = "bellows"
+{arm}
+[[task]]
+name = "bend"
+shape = {shape}
+loads = [[0, 0, 0, 0, 0, 0]]
+{task}
+"""
+
+
+def test_keys_of_space_may_be_used():
+    placed = [f"offsets = {toml_value(value)}" for value in SegmentTable.model_fields["offsets"].examples]
+    placed += [f"ring = {toml_value(value)}" for value in SegmentTable.model_fields["ring"].examples]
+    assert all(f"\n#{line}\n" in TEXT for line in placed)
+    assert "\n#torsion_stiffness = 0.5\n" in TEXT
+    assert '\n#direction = "90 deg"\n' in TEXT
+    (matrix,) = (line.removeprefix("#") for line in set(LINES) if line.startswith("#base_pose = [["))
+    arc = '{ kind = "constant", curvature = "60 deg", direction = "90 deg" }'
+    for line in placed:
+        text = IN_SPACE.format(arm=f"{line}\ntorsion_stiffness = 0.5", shape=arc, task=matrix)
+        assert parse_study(text).arms[0].design.actuator_count == 2
+    helix = parse_study(IN_SPACE.format(arm=placed[0], shape='{ kind = "helix", curvature = 1, torsion = 2 }', task=""))
+    assert helix.tasks[0].task.twists.tolist() == ta.helix(1.0, 2.0).tolist()
+
+
+def used(part):
+    """A table that was left out, in use; of keys that stand twice the first."""
+    lines, seen = part.splitlines(), set()
+    others = ("direction", "bending_stiffness") if "#bending = " in part else ("direction",)
+    for place, line in enumerate(lines):
+        entry = ENTRY.fullmatch(line)
+        if HEADING.fullmatch(line) or (entry and entry[1] not in (*seen, *others)):
+            lines[place] = line.removeprefix("#")
+            seen.add(entry[1] if entry else "")
+    return "\n".join(lines)
+
+
+def use_block(heading, kind="", without=""):
+    """The text with a table that was left out, in place of another."""
+    parts = [part for part in TEXT.split("\n\n") if not without or without not in part.splitlines()]
+    place = next(
+        i for i, one in enumerate(parts) if heading in one.splitlines() and f'kind = "{kind}' in f'{one}kind = "'
+    )
+    return "\n\n".join([*parts[:place], used(parts[place]), *parts[place + 1 :]])
 
 
 def test_tables_that_are_left_out_may_be_used(tmp_path):
-    cubic = use_block(TEXT, "#[task.shape]", without="[task.shape]")
-    expected = ta.cubic_curvature(4.0, -6.0, 0.0, 1.0)
-    assert parse_study(cubic).tasks[0].task.twists.tolist() == expected.tolist()
+    for kind, expected in {
+        "cubic": ta.cubic_curvature(4.0, -6.0, 0.0, 1.0),
+        "constant": ta.constant_curvature(math.pi / 3),
+    }.items():
+        found = parse_study(use_block("#[task.shape]", kind, without="[task.shape]")).tasks[0].task
+        torch.testing.assert_close(found.twists, expected)
 
-    bent = parse_study(use_block(TEXT, "#[arm.actuators.bending]")).arms[1].design.actuators[0]
+    loaded = parse_study(use_block("#[[task.payloads]]").replace("gravity = false", "gravity = true")).tasks[0].task
+    assert (loaded.load.gravity, loaded.load.points[0].mass.item()) == (True, 0.1)
+    pulled = parse_study(use_block("#[[task.points]]")).tasks[0].task
+    assert pulled.load.points[0].wrench.tolist() == [1.0, 0.0, 0.0]
+    assert isinstance(parse_study(use_block("#[arm.link]")).arms[1].design, ta.ArmSeries)
+
+    bent = parse_study(use_block("#[arm.actuators.bending]")).arms[1].design.actuators[0]
     assert bent.bending_stiffness == ta.LinearBending(-0.1, 40.0)
 
     save_actuator(tmp_path / "my_bellows.toml", ta.Bellows())
-    three = TEXT.replace("radii = [-0.05, 0.05]", "radii = [-0.05, 0.05, 0.06]")
-    own = parse_study(use_block(three, "#[[arm.actuators]]"), folder=tmp_path).arms[1]
-    assert own.files == (None, None, "my_bellows.toml")
-    assert own.design.actuators[2].force_scale == 2.0
+    kinds = {"bellows": ta.Bellows, "polynomial": ta.PolynomialActuator, "chamber": ta.PolynomialActuator}
+    for kind, model in (kinds | {"elastic_core": ta.PolynomialActuator, "file": ta.Bellows}).items():
+        mark = "" if kind == "bellows" else "#"
+        text = use_block(f"{mark}[arm.actuators]", kind, without="" if kind == "bellows" else "[arm.actuators]")
+        arm = parse_study(text, folder=tmp_path).arms[1]
+        assert [type(one) for one in arm.design.actuators] == [model, model]
+        assert arm.files == (("my_bellows.toml",) * 2 if kind == "file" else ())
 
     drawn = "\n\n".join(part for part in TEXT.split("\n\n") if "\n[task.loads]\n" not in part)
     assert parse_study(drawn.replace("\n#loads = ", "\nloads = ")).tasks[0].task.batch_shape == (2,)
 
-    named = "\n\n".join(part for part in TEXT.split("\n\n") if "[arm.actuators" not in part and "[[arm.act" not in part)
+    named = "\n\n".join(part for part in TEXT.split("\n\n") if "[arm.actuators" not in part)
     arm = parse_study(named.replace("\n#actuators = ", "\nactuators = ")).arms[1].design
     assert arm.actuators == (ta.Bellows(), ta.McKibben(force_scale=2.0))
 

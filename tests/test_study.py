@@ -493,13 +493,13 @@ BAD_STUDIES = {
     ),
     "neither kind nor actuators": (
         study_text(arm="knd = 'bellows'"),
-        "arm[1]: must have either kind, or radii",
-        "neither",
+        "arm[1]: must have one of kind, radii, offsets, ring, segment",
+        "got none in a table with name, knd",
     ),
     "both kind and radii": (
         bad_arm("radii = [1]"),
-        "arm[1]: must have either kind, or radii",
-        "got both kind and radii",
+        "arm[1]: must have one of kind, radii, offsets, ring, segment",
+        "got kind and radii together",
     ),
     "unknown kind of arm": (
         study_text(arm='kind = "belows"'),
@@ -575,16 +575,20 @@ BAD_STUDIES = {
         bad_actuator(POLYNOMIAL.replace("[-0.1, 0.4]", "[0.4, -0.1]")),
         "arm[1].actuators[2].strain_range: must be [lowest, highest], got [0.4, -0.1]",
     ),
-    "neither shape nor twists": (bad_task(LOADS), "task[1]: must have either shape, or twists", "neither"),
-    "both shape and twists": (bad_task(f"{SHAPE}\n{LOADS}\ntwists = [[1, 0, 0]]"), "got both shape and twists"),
+    "neither shape nor twists": (bad_task(LOADS), "task[1]: must have one of shape, twists", "got none"),
+    "both shape and twists": (bad_task(f"{SHAPE}\n{LOADS}\ntwists = [[1, 0, 0]]"), "got shape and twists together"),
     "no loads": (bad_task(SHAPE), "task[1].loads: missing; must be a list of [f_x, f_y, m]", '(in "one task")'),
     "empty loads": (bad_loads("[]"), "task[1].loads: must be at least one load [f_x, f_y, m], got []"),
-    "flat loads": (bad_loads("[1, 2, 3]"), "task[1].loads[1]: must be a list of 3, [f_x, f_y, m], got 1"),
+    "flat loads": (
+        bad_loads("[1, 2, 3]"),
+        "task[1].loads[1]: must be a list of 3, [f_x, f_y, m], or a list of 6, [f_x,",
+        "got 1",
+    ),
     "short load": (bad_loads("[[1, 2, 3], [1, 2]]"), "task[1].loads[2]: must be a list of 3", "got [1, 2]"),
     "infinite load": (bad_loads("[[1, inf, 3]]"), "task[1].loads[1][2]: must be a finite number, got inf"),
     "loads are a text": (
         bad_loads('"many"'),
-        "task[1].loads: must be a list of [f_x, f_y, m], or a table",
+        "task[1].loads: must be a list of [f_x, f_y, m], in space of six, or a table",
         'got "many"',
     ),
     "no count": (bad_loads("{ seed = 1 }"), "task[1].loads.count: missing; must be a whole number"),
@@ -597,7 +601,7 @@ BAD_STUDIES = {
     "unknown shape": (bad_shape('kind = "square"'), "task[1].shape.kind: must be one of affine, cubic", 'got "square"'),
     "shape is a text": (
         bad_task(f'shape = "affine"\n{LOADS}'),
-        "task[1].shape: must be a table with a kind (affine, cubic)",
+        "task[1].shape: must be a table with a kind (affine, cubic, constant, helix)",
         'got "affine"',
     ),
     "shape without kind": (bad_shape("slope = 1"), "task[1].shape.kind: missing; must be one of affine, cubic"),
@@ -626,7 +630,7 @@ BAD_STUDIES = {
     "length beside shape": (
         bad_task(f"{SHAPE}\n{LOADS}\nlength = 1"),
         "task[1].length: unknown key",
-        "allowed: name, shape",
+        "allowed: name, loads",
     ),
     "too many values": (
         bad_task('shape = { kind = "affine", slope = 1, intercept = 1, nodes = 10000 }\nloads = { count = 100000 }'),

@@ -7,21 +7,28 @@ import torch
 
 import torcharm as ta
 from torcharm.actuators.model_file import save_actuator
+from torcharm.statics.balance import segments_of
 from torcharm.study import arm_to_toml, load_study, parse_study
 
-REST = '\n[[task]]\nname = "t"\ntwists = [[0.5, 0, 0]]\nloads = [[0, 0, 0]]\n'
+REST = '\n[[task]]\nname = "t"\n'
+STRAIGHT = "twists = [[0.5, 0, 0]]\nloads = [[0, 0, 0]]\n"
 POLYNOMIAL = ta.PolynomialActuator(((0, 1, 0.1 + 0.2), (1, 0, -100 / 3), (2, 3, 1e-17)), (-0.3, 1 / 3), (0, 50), 50)
 
 
-def read(text, folder="."):
-    (arm,) = parse_study(f'name = "s"\n{text}{REST}', folder=folder).arms
+def read(text, folder=".", twists=STRAIGHT):
+    (arm,) = parse_study(f'name = "s"\n{text}{REST}{twists}', folder=folder).arms
     return arm
 
 
 def check_same(arm, again):
-    for name in ("radii", "length", "max_pressure"):
-        assert getattr(again, name).tolist() == getattr(arm, name).tolist()
     assert again.actuators == arm.actuators
+    for one, other in zip(segments_of(arm)[0], segments_of(again)[0], strict=True):
+        for name in ("radii", "out_of_plane", "length", "max_pressure", "mass", "torsion_stiffness", "diameter"):
+            given, read = getattr(one, name), getattr(other, name)
+            assert (read if read is None else read.tolist()) == (given if given is None else given.tolist()), name
+    for one, other in zip(segments_of(arm)[1], segments_of(again)[1], strict=True):
+        assert (one is None) == (other is None)
+        assert one is None or (one.length.item(), one.mass.item()) == (other.length.item(), other.mass.item())
 
 
 MODELS = {
@@ -59,7 +66,7 @@ def test_models_of_files_keep_their_paths(tmp_path):
     save_actuator(tmp_path / "own.toml", fitted)
     (tmp_path / "study.toml").write_text(
         'name = "s"\n[[arm]]\nname = "a"\nradii = [0, 0.02]\nlength = 0.5\n'
-        f'actuators = ["bellows", {{ kind = "file", path = "own.toml", force_scale = 3.0 }}]\n{REST}'
+        f'actuators = ["bellows", {{ kind = "file", path = "own.toml", force_scale = 3.0 }}]\n{REST}{STRAIGHT}'
     )
     (arm,) = load_study(tmp_path / "study.toml").arms
     assert arm.files == (None, "own.toml")
@@ -68,6 +75,38 @@ def test_models_of_files_keep_their_paths(tmp_path):
         arm_to_toml(arm.design, "b")
     with pytest.raises(ValueError, match="files: must be a path or None for each of 2"):
         arm_to_toml(arm.design, "b", ["own.toml"])
+
+
+SPATIAL = ta.ArmDesign(
+    offsets=torch.cat((ta.ring(0.05 / 3, 3, 0.1), torch.zeros(1, 2))),
+    length=0.3,
+    actuators=[ta.chamber(8e-5)] * 3 + [ta.elastic_core(40.0 / 7, 1e-3)],
+    mass=0.1,
+    torsion_stiffness=0.01,
+    diameter=0.01,
+)
+
+PAIR = ta.ArmDesign(offsets=ta.ring(0.03, 2), length=1 / 7, actuators="bellows")
+
+
+@pytest.mark.parametrize(
+    "arm",
+    [
+        SPATIAL,
+        ta.ArmDesign([0.0, 0.05], 0.4, ta.Bellows(), mass=0.3, diameter=[0.03, 0.02]),
+        ta.series([SPATIAL, ta.RigidLink(0.1 / 3, mass=0.05)]),
+        ta.series(
+            [SPATIAL, ta.RigidLink(0.02), ta.ArmDesign(offsets=ta.ring(0.03, 2), length=0.2, actuators="bellows")]
+        ),
+        ta.series([ta.bellows_arm(), ta.mckibben_arm()]),
+    ],
+    ids=["space", "mass", "tip", "series in space", "series in the plane"],
+)
+def test_arms_in_space_with_mass_or_in_series_read_back(arm):
+    counts = [1] * len(segments_of(arm)[0])
+    shape = [0.4, 0, 0] if arm.dimension == 2 else [0.4, 0, 0, 0, 0, 0]
+    twists = f"twists = {[shape] * len(counts)}\nsegment_nodes = {counts}\nloads = [{[0] * len(shape)}]"
+    check_same(arm, read(arm_to_toml(arm, "a"), twists=twists).design)
 
 
 class OwnBellows(ta.Bellows):
@@ -94,9 +133,8 @@ def test_what_a_study_cannot_express_is_refused(model, words):
     ("arm", "words"),
     [
         (ta.bellows_arm(outer_radius=[0.07, 0.08]), "arm: must be a single design"),
-        (ta.ArmDesign(offsets=ta.ring(0.05, 3), length=0.4, actuators=ta.Bellows()), "arm: must be a planar ArmDesign"),
-        (ta.ArmDesign([0.0], 0.4, [ta.Bellows()], mass=0.3), "mass: must be left out"),
-        (ta.ArmDesign([0.0], 0.4, [ta.Bellows()], diameter=0.03), "diameter: must be left out"),
+        (ta.series([SPATIAL, ta.RigidLink(pose=torch.eye(4))]), "link.pose: must be left out"),
+        (ta.series([SPATIAL, ta.RigidLink(pose=torch.eye(4)), SPATIAL]), r"segment\[1\].link.pose: must be left out"),
     ],
 )
 def test_arms_that_no_study_holds_are_refused(arm, words):

@@ -19,10 +19,18 @@ from torcharm.actuators import (
     elastic_core,
     monotonicity,
 )
-from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm, ring
+from torcharm.arm import ArmDesign, ring
 from torcharm.arm_series import ArmSeries, RigidLink, series
 from torcharm.geometry.rod import poses
 from torcharm.load import ExternalLoad, PointLoad
+from torcharm.ready_arms import (
+    antagonistic_arm,
+    antagonistic_ring,
+    bellows_arm,
+    bionic_trunk,
+    mckibben_arm,
+    silicone_module,
+)
 from torcharm.shapes import affine_curvature, arc_to, constant_curvature, cubic_curvature, helix
 from torcharm.statics.cross_section import reaction_wrench
 from torcharm.statics.external_load import required_wrench
@@ -100,8 +108,10 @@ __all__ = [
     "affine_curvature",
     "align",
     "antagonistic_arm",
+    "antagonistic_ring",
     "arc_to",
     "bellows_arm",
+    "bionic_trunk",
     "chamber",
     "coefficient_tensor",
     "constant_curvature",
@@ -137,6 +147,7 @@ __all__ = [
     "save_actuator",
     "search_pressure",
     "series",
+    "silicone_module",
     "slsqp_distance",
     "solve_equilibrium",
     "standard_deviation",

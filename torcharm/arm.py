@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torcharm.actuators import Actuator, Bellows, McKibben, is_passive, model_of
+from torcharm.actuators import Actuator, is_passive, model_of
 from torcharm.inputs import (
     HoldsTensors,
     TensorLike,
@@ -299,42 +299,3 @@ def _per_actuator(length: Tensor, radii: Tensor, count: int) -> Tensor:
         f"length: must have shape {(*batch, count)} (each actuator) or {tuple(batch)} (each design), "
         f"got {tuple(length.shape)}"
     )
-
-
-def antagonistic_arm(
-    outer_radius: TensorLike = 0.08, inner_radius: TensorLike = 0.015, length: TensorLike = 0.5
-) -> ArmDesign:
-    """The paper's antagonistic arm: bellows outside, muscles inside.
-
-    Args:
-        outer_radius, inner_radius: (...) offsets [m]; tensors make a batch of designs.
-        length: (...) or (..., 4) neutral lengths [m].
-    """
-    return ArmDesign(_mirrored(outer_radius, inner_radius), length, (Bellows(), McKibben(), McKibben(), Bellows()))
-
-
-def bellows_arm(
-    outer_radius: TensorLike = 0.08, inner_radius: TensorLike = 0.015, length: TensorLike = 0.5
-) -> ArmDesign:
-    """The paper's bellows-only arm; arguments as for `antagonistic_arm`."""
-    return ArmDesign(_mirrored(outer_radius, inner_radius), length, (Bellows(),) * 4)
-
-
-def mckibben_arm(
-    outer_radius: TensorLike = 0.01, inner_radius: TensorLike = 0.01, length: TensorLike = 0.5
-) -> ArmDesign:
-    """The paper's muscle-only arm: four muscles at ±1 cm, every one doubled in force.
-
-    Arguments as for `antagonistic_arm`.
-    """
-    return ArmDesign(_mirrored(outer_radius, inner_radius), length, (McKibben(force_scale=2.0),) * 4)
-
-
-def _mirrored(outer_radius: TensorLike, inner_radius: TensorLike) -> Tensor:
-    """Radii (-outer, -inner, inner, outer)."""
-    outer, inner = as_floating(outer_radius=outer_radius, inner_radius=inner_radius)
-    broadcast_shapes(outer_radius=outer.shape, inner_radius=inner.shape)
-    check_finite("outer_radius", outer)
-    check_finite("inner_radius", inner)
-    outer, inner = torch.broadcast_tensors(outer, inner)
-    return torch.stack((-outer, -inner, inner, outer), -1)

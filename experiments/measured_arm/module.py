@@ -5,7 +5,6 @@ recordings' frame has z along the module, which hangs; torcharm's world has y up
 """
 
 import csv
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,19 +13,13 @@ from torch import Tensor
 
 import torcharm as ta
 
-LENGTH, END_LENGTH, END_MASS = 44e-3, 14.5e-3, 13.47e-3
-"""Of the silicone body [m], and of the rigid end with the force sensor [m, kg]."""
-OUTER, INNER, CHAMBER, AXES = 12.5e-3, 4.5e-3, 2.5e-3, 8.5e-3
-"""Radii of the body's ring and of its six chambers, and distance of the chambers' axes from the centre [m]."""
-APART = math.acos(1 - 3**2 / (2 * 8.5**2))
-"""Half of the angle between the two chambers of a pair [rad]."""
-DENSITY = 1820.0
-YOUNG = 120e3
-"""Young's modulus, as published [Pa]."""
+PUBLISHED = ta.silicone_module()
+(BODY,), (END,) = PUBLISHED.segments, PUBLISHED.links
+assert END is not None
+assert END.length is not None
+LENGTH, END_LENGTH = float(BODY.length[0]), float(END.length)
+"""Of the silicone body, and of the rigid end with the force sensor [m]."""
 POISSON = 0.5
-AREA = math.pi * (OUTER**2 - INNER**2 - 6 * CHAMBER**2)
-INERTIA = math.pi / 4 * (OUTER**4 - INNER**4 - 6 * CHAMBER**4) - math.pi * CHAMBER**2 * 3 * AXES**2
-"""Of the body's section [m², m⁴], which is alike in all directions."""
 HIGHEST = 100.0
 """Pressure at which a stiffness that grows with pressure is told [kPa]."""
 
@@ -84,19 +77,21 @@ class States:
 
 def module(how: Hypothesis) -> ta.ArmSeries:
     """The body, with six chambers around an elastic core, and its rigid end."""
-    angles = [math.radians(middle) + side * APART for middle in (90, -30, 210) for side in (-1, 1)]
-    offsets = [[AXES * math.cos(angle), AXES * math.sin(angle)] for angle in angles] + [[0.0, 0.0]]
-    chamber = ThinningChamber(math.pi * CHAMBER**2, how.thinning, -1e-3 * how.stiffening)
-    core = ta.elastic_core(how.young * YOUNG * AREA, how.young * YOUNG * INERTIA)
-    shear = how.young * YOUNG / (2 * (1 + POISSON))
+    hole, core = BODY.actuators[0], BODY.actuators[-1]
+    assert isinstance(hole, ta.PolynomialActuator)
+    assert isinstance(core, ta.PolynomialActuator)
+    assert isinstance(core.bending_stiffness, ta.ConstantBending)
+    stretch, bend = how.young * float(core.force_scale), -how.young * float(core.bending_stiffness.stiffness)
+    chamber = ThinningChamber(float(hole.force_scale), how.thinning, -1e-3 * how.stiffening)
     body = ta.ArmDesign(
-        offsets=offsets,
-        length=LENGTH,
-        actuators=[chamber] * 6 + [core],
-        mass=DENSITY * AREA * LENGTH,
-        torsion_stiffness=shear * 2 * INERTIA / how.twisting if how.twisting > 0 else None,
+        offsets=BODY.offsets,
+        length=BODY.length,
+        actuators=[chamber] * 6 + [ta.elastic_core(stretch, bend)],
+        mass=BODY.mass,
+        torsion_stiffness=bend / (1 + POISSON) / how.twisting if how.twisting > 0 else None,
     )
-    return ta.series([body, ta.RigidLink(length=END_LENGTH, mass=END_MASS)])
+    assert END is not None
+    return ta.series([body, END])
 
 
 def read_states(path: Path) -> States:

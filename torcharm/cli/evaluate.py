@@ -12,6 +12,7 @@ import typer
 
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
+    check_drawable,
     check_ending,
     check_outputs,
     count,
@@ -55,11 +56,12 @@ def evaluate(
 
         check_ending("--out", out, RESULT_FORMATS)
         plan = paper_study() if paper else example_study() if study is None else load_study(study)
+        check_drawable(figure, plan)
         for path in numbered(figure, len(plan.tasks)):
             check_writable(path, "--figure")
         started = time.perf_counter()
         results: list[StudyResult] = []
-        total, interrupted = len(plan.tasks) * len(plan.arms), False
+        total, interrupted = sum(len(plan.arms_of(task)) for task in plan.tasks), False
         with progress("evaluating", total) as advance:
             try:
                 for result in evaluate_study(plan):

@@ -79,7 +79,7 @@ def _optimise(plan: "Study", checkpoints: Sequence[Path]) -> "tuple[Found, bool]
     """The arms in their order, up to the one at which Ctrl-C came, and whether it did."""
     from torcharm.design import optimise_design
 
-    how, tasks = plan.optimisation, [named.task for named in plan.tasks]
+    how = plan.optimisation
     results: list[tuple[NamedArm, OptimisedDesign]] = []
     with progress("optimising", how.starts * len(plan.arms)) as move, _warnings_in_a_line():
         for index, arm in enumerate(plan.arms):
@@ -87,6 +87,7 @@ def _optimise(plan: "Study", checkpoints: Sequence[Path]) -> "tuple[Found, bool]
             options["checkpoint"] = checkpoints[index] if checkpoints else None
             options["callback"] = partial(_move, move, arm.name, index * how.starts, how.objective)
             try:
+                tasks = [named.task for named in plan.tasks_of(arm)]
                 result = optimise_design(arm.design, tasks, how.space, how.objective, **options)
             except KeyboardInterrupt:  # before or after its descents
                 return results, True
@@ -158,12 +159,10 @@ def _write(path: Path, results: Found, ending: str) -> None:
 
 
 def _toml(results: Found) -> str:
-    from torcharm.arm import ArmDesign
     from torcharm.study import arm_to_toml
 
     tables = ["# To append to a study.\n"]
     for arm, result in results:
-        assert isinstance(result.best, ArmDesign)  # studies hold no others
         tables.append(f"# {result.status}\n" + arm_to_toml(result.best, f"{arm.name}, optimised", arm.files))
     return "\n".join(tables)
 
@@ -171,23 +170,27 @@ def _toml(results: Found) -> str:
 def _write_rows(path: Path, results: Found) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        fields = ("radius_m", "length_m", "max_pressure_kPa")
-        writer.writerow(("arm", "actuator", "model", *(f"given_{name}" for name in fields), *fields))
+        columns = [f"{name}_{unit}" for name, unit, _ in _fields(results)]
+        writer.writerow(("arm", "actuator", "model", *(f"given_{name}" for name in columns), *columns))
         for arm, result in results:
-            for index, values in enumerate(_values(result)):
+            for index, (given, best) in enumerate(_values(result, results)):
                 model = type(result.best.actuators[index]).__name__
-                writer.writerow((plain_cell(arm.name), index + 1, plain_cell(model), *values))
+                writer.writerow((plain_cell(arm.name), index + 1, plain_cell(model), *given, *best))
 
 
-def _values(result: "OptimisedDesign") -> Iterator[tuple[float, ...]]:
-    """For each actuator radius, length and limit, given and then best."""
-    from torcharm.arm import ArmDesign
+def _fields(results: Found) -> list[tuple[str, str, int]]:
+    """Of each field that is told its name, its unit and its row of `given_values`; angles are of arms in space."""
+    fields = [("radius", "m", 0), ("angle", "rad", 1), ("length", "m", 2), ("max_pressure", "kPa", 3)]
+    return fields if results[0][1].best.dimension == 3 else [fields[0], *fields[2:]]
 
-    columns = []
-    for arm in (result.given, result.best):
-        assert isinstance(arm, ArmDesign)  # studies hold no others
-        columns += [value.tolist() for value in (arm.radii, arm.length, arm.max_pressure)]
-    return zip(*columns, strict=True)
+
+def _values(result: "OptimisedDesign", results: Found) -> Iterator[tuple[list[float], list[float]]]:
+    """For each actuator the fields that are told, given and best."""
+    from torcharm.design.space import given_values
+
+    rows = [row for *_, row in _fields(results)]
+    given, best = (given_values(arm)[0][rows].T.tolist() for arm in (result.given, result.best))
+    return zip(given, best, strict=True)
 
 
 def _errors_table(results: Found) -> "Table":
@@ -210,14 +213,20 @@ def _designs_table(results: Found) -> "Table":
     """A row for each actuator: what it was and is."""
     from rich.text import Text
 
-    table = _new_table("arm")
+    shown = {"m": (1e3, "mm"), "rad": (180 / math.pi, "°"), "kPa": (1.0, "kPa")}
+    table, fields = _new_table("arm"), _fields(results)
     table.add_column("actuator", overflow="fold", max_width=16)
-    for name in ("radius [mm]", "length [mm]", "limit [kPa]"):
-        table.add_column(name, justify="right", no_wrap=True)
+    in_space = len(fields) > 3
+    for name, unit, _ in fields:
+        heading = name.replace("max_pressure", "limit")
+        gap = "\n" if in_space else " "  # so that four columns fit
+        table.add_column(f"{heading}{gap}[{shown[unit][1]}]", justify="right", no_wrap=True)
     for arm, result in results:
-        for index, (*given, radius, length, limit) in enumerate(_values(result)):
-            pairs = zip(given, (radius, length, limit), (1e3, 1e3, 1.0), strict=True)
-            cells = [f"{scale * old:.1f} → {scale * new:.1f}" for old, new, scale in pairs]
+        for index, pair in enumerate(_values(result, results)):
+            cells = []
+            for old, new, (_, unit, _) in zip(*pair, fields, strict=True):
+                scale = shown[unit][0]
+                cells.append(f"{scale * old:.{1 - in_space}f} → {scale * new:.{1 - in_space}f}")
             model = f"{index + 1} {type(result.best.actuators[index]).__name__}"
             table.add_row(Text("" if index else arm.name), Text(model), *cells)
     return table

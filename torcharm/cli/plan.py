@@ -90,10 +90,17 @@ def _find(read: "Study", found: list[Found]) -> None:
                 try:
                     shape = plan_shape(arm.design, pose, load, how, **options)  # type: ignore[arg-type]
                 except ValueError as error:  # costs this plan alone
-                    none = torch.full((wanted.nodes, 3), math.nan)
+                    none = torch.full((wanted.nodes, len(load)), math.nan)
                     shape = PlannedShape(f"{REFUSED}{error}", none, math.nan, math.nan, None)
                 found.append((wanted, arm, shape))
                 advance()
+
+
+TWISTS = {
+    3: ("length_m", "shear_m", "curvature_rad"),
+    6: ("length_m", "shear_y_m", "shear_z_m", "torsion_rad", "curvature_y_rad", "curvature_z_rad"),
+}
+"""Columns of a shape, by its number of components."""
 
 
 def _whose(one: Found) -> str:
@@ -156,16 +163,19 @@ def _table(found: Sequence[Found]) -> "Table":
             table.add_row(name, *["-"] * 5, "no shape" if shape.status.startswith("no") else "refused")
             continue
         sums = ["-" if value is None else f"{float(value):.4g}" for value in (result.absolute, result.relative)]
-        spans = [f"{float(column.min()):.3f}\n{float(column.max()):.3f}" for column in shape.twists.unbind(-1)]
+        twists = shape.twists
+        bends = twists[:, 2] if twists.shape[-1] == 3 else twists[:, 4:].norm(dim=-1)
+        spans = [f"{float(column.min()):.3f}\n{float(column.max()):.3f}" for column in (twists[:, 0], bends)]
         off = "-" if result.tip_error is None else f"{1e3 * float(result.tip_error):.3g}"
-        table.add_row(name, f"{shape.cost:.4g}", off, "\n".join(sums), spans[0], spans[2], str(result.verdict))
+        table.add_row(name, f"{shape.cost:.4g}", off, "\n".join(sums), *spans, str(result.verdict))
     return table
 
 
 def _write(path: Path, found: Sequence[Found]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("plan", "arm", "node", "length_m", "shear_m", "curvature_rad"))
+        columns = TWISTS[len(found[0][0].tip_load)]
+        writer.writerow(("plan", "arm", "node", *columns))
         for wanted, arm, shape in (one for one in found if one[-1].found):
             for node, twist in enumerate(shape.twists.tolist(), 1):
                 writer.writerow((plain_cell(wanted.name), plain_cell(arm.name), node, *twist))

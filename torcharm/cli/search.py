@@ -14,6 +14,7 @@ import typer
 
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
+    check_drawable,
     check_ending,
     check_outputs,
     count,
@@ -78,14 +79,16 @@ def search(
         if starts is not None and starts < 1:
             raise ValueError(f"--starts: must be at least 1, got {starts}")
         plan = paper_study() if study is None else load_study(study)
+        check_drawable(figure, plan)
         for path in numbered(figure, len(plan.tasks)):
             check_writable(path, "--figure")
-        kept = _Rows(out, _header(max(arm.design.actuator_count for arm in plan.arms)))
+        count_ = max(arm.design.actuator_count for arm in plan.arms)
+        kept = _Rows(out, _header(count_, plan.tasks[0].task.twists.shape[-1]))
         results: list[tuple[NamedTask, Found]] = []
         interrupted = False
         with kept:
             for task in plan.tasks:
-                found, interrupted = _search(plan.arms, task, kept, method, starts, weights)
+                found, interrupted = _search(plan.arms_of(task), task, kept, method, starts, weights)
                 if found:
                     results.append((task, found))
                     _report(task, found)
@@ -219,7 +222,7 @@ def _blocks(
     from torcharm.task import Task
 
     whole = task.task
-    loads = whole.tip_load.expand(*whole.batch_shape, 3).reshape(-1, 3)
+    loads = whole.tip_load.expand(*whole.batch_shape, -1).reshape(-1, whole.twists.shape[-1])
     shapes = whole.twists.expand(*whole.batch_shape, *whole.twists.shape[-2:]).reshape(-1, *whole.twists.shape[-2:])
     for first in _starts_of_blocks(task, method):
         here = slice(first, first + BLOCKS[method])
@@ -235,10 +238,12 @@ def _blocks(
         yield first + 1, found
 
 
-def _header(actuators: int) -> list[str]:
+def _header(actuators: int, components: int) -> list[str]:
+    from torcharm.study.results import LOADS
+
     pressures = [f"pressure_{index}_kPa" for index in range(1, actuators + 1)]
     return [
-        *("arm", "task", "load", "force_x_N", "force_y_N", "moment_Nm", "cost_m2"),
+        *("arm", "task", "load", *LOADS[components], "cost_m2"),
         *("tip_error_m", "tip_rotation_error_rad", "shape_error_m", *pressures),
         *("converged", "continued", "in_range", "optimality", "spread_m2"),
     ]
@@ -246,7 +251,7 @@ def _header(actuators: int) -> list[str]:
 
 def _rows(arm: "NamedArm", task: "NamedTask", first: int, found: "PressureSearch") -> Iterator[list[Any]]:
     whole = task.task
-    loads = whole.tip_load.expand(*whole.batch_shape, 3).reshape(-1, 3).tolist()
+    loads = whole.tip_load.expand(*whole.batch_shape, -1).reshape(-1, whole.twists.shape[-1]).tolist()
     errors = (found.cost, found.tip_error, found.tip_rotation_error, found.shape_error)
     flags = (found.converged, found.continued, found.in_range)
     columns = (*errors, found.pressure, *flags, found.optimality, found.spread)

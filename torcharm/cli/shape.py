@@ -8,17 +8,23 @@ import typer
 from torcharm.cli.terminal import FIGURE_FORMATS, check_outputs, mistakes, open_console, save_all, say
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
+    from torcharm.load import ExternalLoad
     from torcharm.study import NamedArm
 
 
 def shape(
     pressure: Annotated[str, typer.Option("--pressure", help="Of each actuator, in kPa: 20,10,0,5.")],
-    load: Annotated[str, typer.Option("--load", help="At the tip: force x, force y [N], moment [N·m].")] = "0,0,0",
+    load: Annotated[
+        str, typer.Option("--load", help="At the tip: force x, force y [N], moment [N·m]; in space six.")
+    ] = "0",
     study: Annotated[
         Path | None, typer.Option("--study", help="Take the arm from a study.", show_default="the paper's")
     ] = None,
     arm: Annotated[str | None, typer.Option("--arm", help="Its name.", show_default="the first")] = None,
-    nodes: Annotated[int, typer.Option("--nodes", help="Elements of the arm.")] = 10,
+    nodes: Annotated[int, typer.Option("--nodes", help="Elements of the arm, or of each segment.")] = 10,
+    gravity: Annotated[bool, typer.Option("--gravity", help="Let the arm and its links weigh.")] = False,
     figure: Annotated[
         Path, typer.Option("--figure", help=f"Draw it, to a file ending in {', '.join(FIGURE_FORMATS)}.")
     ] = Path("shape.png"),
@@ -30,22 +36,24 @@ def shape(
     with mistakes():
         check_outputs(study, None, figure)
         from torcharm.equilibrium import solve_equilibrium
+        from torcharm.load import ExternalLoad
         from torcharm.study import load_study, paper_study
 
         plan = paper_study() if study is None else load_study(study)
         chosen = _arm(plan.arms, arm)
         pressures = _numbers("--pressure", pressure, chosen.design.actuator_count)
-        wrench = _numbers("--load", load, 3)
-        found = solve_equilibrium(chosen.design, pressures, wrench, nodes)
+        components = 3 if chosen.design.dimension == 2 else 6
+        wrench = [0.0] * components if load == "0" else _numbers("--load", load, components)
+        whole = ExternalLoad(wrench, gravity)
+        found = solve_equilibrium(chosen.design, pressures, whole, nodes)
         if not bool(found.converged):
             left = float(found.residual)
             why = f"the imbalance left is {left:.2g} of the load" if left > 1e-10 else "the only one found is folded"
             raise ValueError(
                 f"no equilibrium was found for {chosen.name} at --pressure {pressure} under --load {load}: {why}"
             )
-        x, y, angle = found.poses[-1].tolist()
         console = open_console()
-        say(console, f"{chosen.name}: tip at x {x:.6g} m, y {y:.6g} m, heading {angle:.6g} rad")
+        say(console, f"{chosen.name}: tip at {_place(found.poses[-1])}")
         if not bool(found.continued):
             say(console, "The arm snapped on the way to the full load: other shapes are possible.")
         if not bool(found.stable):
@@ -61,7 +69,16 @@ def shape(
             excess = float(found.strain_excess)
             what = f"Strains are up to {excess:.2g} out of range" if excess > 1e-9 else "Pressures are out of range"
             say(console, f"{what}: there the force models are extrapolated.")
-        save_all(console, [(figure, lambda path: _draw(path, chosen, found.twists, wrench), ".")])
+        save_all(console, [(figure, lambda path: _draw(path, chosen, found.twists, whole, nodes), ".")])
+
+
+def _place(pose: "Tensor") -> str:
+    """Where a tip is, and where it points."""
+    if pose.shape == (3,):
+        x, y, angle = pose.tolist()
+        return f"x {x:.6g} m, y {y:.6g} m, heading {angle:.6g} rad"
+    x, y, z = pose[:3, 3].tolist()
+    return f"x {x:.6g} m, y {y:.6g} m, z {z:.6g} m, pointing to ({', '.join(f'{one:.4g}' for one in pose[:3, 0])})"
 
 
 def _arm(arms: "tuple[NamedArm, ...]", name: str | None) -> "NamedArm":
@@ -83,13 +100,20 @@ def _numbers(option: str, text: str, size: int) -> list[float]:
     return numbers
 
 
-def _draw(path: Path, arm: "NamedArm", twists: object, load: list[float]) -> None:
+def _draw(path: Path, arm: "NamedArm", twists: "Tensor", load: "ExternalLoad", nodes: int) -> None:
     from matplotlib.figure import Figure
 
-    from torcharm.plot import arm_shape
+    from torcharm.plot import arm_in_space, arm_shape
+    from torcharm.statics.balance import segments_of
+    from torcharm.task import Task
 
     figure = Figure(figsize=(6, 6), layout="constrained", dpi=150)
-    axes = figure.subplots()
-    arm_shape(arm.design, twists, tip_load=load if any(load) else None, ax=axes)  # type: ignore[arg-type]
+    if arm.design.dimension == 3:
+        task = Task(twists, load=load, segment_nodes=[nodes] * len(segments_of(arm.design)[0]))
+        axes = arm_in_space(arm.design, task, ax=figure.add_subplot(projection="3d"))
+    else:
+        assert load.tip is not None
+        tip = load.tip if bool(load.tip.any()) else None
+        axes = arm_shape(arm.design, twists, tip_load=tip, ax=figure.subplots())  # type: ignore[arg-type]
     axes.set_title(arm.name)
     figure.savefig(path)

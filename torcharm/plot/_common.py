@@ -51,12 +51,13 @@ def fine_poses(task: Task) -> Array:
     return array(rod.poses(task.twists.repeat_interleave(SMOOTHING, 0), task.base_pose))
 
 
-def one_design(field: str, arm: ArmDesign) -> ArmDesign:
+def one_design(field: str, arm: Any) -> ArmDesign:
     """The only design of a batch, which must be planar."""
     check_planar(arm)
     if prod(arm.batch_shape) != 1:
         raise ValueError(f"{field}: must be one design, as arm[0] of a batch, got batch shape {tuple(arm.batch_shape)}")
-    return arm.flatten()[0]
+    design: ArmDesign = arm.flatten()[0]
+    return design
 
 
 def first_shape(task: Task) -> tuple[Task, Mask, int]:

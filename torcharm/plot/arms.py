@@ -93,7 +93,7 @@ def draw_arm(axes: Axes, arm: ArmDesign, task: Task) -> None:
     axes.plot(*plate.T, color="black", linewidth=7, solid_capstyle="butt", label="base")
 
 
-def draw_reached(axes: Axes, twists: Tensor, base_pose: TensorLike, label: str) -> None:
+def draw_reached(axes: Axes, twists: Tensor, base_pose: TensorLike | str, label: str) -> None:
     """The centreline at which an arm is, or is predicted to be, beside the shape that it should have."""
     task = Task(twists, (0.0, 0.0, 0.0), base_pose)
     axes.plot(*fine_poses(task)[:, :2].T, color=UNATTAINABLE, linewidth=2, linestyle="--", label=label, gid="reached")

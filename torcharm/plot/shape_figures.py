@@ -10,11 +10,13 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
 from torcharm.arm import ArmDesign
+from torcharm.arm_series import ArmSeries
 from torcharm.design.shape_planning import PlannedShape
 from torcharm.geometry import rod
 from torcharm.inputs import TensorLike
 from torcharm.plot._common import ATTAINABLE, Array, Mask, array, first_shape, one_design
 from torcharm.plot.arms import draw_arm, draw_loads, draw_reached
+from torcharm.plot.space import arm_in_space, search_figure_in_space
 from torcharm.pressure.search import PressureSearch
 from torcharm.task import Task
 
@@ -30,12 +32,14 @@ PLATE = 0.04
 """Half the width, at least, of the plate that stands for a pose, and how long the stem is on which it sits [m]."""
 
 
-def search_figure(results: Sequence[tuple[str, ArmDesign, PressureSearch]], task_name: str, task: Task) -> Figure:
+def search_figure(
+    results: Sequence[tuple[str, ArmDesign | ArmSeries, PressureSearch]], task_name: str, task: Task
+) -> Figure:
     """One page that shows how near a pressure search brings arms to a task, for `figure.savefig(path)`.
 
     A row for each arm; in it the arm at the task's shape, and where it gets to, under the loads of least, median and
     largest tip error. Loads under which no equilibrium was found are left out, and counted. Of several shapes the first
-    is drawn.
+    is drawn. In space each arm is drawn under the load of median error.
 
     Args:
         results: names, designs, and what `search_pressure` found of each for all of the task.
@@ -43,11 +47,13 @@ def search_figure(results: Sequence[tuple[str, ArmDesign, PressureSearch]], task
         task: tasks of any batch shape.
 
     Raises:
-        ValueError: there is no result, a design is a batch or in space, or a result is of another number of tasks.
+        ValueError: there is no result, a design is a batch, or a result is of another number of tasks.
     """
-    first, drawn, shapes = first_shape(task)
     if not results:
         raise ValueError("results: must hold at least one arm, got none")
+    if task.dimension == 3:
+        return search_figure_in_space(results, task_name, task)
+    first, drawn, shapes = first_shape(task)
     errors = [_known_errors(found, drawn, name) for name, _, found in results]
     ranks = RANKS[: max(1, *(int(np.isfinite(error).sum()) for error in errors))]
     figure = Figure(layout="constrained", dpi=130)
@@ -101,12 +107,12 @@ def _load(first: Task, load: int) -> str:
 
 
 def plan_figure(
-    shapes: Sequence[tuple[str, ArmDesign, PlannedShape]],
+    shapes: Sequence[tuple[str, ArmDesign | ArmSeries, PlannedShape]],
     plan_name: str,
     tip_pose: TensorLike,
     tip_load: TensorLike,
     *,
-    base_pose: TensorLike | None = None,
+    base_pose: TensorLike | str | None = None,
 ) -> Figure:
     """One page that shows planned shapes through a tip pose, for `figure.savefig(path)`.
 
@@ -115,15 +121,17 @@ def plan_figure(
     Args:
         shapes: names, designs, and what `plan_shape` found for each.
         plan_name: for the title.
-        tip_pose: (3,) as it was given to `plan_shape` [m, m, rad].
-        tip_load: (3,) the same [N, N, N·m].
-        base_pose: (3,) the same; None hangs the arm.
+        tip_pose: (3,) or (4, 4) as it was given to `plan_shape` [m, m, rad].
+        tip_load: (3,) or (6,) the same [N, N·m].
+        base_pose: the same; None hangs the arm.
 
     Raises:
-        ValueError: there is no shape, or a design is a batch or in space.
+        ValueError: there is no shape, or a design is a batch.
     """
     if not shapes:
         raise ValueError("shapes: must hold at least one arm, got none")
+    if shapes[0][1].dimension == 3:
+        return _plan_in_space(shapes, plan_name, tip_load, base_pose)
     figure = Figure(layout="constrained", dpi=130)
     figure.suptitle(f"{plan_name}: shapes through the tip pose", fontweight="bold")
     grid: Any = figure.subplots(1, len(shapes), squeeze=False)
@@ -144,7 +152,29 @@ def plan_figure(
     return figure
 
 
-def _outcome(axes: Axes, shape: PlannedShape, base: TensorLike) -> str:
+def _plan_in_space(
+    shapes: Sequence[tuple[str, ArmDesign | ArmSeries, PlannedShape]],
+    plan_name: str,
+    tip_load: TensorLike,
+    base_pose: TensorLike | str | None,
+) -> Figure:
+    figure = Figure(figsize=(max(9.0, 5.5 * len(shapes)), 6.5), layout="constrained")
+    figure.suptitle(f"{plan_name}: shapes through the tip pose", fontweight="bold")
+    for column, (name, arm, shape) in enumerate(shapes, 1):
+        axes: Any = figure.add_subplot(1, len(shapes), column, projection="3d")
+        result, verdict = shape.attainability, shape.status.split(":")[0]
+        if shape.found:
+            task, reached = Task(shape.twists, tip_load, base_pose), None
+            if result is not None and result.prediction is not None:
+                verdict = str(result.verdict)
+                twists = result.prediction.twists.detach().reshape(shape.twists.shape)
+                reached = twists if bool(twists.isfinite().all()) else None
+            arm_in_space(arm, task, reached=reached, ax=axes)
+        axes.set_title(f"{name}: {verdict}", fontsize="medium")
+    return figure
+
+
+def _outcome(axes: Axes, shape: PlannedShape, base: TensorLike | str) -> str:
     """Draw where the arm is predicted to be, and say what is thought of that."""
     result = shape.attainability
     if result is None or result.prediction is None or result.tip_error is None:
@@ -162,7 +192,7 @@ def _draw_load(axes: Axes, task: Task, load: int) -> None:
     draw_loads(axes, task, chosen & (array(task.tip_load)[:, :2] != 0).any(1), ATTAINABLE, width=0.006)
 
 
-def _draw_plate(axes: Axes, pose: TensorLike, width: float, label: str) -> None:
+def _draw_plate(axes: Axes, pose: TensorLike | str, width: float, label: str) -> None:
     """A plate square to a pose's heading, for a tip with the stem on which it sits."""
     x, y, heading = array(Task([[1.0, 0.0, 0.0]], (0.0, 0.0, 0.0), pose).base_pose)
     along = np.array([np.cos(heading), np.sin(heading)])

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import torch
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 from scipy.spatial import ConvexHull
 from torch import Tensor
@@ -29,6 +31,7 @@ from torcharm.plot._common import (
     node_index,
 )
 from torcharm.plot.hulls import draw_required
+from torcharm.pressure.search import PressureSearch
 from torcharm.statics.external_load import HULL, task_wrench
 from torcharm.task import Task
 from torcharm.wrench_sets.design_task_grid import segments_of
@@ -91,6 +94,26 @@ def arm_in_space(
     _limit(axes, np.concatenate(drawn), 0.06)
     axes.legend(loc="upper left", fontsize="small")
     return axes
+
+
+def search_figure_in_space(
+    results: Sequence[tuple[str, ArmDesign | ArmSeries, PressureSearch]], task_name: str, task: Task
+) -> Figure:
+    """Of each arm in space the shape reached under the load of median tip error; arguments as for `search_figure`."""
+    figure = Figure(figsize=(max(9.0, 5.5 * len(results)), 6.5), layout="constrained")
+    figure.suptitle(f"{task_name}: how near the best pressures bring the tip", fontweight="bold")
+    for column, (name, arm, found) in enumerate(results, 1):
+        axes: Any = figure.add_subplot(1, len(results), column, projection="3d")
+        error = array(found.tip_error).ravel()
+        known = np.flatnonzero(np.isfinite(error))
+        if not len(known):
+            axes.set_title(f"{name}: no equilibrium was found")
+            continue
+        load = int(known[np.argsort(error[known], kind="stable")][(len(known) - 1) // 2])
+        reached = found.twists.detach().reshape(-1, *found.twists.shape[-2:])[load]
+        arm_in_space(arm, one_task(task, load), reached=reached, ax=axes)
+        axes.set_title(f"{name}, load {load + 1} of {len(error)}, of median error", fontsize="medium")
+    return figure
 
 
 def node_hull_in_space(
@@ -171,6 +194,14 @@ def hull_projections(
         panel.set(xlabel=HULL_LABELS[x], ylabel=HULL_LABELS[y])
     axes[0].legend(loc="best", fontsize="small")
     return axes
+
+
+def one_task(task: Task, index: int) -> Task:
+    """One task of a batch that differs in shapes and tip loads, by its place in the flattened batch."""
+    twists = task.twists.detach().expand(*task.batch_shape, *task.twists.shape[-2:]).flatten(0, -3)[index]
+    tip = task.tip_load.detach().expand(*task.batch_shape, -1).reshape(-1, task.tip_load.shape[-1])[index]
+    rest = task.load.with_tip(None)
+    return Task(twists, tip, task.base_pose, rest, task.wrench_at, task.segment_nodes)
 
 
 def _spatial(field: str, arm: ArmDesign | ArmSeries) -> tuple[ArmDesign, ...]:
@@ -255,6 +286,8 @@ def _limit(axes: Any, points: Array, room: float) -> None:
     low, high = points.min(0) - room, points.max(0) + room
     axes.set(xlim=(low[0], high[0]), ylim=(high[2], low[2]), zlim=(low[1], high[1]))
     axes.set(xlabel="x [m]", ylabel="z [m]", zlabel="y [m]")
+    for axis, size in zip((axes.xaxis, axes.yaxis), (high - low)[[0, 2]], strict=True):
+        axis.set_major_locator(MaxNLocator(int(np.clip(10 * size / (high - low).max(), 2, 8))))
     axes.set_box_aspect((high - low)[[0, 2, 1]])
 
 

@@ -1,6 +1,7 @@
 """One page that compares arms on a task: how far off they are first, then the arms, then why."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -8,10 +9,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from torcharm.arm import ArmDesign
+from torcharm.arm_series import ArmSeries
 from torcharm.attainability import VERDICTS, Attainability
 from torcharm.plot._common import (
     ARM_COLOURS,
     ATTAINABLE,
+    UNATTAINABLE,
     VERDICT_STYLES,
     Array,
     Mask,
@@ -21,6 +24,7 @@ from torcharm.plot._common import (
 )
 from torcharm.plot.arms import draw_arm, draw_loads, draw_reached
 from torcharm.plot.hulls import draw_node, limit_node_axes, make_scene
+from torcharm.plot.space import arm_in_space, one_task
 from torcharm.task import Task
 
 LEAST = 0.01
@@ -28,7 +32,7 @@ LEAST = 0.01
 
 
 def study_figure(
-    results: Sequence[tuple[str, ArmDesign]],
+    results: Sequence[tuple[str, ArmDesign | ArmSeries]],
     task_name: str,
     task: Task,
     evaluated: Sequence[Attainability],
@@ -41,7 +45,8 @@ def study_figure(
     On top how far off each arm's tip is, a mark for each task by its verdict; where no error was predicted, what the
     nodes lack in sum. Below a column for each arm: the arm at the shape with the loads on it, and where it is
     predicted to be under the load with the median error; and the attainable sets of the base and of the node that
-    lacks most, with what the loads require. Of several shapes the first is drawn.
+    lacks most, with what the loads require. Of several shapes the first is drawn. In space the column shows the arm
+    under the load with the median error, and what its nodes lack.
 
     Args:
         results: names and designs.
@@ -52,6 +57,8 @@ def study_figure(
     Raises:
         ValueError: results, task and evaluated do not fit each other, or a name comes twice.
     """
+    if task.dimension == 3:
+        return _figure_in_space(results, task_name, task, evaluated)
     first, drawn, shapes = first_shape(task)
     arms = {name: one_design(f"results[{index}]", arm) for index, (name, arm) in enumerate(results)}
     _check(results, arms, evaluated, len(drawn))
@@ -84,8 +91,53 @@ def study_figure(
     return figure
 
 
+def _figure_in_space(
+    results: Sequence[tuple[str, ArmDesign | ArmSeries]],
+    task_name: str,
+    task: Task,
+    evaluated: Sequence[Attainability],
+) -> Figure:
+    """The page of a task in space."""
+    arms, columns = dict(results), len(results)
+    _check(results, arms, evaluated, prod(task.batch_shape))
+    figure = Figure(figsize=(max(9.0, 5.5 * columns), 11.0 + 0.3 * columns), layout="constrained")
+    rows: Any = figure.subfigures(3, 1, height_ratios=(1.2 + 0.4 * columns, 6.5, 2.8))
+    figure.suptitle(task_name, fontsize="large", fontweight="bold")
+    _draw_errors(rows[0].add_subplot(), list(arms), evaluated)
+    for column, ((name, arm), found) in enumerate(zip(arms.items(), evaluated, strict=True), 1):
+        axes: Any = rows[1].add_subplot(1, columns, column, projection="3d")
+        error = np.zeros(found.strain_excess.numel()) if found.prediction is None else _off(found)
+        load = _median_place(error) or 0
+        twists = None if found.prediction is None else found.prediction.twists.detach().flatten(0, -3)[load]
+        known = twists is not None and bool(twists.isfinite().all())
+        arm_in_space(arm, one_task(task, load), reached=twists if known else None, ax=axes)
+        axes.set_title(f"{name}: {_counts(found)}\ndrawn: load {load + 1} of {len(error)}", fontsize="medium")
+        panel = rows[2].add_subplot(1, columns, column)
+        _draw_lacking(panel, found, task)
+        panel.set_title(f"{name}: what nodes lack", fontsize="small")
+    return figure
+
+
+def _draw_lacking(axes: Any, found: Attainability, task: Task) -> None:
+    """What each node lacks of the wrench that it needs: the mean over the loads, and the largest."""
+    if found.node_miss is not None:
+        miss, nodes = array(found.node_miss).reshape(-1, task.nodes), np.arange(1, task.nodes + 1)
+        axes.bar(nodes, miss.mean(0), color=UNATTAINABLE, label="mean of the loads")
+        axes.plot(nodes, miss.max(0), "_", color=ATTAINABLE, markersize=9, label="largest")
+        axes.legend(fontsize="small", frameon=False)
+    for end in np.cumsum(task.segment_nodes or ())[:-1]:
+        axes.axvline(end + 0.5, color="0.6", linestyle=":")
+    axes.set(xlabel="node, 1 at the base", ylabel="lacking [N]", ylim=(0, max(axes.get_ylim()[1], LEAST)))
+
+
+def _median_place(error: Array) -> int | None:
+    """The place of the median of what is finite, or None."""
+    known = np.flatnonzero(np.isfinite(error))
+    return int(known[np.argsort(error[known])[(len(known) - 1) // 2]]) if len(known) else None
+
+
 def _check(
-    results: Sequence[tuple[str, ArmDesign]], arms: dict[str, ArmDesign], evaluated: Sequence[Attainability], tasks: int
+    results: Sequence[tuple[str, Any]], arms: Mapping[str, Any], evaluated: Sequence[Attainability], tasks: int
 ) -> None:
     """Raise a ValueError unless arms have names of their own and results of all tasks."""
     if not arms or len(arms) < len(results):
@@ -172,10 +224,9 @@ def _draw_predicted(axes: Any, first: Task, found: Attainability, drawn: Mask) -
     if found.prediction is None:
         return
     error = np.where(drawn, _off(found), np.inf)
-    known = np.flatnonzero(np.isfinite(error))
-    if not len(known):
+    index = _median_place(error)
+    if index is None:
         return
-    index = int(known[np.argsort(error[known])[(len(known) - 1) // 2]])
     twists = found.prediction.twists.detach().reshape(-1, *found.prediction.twists.shape[-2:])[index]
     label = f"predicted under load {index + 1}: tip off by {error[index]:.3g} mm"
     draw_reached(axes, twists, first.base_pose, label)

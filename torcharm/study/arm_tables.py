@@ -5,23 +5,31 @@ from typing import Annotated, Any, ClassVar
 from pydantic import BeforeValidator, Discriminator, Field, Tag
 
 from torcharm.actuators import SHIPPED
+from torcharm.actuators.ready import USUAL_STRAINS
 from torcharm.study.fields import (
     Name,
+    Needed,
     Range,
     Table,
-    alternatives,
     by_key,
     by_kind,
+    by_list,
+    either,
     entries,
     filled,
     kind_among,
+    one_key,
     one_of,
 )
 from torcharm.study.units import (
+    Angle,
+    Area,
     Length,
     Lengths,
     Limits,
+    Mass,
     NotNegativeLength,
+    Offset,
     PositivePressure,
     PressureRange,
 )
@@ -97,6 +105,26 @@ class PolynomialTable(Table):
     force_scale: float | None = _force_scale
 
 
+class ChamberTable(Table):
+    """A pressure chamber in an elastic body: it pushes with pressure times area, at any strain."""
+
+    kind: Annotated[str, one_of(("chamber",))] = Field(description="That it is a chamber.", examples=["chamber"])
+    area: Area = Field(description="Of its cross-section.", examples=["80 mm²", 8e-5])
+    max_pressure: PositivePressure = Field(default=100.0, description="Highest pressure in use.", examples=["1 bar"])
+    strain_range: Range = Field(default=list(USUAL_STRAINS), description="Strains to which the body is characterised.")
+
+
+class CoreTable(Table):
+    """The elastic body around chambers, without pressure: it resists stretch and bending."""
+
+    kind: Annotated[str, one_of(("elastic_core",))] = Field(description="That it is one.", examples=["elastic_core"])
+    axial_stiffness: float = Field(description="E A [N].", examples=[40.0])
+    bending_stiffness: float = Field(description="E I [N·m²].", examples=[1e-3])
+    strain_range: Range = Field(
+        default=list(USUAL_STRAINS), description="Strains to which the material is characterised."
+    )
+
+
 def _named_kind(value: Any) -> Any:
     return {"kind": value} if isinstance(value, str) else value
 
@@ -108,24 +136,75 @@ def _by_model(value: Any) -> str:
 ActuatorTable = Annotated[
     Annotated[ShippedActuator, Tag("<shipped>")]
     | Annotated[PolynomialTable, Tag("<polynomial>")]
+    | Annotated[ChamberTable, Tag("<chamber>")]
+    | Annotated[CoreTable, Tag("<elastic_core>")]
     | Annotated[FileActuator, Tag("<file>")],
     Discriminator(_by_model),
-    kind_among(*SHIPPED, "polynomial", "file"),
+    kind_among(*SHIPPED, "polynomial", "chamber", "elastic_core", "file"),
     BeforeValidator(_named_kind),
+]
+ActuatorsTable = Annotated[
+    Annotated[list[ActuatorTable], filled("a list of force models such as bellows"), Tag("<list>")]
+    | Annotated[ActuatorTable, Tag("<other>")],
+    Discriminator(by_list),
+    either("a list of force models such as bellows, or one for all", str, list, dict),
 ]
 
 
-_limits = Field(
+class RingTable(Table):
+    """Actuators evenly spaced on a circle around the centreline."""
+
+    radius: Length = Field(description="Of the circle; 0 is the centreline itself.", examples=["50 mm"])
+    count: Annotated[int, Field(ge=1, le=1000)] = Field(default=1, description="How many.", examples=[3])
+    phase: Angle = Field(
+        default=0.0, description="Angle of the first from the arm's left (y) towards z.", examples=["90 deg"]
+    )
+
+
+RingsTable = Annotated[
+    Annotated[list[RingTable], filled("a list of rings"), Tag("<list>")] | Annotated[RingTable, Tag("<other>")],
+    Discriminator(by_list),
+    either("a table with radius, count and phase, or a list of them", list, dict),
+]
+
+
+class LinkTable(Table):
+    """What does not deform: a straight connector to the next segment, or a mount that carries the tip."""
+
+    length: Length = Field(description="Along the backbone.", examples=["30 mm"])
+    mass: Mass = Field(default=0.0, description="At its middle.", examples=["50 g"])
+
+
+def name_as(example: str) -> Any:
+    """The field of a name."""
+    return Field(description="What tables and files call it; no two have the same name.", examples=[example])
+
+
+class NamedTable(Table):
+    """What has a name."""
+
+    name: Name = name_as("one")
+
+
+_limits: Any = Field(
     default=None,
-    description="Pressure limits, one for all actuators or one for each. Without it, the force models' own.",
+    description="Pressure limits: one for all, or one for each ring or actuator. Without it, the force models' own.",
     examples=[50.0],
+)
+_mass: Any = Field(
+    default=0.0, description="Of the arm or segment, spread evenly along it; for gravity.", examples=["0.6 kg"]
+)
+_diameter: Any = Field(
+    default=None,
+    description="Outer diameter: one for all, or one for each ring or actuator; for the spacing of better arms.",
+    examples=["30 mm"],
 )
 
 
-class PaperArm(Table):
+class PaperArm(NamedTable):
     """One of the paper's arms, with four actuators: two outside, two inside."""
 
-    name: Name = Field(description="What tables and files call the arm; no two have the same name.", examples=["paper"])
+    name: Name = name_as("paper")
     kind: Annotated[str, one_of(("antagonistic", "bellows", "mckibben"))] = Field(
         description="Bellows outside and muscles inside, four bellows, or four muscles, each doubled in force.",
         examples=["antagonistic", "bellows", "mckibben"],
@@ -146,28 +225,82 @@ class PaperArm(Table):
         examples=["50 cm", [0.5, 0.4, 0.4, 0.5]],
     )
     max_pressure: Limits | None = _limits
+    mass: Mass = _mass
+    diameter: Lengths | None = _diameter
 
 
-class FreeArm(Table):
-    """Any actuators side by side."""
+class SegmentTable(Table):
+    """Any actuators side by side, in the plane (radii) or in space (offsets, or rings)."""
 
-    name: Name = Field(description="What tables and files call the arm; no two have the same name.", examples=["own"])
-    radii: Annotated[list[Length], filled("a list of numbers [m]")] = Field(
-        description="Offset of each actuator across the arm, positive to the left, looking from the base to the tip.",
+    radii: Annotated[Annotated[list[Length], filled("a list of numbers [m]")] | None, Needed()] = Field(
+        default=None,
+        description="Offset of each actuator across an arm in the plane, positive to the left, looking from the base "
+        "to the tip. In space offsets or a ring stand in its place.",
         examples=[[-0.05, 0.05]],
     )
-    length: Lengths = Field(
-        description="Neutral length, one for all actuators or one for each.", examples=[0.5, ["50 cm", 0.5]]
+    offsets: Annotated[list[Offset], filled("a list of [y, z], one for each actuator")] | None = Field(
+        default=None,
+        description="Offset of each actuator across an arm in space, y to the left and z out of the plane.",
+        examples=[[["50 mm", 0.0], [-0.05, 0.0]]],
     )
-    actuators: Annotated[list[ActuatorTable], filled("a list of force models such as bellows")] = Field(
-        description="A force model for each radius: the names bellows or mckibben alone, or tables.",
-        examples=[["bellows", {"kind": "mckibben", "force_scale": 2.0}]],
+    ring: RingsTable | None = Field(
+        default=None,
+        description="Offsets on a circle, or on each of a list of them.",
+        examples=[
+            {"radius": "50 mm", "count": 2, "phase": "90 deg"},
+            [{"radius": "50 mm"}, {"radius": "15 mm"}],
+        ],
+    )
+    length: Lengths = Field(
+        description="Neutral length: one for all, or one for each ring or actuator.", examples=[0.5, ["50 cm", 0.5]]
+    )
+    actuators: ActuatorsTable = Field(
+        description="Force models: one for all, or one for each ring or actuator; the names bellows or mckibben alone, "
+        "or tables.",
+        examples=[["bellows", {"kind": "mckibben", "force_scale": 2.0}], "bellows"],
     )
     max_pressure: Limits | None = _limits
+    mass: Mass = _mass
+    diameter: Lengths | None = _diameter
+    torsion_stiffness: float | None = Field(
+        default=None, description="G J [N·m²], in space. Without it, the arm does not twist.", examples=[0.5]
+    )
+    link: LinkTable | None = Field(
+        default=None,
+        description="A rigid link after the actuators.",
+        examples=[{"length": "30 mm", "mass": "50 g"}],
+    )
+
+
+class FreeArm(SegmentTable, NamedTable):
+    """Any actuators side by side, in the plane (radii) or in space (offsets, or rings)."""
+
+    name: Name = name_as("own")
+
+
+_PLACES = ("radii", "offsets", "ring")
+
+
+class SeriesArm(NamedTable):
+    """An arm of segments in series, from the base on; tasks name the arms that they are for."""
+
+    name: Name = name_as("two modules")
+    stands_alone: ClassVar[bool] = False
+    segment: Annotated[
+        list[Annotated[SegmentTable, one_key(*_PLACES)]], filled("tables that begin with [[arm.segment]]")
+    ] = Field(
+        description="The segments, as tables [[arm.segment]] or a list, each with the keys of an arm but its name.",
+        examples=[
+            [
+                {"radii": [-0.05, 0.05], "length": 0.3, "actuators": "bellows", "link": {"length": "30 mm"}},
+                {"radii": [-0.03, 0.03], "length": 0.2, "actuators": "bellows"},
+            ]
+        ],
+    )
 
 
 ArmTable = Annotated[
-    Annotated[PaperArm, Tag("<with>")] | Annotated[FreeArm, Tag("<without>")],
-    by_key("kind"),
-    alternatives("kind", "radii", "actuators"),
+    Annotated[PaperArm, Tag("<kind>")] | Annotated[FreeArm, Tag("<without>")] | Annotated[SeriesArm, Tag("<segment>")],
+    by_key("kind", "segment"),
+    one_key("kind", *_PLACES, "segment"),
 ]

@@ -1,8 +1,10 @@
 """What a study holds: named arms and tasks, and how to evaluate them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from torcharm.arm import ArmDesign
+from torcharm.arm_series import ArmSeries
 from torcharm.attainability import CHOICES, PoseTolerance
 from torcharm.design.objective import Objective
 from torcharm.design.optimise import ITERATIONS
@@ -10,6 +12,8 @@ from torcharm.design.shape_planning import Smoothness
 from torcharm.design.space import DesignSpace
 from torcharm.inputs import HoldsTensors
 from torcharm.task import Task
+
+Pose = Sequence[float] | Sequence[Sequence[float]]
 
 
 @dataclass(frozen=True)
@@ -26,7 +30,7 @@ class NamedArm(HoldsTensors):
     """
 
     name: str
-    design: ArmDesign
+    design: ArmDesign | ArmSeries
     files: tuple[str | None, ...] = ()
 
     def __post_init__(self) -> None:
@@ -36,10 +40,17 @@ class NamedArm(HoldsTensors):
 
 @dataclass(frozen=True)
 class NamedTask(HoldsTensors):
-    """A shape under any number of loads, and what the study calls it."""
+    """A shape under any number of loads, and what the study calls it.
+
+    Attributes:
+        name: of the task.
+        task: what it is.
+        arms: names of the arms that are to hold it; empty for all.
+    """
 
     name: str
     task: Task
+    arms: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -73,25 +84,25 @@ class NamedPlan:
 
     Attributes:
         name: of the plan.
-        tip_pose: (x, y, θ) in the world frame [m, m, rad].
-        tip_load: `(f_x, f_y, m)` in the world frame [N, N, N·m].
+        tip_pose: (x, y, θ) in the world frame [m, m, rad]; in space the rows of a homogeneous matrix.
+        tip_load: `(f_x, f_y, m)` in the world frame [N, N, N·m]; in space of six.
         smoothness: the heuristic to follow; None: the shape that each arm holds best.
         nodes, base_pose: of the shape.
         in_range: whether strains must stay in the characterised range; None leaves it to `plan_shape`.
     """
 
     name: str
-    tip_pose: tuple[float, ...]
+    tip_pose: Pose
     tip_load: tuple[float, ...]
     smoothness: Smoothness | None
     nodes: int
-    base_pose: tuple[float, ...]
+    base_pose: Pose | str
     in_range: bool | None = None
 
 
 @dataclass(frozen=True)
 class Study(HoldsTensors):
-    """Arms, tasks, how every arm is to be evaluated on every task, and how it may be made better."""
+    """Arms, tasks, how every arm is to be evaluated on its tasks, and how it may be made better."""
 
     name: str
     description: str
@@ -100,3 +111,11 @@ class Study(HoldsTensors):
     settings: Settings
     optimisation: Optimisation = field(default_factory=Optimisation)
     plans: tuple[NamedPlan, ...] = ()
+
+    def arms_of(self, task: NamedTask) -> tuple[NamedArm, ...]:
+        """The arms that are to hold a task, in the study's order."""
+        return tuple(arm for arm in self.arms if not task.arms or arm.name in task.arms)
+
+    def tasks_of(self, arm: NamedArm) -> tuple[NamedTask, ...]:
+        """The tasks that an arm is to hold."""
+        return tuple(task for task in self.tasks if not task.arms or arm.name in task.arms)

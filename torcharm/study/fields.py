@@ -56,12 +56,14 @@ def one_of(allowed: Sequence[str]) -> Check:
     return Check(check, words=f"one of {', '.join(allowed)}" if len(allowed) > 1 else f'the word "{allowed[0]}"')
 
 
-def entries(*names: str) -> Check:
-    """A list with an entry for each name."""
+def entries(*names: str, other: Sequence[str] = ()) -> Check:
+    """A list with an entry for each name, or for each of some other names."""
+    forms = [list(names)] + ([list(other)] if len(other) not in (0, len(names)) else [])
 
     def check(value: Any) -> Any:
-        if not isinstance(value, list) or len(value) != len(names):
-            raise refuse(f"must be a list of {len(names)}, [{', '.join(names)}], got {shown_value(value)}")
+        if not isinstance(value, list) or len(value) not in [len(form) for form in forms]:
+            words = " or ".join(f"a list of {len(form)}, [{', '.join(form)}]," for form in forms)
+            raise refuse(f"must be {words} got {shown_value(value)}")
         return value
 
     return Check(check, words=f"a list [{', '.join(names)}]")
@@ -96,15 +98,14 @@ def either(what: str, *kinds: type) -> Check:
     return Check(check, words=what)
 
 
-def alternatives(first: str, *second: str) -> BeforeValidator:
-    """A table with one key, or with any of some others, and not with both or neither."""
+def one_key(*keys: str) -> BeforeValidator:
+    """A table with exactly one of some keys."""
 
     def check(value: Any) -> Any:
-        if isinstance(value, dict):
-            others = [key for key in second if key in value]
-            if (first in value) == bool(others):
-                got = f"both {first} and {', '.join(others)}" if others else f"neither in {shown_value(value)}"
-                raise refuse(f"must have either {first}, or {' and '.join(second)}, got {got}")
+        found = [key for key in keys if isinstance(value, dict) and key in value]
+        if isinstance(value, dict) and len(found) != 1:
+            got = f"{' and '.join(found)} together" if found else f"none in {shown_value(value)}"
+            raise refuse(f"must have one of {', '.join(keys)}, got {got}")
         return value
 
     return BeforeValidator(check)
@@ -137,9 +138,16 @@ def by_list(value: Any) -> str:
     return "<list>" if isinstance(value, list) else "<other>"
 
 
-def by_key(key: str) -> Discriminator:
-    """The tags of tables with and without a key."""
-    return Discriminator(lambda value: "<with>" if isinstance(value, dict) and key in value else "<without>")
+def by_key(*keys: str) -> Discriminator:
+    """The tags of tables by the first of some keys that they have, or <without> any."""
+    return Discriminator(
+        lambda value: next((f"<{key}>" for key in keys if isinstance(value, dict) and key in value), "<without>")
+    )
+
+
+@dataclass(frozen=True)
+class Needed:
+    """That a key, left out by default, is required unless others stand in its place, as its description says."""
 
 
 class Table(BaseModel):

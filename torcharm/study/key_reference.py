@@ -2,12 +2,13 @@
 
 import textwrap
 from collections.abc import Iterator
-from typing import Any, get_args
+from types import NoneType
+from typing import Any, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
 from torcharm.actuators.toml_text import toml_value
-from torcharm.study.fields import Table, allowed_words
+from torcharm.study.fields import Needed, Table, allowed_words
 from torcharm.study.tables import StudyTable
 
 WIDTH = 110
@@ -29,11 +30,11 @@ class _Writer:
     """Writes tables, each model's keys where the model comes first."""
 
     def __init__(self) -> None:
-        self._known: set[type[Table]] = set()
+        self._known: set[type] = set()
 
     def table(self, model: type[Table], path: str, brackets: str, used: bool) -> Iterator[str]:
         """The lines of a table: its heading, its keys, and the tables in it."""
-        self._known.add(model)
+        self._known.update(model.__mro__)  # a model with all keys of another stands for that, too
         mark = "" if used else "#"
         if path:
             yield ""
@@ -64,7 +65,7 @@ def _entry(key: str, field: FieldInfo, mark: str, instead: bool) -> Iterator[str
         instead: whether a table serves instead, so that all examples are alternatives.
     """
     examples = list(field.examples or ())
-    if field.is_required():
+    if field.is_required() or any(isinstance(part, Needed) for part in field.metadata):
         default, values = "Required.", [] if instead else examples[:1]
         others = examples[len(values) :]
     elif field.default is None:
@@ -96,4 +97,6 @@ def _found(kind: Any) -> Iterator[type[Table]]:
 
 
 def _is_list(field: FieldInfo) -> bool:
-    return getattr(field.annotation, "__origin__", None) is list
+    kind = field.annotation
+    given = [part for part in get_args(kind) if part is not NoneType]
+    return get_origin(given[0] if NoneType in get_args(kind) and len(given) == 1 else kind) is list

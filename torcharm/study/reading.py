@@ -1,53 +1,28 @@
 """From the text of a study file to designs and tasks, and how they fit together."""
 
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib import resources
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
-import torch
 from pydantic import ValidationError
 
-from torcharm.actuators import SHIPPED, Actuator, Bending, ConstantBending, LinearBending, PolynomialActuator
-from torcharm.actuators.model_file import load_actuator
-from torcharm.arm import ArmDesign, antagonistic_arm, bellows_arm, mckibben_arm
 from torcharm.attainability import CHOICES, PoseTolerance, check_measure
-from torcharm.attainability.questions import question_about_arm, question_about_shape
 from torcharm.design.objective import Objective
 from torcharm.design.shape_planning import Smoothness
 from torcharm.design.space import DesignSpace
 from torcharm.files import read_file
-from torcharm.shapes import affine_curvature, cubic_curvature
-from torcharm.study.arm_tables import (
-    BendingTable,
-    FileActuator,
-    FreeArm,
-    PaperArm,
-    PolynomialTable,
-    ShippedActuator,
-)
+from torcharm.inputs import hint
+from torcharm.study.arm_reading import make_arm
+from torcharm.study.arm_tables import NamedTable
 from torcharm.study.data import NamedArm, NamedPlan, NamedTask, Optimisation, Settings, Study
 from torcharm.study.fields import field_path, first_mistake, one_line, shown_value, within
-from torcharm.study.tables import (
-    CubicShape,
-    DrawnLoads,
-    EvaluateTable,
-    OptimiseTable,
-    PlanTable,
-    ShapedTask,
-    StudyTable,
-    TwistTask,
-)
-from torcharm.task import Task, sample_loads
+from torcharm.study.tables import EvaluateTable, OptimiseTable, PlanTable, StudyTable
+from torcharm.study.task_reading import check_fit, check_values, make_task, shape_field
+from torcharm.study.task_tables import ShapedTask, TwistTask
 from torcharm.wrench_sets.vertex_sets import CURVE_SAMPLES, EDGE_SAMPLES
-
-MOST_VALUES = 50_000_000
-"""Numbers that one tensor of a study may hold (400 MB); past it, a key was struck once too often."""
-HIGHEST_DEGREE = 20
-"""Of strain or pressure in a polynomial force model."""
 
 
 def load_study(path: str | PathLike[str]) -> Study:
@@ -106,20 +81,13 @@ def example_study() -> Study:
     return parse_study(example_text(), "torcharm/studies/example.toml")
 
 
-def example_text() -> str:
-    """The text of a commented study to start from; `torcharm init` writes it."""
-    return _shipped("example.toml")
+def example_text(space: bool = False) -> str:
+    """The text of a commented study to start from, in the plane or in space; `torcharm init` writes it."""
+    return _shipped("space.toml" if space else "example.toml")
 
 
 def _shipped(name: str) -> str:
     return resources.files("torcharm").joinpath("studies", name).read_text(encoding="utf-8")
-
-
-_PAPER_ARMS: dict[str, Callable[..., ArmDesign]] = {
-    "antagonistic": antagonistic_arm,
-    "bellows": bellows_arm,
-    "mckibben": mckibben_arm,
-}
 
 
 def _study(table: StudyTable, folder: Path) -> Study:
@@ -128,14 +96,18 @@ def _study(table: StudyTable, folder: Path) -> Study:
     arms, tasks = [], []
     for index, entry in enumerate(table.arm):
         with within(field_path(["arm", index]), entry.name):
-            arms.append(NamedArm(entry.name, _sensible(_design(entry, folder)), _files(entry)))
+            arms.append(make_arm(entry, folder))
     for index, job in enumerate(table.task):
         with within(field_path(["task", index]), job.name):
-            tasks.append(NamedTask(job.name, _task(job)))
+            tasks.append(make_task(job))
+            _check_arms(job, tasks[-1], arms)
     with within("evaluate", ""):
         settings = _settings(table.evaluate)
-    for arm in arms:
-        for task in tasks:
+    plain = Study(table.name, table.description, tuple(arms), tuple(tasks), settings)
+    for index, arm in enumerate(arms):
+        if not plain.tasks_of(arm):
+            raise ValueError(f"{field_path(['arm', index])}: must have a task, but all are for other arms")
+        for task in plain.tasks_of(arm):
             with within("evaluate", arm.name):
                 _check_size(arm, task, settings)
     with within("optimise", ""):
@@ -144,104 +116,28 @@ def _study(table: StudyTable, folder: Path) -> Study:
     for index, wanted in enumerate(table.plan):
         with within(field_path(["plan", index]), wanted.name):
             plans.append(_plan(wanted))
-    return Study(table.name, table.description, tuple(arms), tuple(tasks), settings, optimisation, tuple(plans))
+    return replace(plain, optimisation=optimisation, plans=tuple(plans))
 
 
-def _check_unique(section: str, tables: Sequence[PaperArm | FreeArm | ShapedTask | TwistTask]) -> None:
+def _check_arms(table: ShapedTask | TwistTask, task: NamedTask, arms: Sequence[NamedArm]) -> None:
+    """Refuse a task for arms that there are not, or that it does not fit."""
+    names = [arm.name for arm in arms]
+    for index, name in enumerate(task.arms):
+        if name not in names:
+            here = field_path(["arms", index])
+            raise ValueError(f"{here}: must be one of {', '.join(names)}, got {shown_value(name)}{hint(name, names)}")
+    for arm in arms:
+        if arm.name in (task.arms or names):
+            check_fit(shape_field(table), task.task, arm)
+
+
+def _check_unique(section: str, tables: Sequence[NamedTable]) -> None:
     seen: dict[str, int] = {}
     for index, table in enumerate(tables):
         if table.name in seen:
             here, first = field_path([section, index, "name"]), field_path([section, seen[table.name]])
             raise ValueError(f"{here}: must be a name of its own, got {shown_value(table.name)}, the name of {first}")
         seen[table.name] = index
-
-
-def _design(table: PaperArm | FreeArm, folder: Path) -> ArmDesign:
-    limit = table.max_pressure
-    if isinstance(table, FreeArm):
-        actuators = tuple(make_actuator(entry, index, folder) for index, entry in enumerate(table.actuators))
-        radii = torch.tensor(table.radii, dtype=torch.float64)
-    else:
-        given = table.model_dump(include={"outer_radius", "inner_radius"}, exclude_none=True)
-        paper = _PAPER_ARMS[table.kind](**given)
-        actuators, radii = paper.actuators, paper.radii
-    for name, value in (("radii", radii.tolist()), ("length", table.length), ("max_pressure", limit)):
-        if isinstance(value, list) and len(value) != len(actuators):
-            raise ValueError(
-                f"{name}: must hold one number for each of the {len(actuators)} actuators, got {len(value)}"
-            )
-    return ArmDesign(radii, table.length, actuators, limit)
-
-
-def _files(table: PaperArm | FreeArm) -> tuple[str | None, ...]:
-    """Of each actuator the path of its force model's file, or None."""
-    if isinstance(table, PaperArm):
-        return ()
-    return tuple(entry.path if isinstance(entry, FileActuator) else None for entry in table.actuators)
-
-
-def _sensible(arm: ArmDesign) -> ArmDesign:
-    """The arm, unless its numbers are in other units."""
-    question = question_about_arm((arm,))
-    if question is not None:
-        raise ValueError(f'{question} A text with a unit, such as "50 mm", is understood')
-    return arm
-
-
-def make_actuator(table: ShippedActuator | FileActuator | PolynomialTable, index: int, folder: Path) -> Actuator:
-    """The force model of an arm's table, which is the one at this index; files' paths start at the folder."""
-    options = table.model_dump(exclude={"kind", "path", "bending"}, exclude_none=True)
-    with within(field_path(["actuators", index])):
-        if table.bending is not None:
-            options["bending_stiffness"] = _bending(table, table.bending)
-        if isinstance(table, FileActuator):
-            model: Any = load_actuator(folder / table.path)
-            return replace(model, **options)
-        if isinstance(table, ShippedActuator):
-            return SHIPPED[table.kind](**options)
-        for name in ("strain_range", "pressure_range"):
-            low, high = options[name] = tuple(options[name])
-            if not low < high:
-                raise ValueError(f"{name}: must be [lowest, highest], got {shown_value([low, high])}")
-        options["coefficients"] = tuple(_term(row, place) for place, row in enumerate(table.coefficients))
-        return PolynomialActuator(**options)
-
-
-def _bending(table: ShippedActuator | PolynomialTable, bending: BendingTable) -> Bending:
-    if table.bending_stiffness is not None:
-        raise ValueError("bending: must not stand beside bending_stiffness, got both")
-    if bending.kind == "linear":
-        return LinearBending(bending.stiffness, bending.reference_pressure)
-    if bending.reference_pressure is not None:
-        raise ValueError("bending.reference_pressure: must not be given for constant bending, got one")
-    return ConstantBending(bending.stiffness)
-
-
-def _term(row: Sequence[float], index: int) -> tuple[int, int, float]:
-    i, j, coefficient = row
-    for power in (i, j):
-        if power not in range(HIGHEST_DEGREE + 1):
-            path = field_path(["coefficients", index])
-            raise ValueError(f"{path}: powers must be whole numbers from 0 to {HIGHEST_DEGREE}, got {power:g}")
-    return int(i), int(j), coefficient
-
-
-def _task(table: ShapedTask | TwistTask) -> Task:
-    if isinstance(table, TwistTask):
-        twists = torch.tensor(table.twists, dtype=torch.float64)
-    else:
-        curvature = cubic_curvature if isinstance(table.shape, CubicShape) else affine_curvature
-        twists = curvature(**table.shape.model_dump(exclude={"kind"}))
-    question = question_about_shape(twists)
-    if question is not None:
-        field = "twists" if isinstance(table, TwistTask) else "shape"
-        raise ValueError(f'{field}: {question} A text with a unit, such as "48 cm" or "30 deg", is understood')
-    if isinstance(table.loads, DrawnLoads):
-        _check_values("loads.count", table.loads.count * len(twists), f"{table.loads.count} loads, {len(twists)} nodes")
-        loads = sample_loads(table.loads.count, table.loads.scale, table.loads.seed)
-    else:
-        loads = torch.tensor(table.loads, dtype=torch.float64)
-    return Task(twists, loads, table.base_pose, wrench_at=table.wrench_at)
 
 
 def _settings(table: EvaluateTable) -> Settings:
@@ -268,8 +164,8 @@ def _plan(table: PlanTable) -> NamedPlan:
         missing = "length_weight" if weight is None else "reference_length"
         raise ValueError(f"{missing}: must be given too, as the other is; without both, unattainability is minimised")
     smoothness = None if weight is None or reference is None else Smoothness(weight, reference)
-    poses = tuple(table.tip_pose), tuple(table.tip_load)
-    return NamedPlan(table.name, *poses, smoothness, table.nodes, tuple(table.base_pose), table.in_range)
+    tip = table.tip_pose, tuple(table.tip_load)
+    return NamedPlan(table.name, *tip, smoothness, table.nodes, table.base_pose, table.in_range)
 
 
 def _check_size(arm: NamedArm, task: NamedTask, settings: Settings) -> None:
@@ -284,9 +180,4 @@ def _check_size(arm: NamedArm, task: NamedTask, settings: Settings) -> None:
         vertices = actuators * count
     else:
         return
-    _check_values("samples", vertices * nodes, f"{count} samples, {actuators} actuators, {nodes} nodes")
-
-
-def _check_values(name: str, count: int, given: str) -> None:
-    if count > MOST_VALUES:
-        raise ValueError(f"{name}: must make at most {MOST_VALUES:.0e} numbers at once, got {count:.0e} from {given}")
+    check_values("samples", vertices * nodes, f"{count} samples, {actuators} actuators, {nodes} nodes")

@@ -84,9 +84,9 @@ class Summary:
 
 
 def evaluate_study(study: Study) -> Iterator[StudyResult]:
-    """Evaluate every arm on every task, one after the other: task by task, in the study's order of arms."""
+    """Evaluate every arm on its tasks, one after the other: task by task, in the study's order of arms."""
     for task in study.tasks:
-        for arm in study.arms:
+        for arm in study.arms_of(task):
             found = evaluate(arm.design, task.task, **vars(study.settings))
             yield StudyResult(arm, task, study.settings, found)
 
@@ -172,8 +172,7 @@ def result_rows(result: StudyResult) -> Iterator[dict[str, Any]]:
     found, task = result.attainability, result.task.task
     columns: dict[str, Sequence[Any]] = {"load": range(1, result.loads + 1)}
     tip = task.tip_load.detach().expand(*task.batch_shape, -1).reshape(result.loads, -1)
-    components = _PLANAR if tip.shape[-1] == 3 else _SPATIAL
-    columns |= dict(zip(components, tip.mT.tolist(), strict=True))
+    columns |= dict(zip(LOADS[tip.shape[-1]], tip.mT.tolist(), strict=True))
     words = result.verdicts
     if words is not None:
         columns |= {"verdict": words}
@@ -203,8 +202,11 @@ def result_rows(result: StudyResult) -> Iterator[dict[str, Any]]:
         yield {"arm": result.arm.name, "task": result.task.name, **dict(zip(columns, values, strict=True))}
 
 
-_PLANAR = ("force_x_N", "force_y_N", "moment_Nm")
-_SPATIAL = ("force_x_N", "force_y_N", "force_z_N", "moment_x_Nm", "moment_y_Nm", "moment_z_Nm")
+LOADS = {
+    3: ("force_x_N", "force_y_N", "moment_Nm"),
+    6: ("force_x_N", "force_y_N", "force_z_N", "moment_x_Nm", "moment_y_Nm", "moment_z_Nm"),
+}
+"""Columns of a tip load, by its number of components."""
 
 
 def _numbers(value: Tensor) -> list[float | None]:

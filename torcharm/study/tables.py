@@ -3,7 +3,7 @@
 import json
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
+from pydantic import BeforeValidator, Field
 
 from torcharm.attainability import CHOICES
 from torcharm.attainability.verdict import ROTATION
@@ -11,158 +11,12 @@ from torcharm.design.objective import AGGREGATES, Objective
 from torcharm.design.objective import METRICS as OBJECTIVES
 from torcharm.design.optimise import ITERATIONS
 from torcharm.design.space import FIELDS, TIES
-from torcharm.geometry.rod import BASE_POSE, HEADINGS
-from torcharm.inputs import hint
 from torcharm.study.arm_tables import ArmTable
 from torcharm.study.data import Settings
-from torcharm.study.fields import (
-    Check,
-    Name,
-    NotNegative,
-    Positive,
-    Table,
-    alternatives,
-    by_key,
-    by_kind,
-    by_list,
-    either,
-    entries,
-    filled,
-    kind_among,
-    one_of,
-    refuse,
-    shown_value,
-)
-from torcharm.study.units import (
-    Angle,
-    LengthRange,
-    Load,
-    Pose,
-    PositiveAngle,
-    PositiveLength,
-    PressureRange,
-    Twist,
-)
-from torcharm.task import WRENCH_PLACES
+from torcharm.study.fields import Name, NotNegative, Positive, Table, entries, filled, one_of, refuse
+from torcharm.study.task_tables import BasePose, TaskTable, TipPose, base_pose
+from torcharm.study.units import LengthRange, Load, PositiveAngle, PositiveLength, PressureRange
 from torcharm.wrench_sets.vertex_sets import DISTANCES, HULLS
-
-
-class AffineShape(Table):
-    """A shape whose curvature is affine in the arc s, from 0 at the base to 1 at the tip."""
-
-    kind: Annotated[str, one_of(("affine",))] = Field(description="That it is such a shape.", examples=["affine"])
-    slope: Angle = Field(description="Change of the curvature from base to tip.", examples=[0.0])
-    intercept: Angle = Field(description="Curvature at the base.", examples=[1.0, "60 deg"])
-    length: PositiveLength = Field(default=0.5, description="Length of the centreline.", examples=["490 mm"])
-    nodes: Annotated[int, Field(ge=1, le=10_000)] = Field(
-        default=10, description="Elements into which the arm is divided."
-    )
-
-
-class CubicShape(AffineShape):
-    """A shape of curvature cubic s³ + quadratic s² + slope s + intercept."""
-
-    kind: Annotated[str, one_of(("cubic",))] = Field(description="That it is such a shape.", examples=["cubic"])
-    cubic: Angle = Field(description="Factor of s³.", examples=[4.0])
-    quadratic: Angle = Field(description="Factor of s².", examples=[-6.0])
-
-
-ShapeTable = Annotated[
-    Annotated[AffineShape, Tag("<affine>")] | Annotated[CubicShape, Tag("<cubic>")],
-    Discriminator(by_kind),
-    kind_among("affine", "cubic"),
-]
-
-
-def _check_not_negative(value: list[float]) -> list[float]:
-    if min(value) < 0:
-        raise refuse(f"must be numbers of at least 0, got {shown_value(value)}")
-    return value
-
-
-class DrawnLoads(Table):
-    """Random loads at the tip, each component even between minus and plus half its scale."""
-
-    count: Annotated[int, Field(ge=1, le=1_000_000)] = Field(description="How many.", examples=[40])
-    scale: Annotated[Load, AfterValidator(_check_not_negative)] = Field(
-        default=[20.0, 20.0, 2.0],
-        description="The width in which each component lies, at least 0.",
-        examples=[[4.0, 4.0, 0.4]],
-    )
-    seed: Annotated[int, Field(ge=0, lt=2**32)] = Field(
-        default=100, description="Of the draw: the same gives the same loads."
-    )
-
-
-LoadsTable = Annotated[
-    Annotated[
-        list[Load],
-        filled("at least one load [f_x, f_y, m]"),
-        Tag("<list>"),
-    ]
-    | Annotated[DrawnLoads, Tag("<other>")],
-    Discriminator(by_list),
-    either("a list of [f_x, f_y, m], or a table with count, scale and seed", list, dict),
-]
-_loads = Field(
-    description="Loads at the tip in the world frame, x to the right and y up: forces, and the moment.",
-    examples=[[[0.0, 0.0, 0.0], [1.0, "-200 gf", 0.1]]],
-)
-
-
-def _named_base(value: Any) -> Any:
-    """The pose that a name stands for, at the origin."""
-    if isinstance(value, str) and value not in HEADINGS:
-        names = ", ".join(HEADINGS)
-        raise refuse(
-            f"must be one of {names}, or a list of 3, [x, y, θ], got {shown_value(value)}{hint(value, HEADINGS)}"
-        )
-    return [0.0, 0.0, HEADINGS[value]] if isinstance(value, str) else value
-
-
-BasePose = Annotated[Pose, Check(_named_base)]
-_base_pose = Field(
-    default=list(BASE_POSE),
-    description="Place and heading of the arm's base, or hanging (the default), upright or horizontal at the origin.",
-    examples=["upright", [0.0, 0.0, "-90 deg"]],
-)
-_wrench_at = Field(
-    default="middle",
-    description="Where on its element a node's wrench is taken; the start is the paper's, and less exact.",
-    examples=["start"],
-)
-
-
-class ShapedTask(Table):
-    """A task: a shape by name, and the loads to hold it under."""
-
-    name: Name = Field(description="What tables and files call the task; no two have the same name.", examples=["bend"])
-    shape: ShapeTable = Field(description="The centreline to hold.")
-    loads: LoadsTable = _loads
-    base_pose: BasePose = _base_pose
-    wrench_at: Annotated[str, one_of(WRENCH_PLACES)] = _wrench_at
-
-
-class TwistTask(Table):
-    """A task whose shape is given element by element."""
-
-    name: Name = Field(
-        description="What tables and files call the task; no two have the same name.", examples=["twists"]
-    )
-    twists: Annotated[list[Twist], filled("a list of [l, γ, κ], one for each node")] = Field(
-        description="Length, shear and curvature of each element from the base on, as if all the arm were like it.",
-        examples=[[[0.48, 0.0, 1.0], [0.48, 0.0, "30 deg"], [0.48, 0.0, 0.0]]],
-    )
-    loads: LoadsTable = _loads
-    base_pose: BasePose = _base_pose
-    wrench_at: Annotated[str, one_of(WRENCH_PLACES)] = _wrench_at
-
-
-TaskTable = Annotated[
-    Annotated[ShapedTask, Tag("<with>")] | Annotated[TwistTask, Tag("<without>")],
-    by_key("shape"),
-    alternatives("shape", "twists"),
-]
 
 
 def _no_closed_form(value: Any) -> Any:
@@ -286,7 +140,7 @@ class PlanTable(Table):
     """A tip pose for which torcharm plan finds a shape of each arm."""
 
     name: Name = Field(description="What tables and files call the plan.", examples=["drawer"])
-    tip_pose: Pose = Field(description="Place and heading of the tip.", examples=[[0.35, -0.3, 0.0]])
+    tip_pose: TipPose = Field(description="Place and heading of the tip.", examples=[[0.35, -0.3, 0.0]])
     tip_load: Load = Field(
         description="Force and moment at the tip under which the shape is to be held.", examples=[[6.0, 0.0, 0.0]]
     )
@@ -307,7 +161,7 @@ class PlanTable(Table):
         description="Whether strains stay in the characterised range. Without it, unless the smoothest shape is asked.",
         examples=[False],
     )
-    base_pose: BasePose = _base_pose
+    base_pose: BasePose = base_pose
 
 
 class StudyTable(Table):

@@ -11,6 +11,8 @@ from torcharm.study.fields import Check, by_list, either, entries, refuse, shown
 LENGTH = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "in": 0.0254}
 ANGLE = {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180, "turn": 2 * math.pi}
 PRESSURE = {"kPa": 1.0, "Pa": 1e-3, "MPa": 1e3, "bar": 100.0, "mbar": 0.1, "psi": 6.894757293168361}
+MASS = {"kg": 1.0, "g": 1e-3, "lb": 0.45359237, "oz": 0.028349523125}
+AREA = {"m²": 1.0, "cm²": 1e-4, "mm²": 1e-6, "cm^2": 1e-4, "mm^2": 1e-6}
 FORCE = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "kgf": 9.80665, "gf": 9.80665e-3, "lbf": 4.4482216152605}
 MOMENT = {"N·m": 1.0, "N*m": 1.0, "N m": 1.0, "Nm": 1.0, "N·mm": 1e-3, "N*mm": 1e-3, "N mm": 1e-3, "Nmm": 1e-3}
 """Factors to the unit in which numbers without one are read, which is the first of each."""
@@ -39,8 +41,8 @@ def _in_unit_words(units: dict[str, float]) -> str:
 
 Angle = Annotated[float, in_unit(ANGLE)]
 Length = Annotated[float, in_unit(LENGTH)]
-Force = Annotated[float, in_unit(FORCE)]
-Moment = Annotated[float, in_unit(MOMENT)]
+Mass = Annotated[float, in_unit(MASS)]
+Area = Annotated[float, in_unit(AREA)]
 Pressure = Annotated[float, in_unit(PRESSURE)]
 PositiveAngle = Annotated[float, Field(gt=0), in_unit(ANGLE)]
 PositiveLength = Annotated[float, Field(gt=0), in_unit(LENGTH)]
@@ -62,19 +64,27 @@ LengthRange = Annotated[list[Length], entries("lowest", "highest")]
 PressureRange = Annotated[list[Pressure], entries("lowest", "highest")]
 
 
-def each_in(*columns: tuple[str, dict[str, float]]) -> Any:
-    """The type of a list of numbers that each have a name and units of their own."""
+def each_in(*forms: dict[str, dict[str, float]]) -> Any:
+    """The type of a list of numbers that each have a name and units of their own, in one of some forms."""
 
     def check(value: Any) -> Any:
-        return [parsed(part, units) for part, (_, units) in zip(value, columns, strict=True)]
+        form = next(one for one in forms if len(one) == len(value))
+        return [parsed(part, units) for part, units in zip(value, form.values(), strict=True)]
 
-    names = [name for name, _ in columns]
-    own = ", ".join(next(iter(units)) for _, units in columns)
-    words = f"a list [{', '.join(names)}] of numbers [{own}] or texts with a unit"
+    lists = [f"[{', '.join(form)}]" for form in forms]
+    own = [", ".join(dict.fromkeys(next(iter(units)) for units in form.values())) for form in forms]
+    words = f"a list {', or '.join(lists)} of numbers [{own[0]}] or texts with a unit"
     # What is written last is checked first: the number of entries, then each entry's unit
-    return Annotated[list[float], Check(check, words=words), entries(*names)]
+    return Annotated[list[float], Check(check, words=words), entries(*forms[0], other=[*forms[-1]])]
 
 
-Load = each_in(("f_x", FORCE), ("f_y", FORCE), ("m", MOMENT))
-Pose = each_in(("x", LENGTH), ("y", LENGTH), ("θ", ANGLE))
-Twist = each_in(("l", LENGTH), ("γ", LENGTH), ("κ", ANGLE))
+Load = each_in(
+    {"f_x": FORCE, "f_y": FORCE, "m": MOMENT},
+    {"f_x": FORCE, "f_y": FORCE, "f_z": FORCE, "m_x": MOMENT, "m_y": MOMENT, "m_z": MOMENT},
+)
+Pose = each_in({"x": LENGTH, "y": LENGTH, "θ": ANGLE})
+Twist = each_in(
+    {"l": LENGTH, "γ": LENGTH, "κ": ANGLE},
+    {"l": LENGTH, "γ_y": LENGTH, "γ_z": LENGTH, "κ_x": ANGLE, "κ_y": ANGLE, "κ_z": ANGLE},
+)
+Offset = each_in({"y": LENGTH, "z": LENGTH})

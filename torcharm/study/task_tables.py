@@ -1,0 +1,233 @@
+"""What the tables of a study's tasks may hold, each value by itself."""
+
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, Discriminator, Field, Tag
+
+from torcharm.geometry.rod import HANGING, HEADINGS
+from torcharm.load import FRAMES
+from torcharm.study.arm_tables import NamedTable, name_as
+from torcharm.study.fields import (
+    Name,
+    Table,
+    by_key,
+    by_kind,
+    by_list,
+    either,
+    entries,
+    filled,
+    kind_among,
+    one_key,
+    one_of,
+    refuse,
+    shown_value,
+)
+from torcharm.study.units import Angle, Load, Mass, Pose, PositiveLength, Twist
+from torcharm.task import WRENCH_PLACES
+
+_length: Any = Field(default=0.5, description="Length of the centreline.", examples=["490 mm"])
+_nodes: Any = Field(default=10, description="Elements into which the arm, or its segment, is divided.")
+_direction: Any = Field(
+    default=None,
+    description="Direction across the arm to which it bends, from its left (y) towards z; for a shape in space.",
+    examples=["90 deg"],
+)
+Nodes = Annotated[int, Field(ge=1, le=10_000)]
+
+
+class AffineShape(Table):
+    """A shape whose curvature is affine in the arc s, from 0 at the base to 1 at the tip."""
+
+    kind: Annotated[str, one_of(("affine",))] = Field(description="That it is such a shape.", examples=["affine"])
+    slope: Angle = Field(description="Change of the curvature from base to tip.", examples=[0.0])
+    intercept: Angle = Field(description="Curvature at the base.", examples=[1.0, "60 deg"])
+    length: PositiveLength = _length
+    nodes: Nodes = _nodes
+    direction: Angle | None = _direction
+
+
+class CubicShape(AffineShape):
+    """A shape of curvature cubic s³ + quadratic s² + slope s + intercept."""
+
+    kind: Annotated[str, one_of(("cubic",))] = Field(description="That it is such a shape.", examples=["cubic"])
+    cubic: Angle = Field(description="Factor of s³.", examples=[4.0])
+    quadratic: Angle = Field(description="Factor of s².", examples=[-6.0])
+
+
+class ConstantShape(Table):
+    """An arc of a circle."""
+
+    kind: Annotated[str, one_of(("constant",))] = Field(description="That it is such a shape.", examples=["constant"])
+    curvature: Angle = Field(description="Angle by which it turns from base to tip.", examples=["60 deg"])
+    length: PositiveLength = _length
+    nodes: Nodes = _nodes
+    direction: Angle | None = _direction
+
+
+class HelixShape(Table):
+    """A helix in space: its bend goes round the backbone, which does not twist."""
+
+    kind: Annotated[str, one_of(("helix",))] = Field(description="That it is such a shape.", examples=["helix"])
+    curvature: Angle = Field(description="Of the centreline, times its length.", examples=["90 deg"])
+    torsion: Angle = Field(description="Angle by which the bend goes round.", examples=["180 deg"])
+    length: PositiveLength = _length
+    nodes: Nodes = _nodes
+    direction: Angle = Field(
+        default=0.0, description="Direction to which it bends at the base, from the arm's left (y) towards z."
+    )
+
+
+ShapeTable = Annotated[
+    Annotated[AffineShape, Tag("<affine>")]
+    | Annotated[CubicShape, Tag("<cubic>")]
+    | Annotated[ConstantShape, Tag("<constant>")]
+    | Annotated[HelixShape, Tag("<helix>")],
+    Discriminator(by_kind),
+    kind_among("affine", "cubic", "constant", "helix"),
+]
+ShapesTable = Annotated[
+    Annotated[list[ShapeTable], filled("a list of shapes, one for each segment"), Tag("<list>")]
+    | Annotated[ShapeTable, Tag("<other>")],
+    Discriminator(by_list),
+]
+
+
+def _check_not_negative(value: list[float]) -> list[float]:
+    if min(value) < 0:
+        raise refuse(f"must be numbers of at least 0, got {shown_value(value)}")
+    return value
+
+
+class DrawnLoads(Table):
+    """Random loads at the tip, each component even between minus and plus half its scale."""
+
+    count: Annotated[int, Field(ge=1, le=1_000_000)] = Field(description="How many.", examples=[40])
+    scale: Annotated[Load, AfterValidator(_check_not_negative)] = Field(
+        default=[20.0, 20.0, 2.0],
+        description="The width in which each component lies, at least 0; in space six.",
+        examples=[[4.0, 4.0, 0.4]],
+    )
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = Field(
+        default=100, description="Of the draw: the same gives the same loads."
+    )
+
+
+LoadsTable = Annotated[
+    Annotated[
+        list[Load],
+        filled("at least one load [f_x, f_y, m]"),
+        Tag("<list>"),
+    ]
+    | Annotated[DrawnLoads, Tag("<other>")],
+    Discriminator(by_list),
+    either("a list of [f_x, f_y, m], in space of six, or a table with count, scale and seed", list, dict),
+]
+_at: Any = Field(default=1.0, description="Place on its segment, from 0 (start) to 1 (end).", examples=[0.5])
+_segment: Any = Field(default=1, description="Number of the segment on which it sits, from the base on.")
+_Count = Annotated[int, Field(ge=1)]
+
+
+class PayloadTable(Table):
+    """A mass on the arm, which weighs."""
+
+    mass: Mass = Field(description="How much.", examples=["100 g"])
+    at: float = _at
+    segment: _Count = _segment
+
+
+class PointTable(Table):
+    """A force and a moment at a place of the arm."""
+
+    wrench: Load = Field(description="Force and moment, as of loads.", examples=[[1.0, 0.0, 0.0]])
+    at: float = _at
+    segment: _Count = _segment
+    frame: Annotated[str, one_of(FRAMES)] = Field(
+        default="world", description="Whether the directions are the world's, or turn with the arm.", examples=["body"]
+    )
+
+
+def _by_form(value: Any) -> str:
+    if isinstance(value, str):
+        return "<name>"
+    return "<matrix>" if isinstance(value, list) and any(isinstance(row, list) for row in value) else "<pose>"
+
+
+_Matrix = Annotated[
+    list[Annotated[list[float], entries("x axis", "y axis", "z axis", "position")]],
+    entries("row 1", "row 2", "row 3", "row 4"),
+]
+TipPose = Annotated[Annotated[_Matrix, Tag("<matrix>")] | Annotated[Pose, Tag("<pose>")], Discriminator(_by_form)]
+BasePose = Annotated[
+    Annotated[str, one_of(tuple(HEADINGS)), Tag("<name>")]
+    | Annotated[_Matrix, Tag("<matrix>")]
+    | Annotated[Pose, Tag("<pose>")],
+    Discriminator(_by_form),
+]
+base_pose: Any = Field(
+    default=HANGING,
+    description="Where the arm's base is: hanging, upright or horizontal at the origin; in the plane a list [x, y, θ] "
+    "of its place and heading, in space the four rows of a homogeneous matrix.",
+    examples=[
+        "upright",
+        [0.0, 0.0, "-90 deg"],
+        [[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]],
+    ],
+)
+
+
+class LoadedTable(NamedTable):
+    """What tasks have beside a shape."""
+
+    loads: LoadsTable = Field(
+        description="Loads at the tip in the world frame, x right, y up and z to the viewer: forces, and the moment; "
+        "in space six numbers.",
+        examples=[[[0.0, 0.0, 0.0], [1.0, "-200 gf", 0.1]]],
+    )
+    gravity: bool = Field(
+        default=False, description="Whether arm, links and payloads weigh: 9.81 m/s² down (-y).", examples=[True]
+    )
+    payloads: list[PayloadTable] | None = Field(
+        default=None, description="Masses on the arm; they need gravity.", examples=[[{"mass": "100 g", "at": 0.5}]]
+    )
+    points: list[PointTable] | None = Field(
+        default=None,
+        description="Further forces and moments, along the arm.",
+        examples=[[{"wrench": [1.0, 0.0, 0.0], "at": 0.5, "frame": "body"}]],
+    )
+    base_pose: BasePose = base_pose
+    wrench_at: Annotated[str, one_of(WRENCH_PLACES)] = Field(
+        default="middle",
+        description="Where on its element a node's wrench is taken; the start is the paper's, and less exact.",
+        examples=["start"],
+    )
+    arms: Annotated[list[Name], filled("a list of names of arms")] | None = Field(
+        default=None, description="The arms that are to hold it. Without it, all.", examples=[["paper", "own"]]
+    )
+
+
+class ShapedTask(LoadedTable):
+    """A task: a shape by name, and the loads to hold it under."""
+
+    name: Name = name_as("bend")
+    shape: ShapesTable = Field(description="The centreline to hold; of an arm of segments a list, one for each.")
+
+
+class TwistTask(LoadedTable):
+    """A task whose shape is given element by element."""
+
+    name: Name = name_as("twists")
+    twists: Annotated[list[Twist], filled("a list of [l, γ, κ], one for each node")] = Field(
+        description="Length, shear and curvature of each element from the base on, as if all the arm, or its segment, "
+        "were like it; in space six numbers [l, γ_y, γ_z, κ_x, κ_y, κ_z].",
+        examples=[[[0.48, 0.0, 1.0], [0.48, 0.0, "30 deg"], [0.48, 0.0, 0.0]]],
+    )
+    segment_nodes: list[_Count] | None = Field(
+        default=None, description="How many of these each segment has; without it, the arm is one.", examples=[[3]]
+    )
+
+
+TaskTable = Annotated[
+    Annotated[ShapedTask, Tag("<shape>")] | Annotated[TwistTask, Tag("<without>")],
+    by_key("shape"),
+    one_key("shape", "twists"),
+]
