@@ -176,14 +176,13 @@ def test_smoothness_is_checked(weight: float, reference: float) -> None:
     ],
 )
 def test_what_has_no_shape_says_how_near_it_comes_and_what_to_try(tip, said):
-    """Along a line the nearest length is an end of the strains that all actuators may have: -0.17 and +0.05 of 0.5 m."""
+    """Along a line the nearest length is an end of the strains that all actuators may have."""
     arm = ta.antagonistic_arm(0.05, 0.015, 0.5)
     status = ta.plan_shape(arm, tip, [0.0, 0.0, 0.0], starts=1, nodes=4).status
     assert status.startswith("no shape: none of 4 elements was found that meets the tip pose")
     assert status.endswith(said)
     if tip[0] == 0.0:
-        low, high = max(model.strain_range[0] for model in arm.actuators), min(m.strain_range[1] for m in arm.actuators)
-        nearest = 0.5 * (1 + (high if tip[1] < -0.5 else low))
-        assert (
-            f"of length {nearest:.3g} m (actuators: 0.5 m), misses it by {1e3 * abs(nearest + tip[1]):.3g} mm" in status
-        )
+        low, high = zip(*(model.strain_range for model in arm.actuators), strict=True)
+        nearest = 0.5 * (1 + (min(high) if tip[1] < -0.5 else max(low)))
+        assert f"of length {nearest:.3g} m (actuators: 0.5 m)" in status
+        assert f"misses it by {1e3 * abs(nearest + tip[1]):.0f} mm and 0°" in status
