@@ -22,6 +22,7 @@ from torcharm.plot._common import (
     fine_poses,
     first_shape,
     kind_of,
+    legend_below,
     one_design,
     one_shape,
 )
@@ -55,7 +56,7 @@ def arm_shape(
     task, axes = first_shape(task)[0], axes_or_new(ax)
     draw_arm(axes, arm, task)
     draw_loads(axes, task, np.full(1, tip_load is not None), ATTAINABLE, width=0.008)
-    axes.legend(loc="best")
+    legend_below(axes, -0.12)
     return axes
 
 
@@ -73,7 +74,7 @@ def task_shape(task: Task, *, ax: Axes | None = None) -> Axes:
     line = fine_poses(task)[:, :2]
     axes.plot(*line.T, color="black", linewidth=3, marker="s", markevery=[0], markersize=10, label="centreline, base")
     draw_loads(axes, task, np.ones(len(task.tip_load), bool), "#E69F00", width=0.003)
-    axes.legend(loc="best")
+    legend_below(axes, -0.12)
     return axes
 
 

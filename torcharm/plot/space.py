@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 from scipy.spatial import ConvexHull
 from torch import Tensor
@@ -26,6 +27,7 @@ from torcharm.plot._common import (
     array,
     axes_or_new,
     kind_of,
+    legend_below,
     node_index,
 )
 from torcharm.plot.hulls import draw_required
@@ -89,7 +91,7 @@ def arm_in_space(
         drawn.append(goal)
     drawn.append(_draw_forces(axes, task.load, lines, tip))
     _limit(axes, np.concatenate(drawn), 0.06)
-    axes.legend(loc="upper left", fontsize="small")
+    legend_below(axes, -0.06)
     return axes
 
 
@@ -255,7 +257,11 @@ def _limit(axes: Any, points: Array, room: float) -> None:
     low, high = points.min(0) - room, points.max(0) + room
     axes.set(xlim=(low[0], high[0]), ylim=(high[2], low[2]), zlim=(low[1], high[1]))
     axes.set(xlabel="x [m]", ylabel="z [m]", zlabel="y [m]")
-    axes.set_box_aspect((high - low)[[0, 2, 1]])
+    axes.set_box_aspect((high - low)[[0, 2, 1]], zoom=0.9)
+    for axis, span in zip((axes.xaxis, axes.yaxis, axes.zaxis), (high - low)[[0, 2, 1]], strict=True):
+        # A short axis has no room for as many numbers as a long one, and its name lies beyond them.
+        axis.set_major_locator(MaxNLocator(max(1, round(5 * span / (high - low).max()) - 1), steps=(1, 2, 5, 10)))
+        axis.labelpad = 8
 
 
 @torch.no_grad()
