@@ -91,7 +91,7 @@ def arm_in_space(
         drawn.append(goal)
     drawn.append(_draw_forces(axes, task.load, lines, tip))
     _limit(axes, np.concatenate(drawn), 0.06)
-    legend_below(axes, -0.06)
+    legend_below(axes, 0.0)
     return axes
 
 
@@ -127,7 +127,7 @@ def node_hull_in_space(
     room = np.maximum(0.05 * (high - low), 1e-3)
     limits = [tuple(ends) for ends in np.stack((low - room, high + room), -1)]
     axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
-    axes.set_box_aspect(None, zoom=0.9)
+    axes.set_box_aspect(None, zoom=0.82)
     axes.set(
         xlabel=HULL_LABELS[0],
         ylabel=HULL_LABELS[1],
@@ -257,7 +257,7 @@ def _limit(axes: Any, points: Array, room: float) -> None:
     low, high = points.min(0) - room, points.max(0) + room
     axes.set(xlim=(low[0], high[0]), ylim=(high[2], low[2]), zlim=(low[1], high[1]))
     axes.set(xlabel="x [m]", ylabel="z [m]", zlabel="y [m]")
-    axes.set_box_aspect((high - low)[[0, 2, 1]], zoom=0.9)
+    axes.set_box_aspect((high - low)[[0, 2, 1]], zoom=0.82)
     for axis, span in zip((axes.xaxis, axes.yaxis, axes.zaxis), (high - low)[[0, 2, 1]], strict=True):
         # A short axis has no room for as many numbers as a long one, and its name lies beyond them.
         axis.set_major_locator(MaxNLocator(max(1, round(5 * span / (high - low).max()) - 1), steps=(1, 2, 5, 10)))
