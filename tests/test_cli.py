@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 import torcharm as ta
 from torcharm import cli, study
+from torcharm.cli.app import app
 
 STUDY = """
 name = "two tasks"
@@ -44,7 +45,7 @@ def study_file(tmp_path: Path) -> Path:
 
 def invoke(*args: object) -> str:
     """Standard output of a command that succeeds, run in this process."""
-    result = CliRunner().invoke(cli.app, [str(arg) for arg in args], env={"COLUMNS": "80"})
+    result = CliRunner().invoke(app, [str(arg) for arg in args], env={"COLUMNS": "80"})
     assert result.exit_code == 0, result.output
     return result.stdout
 
@@ -105,6 +106,30 @@ def test_the_first_command_shows_held_and_missed_tasks_and_what_to_do_next():
     assert output.strip().splitlines()[-2].startswith("Next: torcharm init")
 
 
+def test_the_sentence_on_a_verdict_says_of_which_load_it_speaks(tmp_path):
+    text = study.example_text().replace("count = 40", "count = 12")
+    (tmp_path / "study.toml").write_text(text, encoding="utf-8")
+    output = " ".join(invoke("evaluate", tmp_path / "study.toml").split())
+    checked = 0
+    for result in study.evaluate_study(study.load_study(tmp_path / "study.toml")):
+        found, words = result.attainability, result.verdicts
+        missed = [index for index, word in enumerate(words) if word == "missed"]
+        if len(missed) > 1 and len(missed) == max(words.count(word) for word in {*words} - {"held"}):
+            worst = max(missed, key=lambda index: float(found.over_tolerance[index]))
+            which = f"load {worst + 1} of {result.loads}, the furthest off of {len(missed)} missed"
+            assert f"{result.arm.name}, {which}: {found.reason[worst]}." in output
+            checked += 1
+    assert checked >= 3
+
+
+def test_one_load_is_not_counted(tmp_path):
+    text = STUDY.replace("count = 4", "count = 1")
+    (tmp_path / "study.toml").write_text(text, encoding="utf-8")
+    output = invoke("evaluate", tmp_path / "study.toml")
+    assert ", load " not in output
+    assert "[red]bellows[/red] ✓: " in output
+
+
 def test_json_is_all_that_is_printed(study_file):
     rows = json.loads(invoke("evaluate", study_file, "--json"))
     assert [row["task"] for row in rows] == ["straight"] * 2 + ["bent"] * 8
@@ -135,8 +160,10 @@ def test_names_are_text_and_not_markup(study_file):
 
 
 def test_tasks_that_are_held_have_no_worst_node(study_file):
-    (row,) = (line for line in invoke("evaluate", study_file).split("Task bent")[0].splitlines() if "an arm" in line)
-    assert row.split()[-2:] == ["-", "-"]
+    output = invoke("evaluate", study_file).split("Task bent")[0]
+    (row,) = (line for line in output.splitlines() if "an arm" in line)
+    assert row.split()[-4:] == ["<0.001"] * 3 + ["-"]
+    assert "not held" not in output
 
 
 def test_a_study_in_range_says_nothing_of_ranges(tmp_path):

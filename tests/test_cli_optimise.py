@@ -79,6 +79,38 @@ def test_optimise_shows_and_saves_a_better_arm(tmp_path: Path) -> None:
     assert "antagonistic: better, as a pressure search confirms" in answer.stdout
 
 
+def test_one_arm_that_is_refused_costs_no_other(tmp_path: Path) -> None:
+    bad = '[[arm]]\nname = "short"\nkind = "antagonistic"\nlength = 0.1\n\n'
+    text = STUDY.replace("[[task]]", f'{bad}[[arm]]\nname = "last"\nkind = "antagonistic"\n\n[[task]]', 1)
+    answer = _run(tmp_path, "optimise", "study.toml", "--out", "best.toml", "--figure", "best.png", text=text)
+    assert answer.returncode == 2
+    assert answer.stderr.count("\n") == 1
+    assert answer.stderr.startswith("torcharm: short: space: no design within the bounds")
+    assert "antagonistic: better" in answer.stdout
+    assert "last: better" in answer.stdout
+    assert (tmp_path / "best.toml").read_text(encoding="utf-8").count("[[arm]]") == 2
+    names = {"best.toml", "study.toml", "best-1.png", "best-3.png"}
+    assert {path.name for path in tmp_path.iterdir()} == names
+
+
+def test_a_spacing_that_nobody_gave_is_said(tmp_path: Path) -> None:
+    said = "Actuators may come as close as 5 mm, axis to axis: set optimise.spacing to their width."
+    assert said not in _run(tmp_path, "optimise", "study.toml").stdout
+    assert said in _run(tmp_path, "optimise", "study.toml", text=STUDY.replace("spacing = 0.005\n", "")).stdout
+
+
+def test_numbers_of_a_search_are_named_and_are_its_own(tmp_path: Path) -> None:
+    answer = _run(tmp_path, "optimise", "study.toml")
+    assert (
+        "Where a pressure search is named, its numbers are the mean shape error that it reaches [mm]." in answer.stdout
+    )
+    study = parse_study(STUDY)
+    tasks = [named.task for named in study.tasks]
+    found = [ta.search_pressure(study.arms[0].design, task) for task in tasks]
+    mean = 1e3 * float(torch.cat([one.shape_error.flatten() for one in found]).mean())
+    assert f"confirms ({mean:.4g} → " in answer.stdout
+
+
 def test_the_best_arm_is_a_table_to_paste_into_the_study(tmp_path: Path) -> None:
     answer = _run(tmp_path, "optimise", "study.toml", "--out", "best.toml")
     assert answer.returncode == 0, answer.stderr

@@ -10,9 +10,13 @@ from pathlib import Path
 import pytest
 from test_cli import invoke, mistake
 from test_cli_optimise import STUDY
+from typer.testing import CliRunner
 
 from torcharm import cli
+from torcharm.cli.app import app
+from torcharm.cli.tables import Column, print_table
 from torcharm.design import shape_planning
+from torcharm.study import example_text
 
 FAR = """
 [[plan]]
@@ -60,6 +64,42 @@ def test_every_bracket_of_the_source_is_in_the_help():
         if written:
             shown = " ".join(invoke(path.stem, "--help").replace("│", " ").split())
             assert [part for part in written if part not in shown] == []
+
+
+WIDE = (
+    Column("arm", ["antagonistic", "an arm with a long name"], 24),
+    Column("tip off\n[mm]", ["123.4", "-"]),
+    Column("worst node:\nlacks [N]", ["10: 0.123", "1: 2.4e+05"]),
+    Column("not held", ["12 missed,\n13 excluded by range", "1 undecided"], 24),
+    *(Column(f"sum {index}\n[N]", ["1.234e-05", "0"]) for index in range(4)),
+)
+
+
+@pytest.mark.parametrize("width", [200, 80, 60, 40])
+def test_tables_of_any_width_hold_every_word_and_number_whole(monkeypatch, capsys, width):
+    monkeypatch.setenv("COLUMNS", str(width))
+    print_table(WIDE)
+    output = capsys.readouterr().out
+    assert max(len(line.rstrip()) for line in output.splitlines()) <= width
+    for column in WIDE[1:]:
+        for text in (column.title, *column.cells):
+            for part in text.splitlines() if not column.widest else text.split():
+                assert re.search(rf"(?<!\S){re.escape(part)}(?!\S)", output), part
+    tables = output.count("antagonistic")
+    assert tables == len(re.findall("name", output)), "every table names the arms"
+    assert (tables == 1) == (width == 200)
+
+
+@pytest.mark.parametrize("width", [80, 60])
+def test_sums_break_no_word(monkeypatch, tmp_path, width):
+    text = example_text().replace("count = 40", "count = 12")
+    (tmp_path / "study.toml").write_text(text, encoding="utf-8")
+    answer = CliRunner().invoke(app, ["evaluate", str(tmp_path / "study.toml"), "--sums"], env={"COLUMNS": str(width)})
+    output = answer.stdout.split("Next: ")[0]
+    assert max(len(line.rstrip()) for line in output.splitlines()) <= width
+    assert "…" not in output
+    for word in ("antagonistic", "bellows only", "absolute", "relative", "missed", "tip off", "worst node:"):
+        assert word in output
 
 
 @pytest.mark.parametrize("command", ["search", "optimise", "plan"])
@@ -214,3 +254,27 @@ def test_bars_end_at_100_percent(study_file, command, words):
     assert frames
     assert "100%" in frames[-1]
     assert any("0%" in frame and "100%" not in frame for frame in frames)
+
+
+INTERRUPTED_IMPORT = """
+import sys
+from importlib.abc import MetaPathFinder
+
+class CtrlC(MetaPathFinder):
+    def find_spec(self, name, *_):
+        if name == sys.argv[1]:
+            raise KeyboardInterrupt
+
+sys.meta_path.insert(0, CtrlC())
+from torcharm.cli import main
+sys.argv[1:] = ["evaluate"]
+main()
+"""
+
+
+@pytest.mark.parametrize("module", ["typer", "rich.console", "pydantic", "torch", "torcharm.study"])
+def test_ctrl_c_while_all_is_imported_ends_quietly(module):
+    """As if it came when a module begins to load; whatever torcharm itself loads before `main` is its own name only."""
+    command = [sys.executable, "-c", INTERRUPTED_IMPORT, module]
+    answer = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert (answer.returncode, answer.stdout, answer.stderr) == (130, "", "torcharm: interrupted\n")

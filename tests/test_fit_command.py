@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 import torcharm as ta
 from torcharm import cli
+from torcharm.cli.app import app
 from torcharm.study import evaluate_study, load_study
 
 
@@ -46,7 +47,7 @@ def arguments(runs, *more):
 
 
 def fit(runs, *more):
-    result = CliRunner().invoke(cli.app, ["fit", *arguments(runs, *more)], env={"COLUMNS": "80"})
+    result = CliRunner().invoke(app, ["fit", *arguments(runs, *more)], env={"COLUMNS": "80"})
     assert result.exit_code == 0, result.output
     return result
 

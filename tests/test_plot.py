@@ -84,6 +84,19 @@ def forces(axes):
     return np.concatenate([np.stack((quiver.U, quiver.V), -1) for quiver in arrows(axes)])
 
 
+def over(found):
+    """The largest error of each task over its tolerance, by what the tolerance's own attributes say."""
+    length = float(found.arm.length.mean())
+    limits = found.tolerance
+    tip = limits.tip or 0.02 * length
+    errors = (
+        found.tip_error / tip,
+        found.tip_rotation_error / limits.rotation,
+        found.shape_error / (limits.shape or tip),
+    )
+    return torch.stack(errors).amax(0).numpy()
+
+
 def rows(array):
     return sorted(map(tuple, np.round(np.asarray(array), 9)))
 
@@ -380,12 +393,38 @@ class TestStudyFigure:
             marks.setdefault(found.get_gid(), []).append(np.asarray(found.get_offsets()))
         for word in set(marks):
             drawn = np.sort(np.concatenate(marks[word])[:, 0])
-            errors = [1e3 * result.tip_error[torch.as_tensor(result.verdict == word)].numpy() for result in results]
+            errors = [over(result)[result.verdict == word] for result in results]
             finite = np.sort(np.concatenate(errors))
             finite = finite[np.isfinite(finite)]
             np.testing.assert_allclose(drawn[: len(finite)], np.maximum(finite, 0.01))
         assert sum(len(part) for parts in marks.values() for part in parts) == 60
-        assert figure.axes[0].get_xlabel().startswith("predicted tip error [mm]")
+        assert figure.axes[0].get_xlabel().startswith("predicted error over its tolerance")
+
+    @pytest.mark.parametrize("reason", ["tip", "rotation", "shape"])
+    def test_what_is_missed_lies_beyond_the_tolerance_whatever_the_reason(self, reason):
+        wide = ta.PoseTolerance(tip=1.0, rotation=3.0, shape=1.0)
+        strict = dataclasses.replace(wide, **{reason: 1e-3})
+        results = [ta.evaluate(arm, TASK, tolerance=strict) for _, arm in self.ARMS[:2]]
+        figure = plot.study_figure(self.ARMS[:2], "a task", TASK, results)
+        sides = {mark.get_gid(): [] for mark in figure.axes[0].collections}
+        for mark in figure.axes[0].collections:
+            sides[mark.get_gid()] += list(np.asarray(mark.get_offsets())[:, 0])
+        assert min(sides["missed"]) > 1.0
+        assert max(sides.get("held", [0.0])) <= 1.0
+        (line,) = (line for line in figure.axes[0].lines if line.get_label().startswith("tolerance"))
+        assert list(line.get_xdata()) == [1.0, 1.0]
+
+    def test_arms_of_different_lengths_have_tolerances_of_their_own(self):
+        arms = [("short", ta.antagonistic_arm()), ("long", ta.antagonistic_arm(length=0.75))]
+        figure, results = self.draw(arms)
+        (line,) = (line for line in figure.axes[0].lines if line.get_label().startswith("tolerance"))
+        assert "tip, shape 10 to 15 mm" in line.get_label()
+        marks = np.concatenate([np.asarray(mark.get_offsets()) for mark in figure.axes[0].collections])
+        for row, result in enumerate(results):
+            drawn = marks[np.abs(marks[:, 1] - row) < 0.4, 0]
+            expected = over(result)
+            known = np.isfinite(expected)
+            np.testing.assert_allclose(np.sort(drawn)[: known.sum()], np.maximum(np.sort(expected[known]), 0.01))
 
     def test_titles_count_the_verdicts(self):
         figure, results = self.draw(self.ARMS[:2])
@@ -399,8 +438,9 @@ class TestStudyFigure:
         figure, (result,) = self.draw(self.ARMS[:1])
         (line,) = (line for axes in figure.axes for line in axes.lines if line.get_gid() == "reached")
         index = int(line.get_label().split("load ")[1].split(":")[0]) - 1
-        error = result.tip_error
-        assert float(error[index]) == pytest.approx(float(error[error.isfinite()].median()))
+        error = over(result)
+        known = np.sort(error[np.isfinite(error)])
+        assert error[index] == pytest.approx(known[(len(known) - 1) // 2])
         end = ta.poses(result.prediction.twists[index])[-1, :2]
         np.testing.assert_allclose(line.get_xydata()[-1], end, atol=1e-12)
 

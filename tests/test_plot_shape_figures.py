@@ -11,6 +11,7 @@ from matplotlib.quiver import Quiver
 import torcharm as ta
 from torcharm import plot
 from torcharm.design.shape_planning import PlannedShape
+from torcharm.geometry import se2
 
 TASK = ta.Task(ta.affine_curvature(-1.0, 1.0, nodes=4), ta.sample_loads(5, (4, 4, 0.4)))
 
@@ -35,7 +36,13 @@ def test_search_shows_the_least_the_median_and_the_largest_error(found):
         (reached,) = lines(axes, "reached")
         np.testing.assert_allclose(reached.get_xydata()[:: plot.SMOOTHING], ta.poses(found.twists[load])[:, :2])
         assert (reached.get_color(), reached.get_linestyle()) == (plot.UNATTAINABLE, "--")
-        (target,) = lines(axes, "centreline")
+        outer = max(lines(axes, "bellows"), key=lambda line: line.get_xydata()[-1, 0])
+        offset = torch.tensor([0.0, -0.08, 0.0]), torch.tensor([0.0, 0.08, 0.0])
+        tips = [se2.compose(ta.poses(found.twists[load])[-1], one.double())[:2].numpy() for one in offset]
+        assert min(np.linalg.norm(outer.get_xydata()[-1] - tip) for tip in tips) < 1e-9, (
+            "actuators are where it gets to"
+        )
+        (target,) = lines(axes, "task")
         np.testing.assert_allclose(target.get_xydata()[:: plot.SMOOTHING], ta.poses(TASK.twists)[:, :2])
         (arrow,) = [one for one in axes.collections if isinstance(one, Quiver)]
         np.testing.assert_allclose((arrow.U[0], arrow.V[0]), TASK.tip_load[load, :2])
@@ -44,7 +51,7 @@ def test_search_shows_the_least_the_median_and_the_largest_error(found):
     assert len({axes.get_xlim() for axes in figure.axes}) == 1
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == [
-        *("bellows", "muscle", "shape of the task", "base", "tip load", "reached")
+        *("bellows", "muscle", "reached", "base", "shape of the task", "its tip", "tip load")
     ]
     figure.savefig(io.BytesIO())
 

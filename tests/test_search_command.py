@@ -72,6 +72,17 @@ def test_shape_prints_the_tip_and_draws_the_arm(tmp_path):
     assert figure.read_bytes().startswith(b"\x89PNG")
 
 
+def test_shape_takes_pressures_and_loads_with_units(tmp_path):
+    plain, units = (
+        invoke("shape", "--pressure", pressure, "--load", load, "--nodes", 5, "--figure", tmp_path / "arm.png")
+        for pressure, load in (
+            ("20,30,34.47378646584,25", "1.96133,-3,0.1"),
+            ("0.2 bar, 30 kPa,5 psi,250 mbar", "200 gf,-3 N,100 N mm"),
+        )
+    )
+    assert plain.splitlines()[0] == units.splitlines()[0]
+
+
 def test_shape_takes_an_arm_of_a_study(study_file, tmp_path):
     output = invoke(
         *("shape", "--study", study_file, "--arm", "soft", "--pressure", "60,60,60,60"),
@@ -114,7 +125,9 @@ def test_searches_that_find_no_equilibrium_count_as_failed(tmp_path):
     ("options", "message"),
     [
         (("--pressure", "1,2"), "--pressure: must be 4 numbers with commas between them, got 1,2"),
-        (("--pressure", "1,2,3,x"), "--pressure: must be 4 numbers"),
+        (("--pressure", "1,2,3,x"), "--pressure: must be a number [kPa] or a text of one and a unit (kPa, Pa, "),
+        (("--pressure", "1,2,3,4 N"), "--pressure: must be a number [kPa] or a text of one and a unit (kPa, Pa, "),
+        (("--pressure", "1,2,3,4", "--load", "1,2,3 N"), "--load: must be a number [N·m] or a text of one and a unit"),
         (("--pressure", "1,2,3,-4"), "pressure: must be at least 0 kPa, got -4"),
         (("--pressure", "1,2,3,4", "--load", "1"), "--load: must be 3 numbers"),
         (("--pressure", "1,2,3,4", "--arm", "left"), "--arm: must be one of antagonistic, bellows-only, got left"),

@@ -289,7 +289,8 @@ def test_results_are_those_of_evaluate(paper_results):
         assert summary.median["relative"] == pytest.approx(expected.relative.quantile(0.5).item())
         mean = expected.absolute_per_node.mean(0)
         assert (summary.worst_node, summary.worst_miss) == (int(mean.argmax()) + 1, pytest.approx(float(mean.max())))
-        load, why = summary.example
+        load, word, why = summary.example
+        assert word == ""
         assert load == int(expected.absolute.argmax()) + 1
         assert why == "actuator 4 is strained to -0.48 at node 1, characterised from -0.17 to +0.67"
 

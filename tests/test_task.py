@@ -148,3 +148,32 @@ def test_gradients_flow_to_shape_and_load():
     twists = affine_curvature(1.0, 1.0).requires_grad_()
     task = Task(twists, load)
     assert torch.autograd.grad(task.tip_load.sum() + task.twists.sum(), (load, twists))[0].tolist() == [1.0] * 3
+
+
+@pytest.mark.parametrize("change", ["scaled", "mirrored", "transposed position", "sheared"])
+def test_a_base_in_space_must_be_a_rotation_and_a_position(change):
+    base = torch.eye(4, dtype=torch.float64)
+    if change == "scaled":
+        base[:3, :3] *= 1.01
+    elif change == "mirrored":
+        base[0, 0] = -1.0
+    elif change == "sheared":
+        base[0, 1] = 1e-3
+    else:
+        base[3, 0] = 0.2
+    twists = torch.tensor([[0.45, 0, 0, 0, 0.3, 0.5]] * 2, dtype=torch.float64)
+    arm = torcharm.ArmDesign(offsets=torcharm.ring(radius=0.05, count=3), length=0.4, actuators=torcharm.Bellows())
+    with pytest.raises(ValueError, match=r"^base_pose: must be a homogeneous matrix, a rotation and a position above"):
+        Task(twists, [0.0] * 6, base)
+    with pytest.raises(ValueError, match=r"^base_pose: must be a homogeneous matrix, a rotation and a position above"):
+        torcharm.solve_equilibrium(arm, 1.0, [0.0] * 6, 2, base_pose=base)
+    with pytest.raises(ValueError, match=r"^tip_pose: must be a homogeneous matrix, a rotation and a position above"):
+        torcharm.plan_shape(arm, base, [0.0] * 6)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_rotation_is_one_to_its_rounding(dtype):
+    turn = torch.linalg.matrix_exp(torch.tensor([[0, -1.1, 0.7], [1.1, 0, 0.3], [-0.7, -0.3, 0]], dtype=dtype))
+    base = torch.eye(4, dtype=dtype)
+    base[:3, :3] = turn
+    assert Task(torch.zeros(2, 6, dtype=dtype), [0.0] * 6, base).base_pose is base

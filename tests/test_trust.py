@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 import torcharm as ta
 from experiments.trust.agreement import counted
 from experiments.trust.run import EACH
-from torcharm import cli
+from torcharm.cli.app import app
 from torcharm.study import evaluate_study, parse_study, write_results
 
 D = torch.float64
@@ -320,12 +320,12 @@ def test_a_study_counts_and_writes_only_what_can_be_trusted(tmp_path):
 def test_the_command_says_what_is_impossible_and_asks_about_units(tmp_path):
     path = tmp_path / "study.toml"
     path.write_text(STUDY, encoding="utf-8")
-    done = CliRunner().invoke(cli.app, ["evaluate", str(path)], env={"COLUMNS": "300"})
+    done = CliRunner().invoke(app, ["evaluate", str(path)], env={"COLUMNS": "300"})
     assert done.exit_code == 0, done.output
     assert "pair, load 1: actuator 2 would have no length at node 1" in done.stdout
     assert "impossible: an actuator would have no length." in done.stdout
     path.write_text(STUDY.replace("12.0", "90.0"), encoding="utf-8")
-    refused = CliRunner().invoke(cli.app, ["evaluate", str(path)], env={"COLUMNS": "300"})
+    refused = CliRunner().invoke(app, ["evaluate", str(path)], env={"COLUMNS": "300"})
     assert refused.exit_code == 2
     assert "are curvatures in degrees?" in refused.stderr
 

@@ -6,43 +6,28 @@ Words, tables, figures and study files count from 1, the base's.
 
 from typing import TYPE_CHECKING, Any
 
-from torcharm.actuators import (
-    Actuator,
-    Bellows,
-    BendingFunction,
-    ConstantBending,
-    LinearBending,
-    McKibben,
-    Monotonicity,
-    PolynomialActuator,
-    chamber,
-    elastic_core,
-    monotonicity,
-)
-from torcharm.arm import ArmDesign, ring
-from torcharm.arm_series import ArmSeries, RigidLink, series
-from torcharm.geometry.rod import poses
-from torcharm.load import ExternalLoad, PointLoad
-from torcharm.ready_arms import (
-    antagonistic_arm,
-    antagonistic_ring,
-    bellows_arm,
-    bionic_trunk,
-    mckibben_arm,
-    silicone_module,
-)
-from torcharm.shapes import affine_curvature, arc_to, constant_curvature, cubic_curvature, helix
-from torcharm.statics.cross_section import reaction_wrench
-from torcharm.statics.external_load import required_wrench
-from torcharm.task import Task, sample_loads
-
 if TYPE_CHECKING:
+    from torcharm.actuators import (
+        Actuator,
+        Bellows,
+        BendingFunction,
+        ConstantBending,
+        LinearBending,
+        McKibben,
+        Monotonicity,
+        PolynomialActuator,
+        chamber,
+        elastic_core,
+        monotonicity,
+    )
     from torcharm.actuators.alignment import Recording, align, estimate_offset, pool
     from torcharm.actuators.characterisation import FitQuality, FittedActuator, fit_force_model, fit_recording
     from torcharm.actuators.gridded import GriddedActuator, fit_gridded_model
     from torcharm.actuators.model_file import load_actuator, save_actuator
     from torcharm.actuators.recordings import read_pressure, read_tester
     from torcharm.actuators.uncertainty import TensorPolynomial, coefficient_tensor, standard_deviation
+    from torcharm.arm import ArmDesign, ring
+    from torcharm.arm_series import ArmSeries, RigidLink, series
     from torcharm.attainability import Attainability, PoseTolerance, evaluate
     from torcharm.design import (
         Architectures,
@@ -55,10 +40,24 @@ if TYPE_CHECKING:
     )
     from torcharm.design.shape_planning import PlannedShape, Smoothness, plan_shape
     from torcharm.equilibrium import Equilibrium, NotConvergedError, solve_equilibrium
+    from torcharm.geometry.rod import poses
+    from torcharm.load import ExternalLoad, PointLoad
     from torcharm.pressure.pose_cost import PoseCost
     from torcharm.pressure.predicted_error import PredictedError, predict_error
     from torcharm.pressure.search import PressureSearch, search_pressure
     from torcharm.pressure.wrench_fit import PressureFit, fit_pressure
+    from torcharm.ready_arms import (
+        antagonistic_arm,
+        antagonistic_ring,
+        bellows_arm,
+        bionic_trunk,
+        mckibben_arm,
+        silicone_module,
+    )
+    from torcharm.shapes import affine_curvature, arc_to, constant_curvature, cubic_curvature, helix
+    from torcharm.statics.cross_section import reaction_wrench
+    from torcharm.statics.external_load import required_wrench
+    from torcharm.task import Task, sample_loads
     from torcharm.wrench_sets.capacity import LoadCapacity, load_capacity
     from torcharm.wrench_sets.hull_distance import HullDistance, kkt_residuals
     from torcharm.wrench_sets.qp import qp_distance
@@ -156,51 +155,85 @@ __all__ = [
 ]
 
 _LATER = {
-    "Attainability": "attainability",
-    "distance_to_hull": "wrench_sets.vertices",
-    "evaluate": "attainability",
+    "Actuator": "actuators",
     "Architectures": "design",
+    "ArmDesign": "arm",
+    "ArmSeries": "arm_series",
+    "Attainability": "attainability",
+    "Bellows": "actuators",
+    "BendingFunction": "actuators",
+    "ConstantBending": "actuators",
     "DesignSpace": "design",
     "Equilibrium": "equilibrium",
+    "ExternalLoad": "load",
     "FitQuality": "actuators.characterisation",
     "FittedActuator": "actuators.characterisation",
     "GriddedActuator": "actuators.gridded",
     "HullDistance": "wrench_sets.hull_distance",
+    "LinearBending": "actuators",
     "LoadCapacity": "wrench_sets.capacity",
+    "McKibben": "actuators",
+    "Monotonicity": "actuators",
     "NotConvergedError": "equilibrium",
     "Objective": "design",
     "OptimisedDesign": "design",
     "PlannedShape": "design.shape_planning",
+    "PointLoad": "load",
+    "PolynomialActuator": "actuators",
     "PoseCost": "pressure.pose_cost",
     "PoseTolerance": "attainability",
     "PredictedError": "pressure.predicted_error",
     "PressureFit": "pressure.wrench_fit",
     "PressureSearch": "pressure.search",
     "Recording": "actuators.alignment",
+    "RigidLink": "arm_series",
     "Smoothness": "design.shape_planning",
+    "Task": "task",
     "TensorPolynomial": "actuators.uncertainty",
     "WrenchHulls": "wrench_sets.wrench_set",
+    "affine_curvature": "shapes",
     "align": "actuators.alignment",
+    "antagonistic_arm": "ready_arms",
+    "antagonistic_ring": "ready_arms",
+    "arc_to": "shapes",
+    "bellows_arm": "ready_arms",
+    "bionic_trunk": "ready_arms",
+    "chamber": "actuators",
     "coefficient_tensor": "actuators.uncertainty",
+    "constant_curvature": "shapes",
+    "cubic_curvature": "shapes",
+    "distance_to_hull": "wrench_sets.vertices",
+    "elastic_core": "actuators",
     "estimate_offset": "actuators.alignment",
+    "evaluate": "attainability",
     "fit_force_model": "actuators.characterisation",
     "fit_gridded_model": "actuators.gridded",
     "fit_pressure": "pressure.wrench_fit",
     "fit_recording": "actuators.characterisation",
+    "helix": "shapes",
     "kkt_residuals": "wrench_sets.hull_distance",
     "load_actuator": "actuators.model_file",
     "load_capacity": "wrench_sets.capacity",
+    "mckibben_arm": "ready_arms",
+    "monotonicity": "actuators",
     "nnls_distance": "wrench_sets.reference",
     "optimise_architectures": "design",
     "optimise_design": "design",
     "plan_shape": "design.shape_planning",
     "pool": "actuators.alignment",
+    "poses": "geometry.rod",
     "predict_error": "pressure.predicted_error",
     "qp_distance": "wrench_sets.qp",
+    "reaction_wrench": "statics.cross_section",
     "read_pressure": "actuators.recordings",
     "read_tester": "actuators.recordings",
+    "required_wrench": "statics.external_load",
+    "ring": "arm",
+    "sample_loads": "task",
     "save_actuator": "actuators.model_file",
     "search_pressure": "pressure.search",
+    "series": "arm_series",
+    "silicone_module": "ready_arms",
     "slsqp_distance": "wrench_sets.reference",
     "solve_equilibrium": "equilibrium",
     "standard_deviation": "actuators.uncertainty",
@@ -209,11 +242,11 @@ _LATER = {
 }
 
 
-_MODULES = ("plot", "study")
+_MODULES = ("actuators", "plot", "study")
 
 
 def __getattr__(name: str) -> Any:
-    """What loads when it is first used."""
+    """What loads when it is first used: all of it, so that the command is there before torch is."""
     if name not in _LATER and name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module

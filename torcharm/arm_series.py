@@ -9,11 +9,8 @@ from torch import Tensor
 from torcharm.actuators import Actuator
 from torcharm.arm import ArmDesign
 from torcharm.geometry import se3
+from torcharm.geometry.rod import check_rigid
 from torcharm.inputs import HoldsTensors, TensorLike, as_floating, broadcast_shapes, check_at_least, check_finite, shown
-
-_RIGID = 1e-6
-"""How far a link's rotation may be from one, by the entries of RᵀR - 1: what single precision rounds to, and less
-than any typing error."""
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -95,14 +92,7 @@ def _check_pose(pose: Tensor) -> None:
         return
     if pose.shape[-2:] != (4, 4):
         raise ValueError(f"pose: must have shape (..., 3) or (..., 4, 4), got {tuple(pose.shape)}")
-    rotation = pose[..., :3, :3].detach()
-    off = (rotation.mT @ rotation - torch.eye(3).to(pose)).abs()
-    last = (pose[..., 3, :].detach() - pose.new_tensor((0.0, 0.0, 0.0, 1.0))).abs()
-    if bool((off > _RIGID).any() or (last > _RIGID).any() or (torch.linalg.det(rotation) < 0).any()):
-        raise ValueError(
-            "pose: must be a homogeneous matrix, a rotation and a position above a row (0, 0, 0, 1), "
-            f"got {shown(pose.detach().tolist())}"
-        )
+    check_rigid("pose", pose)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

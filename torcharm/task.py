@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm.geometry.rod import as_base, check_segment_nodes, goes_by_name, group_of
+from torcharm.geometry.rod import as_base, check_rigid, check_segment_nodes, goes_by_name, group_of
 from torcharm.inputs import (
     HoldsTensors,
     TensorLike,
@@ -69,7 +69,7 @@ class Task(HoldsTensors):
             segment_nodes: for arms in series, how many of the N rows belong to each segment.
 
         Raises:
-            ValueError: shapes do not fit or a value is not finite.
+            ValueError: shapes do not fit, a value is not finite, or the base pose is no rotation and position.
         """
         if load is not None and not isinstance(load, ExternalLoad):
             raise ValueError(f"load: must be an ExternalLoad, got {shown(load)}")
@@ -96,6 +96,7 @@ class Task(HoldsTensors):
             raise ValueError(f"base_pose: must have shape {pose_shape}, got {tuple(base.shape)}")
         for name, value in (("twists", twists_), ("base_pose", base)):
             check_finite(name, value)
+        check_rigid("base_pose", base)
         whole = (load or ExternalLoad()).to(twists_)
         if whole.columns not in (None, columns):
             raise ValueError(f"load: must be of {columns} components as the twists are, got {whole.columns}")

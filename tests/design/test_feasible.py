@@ -202,6 +202,17 @@ def test_what_cannot_be_is_said(space: dict[str, Any], words: str) -> None:
         _nearest(DesignSpace(**space), ta.antagonistic_arm())
 
 
+def test_limits_without_bounds_stay_within_those_given() -> None:
+    """A designer's pump limit is a limit: to pass it, bounds must say so."""
+    models = ta.antagonistic_arm().actuators
+    arm = ta.ArmDesign([-0.05, -0.015, 0.015, 0.05], 0.5, models, [30.0, 0.0, 60.0, 45.0])
+    free = feasible_designs(DesignSpace(free="max_pressure", in_range=False), arm, [TASK]).free
+    assert free(np.ones(len(free.low)))[3].tolist() == [30.0, 0.0, 60.0, 45.0]
+    assert free(np.zeros(len(free.low)))[3].tolist() == [0.0] * 4
+    wider = DesignSpace(free="max_pressure", bounds={"max_pressure": (0.0, 50.0)}, in_range=False)
+    assert feasible_designs(wider, arm, [TASK]).free.high.tolist() == [50.0] * 4
+
+
 def _nearest(space: DesignSpace, arm: ta.ArmDesign) -> Any:
     feasible = feasible_designs(space, arm, [TASK])
     return feasible.project(feasible.free.inverse(given_values(arm))[0])

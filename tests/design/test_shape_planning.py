@@ -1,6 +1,7 @@
 """Shapes through a tip pose: the paper's, and those that an arm holds best, in the plane and in space."""
 
 import math
+import re
 from typing import Any
 
 import pytest
@@ -193,3 +194,26 @@ def test_arguments_are_checked(options: dict[str, Any], words: str) -> None:
 def test_smoothness_is_checked(weight: float, reference: float) -> None:
     with pytest.raises(ValueError, match="must be finite"):
         Smoothness(weight, reference)
+
+
+@pytest.mark.parametrize(
+    ("tip", "said"),
+    [
+        ((0.0, -1.0, -math.pi / 2), "the tip is 1 m from the base, and the arm at most 0.525 m long: try a longer one"),
+        ((0.0, -0.2, -math.pi / 2), "try a shorter arm, or a tip further from the base"),
+        ((0.2, -0.2, 3.0), "try less bend, actuators nearer to the centreline, or an arm of another length"),
+    ],
+)
+def test_what_has_no_shape_says_how_near_it_comes_and_what_to_try(tip, said):
+    """Along a line the nearest length is an end of the strains that all actuators may have."""
+    arm = ta.antagonistic_arm(0.05, 0.015, 0.5)
+    status = ta.plan_shape(arm, tip, [0.0, 0.0, 0.0], starts=1, nodes=4).status
+    assert status.startswith("no shape: none of 4 elements was found that meets the tip pose")
+    assert status.endswith(said)
+    if tip[0] == 0.0:
+        low, high = zip(*(model.strain_range for model in arm.actuators), strict=True)
+        nearest = 0.5 * (1 + (min(high) if tip[1] < -0.5 else max(low)))
+        found = re.search(r"of length ([\d.]+) m \(actuators: 0.5 m\), misses it by (\d+) mm and 0°", status)
+        assert found is not None, status
+        assert float(found[1]) == pytest.approx(nearest, abs=1e-3)
+        assert float(found[2]) == pytest.approx(1e3 * abs(nearest + tip[1]), abs=1.0)

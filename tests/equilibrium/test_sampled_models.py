@@ -1,5 +1,8 @@
 """Equilibria of force models and bending laws that the engine knows by tables only."""
 
+import math
+
+import numpy as np
 import pytest
 import torch
 
@@ -86,6 +89,36 @@ def test_a_model_that_fails_names_its_actuator():
     arm = ta.ArmDesign([-0.05, 0.05], 0.5, [ta.Bellows(), Broken(ta.Bellows())])
     with pytest.raises(ValueError, match=r"actuators\[1\]: must return a value .*no sensor"):
         ta.solve_equilibrium(arm, [1.0, 1.0], PLANAR)
+
+
+BENT = ta.affine_curvature(0.0, 0.5, length=0.42)
+ASKED = {
+    "evaluate": lambda arm: ta.evaluate(arm, ta.Task(BENT, PLANAR), ("absolute",)),
+    "solve_equilibrium": lambda arm: ta.solve_equilibrium(arm, 1.0, PLANAR),
+    "predict_error": lambda arm: ta.predict_error(arm, ta.Task(BENT, PLANAR)),
+    "search_pressure": lambda arm: ta.search_pressure(arm, ta.Task(BENT, PLANAR)),
+    "load_capacity": lambda arm: ta.load_capacity(arm, ta.Task(BENT, PLANAR)),
+    "plan_shape": lambda arm: ta.plan_shape(arm, [0.1, -0.4, -1.0], PLANAR),
+    "wrench_hulls": lambda arm: ta.wrench_hulls(arm, BENT),
+    "reaction_wrench": lambda arm: ta.reaction_wrench(arm, BENT, 1.0),
+}
+FORCES = {
+    "numpy": lambda strain, pressure: np.where(strain > 0, 0.8 * pressure - 40 * strain, 0.8 * pressure),
+    "if": lambda strain, pressure: 0.8 * pressure - (40 if strain > 0 else 50) * strain,
+    "math": lambda strain, pressure: 0.8 * pressure - 40 * math.sinh(strain),
+}
+
+
+@pytest.mark.parametrize("asked", ASKED)
+@pytest.mark.parametrize("force", FORCES)
+def test_a_force_that_is_no_torch_names_the_actuator_and_what_to_use(force, asked):
+    class Mistaken(Own):
+        def force(self, strain, pressure):
+            return FORCES[force](strain, pressure)
+
+    arm = ta.ArmDesign([-0.05, 0.0, 0.05], 0.4, [ta.Bellows(), Mistaken(ta.Bellows()), Mistaken(ta.Bellows())])
+    with pytest.raises(ValueError, match=r"^actuators\[1\].*torch operations on tensors \(torch\.where, not if"):
+        ASKED[asked](arm)
 
 
 @pytest.mark.parametrize("number", [float("nan"), float("inf")])

@@ -180,7 +180,10 @@ def sampled_of(name: str, sample: Callable[..., T], *arguments: Any) -> T:
             return sample(*arguments)
     except (TypeError, ValueError, RuntimeError, AttributeError, IndexError) as error:
         said = f"{type(error).__name__}: {' '.join(str(error).split()):.250}"
-        raise ValueError(f"{name}: must return a value for every strain and pressure, got {said}") from error
+        raise ValueError(
+            f"{name}: must return a value for every strain and pressure, by torch operations on tensors (torch.where, "
+            f"not if; torch.exp, not numpy's or math's), got {said}"
+        ) from error
 
 
 def _check_constant(actuator: Actuator, name: str, strain: Tensor, pressure: Tensor, force: Tensor) -> None:
@@ -209,7 +212,7 @@ def want_gradients(actuators: tuple[Actuator, ...], like: Tensor) -> bool:
     if not torch.is_grad_enabled():
         return False
     first = {id(model): index for index, model in reversed(list(enumerate(actuators)))}
-    return any(sampled_of(f"actuators[{a}].force", _wants_gradient, actuators[a], like) for a in first.values())
+    return any(sampled_of(f"actuators[{a}].force", _wants_gradient, actuators[a], like) for a in sorted(first.values()))
 
 
 def _wants_gradient(model: Actuator, like: Tensor) -> bool:

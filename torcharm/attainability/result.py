@@ -13,7 +13,7 @@ from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.attainability.questions import question
 from torcharm.attainability.reasons import UNDECIDED, missing, one_design, out_of_range
-from torcharm.attainability.verdict import VERDICTS, PoseTolerance, judge
+from torcharm.attainability.verdict import VERDICTS, PoseTolerance, judge, over_tolerance
 from torcharm.inputs import HoldsTensors
 from torcharm.task import Task
 from torcharm.wrench_sets.design_task_grid import segments_of
@@ -89,6 +89,12 @@ class Attainability(HoldsTensors):
         return None if self.prediction is None else self.prediction.shape_error
 
     @property
+    def over_tolerance(self) -> Tensor | None:
+        """The largest of the three errors, each over its tolerance: up to 1 all are within. It has no gradient."""
+        found = self.prediction
+        return None if found is None else over_tolerance(self.arm, found, self.tolerance).amax(0)
+
+    @property
     def pressure(self) -> Tensor | None:
         """(..., M) the pressure that reaches it [kPa]."""
         return None if self.prediction is None else self.prediction.pressure
@@ -149,18 +155,16 @@ class Attainability(HoldsTensors):
         return "; ".join(filter(None, (self._beyond_tolerance(index), cause, question(segments, twists, nodes))))
 
     def _beyond_tolerance(self, index: tuple[int, ...]) -> str:
-        """Which error of a prediction is beyond what is tolerated, the first of them."""
+        """Which error of a prediction is furthest beyond what is tolerated."""
         assert self.prediction is not None
-        lead = len(self.arm.batch_shape)
-        tip, shape = (float(value[index[:lead]]) for value in self.tolerance.lengths(self.arm))
-        found, turn = self.prediction, float(self.prediction.tip_rotation_error[index])
-        if float(found.tip_error[index]) > tip:
-            return f"tip off by {1e3 * float(found.tip_error[index]):.3g} mm"
-        if turn > self.tolerance.rotation:
-            return f"tip turned by {math.degrees(turn):.3g}°"
-        return (
-            f"shape off by {1e3 * float(found.shape_error[index]):.3g} mm" if found.shape_error[index] > shape else ""
+        found = self.prediction
+        over = over_tolerance(self.arm, found, self.tolerance).movedim(0, -1)[index]
+        said = (
+            f"tip off by {1e3 * float(found.tip_error[index]):.3g} mm",
+            f"tip turned by {math.degrees(float(found.tip_rotation_error[index])):.3g}°",
+            f"shape off by {1e3 * float(found.shape_error[index]):.3g} mm",
         )
+        return said[int(over.argmax())]
 
     @property
     def not_excluded(self) -> Tensor | None:

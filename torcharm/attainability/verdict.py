@@ -78,6 +78,18 @@ def neutral_length(arm: ArmDesign | ArmSeries) -> Tensor:
     return torch.stack(own).sum(0)
 
 
+def over_tolerance(arm: ArmDesign | ArmSeries, prediction: "PredictedError", tolerance: PoseTolerance) -> Tensor:
+    """(3, *design batch, *task batch) errors of the tip's place, its turn and the shape, each over its tolerance."""
+    tasks = prediction.tip_error.ndim - len(arm.batch_shape)
+    tip, shape = (value.reshape(value.shape + (1,) * tasks) for value in tolerance.lengths(arm))
+    found = (
+        prediction.tip_error / tip,
+        prediction.tip_rotation_error / tolerance.rotation,
+        prediction.shape_error / shape,
+    )
+    return torch.stack(found).detach()
+
+
 def judge(
     arm: ArmDesign | ArmSeries,
     prediction: "PredictedError",
@@ -94,10 +106,7 @@ def judge(
         in_range: whether the task's shape, the limits and the shape predicted lie in the characterised range.
         impossible: whether an actuator would have no length at the task's shape.
     """
-    tasks = prediction.tip_error.ndim - len(arm.batch_shape)
-    tip, shape = (value.reshape(value.shape + (1,) * tasks) for value in tolerance.lengths(arm))
-    close = (prediction.tip_error <= tip) & (prediction.shape_error <= shape)
-    close = close & (prediction.tip_rotation_error <= tolerance.rotation)
+    close = (over_tolerance(arm, prediction, tolerance) <= 1).all(0)
     found = torch.where(close, HELD, torch.where(prediction.at_minimum, MISSED, UNDECIDED))
     found = torch.where(prediction.stable & prediction.reached, found, UNDECIDED)
     found = torch.where(in_range, found, EXCLUDED)

@@ -3,13 +3,14 @@
 import json
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from torcharm.cli.tables import LONGEST_WORD, Column, print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
     check_drawable,
@@ -27,7 +28,6 @@ from torcharm.files import check_writable
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
     from torcharm.study import NamedTask, Study, StudyResult, Summary
 
@@ -135,11 +135,10 @@ def _report(console: "Console", plan: "Study", results: Sequence["StudyResult"],
         console.print()
         console.print(Text("Task ").append(task.name, style="bold").append(f", {nodes}, {loads}"))
         console.print()
-        console.print(_table(chosen, sums))
+        print_table(list(_columns(chosen, sums)))
         for result, summary in chosen:
             if summary.example is not None:
-                load, why = summary.example
-                console.print(f"{result.arm.name}, load {load}: {why}{'' if why.endswith('?') else '.'}")
+                console.print(f"{result.arm.name}{_why(summary, *summary.example)}")
     console.print()
     for line in _legend(plan, results, sums):
         console.print(line)
@@ -148,26 +147,24 @@ def _report(console: "Console", plan: "Study", results: Sequence["StudyResult"],
     console.print(f"{arms} on {tasks}: {evaluations} in {seconds:.2g} s.")
 
 
-def _table(rows: Sequence[tuple["StudyResult", "Summary"]], sums: bool) -> "Table":
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
-    columns = list(_columns(rows[0][1], sums))
-    table.add_column("arm", overflow="fold", max_width=24)
-    for title in columns:
-        table.add_column(title, justify="right", no_wrap=True)
-    predicted = rows[0][1].verdicts is not None
-    if predicted:
-        table.add_column("not held", overflow="fold")
-    for result, summary in rows:
-        cells = list(_columns(summary, sums).values())
-        table.add_row(Text(result.arm.name), *cells, *([_not_held(summary)] if predicted else []))
-    return table
+def _why(summary: "Summary", load: int, verdict: str, why: str) -> str:
+    """The sentence on the load that stands for those not held, after the arm's name."""
+    alike = 0 if summary.verdicts is None else summary.verdicts[verdict]
+    which = f", the furthest off of {alike} {verdict}" if alike > 1 else ""
+    about = f", load {load} of {summary.loads}{which}" if summary.loads > 1 else ""
+    return f"{about}: {why}{'' if why.endswith('?') else '.'}"
 
 
-def _columns(summary: "Summary", sums: bool) -> dict[str, str]:
+def _columns(rows: Sequence[tuple["StudyResult", "Summary"]], sums: bool) -> Iterator[Column]:
+    yield Column("arm", [result.arm.name for result, _ in rows], LONGEST_WORD)
+    found = [_cells(summary, sums) for _, summary in rows]
+    for title in found[0]:
+        if title == "not held" and all(cells[title] == "-" for cells in found):
+            continue
+        yield Column(title, [cells[title] for cells in found], LONGEST_WORD if title == "not held" else 0)
+
+
+def _cells(summary: "Summary", sums: bool) -> dict[str, str]:
     """The cells of a row by their titles; medians over loads."""
     median, cells = summary.median, {}
     if summary.verdicts is not None:
@@ -180,6 +177,8 @@ def _columns(summary: "Summary", sums: bool) -> dict[str, str]:
     if summary.not_excluded is not None:
         worst = "-" if summary.worst_node is None else f"{summary.worst_node}: {summary.worst_miss:.2g}"
         cells["worst node:\nlacks [N]"] = worst
+    if summary.verdicts is not None:
+        cells["not held"] = _not_held(summary.verdicts)
     if sums or summary.verdicts is None:
         cells |= {f"{name}\nsum [N]": _number(median[name]) for name in ("absolute", "relative") if name in median}
     return cells
@@ -187,12 +186,13 @@ def _columns(summary: "Summary", sums: bool) -> dict[str, str]:
 
 def _number(value: float) -> str:
     """Three digits, and no exponent where none is needed."""
+    if 0 < value < 1e-3:
+        return "<0.001"
     return f"{value:.0f}" if 100 <= value < 1e5 else f"{value:.3g}"
 
 
-def _not_held(summary: "Summary") -> str:
-    assert summary.verdicts is not None
-    return ", ".join(f"{number} {word}" for word, number in summary.verdicts.items() if word != "held") or "-"
+def _not_held(verdicts: Mapping[str, int]) -> str:
+    return ",\n".join(f"{number} {word}" for word, number in verdicts.items() if word != "held") or "-"
 
 
 def _legend(plan: "Study", results: Sequence["StudyResult"], sums: bool) -> Iterator[str]:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from torcharm.cli.tables import Column, print_table
 from torcharm.cli.terminal import FIGURE_FORMATS, check_outputs, count, mistakes, open_console, save_all, say
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
     from torcharm.actuators.alignment import Recording
     from torcharm.actuators.characterisation import FittedActuator
@@ -131,7 +131,7 @@ def _warnings_on_stderr() -> Iterator[None]:
 def _report(console: "Console", model: "FittedActuator", recording: "Recording") -> None:
     quality = model.quality
     assert quality is not None
-    console.print(_coefficients(model))
+    print_table(_coefficients(model))
     console.print()
     lines = [f"R² {quality.r_squared:.5f}, RMSE {quality.rmse:.3g} N, {count(quality.samples, 'sample')}"]
     lines += [
@@ -154,15 +154,11 @@ def _report(console: "Console", model: "FittedActuator", recording: "Recording")
         say(console, line)
 
 
-def _coefficients(model: "FittedActuator") -> "Table":
-    from rich import box
-    from rich.table import Table
-
+def _coefficients(model: "FittedActuator") -> list[Column]:
     assert model.quality is not None
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
-    for heading in ("term", "coefficient", "standard error"):
-        table.add_column(heading, justify="left" if heading == "term" else "right")
-    for (i, j, value), error in zip(model.coefficients, model.quality.standard_errors, strict=True):
-        term = " ".join(f"{name}{'' if power == 1 else f'^{power}'}" for name, power in (("ε", i), ("p", j)) if power)
-        table.add_row(term, f"{value:.5g}", f"{error:.2g}")
-    return table
+    terms, values, errors = [], [], [f"{error:.2g}" for error in model.quality.standard_errors]
+    for i, j, value in model.coefficients:
+        powers = (("ε", i), ("p", j))
+        terms.append(" ".join(f"{name}{'' if power == 1 else f'^{power}'}" for name, power in powers if power))
+        values.append(f"{value:.5g}")
+    return [Column("term", terms, 24), Column("coefficient", values), Column("standard error", errors)]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from torcharm.cli.tables import LONGEST_WORD, Column, print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
     check_ending,
@@ -27,8 +28,6 @@ from torcharm.cli.terminal import (
 from torcharm.files import check_writable, plain_cell
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from torcharm.design import Objective, OptimisedDesign, Progress
     from torcharm.study import NamedArm, Study
 
@@ -67,20 +66,33 @@ def optimise(
         for option, path in (("--figure", figure), ("--checkpoint", checkpoint)):
             for one in numbered(path, len(plan.arms)):
                 check_writable(one, option)
-        results, interrupted = _optimise(plan, numbered(checkpoint, len(plan.arms)))
+        results: list[tuple[NamedArm, OptimisedDesign]] = []
+        refused: dict[str, list[str]] = {}
+        try:
+            _optimise(plan, numbered(checkpoint, len(plan.arms)), results, refused)
+        except KeyboardInterrupt:  # what is finished is shown and written all the same
+            interrupted = True
+        else:
+            interrupted = any(result.stopped == "interrupted" for _, result in results)
         if results:
             _tell(results)
-        save_all(open_console(), _outputs(results, out, numbered(figure, len(plan.arms))))
+        save_all(open_console(), _outputs(plan, results, out, numbered(figure, len(plan.arms))))
         if interrupted:
             raise KeyboardInterrupt
+        if refused:
+            raise ValueError("; ".join(f"{', '.join(names)}: {message}" for message, names in refused.items()))
 
 
-def _optimise(plan: "Study", checkpoints: Sequence[Path]) -> "tuple[Found, bool]":
-    """The arms in their order, up to the one at which Ctrl-C came, and whether it did."""
+def _optimise(
+    plan: "Study",
+    checkpoints: Sequence[Path],
+    results: list[tuple["NamedArm", "OptimisedDesign"]],
+    refused: dict[str, list[str]],
+) -> None:
+    """Append to `results` what is found of the arms, in their order; arms that are refused by why they are."""
     from torcharm.design import optimise_design
 
     how = plan.optimisation
-    results: list[tuple[NamedArm, OptimisedDesign]] = []
     with progress("optimising", how.starts * len(plan.arms)) as move, _warnings_in_a_line():
         for index, arm in enumerate(plan.arms):
             options: dict[str, Any] = {"starts": how.starts, "seed": how.seed, "iterations": how.iterations}
@@ -89,13 +101,13 @@ def _optimise(plan: "Study", checkpoints: Sequence[Path]) -> "tuple[Found, bool]
             try:
                 tasks = [named.task for named in plan.tasks_of(arm)]
                 result = optimise_design(arm.design, tasks, how.space, how.objective, **options)
-            except KeyboardInterrupt:  # before or after its descents
-                return results, True
+            except ValueError as error:  # costs this arm alone
+                refused.setdefault(str(error), []).append(arm.name)
+                continue
             results.append((arm, result))
             if result.stopped == "interrupted":
-                return results, True
+                return
             move(to=(index + 1) * how.starts)
-    return results, False
 
 
 def _move(move: Callable[..., None], name: str, before: int, objective: "Objective", done: "Progress") -> None:
@@ -113,16 +125,26 @@ def _check_checkpoint(study: Path, out: Path | None, figure: Path | None, checkp
 
 def _tell(results: Found) -> None:
     from torcharm.design.result import objective_words
+    from torcharm.design.space import LEAST_SPACING
 
     console = open_console()
-    console.print(_errors_table(results))
+    print_table(_errors(results))
     console.print()
-    console.print(_designs_table(results))
+    print_table(_designs(results), lead=2)
     console.print()
     first = results[0][1]
     words, tasks = objective_words(first.objective), count(len(first.after.stable), "task")
     unit = "mm" if first.objective.unit == "m" else "N"
-    say(console, f"Value: {words} [{unit}], of {tasks}. Tip: mean predicted error [mm].")
+    say(console, f"Value: {words} [{unit}], of {tasks}. Tip: mean predicted tip error [mm].")
+    if first.objective.metric == "predicted_error":
+        if not all(bool(side.stable.all()) for _, result in results for side in (result.before, result.after)):
+            say(console, "A task without a stable equilibrium counts as its length in the value, and not in the tip's.")
+        over = words.split()[0]
+        say(console, f"Where a pressure search is named, its numbers are the {over} shape error that it reaches [mm].")
+    space = first.space
+    if space.spacing is None and "radii" in space.free:  # arms of studies have no diameters
+        near = f"{1e3 * LEAST_SPACING:g} mm"
+        say(console, f"Actuators may come as close as {near}, axis to axis: set optimise.spacing to their width.")
     for arm, result in results:
         say(console, f"{arm.name}: {result.status}.")
         if result.violated and result.best is not result.given:
@@ -132,13 +154,15 @@ def _tell(results: Found) -> None:
 
 
 def _outputs(
-    results: Found, out: Path | None, figures: Sequence[Path]
+    plan: "Study", results: Found, out: Path | None, figures: Sequence[Path]
 ) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
     if out is not None and results:
         yield out, lambda path: _write(path, results, out.suffix.lower()), "."
-    for place, (arm, result) in zip(figures, results, strict=False):
+    places = dict(zip((arm.name for arm in plan.arms), figures, strict=False))
+    for arm, result in results if figures else ():
         from torcharm.plot import optimisation_figure
 
+        place = places[arm.name]
         yield place, optimisation_figure(result, arm.name).savefig, f" ({arm.name})."
 
 
@@ -193,49 +217,35 @@ def _values(result: "OptimisedDesign", results: Found) -> Iterator[tuple[list[fl
     return zip(given, best, strict=True)
 
 
-def _errors_table(results: Found) -> "Table":
-    from rich.text import Text
-
-    table = _new_table("arm")
-    for name in ("value\ngiven", "value\nbest", "tip\ngiven", "tip\nbest"):
-        table.add_column(name, justify="right", no_wrap=True)
-    for arm, result in results:
-        scale = 1e3 if result.objective.unit == "m" else 1.0
-        table.add_row(
-            Text(arm.name),
-            *(f"{scale * value:.4g}" for value in (result.given_value, result.value)),
-            *(f"{side.tip_mm:.4g}" for side in (result.before, result.after)),
-        )
-    return table
+def _errors(results: Found) -> list[Column]:
+    columns = [Column("arm", [arm.name for arm, _ in results], LONGEST_WORD)]
+    for name in ("given", "best"):
+        values = [
+            (1e3 if result.objective.unit == "m" else 1.0) * (result.value if name == "best" else result.given_value)
+            for _, result in results
+        ]
+        columns.append(Column(f"value\n{name}", [f"{value:.4g}" for value in values]))
+    for name in ("given", "best"):
+        sides = [result.after if name == "best" else result.before for _, result in results]
+        columns.append(Column(f"tip\n{name}", [f"{side.tip_mm:.4g}" for side in sides]))
+    return columns
 
 
-def _designs_table(results: Found) -> "Table":
+def _designs(results: Found) -> list[Column]:
     """A row for each actuator: what it was and is."""
-    from rich.text import Text
-
     shown = {"m": (1e3, "mm"), "rad": (180 / math.pi, "°"), "kPa": (1.0, "kPa")}
-    table, fields = _new_table("arm"), _fields(results)
-    table.add_column("actuator", overflow="fold", max_width=16)
+    fields = _fields(results)
     in_space = len(fields) > 3
-    for name, unit, _ in fields:
-        heading = name.replace("max_pressure", "limit")
-        gap = "\n" if in_space else " "  # so that four columns fit
-        table.add_column(f"{heading}{gap}[{shown[unit][1]}]", justify="right", no_wrap=True)
+    rows = []
     for arm, result in results:
         for index, pair in enumerate(_values(result, results)):
             cells = []
             for old, new, (_, unit, _) in zip(*pair, fields, strict=True):
                 scale = shown[unit][0]
                 cells.append(f"{scale * old:.{1 - in_space}f} → {scale * new:.{1 - in_space}f}")
-            model = f"{index + 1} {type(result.best.actuators[index]).__name__}"
-            table.add_row(Text("" if index else arm.name), Text(model), *cells)
-    return table
-
-
-def _new_table(first: str) -> "Table":
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
-    table.add_column(first, overflow="fold", max_width=20)
-    return table
+            model = type(result.best.actuators[index]).__name__
+            rows.append(("" if index else arm.name, f"{index + 1} {model}", *cells))
+    names, models, *numbers = zip(*rows, strict=True)
+    gap = "\n" if in_space else " "  # so that four columns fit
+    titles = [f"{name.replace('max_pressure', 'limit')}{gap}[{shown[unit][1]}]" for name, unit, _ in fields]
+    return [Column("arm", names, 20), Column("actuator", models, 16), *map(Column, titles, numbers)]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from torcharm.cli.tables import Column, print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
     check_ending,
@@ -24,8 +25,6 @@ from torcharm.cli.terminal import (
 from torcharm.files import check_writable, plain_cell
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from torcharm.design.shape_planning import PlannedShape
     from torcharm.study import NamedArm, Study
     from torcharm.study.data import NamedPlan
@@ -111,7 +110,7 @@ def _tell(found: Sequence[Found]) -> None:
     console = open_console()
     if not found:
         return
-    console.print(_table(found))
+    print_table(_columns(found))
     console.print()
     for one in found:
         if not one[-1].found:
@@ -147,28 +146,23 @@ def _draw(path: Path, found: Sequence[Found]) -> None:
     drawn.savefig(path)
 
 
-def _table(found: Sequence[Found]) -> "Table":
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
-    table.add_column("plan,\narm", overflow="fold", max_width=30)
-    for heading in ("cost", "tip off\n[mm]", "absolute\nrelative", "lengths\n[m]", "bends\n[rad]"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("verdict", overflow="fold", max_width=12)
-    for wanted, arm, shape in found:
-        result, name = shape.attainability, Text(f"{wanted.name},\n{arm.name}")
+def _columns(found: Sequence[Found]) -> list[Column]:
+    titles = ("cost", "tip off\n[mm]", "absolute\nrelative", "lengths\n[m]", "bends\n[rad]")
+    rows = []
+    for *_, shape in found:
+        result = shape.attainability
         if result is None:
-            table.add_row(name, *["-"] * 5, "no shape" if shape.status.startswith("no") else "refused")
+            rows.append((*["-"] * 5, "no shape" if shape.status.startswith("no") else "refused"))
             continue
         sums = ["-" if value is None else f"{float(value):.4g}" for value in (result.absolute, result.relative)]
         twists = shape.twists
         bends = twists[:, 2] if twists.shape[-1] == 3 else twists[:, 4:].norm(dim=-1)
         spans = [f"{float(column.min()):.3f}\n{float(column.max()):.3f}" for column in (twists[:, 0], bends)]
         off = "-" if result.tip_error is None else f"{1e3 * float(result.tip_error):.3g}"
-        table.add_row(name, f"{shape.cost:.4g}", off, "\n".join(sums), *spans, str(result.verdict))
-    return table
+        rows.append((f"{shape.cost:.4g}", off, "\n".join(sums), *spans, str(result.verdict)))
+    *numbers, verdicts = zip(*rows, strict=True)
+    names = Column("plan,\narm", [f"{wanted.name},\n{arm.name}" for wanted, arm, _ in found], 30)
+    return [names, *map(Column, titles, numbers), Column("verdict", verdicts, 12)]
 
 
 def _write(path: Path, found: Sequence[Found]) -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from torcharm.cli.tables import LONGEST_WORD, Column, print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
     check_drawable,
@@ -28,8 +29,6 @@ from torcharm.cli.terminal import (
 from torcharm.files import atomic_write, check_writable, is_stream, plain_cell
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from torcharm.pressure.search import PressureSearch
     from torcharm.study import NamedArm, NamedTask
 
@@ -135,7 +134,7 @@ def _report(task: "NamedTask", found: "Found") -> None:
     loads = count(math.prod(task.task.batch_shape), "load")
     say(console, f"Task {task.name}, {count(task.task.nodes, 'node')}, {loads}")
     console.print()
-    console.print(_table(found))
+    print_table(_columns(found))
     console.print()
     for arm, result in found:
         failed = int(result.cost.isinf().sum())
@@ -271,16 +270,10 @@ def _rows(arm: "NamedArm", task: "NamedTask", first: int, found: "PressureSearch
         ]
 
 
-def _table(found: "Found") -> "Table":
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
-    table.add_column("arm", overflow="fold", max_width=24)
-    for heading in ("cost\nmedian", "cost\nlargest", "tip [mm]\nmedian", "converged", "snapped", "out of\nrange"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for arm, result in found:
+def _columns(found: "Found") -> list[Column]:
+    titles = ("cost\nmedian", "cost\nlargest", "tip [mm]\nmedian", "converged", "snapped", "out of\nrange")
+    rows = []
+    for _, result in found:
         cost, known = result.cost, result.cost.isfinite()
         best, near = cost[known], result.tip_error[known]
         measured = (best.quantile(0.5), best.max(), 1e3 * near.quantile(0.5)) if len(best) else ()
@@ -290,5 +283,6 @@ def _table(found: "Found") -> "Table":
             str(int((known & ~result.continued).sum())),
             str(int((known & ~result.in_range).sum())),
         )
-        table.add_row(Text(arm.name), *cells)
-    return table
+        rows.append(cells)
+    names = Column("arm", [arm.name for arm, _ in found], LONGEST_WORD)
+    return [names, *map(Column, titles, zip(*rows, strict=True))]

@@ -1,5 +1,6 @@
 """`torcharm shape`: the shape an arm takes at a pressure, under a load."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,9 +16,14 @@ if TYPE_CHECKING:
 
 
 def shape(
-    pressure: Annotated[str, typer.Option("--pressure", help="Of each actuator, in kPa: 20,10,0,5.")],
+    pressure: Annotated[
+        str, typer.Option("--pressure", help="Of each actuator: 20,10,0,5 [kPa], or '0.2 bar,3 psi,0,5'.")
+    ],
     load: Annotated[
-        str, typer.Option("--load", help="At the tip: force x, force y [N], moment [N·m]; in space six.")
+        str,
+        typer.Option(
+            "--load", help="At the tip: force x, force y [N], moment [N·m]; in space six; or '-200 gf', '30 N mm'."
+        ),
     ] = "0",
     study: Annotated[
         Path | None, typer.Option("--study", help="Take the arm from a study.", show_default="the paper's")
@@ -38,12 +44,13 @@ def shape(
         from torcharm.equilibrium import solve_equilibrium
         from torcharm.load import ExternalLoad
         from torcharm.study import load_study, paper_study
+        from torcharm.study.units import FORCE, MOMENT, PRESSURE
 
         plan = paper_study() if study is None else load_study(study)
         chosen = _arm(plan.arms, arm)
-        pressures = _numbers("--pressure", pressure, chosen.design.actuator_count)
-        components = 3 if chosen.design.dimension == 2 else 6
-        wrench = [0.0] * components if load == "0" else _numbers("--load", load, components)
+        pressures = _numbers("--pressure", pressure, [PRESSURE] * chosen.design.actuator_count)
+        units = (FORCE, FORCE, MOMENT) if chosen.design.dimension == 2 else (FORCE,) * 3 + (MOMENT,) * 3
+        wrench = [0.0] * len(units) if load == "0" else _numbers("--load", load, units)
         whole = ExternalLoad(wrench, gravity)
         found = solve_equilibrium(chosen.design, pressures, whole, nodes)
         if not bool(found.converged):
@@ -90,14 +97,13 @@ def _arm(arms: "tuple[NamedArm, ...]", name: str | None) -> "NamedArm":
     raise ValueError(f"--arm: must be one of {', '.join(arm.name for arm in arms)}, got {name}")
 
 
-def _numbers(option: str, text: str, size: int) -> list[float]:
+def _numbers(option: str, text: str, units: Sequence[dict[str, float]]) -> list[float]:
+    from torcharm.study.units import numbers_in
+
     try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != size:
-        raise ValueError(f"{option}: must be {size} numbers with commas between them, got {text}")
-    return numbers
+        return numbers_in(text, units)
+    except ValueError as error:
+        raise ValueError(f"{option}: {error}") from None
 
 
 def _draw(path: Path, arm: "NamedArm", twists: "Tensor", load: "ExternalLoad", nodes: int) -> None:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.attainability import Attainability, evaluate
+from torcharm.design.nearest_shape import miss_in_words, nearest_shape
 from torcharm.design.objective import Objective, task_values
 from torcharm.design.space import Array
 from torcharm.equilibrium.solve import whole_load
@@ -162,6 +163,7 @@ def _problem(
         if value.shape != shape:
             raise ValueError(f"{name}: must have shape {shape} for this arm, got {tuple(value.shape)}")
         check_finite(name, value)
+        rod.check_rigid(name, value)
     if not isinstance(load, ExternalLoad):
         load, _ = as_floating(load=load, arm=arm.radii)
     whole = whole_load(load, columns, arm.radii)
@@ -173,7 +175,15 @@ def _problem(
 def _no_shape(problem: "_TipProblem") -> PlannedShape:
     none = torch.full((problem.nodes, problem.columns), torch.nan).to(problem.arm.radii)
     ranges = "" if problem.strains is None else " with all strains in the actuators' characterised range"
-    words = f"no shape: none of {problem.nodes} elements was found that meets the tip pose{ranges}"
+    start = _arc(problem, float(problem.arm.length.mean()))
+    place = (lambda pose: pose[:2]) if problem.columns == 3 else se3.position
+    away = float((place(problem.goal) - place(problem.base)).norm())
+    near, advice = nearest_shape(problem.tip_miss, problem.tip_jacobian, problem.strains, start, problem.nodes, away)
+    length, neutral = LENGTH_UNIT * near[: problem.nodes].mean(), float(problem.arm.length.mean())
+    words = (
+        f"no shape: none of {problem.nodes} elements was found that meets the tip pose{ranges}; the nearest, of length "
+        f"{length:.3g} m (actuators: {neutral:.3g} m), misses it by {miss_in_words(problem.tip_miss(near))}: {advice}"
+    )
     return PlannedShape(words, none, math.nan, math.nan, None)
 
 

@@ -50,7 +50,7 @@ class DesignSpace:
         bounds: for each free field (lowest, highest), as numbers or one number for each actuator [m, rad, m, kPa].
             Without them: radii within ±0.1 m, in space up to 0.1 m (or what the given arm has), angles within half a
             turn of the given ones, lengths from half to one and a half times the given ones, limits from 0 to the
-            models' `max_pressure`.
+            given ones: what a pump cannot give is not asked of it.
         spacing: least distance between the centres of two actuators of a segment [m]; None takes what the arm's
             diameters need, or 5 mm where they are not known. In the plane actuators stay in their given order.
         in_range: whether strains on all task shapes, and limits, stay in the models' characterised range.
@@ -189,13 +189,12 @@ def free_values(space: DesignSpace, arm: Arm) -> FreeValues:
 def _bounds(space: DesignSpace, name: str, segment: ArmDesign, values: Array) -> tuple[Array, Array]:
     """Lowest and highest (M,) of one field of a segment."""
     count, planar = segment.actuator_count, segment.dimension == 2
-    highest = np.array([float(model.max_pressure) for model in segment.actuators])
     farthest = np.full(count, max(FARTHEST, float(np.abs(values).max())))
     default = {
         "radii": (-farthest if planar else np.zeros(count), farthest),
         "angles": (values.min(0) - np.pi, values.max(0) + np.pi),
         "length": (0.5 * values.min(0), 1.5 * values.max(0)),
-        "max_pressure": (np.zeros(count), np.maximum(highest, values.max(0))),
+        "max_pressure": (np.zeros(count), values.max(0)),
     }[name]
     given = space.bounds.get(name)
     try:

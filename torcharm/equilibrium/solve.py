@@ -24,7 +24,7 @@ from torcharm.equilibrium.gradient import with_gradients
 from torcharm.equilibrium.problem import Problem
 from torcharm.equilibrium.stability import buckles_in_torsion, lengths_positive, stays, strain_excess
 from torcharm.geometry import rod
-from torcharm.geometry.rod import as_base, goes_by_name, group_of
+from torcharm.geometry.rod import as_base, check_rigid, goes_by_name, group_of
 from torcharm.inputs import (
     HoldsTensors,
     TensorLike,
@@ -272,6 +272,7 @@ def _checked(
     check_at_least("pressure", pressure, 0.0, unit="kPa")
     check_tensor("base_pose", base, *group.POSE_SHAPE)
     check_finite("base_pose", base)
+    check_rigid("base_pose", base)
     if start is not None:
         check_tensor("start", start, sum(counts), columns)
         check_finite("start", start)

@@ -21,6 +21,9 @@ HEADINGS = {"hanging": -math.pi / 2, "upright": math.pi / 2, "horizontal": 0.0}
 HANGING = "hanging"
 BASE_POSE = (0.0, 0.0, HEADINGS[HANGING])
 """Of a planar arm that hangs from the origin."""
+_RIGID = 1e-6
+"""How far a matrix may be from a rotation, by the entries of RᵀR - 1: what single precision rounds to, and less than
+any typing error."""
 
 
 def group_of(columns: int) -> ModuleType:
@@ -31,6 +34,20 @@ def group_of(columns: int) -> ModuleType:
 def goes_by_name(base_pose: object) -> bool:
     """Whether a base pose is one of `HEADINGS`, or None, which is one, too."""
     return base_pose is None or isinstance(base_pose, str)
+
+
+def check_rigid(name: str, pose: Tensor) -> None:
+    """Raise a ValueError unless poses (..., 3) or (..., 4, 4) in space are homogeneous matrices of rotations."""
+    if pose.shape[-2:] != (4, 4):
+        return
+    rotation = pose[..., :3, :3].detach()
+    off = (rotation.mT @ rotation - torch.eye(3).to(pose)).abs()
+    last = (pose[..., 3, :].detach() - pose.new_tensor((0.0, 0.0, 0.0, 1.0))).abs()
+    if bool((off > _RIGID).any() or (last > _RIGID).any() or (torch.linalg.det(rotation) < 0).any()):
+        raise ValueError(
+            f"{name}: must be a homogeneous matrix, a rotation and a position above a row (0, 0, 0, 1), "
+            f"got {shown(pose.detach().tolist())}"
+        )
 
 
 def as_base(base_pose: Any, like: Tensor, columns: int) -> Any:

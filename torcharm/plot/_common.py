@@ -108,6 +108,11 @@ def node_index(task: Task, node: int | Tensor) -> int:
     return index
 
 
+def legend_below(axes: Axes, below: float) -> None:
+    """The legend where it covers nothing: so far below the axes, as a share of their height."""
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, below), ncols=3, fontsize="small", frameon=False)
+
+
 def axes_or_new(ax: Axes | None, projection: str = "rectilinear") -> Any:
     """The axes given, if they have the projection, or new ones."""
     if ax is None:

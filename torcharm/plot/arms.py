@@ -22,6 +22,7 @@ from torcharm.plot._common import (
     fine_poses,
     first_shape,
     kind_of,
+    legend_below,
     one_design,
     one_shape,
 )
@@ -55,7 +56,7 @@ def arm_shape(
     task, axes = first_shape(task)[0], axes_or_new(ax)
     draw_arm(axes, arm, task)
     draw_loads(axes, task, np.full(1, tip_load is not None), ATTAINABLE, width=0.008)
-    axes.legend(loc="best")
+    legend_below(axes, -0.12)
     return axes
 
 
@@ -73,12 +74,12 @@ def task_shape(task: Task, *, ax: Axes | None = None) -> Axes:
     line = fine_poses(task)[:, :2]
     axes.plot(*line.T, color="black", linewidth=3, marker="s", markevery=[0], markersize=10, label="centreline, base")
     draw_loads(axes, task, np.ones(len(task.tip_load), bool), "#E69F00", width=0.003)
-    axes.legend(loc="best")
+    legend_below(axes, -0.12)
     return axes
 
 
-def draw_arm(axes: Axes, arm: ArmDesign, task: Task) -> None:
-    """Base plate, actuators and centreline."""
+def draw_arm(axes: Axes, arm: ArmDesign, task: Task, *, reached: bool = False) -> None:
+    """Base plate, actuators and centreline, at a task's shape or at one that is reached."""
     line, radii = fine_poses(task), array(arm.radii)
     offset = torch.as_tensor(np.stack((0 * radii, radii, 0 * radii), -1))  # poses in the centreline's frame
     own = se2.compose(torch.as_tensor(line).unsqueeze(1), offset.expand(len(line), -1, -1)).numpy()
@@ -87,10 +88,20 @@ def draw_arm(axes: Axes, arm: ArmDesign, task: Task) -> None:
         colour, width = KIND_STYLES[kind]
         label = f"{kind} ({kinds.count(kind)})" if index == kinds.index(kind) else None
         axes.plot(*own[:, index, :2].T, color=colour, linewidth=width, solid_capstyle="butt", label=label, gid=kind)
-    axes.plot(*line[:, :2].T, color="black", linewidth=1, linestyle="-.", label="centreline")
+    if reached:
+        draw_reached(axes, task.twists, task.base_pose, "reached")
+    else:
+        axes.plot(*line[:, :2].T, color="black", linewidth=1, linestyle="-.", label="centreline")
     half = 1.25 * max(np.abs(radii).max(), 0.01)
     plate = line[0, :2] + half * np.array([[-1], [1]]) * (-np.sin(line[0, 2]), np.cos(line[0, 2]))
     axes.plot(*plate.T, color="black", linewidth=7, solid_capstyle="butt", label="base")
+
+
+def draw_task(axes: Axes, task: Task) -> None:
+    """The centreline that an arm should have, thin, with its tip, where the arm itself is drawn elsewhere."""
+    line = fine_poses(task)[:, :2]
+    axes.plot(*line.T, color=ATTAINABLE, linewidth=1, linestyle="-.", label="shape of the task", gid="task")
+    axes.plot(*line[-1], "o", color=ATTAINABLE, label="its tip", zorder=4)
 
 
 def draw_reached(axes: Axes, twists: Tensor, base_pose: TensorLike | str, label: str) -> None:

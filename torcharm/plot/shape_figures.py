@@ -15,7 +15,7 @@ from torcharm.design.shape_planning import PlannedShape
 from torcharm.geometry import rod
 from torcharm.inputs import TensorLike
 from torcharm.plot._common import ATTAINABLE, Array, Mask, array, first_shape, one_design
-from torcharm.plot.arms import draw_arm, draw_loads, draw_reached
+from torcharm.plot.arms import draw_arm, draw_loads, draw_reached, draw_task
 from torcharm.plot.space import arm_in_space, search_figure_in_space
 from torcharm.pressure.search import PressureSearch
 from torcharm.task import Task
@@ -37,7 +37,7 @@ def search_figure(
 ) -> Figure:
     """One page that shows how near a pressure search brings arms to a task, for `figure.savefig(path)`.
 
-    A row for each arm; in it the arm at the task's shape, and where it gets to, under the loads of least, median and
+    A row for each arm; in it the arm where it gets to, and the task's centreline, under the loads of least, median and
     largest tip error. Loads under which no equilibrium was found are left out, and counted. Of several shapes the first
     is drawn. In space each arm is drawn under the load of median error.
 
@@ -62,7 +62,7 @@ def search_figure(
     grid: Any = figure.subplots(len(results), len(ranks), squeeze=False)
     for row, (name, arm, found), error in zip(grid, results, errors, strict=True):
         _draw_row(row, name, one_design(name, arm), first, found, error)
-    _share(figure, grid, "shape of the task")
+    _share(figure, grid)
     return figure
 
 
@@ -87,9 +87,10 @@ def _draw_row(row: Any, name: str, arm: ArmDesign, first: Task, found: PressureS
         axes.set_axis_off()
     for axes, rank in zip(row, ranks, strict=False):
         load = int(chosen[rank])
-        draw_arm(axes, arm, first)
-        _draw_load(axes, first, load)
-        draw_reached(axes, twists[load], first.base_pose, "reached")
+        at = Task(twists[load], first.tip_load, first.base_pose)
+        draw_arm(axes, arm, at, reached=True)
+        draw_task(axes, first)
+        _draw_load(axes, at, load)
         off = f"tip off by {1e3 * error[load]:.3g} mm, turned by {turned[load]:.3g}°"
         axes.set_title(f"{name}: {_which(rank, len(ranked), lost)}\n{off}\n{_load(first, load)}", fontsize="medium")
     if not len(ranked):
@@ -204,7 +205,7 @@ def _draw_plate(axes: Axes, pose: TensorLike | str, width: float, label: str) ->
     axes.plot(*np.transpose(line), color="black", linewidth=width, solid_capstyle="butt", zorder=4, label=label)
 
 
-def _share(figure: Figure, grid: Any, centreline: str) -> None:
+def _share(figure: Figure, grid: Any, centreline: str = "centreline") -> None:
     """The same limits in all panels, and one legend below; what differs stands in their titles."""
     shown = [axes for axes in grid.ravel() if axes.axison]
     whole = Bbox.union([axes.dataLim for axes in shown] or [Bbox.unit()])

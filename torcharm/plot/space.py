@@ -28,6 +28,7 @@ from torcharm.plot._common import (
     array,
     axes_or_new,
     kind_of,
+    legend_below,
     node_index,
 )
 from torcharm.plot.hulls import draw_required
@@ -92,7 +93,7 @@ def arm_in_space(
         drawn.append(goal)
     drawn.append(_draw_forces(axes, task.load, lines, tip))
     _limit(axes, np.concatenate(drawn), 0.06)
-    axes.legend(loc="upper left", fontsize="small")
+    legend_below(axes, 0.0)
     return axes
 
 
@@ -148,7 +149,7 @@ def node_hull_in_space(
     room = np.maximum(0.05 * (high - low), 1e-3)
     limits = [tuple(ends) for ends in np.stack((low - room, high + room), -1)]
     axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
-    axes.set_box_aspect(None, zoom=0.9)
+    axes.set_box_aspect(None, zoom=0.82)
     axes.set(
         xlabel=HULL_LABELS[0],
         ylabel=HULL_LABELS[1],
@@ -286,9 +287,11 @@ def _limit(axes: Any, points: Array, room: float) -> None:
     low, high = points.min(0) - room, points.max(0) + room
     axes.set(xlim=(low[0], high[0]), ylim=(high[2], low[2]), zlim=(low[1], high[1]))
     axes.set(xlabel="x [m]", ylabel="z [m]", zlabel="y [m]")
-    for axis, size in zip((axes.xaxis, axes.yaxis), (high - low)[[0, 2]], strict=True):
-        axis.set_major_locator(MaxNLocator(int(np.clip(10 * size / (high - low).max(), 2, 8))))
-    axes.set_box_aspect((high - low)[[0, 2, 1]])
+    axes.set_box_aspect((high - low)[[0, 2, 1]], zoom=0.82)
+    for axis, span in zip((axes.xaxis, axes.yaxis, axes.zaxis), (high - low)[[0, 2, 1]], strict=True):
+        # A short axis has no room for as many numbers as a long one, and its name lies beyond them.
+        axis.set_major_locator(MaxNLocator(max(1, round(5 * span / (high - low).max()) - 1), steps=(1, 2, 5, 10)))
+        axis.labelpad = 8
 
 
 @torch.no_grad()

@@ -1,12 +1,13 @@
 """One page that compares arms on a task: how far off they are first, then the arms, then why."""
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from math import prod
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
@@ -28,7 +29,7 @@ from torcharm.plot.space import arm_in_space, one_task
 from torcharm.task import Task
 
 LEAST = 0.01
-"""What is off by less [mm or N] is drawn there: a logarithmic axis has no zero."""
+"""What is off by less [tolerances or N] is drawn there: a logarithmic axis has no zero."""
 
 
 def study_figure(
@@ -42,11 +43,12 @@ def study_figure(
 ) -> Figure:
     """One page that compares arms on one task, for `figure.savefig(path)`.
 
-    On top how far off each arm's tip is, a mark for each task by its verdict; where no error was predicted, what the
-    nodes lack in sum. Below a column for each arm: the arm at the shape with the loads on it, and where it is
-    predicted to be under the load with the median error; and the attainable sets of the base and of the node that
-    lacks most, with what the loads require. Of several shapes the first is drawn. In space the column shows the arm
-    under the load with the median error, and what its nodes lack.
+    On top how far off each arm is: the largest of the errors of tip, turn and shape, each over its tolerance, with a
+    mark for each task by its verdict; where no error was predicted, what the nodes lack in sum. Below a column for each
+    arm: the arm at the shape with the loads on it, and where it is predicted to be under the load with the median
+    error; and the attainable sets of the base and of the node that lacks most, with what the loads require. Of several
+    shapes the first is drawn. In space the column shows the arm under the load with the median error, and what its
+    nodes lack.
 
     Args:
         results: names and designs.
@@ -73,7 +75,7 @@ def study_figure(
     panels = list(rows[2].subplots(1, 2 * columns, squeeze=False)[0])
     for column, (name, arm) in enumerate(arms.items()):
         found, axes = evaluated[column], rows[1].add_subplot(1, columns, column + 1)
-        axes.set_title(f"{name}: {_counts(found)}", fontsize="medium")
+        axes.set_title(textwrap.fill(f"{name}: {_counts(found)}", 60), fontsize="medium")
         draw_arm(axes, arm, first)
         draw_loads(axes, first, np.ones(len(first.tip_load), bool), ATTAINABLE, width=0.003)
         _draw_predicted(axes, first, found, drawn)
@@ -83,7 +85,8 @@ def study_figure(
             draw_node(panel, scenes[column], node, ARM_COLOURS[column % len(ARM_COLOURS)])
             inside = scenes[column].inside[:, node]
             counted = f"{inside.sum()} of {len(inside)} inside"
-            panel.set_title(f"{name}, node {node + 1} of {first.nodes}\n{counted}", fontsize="small")
+            which = textwrap.fill(name, 26)
+            panel.set_title(f"{which}\nnode {node + 1} of {first.nodes}\n{counted}", fontsize="small")
     limit_node_axes(panels, scenes)
     handles, labels = panels[0].get_legend_handles_labels()
     labels = [label.split(":")[0] for label in labels]  # how many is in the titles
@@ -153,9 +156,9 @@ def _check(
 def _draw_errors(axes: Any, names: Sequence[str], evaluated: Sequence[Attainability]) -> None:
     """A row of marks for each arm, one for each task, with its median and how many are held."""
     predicted = all(found.prediction is not None for found in evaluated)
-    values = [_off(found) if predicted else _lacking(found) for found in evaluated]
+    values = [_over(found) if predicted else _lacking(found) for found in evaluated]
     finite = np.concatenate([value[np.isfinite(value)] for value in values])
-    most = 2 * max(finite.max(initial=LEAST), 10 * LEAST)
+    most = 2 * max(finite.max(initial=LEAST), 1.0 if predicted else 10 * LEAST)  # the tolerance is 1
     drawn: set[str] = set()
     for row, (value, found) in enumerate(zip(values, evaluated, strict=True)):
         words = _words(found)
@@ -171,18 +174,39 @@ def _draw_errors(axes: Any, names: Sequence[str], evaluated: Sequence[Attainabil
                 drawn.add(word)
         middle = float(np.clip(np.median(place), LEAST, most))
         axes.plot([middle] * 2, [row - 0.38, row + 0.38], color="black", linewidth=2)
-        axes.annotate(f" {middle:.3g}", (middle, row - 0.4), fontsize="small", va="bottom", ha="left")
+        tip = f" (tip: {np.median(_off(found)):.3g} mm)" if predicted else ""
+        axes.annotate(f" {middle:.3g}{tip}", (middle, row - 0.4), fontsize="small", va="bottom", ha="left")
     if predicted:
-        tip = float(evaluated[0].tolerance.lengths(evaluated[0].arm)[0].max())
-        axes.axvline(1e3 * tip, color="black", linestyle=":", linewidth=1, label=f"tolerance, {1e3 * tip:.3g} mm")
+        axes.axvline(1.0, color="black", linestyle=":", linewidth=1, label=_tolerances(evaluated))
     axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    least = max(LEAST, finite[finite > 0].min(initial=most))
-    axes.set(xlim=(least / 1.5, 1.3 * most), ylim=(len(names) - 0.45, -0.6), yticks=range(len(names)))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    least = max(LEAST, finite[finite > 0].min(initial=1.0 if predicted else most))
+    axes.set(xlim=(least / 1.5, 1.3 * most), ylim=(len(names) - 0.45, -0.75), yticks=range(len(names)))
     axes.set_yticklabels(names)
-    what = "predicted tip error [mm]" if predicted else "absolute unattainability [N]"
+    errors = "predicted error over its tolerance, the largest of tip, turn and shape"
+    what = errors if predicted else "absolute unattainability [N]"
     axes.set_xlabel(f"{what}; bars are medians; at the right edge, none was found")
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small", frameon=False)
+
+
+def _tolerances(evaluated: Sequence[Attainability]) -> str:
+    """What the arms are allowed, in words; tolerances that follow their lengths may differ."""
+    allowed = evaluated[0].tolerance
+    tip, shape = (
+        sorted({f"{1e3 * float(found.tolerance.lengths(found.arm)[end].max()):.3g}" for found in evaluated}, key=float)
+        for end in (0, 1)
+    )
+    spans = [" to ".join((span[0], span[-1])[: len(span)]) for span in (tip, shape)]
+    lengths = f"tip, shape {spans[0]} mm" if tip == shape else f"tip {spans[0]} mm, shape {spans[1]} mm"
+    return f"tolerance:\n{lengths},\nturn {np.degrees(allowed.rotation):.3g}°"
+
+
+def _over(found: Attainability) -> Array:
+    """The largest error of each task over its tolerance."""
+    assert found.over_tolerance is not None
+    return array(found.over_tolerance).ravel()
 
 
 def _off(found: Attainability) -> Array:
@@ -220,13 +244,13 @@ def _two_nodes(found: Attainability, nodes: int) -> tuple[int, int]:
 
 
 def _draw_predicted(axes: Any, first: Task, found: Attainability, drawn: Mask) -> None:
-    """The predicted centreline under the load whose error is the median of those found, of the shape that is drawn."""
+    """The predicted centreline under the load of the median of the errors found, of the shape that is drawn."""
     if found.prediction is None:
         return
-    error = np.where(drawn, _off(found), np.inf)
-    index = _median_place(error)
+    index = _median_place(np.where(drawn, _over(found), np.inf))
     if index is None:
         return
     twists = found.prediction.twists.detach().reshape(-1, *found.prediction.twists.shape[-2:])[index]
-    label = f"predicted under load {index + 1}: tip off by {error[index]:.3g} mm"
+    turned = float(np.degrees(array(found.prediction.tip_rotation_error).ravel()[index]))
+    label = f"predicted under load {index + 1}:\ntip off by {_off(found)[index]:.3g} mm, turned by {turned:.3g}°"
     draw_reached(axes, twists, first.base_pose, label)

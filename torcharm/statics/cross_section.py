@@ -22,6 +22,7 @@ from torcharm.actuators.bending import (
     reference_pressure,
 )
 from torcharm.actuators.inspection import same_model
+from torcharm.actuators.protocol import sampled_of
 from torcharm.arm import ArmDesign
 from torcharm.geometry.rod import material_curvature, offset_length, strain
 from torcharm.inputs import (
@@ -127,16 +128,30 @@ def per_actuator(values: Sequence[float | Tensor], like: Tensor) -> Tensor:
 
 
 def actuator_force(actuators: tuple[Actuator, ...], own_strain: Tensor, pressure: Tensor) -> Tensor:
-    """Axial forces (..., M) [N]. Models that are the same are asked together: the cost follows the number of kinds."""
-    shape = torch.broadcast_shapes(own_strain.shape, pressure.shape)
+    """Axial forces (..., M) [N]. Models that are the same are asked together: the cost follows the number of kinds.
+
+    Raises:
+        ValueError: a model has no force for tensors.
+    """
     groups = group_alike(actuators)
+    parts = []
+    for model, members in groups:
+        own = (own_strain, pressure) if len(groups) == 1 else (own_strain[..., members], pressure[..., members])
+        parts.append(sampled_of(f"actuators[{_first(members)}].force", _force_of, model, *own))
     if len(groups) == 1:
-        return actuators[0].force(own_strain, pressure).expand(shape)
-    parts = [model.force(own_strain[..., members], pressure[..., members]) for model, members in groups]
-    force = parts[0].new_empty(shape)
+        return parts[0]
+    force = parts[0].new_empty(torch.broadcast_shapes(own_strain.shape, pressure.shape))
     for (_, members), part in zip(groups, parts, strict=True):
         force[..., members] = part
     return force
+
+
+def _force_of(model: Actuator, strain: Tensor, pressure: Tensor) -> Tensor:
+    return model.force(strain, pressure).expand(torch.broadcast_shapes(strain.shape, pressure.shape))
+
+
+def _first(members: slice | list[int]) -> int:
+    return int(members.start if isinstance(members, slice) else members[0])
 
 
 def group_alike(actuators: tuple[Actuator, ...]) -> list[tuple[Actuator, slice | list[int]]]:

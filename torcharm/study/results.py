@@ -66,7 +66,8 @@ class Summary:
         median: of tip_error [m], tip_rotation_error [rad], shape_error [m], absolute and relative [N].
         worst_node: from 1, the node with the largest mean distance from its set; None if none misses.
         worst_miss: that mean distance [N].
-        example: a load from 1, the furthest off of those not held, and why it is not; None if all are held.
+        example: the load, from 1, that is furthest beyond the tolerance (of sets alone: that lacks most) of those with
+            the most frequent verdict but held; that verdict, "" of sets alone; and its reason. None if all are held.
     """
 
     loads: int
@@ -75,7 +76,7 @@ class Summary:
     median: Mapping[str, float]
     worst_node: int | None
     worst_miss: float
-    example: tuple[int, str] | None
+    example: tuple[int, str, str] | None
 
     @property
     def held(self) -> int:
@@ -106,20 +107,21 @@ def summarise(result: StudyResult) -> Summary:
         median={name: float(np.median(value)) for name, value in values.items()},
         worst_node=int(by_node.argmax()) + 1 if by_node is not None and missing else None,
         worst_miss=float(by_node.max()) if by_node is not None and missing else 0.0,
-        example=_example(result, values),
+        example=_example(result),
     )
 
 
-def _example(result: StudyResult, values: Mapping[str, NDArray[Any]]) -> tuple[int, str] | None:
-    """Of the loads with the most frequent verdict but held, the one that is furthest off, and why."""
-    reasons, words = result.reasons, result.verdicts or ["" for _ in range(result.loads)]
+def _example(result: StudyResult) -> tuple[int, str, str] | None:
+    """The `example` of a summary."""
+    found, reasons, words = result.attainability, result.reasons, result.verdicts or [""] * result.loads
     open_loads = [index for index, reason in enumerate(reasons) if reason]
     if not open_loads:
         return None
     most = Counter(words[index] for index in open_loads).most_common(1)[0][0]
-    size = next((values[name] for name in ("tip_error", *METRICS) if name in values), np.zeros(result.loads))
+    sizes = found.over_tolerance, found.absolute, found.relative
+    size = next((_flat(value) for value in sizes if value is not None), np.zeros(result.loads))
     index = max((index for index in open_loads if words[index] == most), key=lambda one: size[one])
-    return index + 1, reasons[index]
+    return index + 1, most, reasons[index]
 
 
 def write_results(path: str | PathLike[str], results: Sequence[StudyResult], ending: str | None = None) -> int:

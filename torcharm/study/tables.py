@@ -86,7 +86,7 @@ class BoundsTable(Table):
     )
     max_pressure: PressureRange | None = Field(
         default=None,
-        description="Of each limit, where max_pressure is free. Without it, from 0 to the force models' own.",
+        description="Of each limit, where max_pressure is free. Without it, from 0 to the arm's own.",
         examples=[[0.0, 50.0]],
     )
 
@@ -110,7 +110,8 @@ class OptimiseTable(Table):
     bounds: BoundsTable = Field(default=BoundsTable(), description="How far what is free may go.")
     spacing: PositiveLength | None = Field(
         default=None,
-        description="Least distance between the centres of actuators. Without it, 5 mm.",
+        description="Least distance between the centres of actuators: their width. Without it, 5 mm, which suits only "
+        "the thinnest that can be bought.",
         examples=["20 mm"],
     )
     in_range: bool = Field(

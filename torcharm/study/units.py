@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 from pydantic import Discriminator, Field, Tag
@@ -28,6 +29,24 @@ def parsed(value: Any, units: dict[str, float]) -> Any:
     if found is None or found[2] not in units:
         raise refuse(f"must be {_in_unit_words(units)}, got {shown_value(value)}")
     return float(found[1]) * units[found[2]]
+
+
+def numbers_in(text: str, units: Sequence[dict[str, float]]) -> list[float]:
+    """Numbers with commas between them, each with one of its own units behind it or in the first of them.
+
+    Raises:
+        ValueError: they are not as many as there are units, or one is no number or has another unit.
+    """
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) != len(units):
+        raise ValueError(f"must be {len(units)} numbers with commas between them, got {text}")
+    found = []
+    for part, own in zip(parts, units, strict=True):
+        try:
+            found.append(float(part))
+        except ValueError:
+            found.append(float(parsed(part, own)))
+    return found
 
 
 def in_unit(units: dict[str, float]) -> Check:

@@ -95,7 +95,9 @@ def load_capacity(
     one-sided one.
 
     As all that sets say, the factor is an upper bound: every node's requirement can be met below it, each by a
-    pressure of its own.
+    pressure of its own. Verdicts of `evaluate` are another question: the factor is of the very shape, without any
+    tolerance. So a task may be held within its tolerance where the factor is below 1 or NaN, and missed where it is
+    above, as one pressure must then serve all nodes.
 
     Args:
         arm: designs, of any batch shape; or segments in series.
