@@ -9,11 +9,8 @@ from torch import Tensor
 from torcharm.actuators import Actuator
 from torcharm.arm import ArmDesign
 from torcharm.geometry import se3
+from torcharm.geometry.rod import check_pose
 from torcharm.inputs import HoldsTensors, TensorLike, as_floating, broadcast_shapes, check_at_least, check_finite, shown
-
-_RIGID = 1e-6
-"""How far a link's rotation may be from one, by the entries of RᵀR - 1: what single precision rounds to, and less
-than any typing error."""
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -53,7 +50,9 @@ class RigidLink(HoldsTensors):
         if pose is None:
             check_at_least("length", value, 0.0, unit="m")
         else:
-            _check_pose(value)
+            if value.ndim < 1 or not (value.shape[-1] == 3 or value.shape[-2:] == (4, 4)):
+                raise ValueError(f"pose: must have shape (..., 3) or (..., 4, 4), got {tuple(value.shape)}")
+            check_pose("pose", value)
         check_finite("mass", mass_)
         check_at_least("mass", mass_, 0.0, unit="kg")
         object.__setattr__(self, "length", value if pose is None else None)
@@ -87,22 +86,6 @@ class RigidLink(HoldsTensors):
         name, value = ("length", self.length) if self.pose is None else ("pose", self.pose)
         assert value is not None
         return f"RigidLink({name} {tuple(value.shape)}, {value.dtype})"
-
-
-def _check_pose(pose: Tensor) -> None:
-    """Raise unless a pose is planar or a homogeneous matrix of a rotation."""
-    if pose.ndim and pose.shape[-1] == 3 and pose.shape[-2:] != (4, 4):
-        return
-    if pose.shape[-2:] != (4, 4):
-        raise ValueError(f"pose: must have shape (..., 3) or (..., 4, 4), got {tuple(pose.shape)}")
-    rotation = pose[..., :3, :3].detach()
-    off = (rotation.mT @ rotation - torch.eye(3).to(pose)).abs()
-    last = (pose[..., 3, :].detach() - pose.new_tensor((0.0, 0.0, 0.0, 1.0))).abs()
-    if bool((off > _RIGID).any() or (last > _RIGID).any() or (torch.linalg.det(rotation) < 0).any()):
-        raise ValueError(
-            "pose: must be a homogeneous matrix, a rotation and a position above a row (0, 0, 0, 1), "
-            f"got {shown(pose.detach().tolist())}"
-        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)

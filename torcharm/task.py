@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm.geometry.rod import as_base, check_segment_nodes, goes_by_name, group_of
+from torcharm.geometry.rod import as_base, check_pose, check_segment_nodes, goes_by_name, group_of
 from torcharm.inputs import (
     HoldsTensors,
     TensorLike,
@@ -96,6 +96,7 @@ class Task(HoldsTensors):
             raise ValueError(f"base_pose: must have shape {pose_shape}, got {tuple(base.shape)}")
         for name, value in (("twists", twists_), ("base_pose", base)):
             check_finite(name, value)
+        check_pose("base_pose", base)
         whole = (load or ExternalLoad()).to(twists_)
         if whole.columns not in (None, columns):
             raise ValueError(f"load: must be of {columns} components as the twists are, got {whole.columns}")

@@ -19,6 +19,9 @@ from torcharm.inputs import broadcast_shapes, check_choice, check_count, check_t
 HEADINGS = {"hanging": -math.pi / 2, "upright": math.pi / 2, "horizontal": 0.0}
 """Where a base may point by name, as the heading in the plane z = 0 [rad]: x is right, y is up."""
 HANGING = "hanging"
+RIGID = 1e-6
+"""How far a pose's rotation may be from one, by the entries of RᵀR - 1: what single precision rounds to, and less
+than any typing error."""
 BASE_POSE = (0.0, 0.0, HEADINGS[HANGING])
 """Of a planar arm that hangs from the origin."""
 
@@ -51,6 +54,20 @@ def as_base(base_pose: Any, like: Tensor, columns: int) -> Any:
     cosine, sine = round(math.cos(heading)), round(math.sin(heading))
     rows = ((cosine, -sine, 0, 0), (sine, cosine, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
     return like.new_tensor(rows)
+
+
+def check_pose(name: str, pose: Tensor) -> None:
+    """Raise unless poses are of the plane, or homogeneous matrices of rotations."""
+    if pose.shape[-2:] != (4, 4):
+        return
+    rotation = pose[..., :3, :3].detach()
+    off = (rotation.mT @ rotation - torch.eye(3).to(pose)).abs()
+    last = (pose[..., 3, :].detach() - pose.new_tensor((0.0, 0.0, 0.0, 1.0))).abs()
+    if bool((off > RIGID).any() or (last > RIGID).any() or (torch.linalg.det(rotation) < 0).any()):
+        raise ValueError(
+            f"{name}: must be a homogeneous matrix, a rotation and a position above a row (0, 0, 0, 1), "
+            f"got {shown(pose.detach().tolist())}"
+        )
 
 
 def poses(
