@@ -123,17 +123,17 @@ def both():
     loads = [[0.0, 0.0, 0.0], [0.5, -1.0, 0.05], [-2.0, 1.0, 0.2]]
     pull = [[0.3, 0.2, -0.02]]
     bellows = ta.Bellows(bending_stiffness=ta.ConstantBending(-0.05))
-    arm = ta.ArmDesign([-0.05, 0.0, 0.05], 0.5, [bellows, ta.McKibben(), bellows], mass=0.4)
+    arm = ta.ArmDesign([-0.05, 0.0, 0.05], [0.5, 0.54, 0.5], [bellows, ta.McKibben(), bellows], mass=0.4)
     points = [ta.PointLoad(mass=0.05, at=0.6), ta.PointLoad(pull[0], at=0.3, frame="body")]
     load = ta.ExternalLoad(torch.tensor(loads[0], dtype=D), gravity=True, points=points)
-    twists = ta.solve_equilibrium(arm, [10.0, 50.0, 20.0], load, 4).twists.tolist()  # which the first load holds
+    twists = ta.solve_equilibrium(arm, [4.0, 60.0, 10.0], load, 4).twists.tolist()  # which the first load holds
     texts = []
     for flat in (True, False):
         place, load, pulls, shape = "radii = [-0.05, 0.0, 0.05]", loads, pull, twists
         if not flat:
             place = "offsets = [[-0.05, 0], [0, 0], [0.05, 0]]"
             load, pulls, shape = lifted(loads, (0, 1, 5)), lifted(pull, (0, 1, 5)), lifted(twists, (0, 1, 5))
-        arm = f'{place}\nlength = 0.5\nmass = 0.4\nactuators = [{STIFF}, "mckibben", {STIFF}]'
+        arm = f'{place}\nlength = [0.5, 0.54, 0.5]\nmass = 0.4\nactuators = [{STIFF}, "mckibben", {STIFF}]'
         rest = (
             f'gravity = true\npayloads = [{{ mass = "50 g", at = 0.6 }}]\npoints = [{{ wrench = {pulls[0]}, at = 0.3,'
         )
