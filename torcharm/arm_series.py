@@ -50,7 +50,9 @@ class RigidLink(HoldsTensors):
         if pose is None:
             check_at_least("length", value, 0.0, unit="m")
         else:
-            _check_pose(value)
+            if value.ndim < 1 or not (value.shape[-1] == 3 or value.shape[-2:] == (4, 4)):
+                raise ValueError(f"pose: must have shape (..., 3) or (..., 4, 4), got {tuple(value.shape)}")
+            check_rigid("pose", value)
         check_finite("mass", mass_)
         check_at_least("mass", mass_, 0.0, unit="kg")
         object.__setattr__(self, "length", value if pose is None else None)
@@ -84,15 +86,6 @@ class RigidLink(HoldsTensors):
         name, value = ("length", self.length) if self.pose is None else ("pose", self.pose)
         assert value is not None
         return f"RigidLink({name} {tuple(value.shape)}, {value.dtype})"
-
-
-def _check_pose(pose: Tensor) -> None:
-    """Raise unless a pose is planar or a homogeneous matrix of a rotation."""
-    if pose.ndim and pose.shape[-1] == 3 and pose.shape[-2:] != (4, 4):
-        return
-    if pose.shape[-2:] != (4, 4):
-        raise ValueError(f"pose: must have shape (..., 3) or (..., 4, 4), got {tuple(pose.shape)}")
-    check_rigid("pose", pose)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -116,7 +116,7 @@ def _search(
             for arm in arms:
                 for first, block in _blocks(arm, task, method, starts, weights):
                     blocks[arm.name].append(block)
-                    kept.add(_rows(arm, task, first, block))
+                    kept.add(_rows(arm, task, first, block, kept.pressures))
                     advance()
         except KeyboardInterrupt:  # what is finished is shown and written all the same
             interrupted = True
@@ -167,6 +167,7 @@ class _Rows:
 
     def __init__(self, path: Path | None, header: list[str]) -> None:
         self.path, self.header = path, header
+        self.pressures = sum(name.startswith("pressure_") for name in header)
         self.rows: list[list[Any]] = []
         self._grows = path is not None and not is_stream(path)  # a terminal gets all at the end
         self._next = -math.inf
@@ -248,7 +249,10 @@ def _header(actuators: int, components: int) -> list[str]:
     ]
 
 
-def _rows(arm: "NamedArm", task: "NamedTask", first: int, found: "PressureSearch") -> Iterator[list[Any]]:
+def _rows(
+    arm: "NamedArm", task: "NamedTask", first: int, found: "PressureSearch", pressures: int
+) -> Iterator[list[Any]]:
+    """A row for each load; of arms with fewer actuators than others cells are left empty."""
     whole = task.task
     loads = whole.tip_load.expand(*whole.batch_shape, -1).reshape(-1, whole.twists.shape[-1]).tolist()
     errors = (found.cost, found.tip_error, found.tip_rotation_error, found.shape_error)
@@ -264,6 +268,7 @@ def _rows(arm: "NamedArm", task: "NamedTask", first: int, found: "PressureSearch
             *loads[index - 1],
             *sizes,
             *pressure,
+            *[""] * (pressures - len(pressure)),
             *truths,
             optimality,
             spread,

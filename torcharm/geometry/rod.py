@@ -19,11 +19,11 @@ from torcharm.inputs import broadcast_shapes, check_choice, check_count, check_t
 HEADINGS = {"hanging": -math.pi / 2, "upright": math.pi / 2, "horizontal": 0.0}
 """Where a base may point by name, as the heading in the plane z = 0 [rad]: x is right, y is up."""
 HANGING = "hanging"
+RIGID = 1e-6
+"""How far a pose's rotation may be from one, by the entries of RᵀR - 1: what single precision rounds to, and less
+than any typing error."""
 BASE_POSE = (0.0, 0.0, HEADINGS[HANGING])
 """Of a planar arm that hangs from the origin."""
-_RIGID = 1e-6
-"""How far a matrix may be from a rotation, by the entries of RᵀR - 1: what single precision rounds to, and less than
-any typing error."""
 
 
 def group_of(columns: int) -> ModuleType:
@@ -43,7 +43,7 @@ def check_rigid(name: str, pose: Tensor) -> None:
     rotation = pose[..., :3, :3].detach()
     off = (rotation.mT @ rotation - torch.eye(3).to(pose)).abs()
     last = (pose[..., 3, :].detach() - pose.new_tensor((0.0, 0.0, 0.0, 1.0))).abs()
-    if bool((off > _RIGID).any() or (last > _RIGID).any() or (torch.linalg.det(rotation) < 0).any()):
+    if bool((off > RIGID).any() or (last > RIGID).any() or (torch.linalg.det(rotation) < 0).any()):
         raise ValueError(
             f"{name}: must be a homogeneous matrix, a rotation and a position above a row (0, 0, 0, 1), "
             f"got {shown(pose.detach().tolist())}"
