@@ -61,6 +61,8 @@ class TestGrids:
             (lambda: plot.load_grid(count=1), "count: must be an integer of at least 2"),
             (lambda: plot.polar_load_grid(directions=2), "directions: must be an integer of at least 3"),
             (lambda: plot.load_grid(moment=math.nan), "moment: must be finite, got nan"),
+            (lambda: plot.load_grid(plane="yx"), "plane: must be one of xy, xz, zy"),
+            (lambda: plot.force_directions(rows=2), "rows: must be an integer of at least 3"),
         ],
     )
     def test_mistakes(self, make, message):
@@ -111,6 +113,7 @@ class TestLoadMap:
         ("given", "message"),
         [
             ({"loads": torch.zeros(5, 3)}, r"loads: must have shape \(R, C, 3\)"),
+            ({"loads": torch.rand(21, 21, 6)}, "loads: must differ in two force components, or be of one size"),
             ({"values": torch.zeros(3, 3)}, r"values: must have shape \(21, 21\), got \(3, 3\)"),
             ({"values": torch.full((21, 21), math.nan)}, "values: must hold at least one finite value"),
         ],
@@ -145,5 +148,78 @@ class TestAttainableLoadMap:
     def test_mistakes(self):
         with pytest.raises(ValueError, match="arm: must be one design"):
             plot.attainable_load_map(ta.antagonistic_arm(torch.tensor([0.05, 0.08])), SHAPE)
-        with pytest.raises(ValueError, match="twists: must hold one shape"):
+        with pytest.raises(ValueError, match="shape: must be one"):
             plot.attainable_load_map(ta.antagonistic_arm(), SHAPE.expand(2, -1, -1))
+
+
+RING = ta.ArmDesign(
+    offsets=torch.cat((ta.ring(0.06, 3), ta.ring(0.03, 6, phase=0.5))),
+    length=0.4,
+    actuators=[ta.Bellows()] * 3 + [ta.McKibben()] * 6,
+    mass=0.4,
+)
+BENT = ta.constant_curvature(0.4, 0.39, 5, direction=0.6)
+WEIGHT = ta.ExternalLoad(gravity=True)
+
+
+class TestSpace:
+    def test_grids_of_each_plane_and_directions(self):
+        for plane, (first, second) in {"xy": (0, 1), "xz": (0, 2), "zy": (2, 1)}.items():
+            grid = plot.load_grid((4.0, 2.0), 5, plane=plane)
+            assert grid[0, :, first].tolist() == [-4.0, -2.0, 0.0, 2.0, 4.0]
+            assert grid[:, 0, second].tolist() == [-2.0, -1.0, 0.0, 1.0, 2.0]
+            axes = plot.load_map(grid, grid.norm(dim=-1), contour=1.0, ax=Figure().add_subplot())
+            assert (axes.get_xlabel()[13], axes.get_ylabel()[13]) == tuple(plane)
+            (line,) = contour_lines(axes)
+            np.testing.assert_allclose(np.hypot(*line.T), 1.0, atol=0.25)
+        ways = plot.force_directions(3.0, 7, 9)
+        torch.testing.assert_close(ways.norm(dim=-1), torch.full((7, 9), 3.0).double())
+        torch.testing.assert_close(ways[0, :, 1], torch.full((9,), -3.0).double())
+
+    def test_directions_are_drawn_by_azimuth_and_elevation(self):
+        ways = plot.force_directions(2.0)
+        axes = plot.load_map(ways, ways[..., 1], contour=1.0)  # half of the force is up: 30 degrees
+        (line,) = contour_lines(axes)
+        np.testing.assert_allclose(line[:, 1], 30.0, atol=0.1)
+        assert line[:, 0].min() == pytest.approx(-180)
+        axes = plot.load_map(ways, ways[..., 2], contour=1.9, ax=Figure().add_subplot())
+        (line,) = contour_lines(axes)
+        np.testing.assert_allclose(line.mean(0), [90.0, 0.0], atol=2.0)  # to the viewer
+        assert "azimuth" in axes.get_xlabel()
+
+    @pytest.mark.parametrize("plane", ["xz", "xy"])
+    def test_the_line_is_where_load_capacity_ends(self, plane):
+        """Of a hanging arm under its own weight."""
+        loads = plot.load_grid(16.0, 31, plane=plane)
+        axes = plot.attainable_load_map(RING, ta.Task(BENT, load=WEIGHT), loads=loads)
+        points = np.concatenate(contour_lines(axes))
+        points = points[(np.hypot(*points.T) > 1.0) & (np.abs(points).max(-1) < 15.9)]
+        tips = torch.zeros(len(points), 6).double()
+        tips[:, [0, "xyz".index(plane[1])]] = torch.from_numpy(points)
+        found = ta.load_capacity(RING, ta.Task(BENT, tips, load=WEIGHT))
+        miss = ((found.t_max - 1).abs() * torch.from_numpy(np.hypot(*points.T))).nan_to_num(9.0)
+        assert len(points) > 30
+        assert miss.median() < 0.1
+        assert (miss < 0.5).double().mean() > 0.9
+
+    def test_segments_in_series(self):
+        arm = ta.series([RING, ta.RigidLink(length=0.02, mass=0.05), RING])
+        task = ta.Task(BENT.repeat(2, 1), load=WEIGHT, segment_nodes=(5, 5))
+        loads = plot.load_grid(5.0, 5, plane="zy")
+        axes = plot.attainable_load_map(arm, task, loads=loads)
+        whole = ta.Task(task.twists, loads, load=WEIGHT, segment_nodes=(5, 5))
+        found = ta.evaluate(arm, whole, ("absolute",), signed=True).absolute
+        assert "f_z" in axes.get_xlabel()
+        assert f"{int((found <= 0).sum())} of 25 within" in legend_text(axes) or not (found < 0).any()
+
+    def test_verdicts_are_counted_by_word(self):
+        words = np.array([["held", "missed", "held"], ["undecided", "missed", "held"]])
+        loads = plot.load_grid(2.0, 3, plane="xz")[:2]
+        axes = plot.verdict_map(loads, words)
+        assert legend_text(axes) == "held: 3 of 6 | missed: 2 of 6 | undecided: 1 of 6 | no load"
+        held = axes.collections[0].get_offsets()
+        np.testing.assert_allclose(held, [[-2.0, -2.0], [2.0, -2.0], [2.0, 0.0]])
+        with pytest.raises(ValueError, match=r"verdict: must have shape \(2, 3\)"):
+            plot.verdict_map(loads, words[:1])
+        with pytest.raises(ValueError, match="verdict: must be one of held"):
+            plot.verdict_map(loads, np.full((2, 3), "good"))

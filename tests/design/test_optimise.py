@@ -77,6 +77,23 @@ def test_segments_in_series_get_better() -> None:
     assert found.value < found.given_value
 
 
+def test_modules_in_space_get_better_under_weight_and_stay_rings() -> None:
+    lower = ta.ArmDesign(offsets=ta.ring(0.05, 3), length=0.3, actuators=ta.Bellows(), mass=0.25)
+    upper = ta.ArmDesign(offsets=ta.ring(0.04, 3, phase=0.5), length=0.25, actuators=ta.Bellows(), mass=0.15)
+    arm = ta.series([lower, ta.RigidLink(length=0.02, mass=0.05), upper])
+    bends = [[0.32, 0.0, 0.0, 0.0, 0.3, 0.2]] * 4 + [[0.265, 0.0, 0.0, 0.0, -0.2, 0.3]] * 4
+    load = ta.ExternalLoad(gravity=True, points=[ta.PointLoad(mass=0.1, segment=1)])
+    task = ta.Task(bends, load=load, segment_nodes=(4, 4))
+    found = optimise_design(arm, task, starts=1, iterations=8)
+    assert found.status.startswith("better")
+    assert isinstance(found.best, ta.ArmSeries)
+    for segment in found.best.segments:
+        radius = segment.offsets.norm(dim=-1)
+        torch.testing.assert_close(radius, radius[:1].expand(3))
+    checked = verify_design(found, task)
+    assert checked.mean_after < checked.mean_before
+
+
 def drawn(seed: int) -> tuple[ta.ArmDesign, ta.Task]:
     """An arm of 1 to 4 actuators, and a task near what such arms can do."""
     draw = random.Random(seed)

@@ -46,3 +46,22 @@ def test_in_space_a_pressure_that_holds_the_shape_is_found():
     assert bool(held.converged)
     found = ta.fit_pressure(arm, ta.Task(held.twists, load=load))
     assert float(found.distance) < 1e-7
+
+
+def test_also_of_a_bundle_and_of_modules_in_series_under_weight_and_payload():
+    models = [ta.Bellows()] * 3 + [ta.McKibben()] * 6
+    offsets = torch.cat((ta.ring(0.06, 3), ta.ring(0.03, 6, phase=0.5)))
+    bundle = ta.ArmDesign(offsets=offsets, length=0.4, actuators=models, mass=0.5)
+    lower = ta.ArmDesign(offsets=ta.ring(0.05, 3), length=0.3, actuators=ta.Bellows(), mass=0.25)
+    upper = ta.ArmDesign(offsets=ta.ring(0.04, 3, phase=0.5), length=0.25, actuators=ta.Bellows(), mass=0.15)
+    whole = ta.series([lower, ta.RigidLink(length=0.02, mass=0.05), upper])
+    for arm, nodes, segment in ((bundle, (6,), 0), (whole, (4, 4), 1)):
+        load = ta.ExternalLoad(gravity=True, points=[ta.PointLoad(mass=0.1, segment=segment)])
+        share = 0.5 * torch.rand(arm.actuator_count, generator=torch.Generator().manual_seed(1)).double()
+        held = ta.solve_equilibrium(arm, share * arm.max_pressure, load, nodes)
+        assert bool(held.converged)
+        own = nodes if len(nodes) > 1 else None
+        found = ta.fit_pressure(arm, ta.Task(held.twists, load=load, segment_nodes=own), starts=32)
+        assert float(found.distance) < 1e-6
+        without = ta.fit_pressure(arm, ta.Task(held.twists, [0.0] * 6, segment_nodes=own))
+        assert float(without.distance) > 0.1  # of the three newtons and more that weigh

@@ -17,7 +17,14 @@ from torcharm.plot._common import (
 from torcharm.plot.arms import arm_shape, task_shape
 from torcharm.plot.histograms import unattainability_histogram
 from torcharm.plot.hulls import hulls_along_arm, node_hull
-from torcharm.plot.loads import attainable_load_map, load_grid, load_map, polar_load_grid
+from torcharm.plot.loads import (
+    attainable_load_map,
+    force_directions,
+    load_grid,
+    load_map,
+    polar_load_grid,
+    verdict_map,
+)
 from torcharm.plot.optimisation import optimisation_figure
 from torcharm.plot.shape_figures import plan_figure, search_figure
 from torcharm.plot.space import arm_in_space, hull_projections, node_hull_in_space
@@ -34,6 +41,7 @@ __all__ = [
     "arm_in_space",
     "arm_shape",
     "attainable_load_map",
+    "force_directions",
     "hull_projections",
     "hulls_along_arm",
     "load_grid",
@@ -47,4 +55,5 @@ __all__ = [
     "study_figure",
     "task_shape",
     "unattainability_histogram",
+    "verdict_map",
 ]

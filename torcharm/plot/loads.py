@@ -1,6 +1,8 @@
-"""Maps over tip forces: which of them an arm bears at a shape, and by what margin."""
+"""Maps over tip forces, in a plane or in all directions: which of them an arm bears at a shape, and how well."""
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -8,38 +10,52 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.colors import CenteredNorm, Normalize, TwoSlopeNorm
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
+from torcharm.arm_series import ArmSeries
 from torcharm.attainability import evaluate
-from torcharm.inputs import TensorLike, as_floating, check_count
-from torcharm.plot._common import Array, array, axes_or_new, one_design
+from torcharm.inputs import TensorLike, as_floating, check_choice, check_count
+from torcharm.load import ExternalLoad
+from torcharm.plot._common import VERDICT_STYLES, Array, array, axes_or_new
 from torcharm.task import WRENCH_AT, Task
+from torcharm.wrench_sets.design_task_grid import segments_of
 
+FORCES = ("tip force $f_x$ (right) [N]", "tip force $f_y$ (up) [N]", "tip force $f_z$ (to the viewer) [N]")
+AZIMUTH = "azimuth of the force [°] (0 right, 90 to the viewer)"
+ELEVATION = "elevation of the force [°] (90 up)"
 BANDS = 24
 """Shades of a map."""
 SIGNED_COLOURS, POSITIVE_COLOURS, LOST_COLOUR = "PuOr_r", "cividis", "#BBBBBB"
 
 
 def load_grid(
-    limit: float | tuple[float, float] = 10.0, count: int = 41, moment: float = 0.0
-) -> Float[Tensor, "rows columns 3"]:
-    """Tip loads on a Cartesian grid of forces, for `load_map` and as a Task's `tip_load`.
+    limit: float | tuple[float, float] = 10.0, count: int = 41, moment: float = 0.0, plane: str | None = None
+) -> Float[Tensor, "rows columns components"]:
+    """Tip loads (count, count, 3 or 6) on a Cartesian grid of forces, for `load_map` and as a Task's `tip_load`.
 
     Args:
-        limit: largest `|f_x|` and `|f_y|` [N]; one for both, or two.
+        limit: largest size of the two force components [N]; one for both, or two.
         count: forces a side; an odd number has the unloaded arm in the middle.
-        moment: of every load [N·m].
+        moment: of every load of the plane [N·m].
+        plane: "xy", "xz" or "zy" of an arm in space, the component to the right first; None is an arm of the plane.
 
     Raises:
-        ValueError: a limit is not positive, fewer than 2 forces a side, or a moment is not finite.
+        ValueError: a limit is not positive, fewer than 2 forces a side, a moment is not finite, or a plane is none.
     """
     check_count("count", count, 2)
+    if plane is not None:
+        check_choice("plane", plane, ("xy", "xz", "zy"))
     wide, high = _limits(limit)
     _check_moment(moment)
     right = torch.linspace(-wide, wide, count, dtype=torch.float64)
     up = torch.linspace(-high, high, count, dtype=torch.float64)
     force_y, force_x = torch.meshgrid(up, right, indexing="ij")
+    if plane is not None:
+        loads = torch.zeros(count, count, 6, dtype=torch.float64)
+        loads[..., "xyz".index(plane[0])], loads[..., "xyz".index(plane[1])] = force_x, force_y
+        return loads
     return torch.stack((force_x, force_y, torch.full_like(force_x, moment)), -1)
 
 
@@ -61,6 +77,25 @@ def polar_load_grid(
     return torch.stack((force_x, force_y, torch.full_like(force_x, moment)), -1)
 
 
+def force_directions(size: float = 1.0, rows: int = 25, columns: int = 49) -> Float[Tensor, "rows columns 6"]:
+    """Tip loads of one size [N] in all directions of space, by elevation (from straight down) and azimuth.
+
+    `load_map(loads, size * ta.load_capacity(arm, task).factor, quantity="largest force", contour=None)` shows how hard
+    an arm can be pulled which way.
+
+    Raises:
+        ValueError: the size is not positive, or fewer than 3 rows or columns.
+    """
+    check_count("rows", rows, 3)
+    check_count("columns", columns, 3)
+    _limits(size)
+    elevation = torch.linspace(-math.pi / 2, math.pi / 2, rows, dtype=torch.float64).unsqueeze(-1)
+    azimuth = torch.linspace(-math.pi, math.pi, columns, dtype=torch.float64)
+    flat = elevation.cos()
+    across = torch.stack(torch.broadcast_tensors(flat * azimuth.cos(), elevation.sin(), flat * azimuth.sin()), -1)
+    return size * torch.cat((across, 0 * across), -1)
+
+
 def load_map(
     loads: TensorLike,
     values: TensorLike,
@@ -77,7 +112,8 @@ def load_map(
     A quantity of both signs gets two hues that meet at 0; one of a single sign gets one scale.
 
     Args:
-        loads: (R, C, 3) of `load_grid` or `polar_load_grid`, or any grid with four neighbours to a load [N, N, N·m].
+        loads: (R, C, 3) or (R, C, 6) of `load_grid`, `polar_load_grid` or `force_directions`, or any grid with four
+            neighbours to a load, of which two force components differ, or forces of one size in all directions.
         values: (R, C) one for each load; what is not finite is grey, and counted in the legend.
         quantity, unit: of the values, for the colour bar.
         contour: the value at which to draw a line; None draws none.
@@ -89,16 +125,15 @@ def load_map(
         ValueError: shapes do not fit, no value is finite, or the axes are not 2-D.
     """
     places, field = as_floating(loads=loads, values=values)
-    if places.ndim != 3 or places.shape[-1] != 3 or min(places.shape[:2]) < 2:
-        raise ValueError(f"loads: must have shape (R, C, 3) with R and C at least 2, got {tuple(places.shape)}")
+    x, y, labels = _places(places)
     if field.shape != places.shape[:2]:
         raise ValueError(f"values: must have shape {tuple(places.shape[:2])}, got {tuple(field.shape)}")
-    grid, value = array(places), array(field)
+    value = array(field)
     finite = np.isfinite(value)
     if not finite.any():
         raise ValueError("values: must hold at least one finite value, got none")
     axes = axes_or_new(ax)
-    x, y, shown = grid[..., 0], grid[..., 1], np.ma.masked_where(~finite, value)
+    shown = np.ma.masked_where(~finite, value)
     norm, levels, colours = _scale(value[finite], highest)
     extend = "max" if value[finite].max() > levels[-1] else "neither"
     shades = axes.contourf(x, y, shown, levels=levels, norm=norm, cmap=colours, extend=extend)
@@ -108,21 +143,81 @@ def load_map(
         axes.contour(x, y, shown, levels=[contour], colors="black", linewidths=2.2)
         axes.plot([], [], color="black", linewidth=2.2, label=contour_label or f"{quantity} = {contour:g} {unit}")
         bar.ax.axhline(contour, color="black", linewidth=2.2)
-    axes.plot(0, 0, "+", color="black", markersize=9, label="no load")
     if not finite.all():
         axes.set_facecolor(LOST_COLOUR)
         axes.plot([], [], "s", color=LOST_COLOUR, label=f"not known: {(~finite).sum()} of {finite.size}")
-    axes.set(xlabel=r"tip force $f_x$ (right) [N]", ylabel=r"tip force $f_y$ (up) [N]")
-    axes.set_aspect("equal")
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize="small", frameon=False)
+    _label(axes, labels)
     return axes
 
 
+def verdict_map(loads: TensorLike, verdict: Sequence[Any] | NDArray[Any], *, ax: Axes | None = None) -> Axes:
+    """The verdict on every tip load of a grid, a mark for each.
+
+    Args:
+        loads: (R, C, 3) or (R, C, 6) as for `load_map`.
+        verdict: (R, C) words, such as `ta.evaluate(arm, ta.Task(twists, loads)).verdict`.
+        ax: 2-D axes to draw in; None makes some.
+
+    Raises:
+        ValueError: shapes do not fit, a word is no verdict, or the axes are not 2-D.
+    """
+    (places,) = as_floating(loads=loads)
+    x, y, labels = _places(places)
+    words = np.asarray(verdict)
+    if words.shape != x.shape:
+        raise ValueError(f"verdict: must have shape {x.shape}, got {words.shape}")
+    for word in np.unique(words).tolist():
+        check_choice("verdict", word, tuple(VERDICT_STYLES))
+    axes = axes_or_new(ax)
+    for word, (colour, marker, filled) in VERDICT_STYLES.items():
+        own = words == word
+        if own.any():
+            face = colour if filled else "none"
+            style = {"color": colour} if marker == "x" else {"edgecolors": colour, "facecolors": face}
+            axes.scatter(x[own], y[own], 25, marker=marker, label=f"{word}: {own.sum()} of {own.size}", **style)
+    _label(axes, labels)
+    return axes
+
+
+def _places(loads: Tensor) -> tuple[Array, Array, tuple[str, str]]:
+    """Where loads (R, C, 3 or 6) are drawn, and what the axes say."""
+    if loads.ndim != 3 or loads.shape[-1] not in (3, 6) or min(loads.shape[:2]) < 2:
+        raise ValueError(
+            f"loads: must have shape (R, C, 3) or (R, C, 6) with R and C at least 2, got {tuple(loads.shape)}"
+        )
+    force = array(loads)[..., : 3 if loads.shape[-1] == 6 else 2]
+    size = np.linalg.norm(force, axis=-1)
+    differ = [index for index in range(force.shape[-1]) if np.ptp(force[..., index]) > 1e-9 * size.max()]
+    if force.shape[-1] == 2 or len(differ) == 2:
+        first, second = (differ[::-1] if differ == [1, 2] else differ) if force.shape[-1] == 3 else (0, 1)
+        return force[..., first], force[..., second], (FORCES[first], FORCES[second])
+    if len(differ) < 3 or np.ptp(size) > 1e-6 * size.max():
+        raise ValueError(
+            "loads: must differ in two force components, or be of one size in all directions (see load_grid and "
+            "force_directions)"
+        )
+    azimuth = np.unwrap(np.arctan2(force[..., 2], force[..., 0]), axis=1)
+    elevation = np.arcsin((force[..., 1] / size).clip(-1, 1))
+    return np.degrees(azimuth), np.degrees(elevation), (AZIMUTH, ELEVATION)
+
+
+def _label(axes: Axes, labels: tuple[str, str]) -> None:
+    """Axes of one scale, and a legend above them."""
+    if labels[0] == AZIMUTH:
+        axes.set(xticks=range(-180, 181, 45), yticks=range(-90, 91, 30))
+    else:
+        axes.plot(0, 0, "+", color="black", markersize=9, label="no load")
+    axes.set(xlabel=labels[0], ylabel=labels[1])
+    axes.set_aspect("equal")
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize="small", frameon=False)
+
+
 def attainable_load_map(
-    arm: ArmDesign,
-    twists: Float[Tensor, "*batch N 3"],
+    arm: ArmDesign | ArmSeries,
+    shape: Float[Tensor, "*batch N components"] | Task,
     *,
-    loads: Float[Tensor, "rows columns 3"] | None = None,
+    loads: Float[Tensor, "rows columns components"] | None = None,
     metric: str = "absolute",
     base_pose: TensorLike | str | None = None,
     wrench_at: str = WRENCH_AT,
@@ -131,12 +226,13 @@ def attainable_load_map(
 ) -> Axes:
     """Which tip forces one design bears at one shape: its signed unattainability, and the line where that is 0.
 
-    Within the line minus the smallest margin of any node, outside the distances to the hulls summed over the nodes.
+    Within the line minus the smallest margin of any node, outside the distances to the sets summed over the nodes.
 
     Args:
-        arm: one design.
-        twists: (N, 3) one shape [m, m, rad].
-        loads: (R, C, 3) as for `load_map`; None takes `load_grid()`.
+        arm: one design, in the plane or in space, or segments in series.
+        shape: twists (N, 3 or 6) [m, m, rad], or a task of one shape, beside whose weight and point loads the tip
+            forces act; its base pose and the place of its wrenches count then.
+        loads: (R, C, 3 or 6) as for `load_map`; None takes `load_grid()`, in space of the plane "xy".
         metric, weights: as for `evaluate`.
         base_pose: of node 1, as of `Task`.
         wrench_at: as of `Task`.
@@ -145,14 +241,17 @@ def attainable_load_map(
     Raises:
         ValueError: there are several designs or shapes, or as for `load_map` and `evaluate`.
     """
-    design = one_design("arm", arm)
-    places = (load_grid() if loads is None else loads).to(design.radii)
-    shape = twists.detach().reshape(-1, *twists.shape[-2:])
-    if len(shape) != 1:
-        raise ValueError(f"twists: must hold one shape, (N, 3), got {tuple(twists.shape)}")
-    task = Task(shape[0].to(design.radii), places, base_pose, wrench_at=wrench_at)
+    if arm.batch_shape:
+        raise ValueError(f"arm: must be one design, as arm[0] of a batch, got batch shape {tuple(arm.batch_shape)}")
+    task = shape if isinstance(shape, Task) else Task(shape.detach(), None, base_pose, ExternalLoad(), wrench_at)
+    like = segments_of(arm)[0].radii
+    if math.prod(task.twists.shape[:-2]) != 1:
+        raise ValueError(f"shape: must be one, (N, 3) or (N, 6), got {tuple(task.twists.shape)}")
+    places = (load_grid(plane="xy" if arm.dimension == 3 else None) if loads is None else loads).to(like)
+    twists = task.twists.reshape(-1, task.twists.shape[-1])
+    loaded = Task(twists, places, task.base_pose, task.load, task.wrench_at, task.segment_nodes).to(like)
     with torch.no_grad():
-        found = evaluate(design, task, (metric,), signed=True, weights=weights)
+        found = evaluate(arm, loaded, (metric,), signed=True, weights=weights)
     value = getattr(found, metric)
     unit = "N" if tuple(weights) == (1.0, 1.0) else "weighted"
     label = f"limit of what it bears: {int((value <= 0).sum())} of {value.numel()} within"
