@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 import torcharm as ta
 from experiments.antagonism_in_space import scenes
 from experiments.antagonism_in_space.claims import Claim
+from experiments.antagonism_in_space.hulls import Hull
 from torcharm import plot
 
 if TYPE_CHECKING:
@@ -30,16 +31,20 @@ PICTURED = "to one side"
 METRICS = {"absolute": "absolute [N]", "relative": "relative [N]", "shape_mm": "predicted error [mm]"}
 
 
-def draw(lengths: "Sequence[Length]", results: "Sequence[Result]", path: Path | BytesIO) -> None:
+def draw(
+    lengths: "Sequence[Length]", results: "Sequence[Result]", bodies: Sequence[Hull], path: Path | BytesIO
+) -> None:
     """Three arms at what they reach, and their errors by length, side and force."""
-    figure = Figure(figsize=(16, 13), layout="constrained")
+    figure = Figure(figsize=(19, 13.5), layout="constrained")
     parts: Any = figure.subfigures(3, 1, height_ratios=(0.22, 1.15, 1))
     head, upper, lower = parts
     for place, name in enumerate(SHOWN):
         _arm(upper.add_subplot(1, 3, place + 1, projection="3d"), name, results)
-    _by_length(lower.add_subplot(1, 3, 1), lengths)
-    _by_side(lower.add_subplot(1, 3, 2, projection="polar"), results)
-    _by_force(lower.add_subplot(1, 3, 3), results)
+    grid = lower.add_gridspec(1, 4, width_ratios=(1, 1, 1, 0.7))
+    _by_length(lower.add_subplot(grid[0]), lengths)
+    _by_side(lower.add_subplot(grid[1], projection="polar"), results)
+    _by_force(lower.add_subplot(grid[2]), results)
+    _moments(lower.add_subplot(grid[3]), bodies)
     medians = [f"{kind} {_median(results, name):.0f} mm" for name, kind in SHOWN.items()]
     head.suptitle(
         "In space, too, the antagonistic arm comes closest: bends to 24 sides, under 2 N from 14\n"
@@ -122,6 +127,18 @@ def _by_force(axes: Any, results: "Sequence[Result]") -> None:
     axes.tick_params(axis="x", labelsize="small")
     axes.set(ylabel="median predicted shape error [mm]", title="By the force of 2 N at the tip, seen from the bend")
     axes.legend(fontsize="small")
+
+
+def _moments(axes: Any, bodies: Sequence[Hull]) -> None:
+    """How far sets extend in moment at the force that weight asks for."""
+    for place, (name, kind) in enumerate(SHOWN.items()):
+        own = [row for row in bodies if row.arm == name]
+        bar = axes.bar(place, np.median([row.moment for row in own]), color=COLOURS[kind])
+        axes.bar_label(bar, fmt="%.1f")
+    low, high = min(row.required for row in bodies), max(row.required for row in bodies)
+    axes.set_xticks(range(len(SHOWN)), SHOWN.values())
+    axes.set(ylabel="range of moments, weakest direction [N·m]")
+    axes.set_title(f"Why: moment left at the\nforce of the weight, {low:.0f} to {high:.0f} N")
 
 
 def draw_claims(results: "Sequence[Result]", sets: Sequence[Claim], path: Path | BytesIO) -> None:

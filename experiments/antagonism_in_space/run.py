@@ -1,7 +1,7 @@
 """Ask in space what the paper asks in the plane: who comes closest, why, and which of its claims hold there.
 
 Writes lengths.csv (one row an arm and length), results.csv (one row an arm, bend and force, at the arm's best length),
-claims.csv (one row a node's set), antagonism_in_space.png and claims.png beside this file.
+hulls.csv and claims.csv (one row a node's set), antagonism_in_space.png and claims.png beside this file.
 """
 
 import argparse
@@ -20,6 +20,7 @@ from scipy.stats import spearmanr
 import torcharm as ta
 from experiments.antagonism_in_space import scenes
 from experiments.antagonism_in_space.claims import Claim, claims
+from experiments.antagonism_in_space.hulls import Hull, hulls
 from experiments.rows import write_rows
 
 HERE = Path(__file__).parent
@@ -90,8 +91,9 @@ def main() -> None:
     count = 4 if quick else scenes.DIRECTIONS
     results = [row for name, arm in arms.items() for row in by_task(name, arm, best[name], count, 2)]
     sets = [row for name, arm in arms.items() for row in by_set(name, arm, best[name], quick)]
+    bodies = [row for name, arm in arms.items() for row in by_body(name, arm, best[name], quick)]
     sets += by_set("3 bellows", scenes.three_bellows(), 0.12, quick)
-    for table in (arms_table(lengths, results), ranks_table(results), claims_table(sets)):
+    for table in (arms_table(lengths, results), bodies_table(bodies), ranks_table(results), claims_table(sets)):
         console.print(table)
     for sentence in (between_arms(results), sampling(results), symmetry(results)):
         console.print(sentence)
@@ -100,8 +102,9 @@ def main() -> None:
         return
     write_rows(HERE / "lengths.csv", lengths)
     write_rows(HERE / "results.csv", results)
+    write_rows(HERE / "hulls.csv", bodies)
     write_rows(HERE / "claims.csv", sets)
-    figure.draw(lengths, results, HERE / "antagonism_in_space.png")
+    figure.draw(lengths, results, bodies, HERE / "antagonism_in_space.png")
     figure.draw_claims(results, sets, HERE / "claims.png")
 
 
@@ -175,6 +178,17 @@ def by_set(name: str, arm: ta.ArmDesign, longer: float, quick: bool) -> Iterator
     for side in SIDES[:1] if quick else SIDES:
         angle = 360.0 * side / scenes.DIRECTIONS
         yield from claims(name, arm, twists[side], angle, NODES[1:2] if quick else NODES)
+
+
+def by_body(name: str, arm: ta.ArmDesign, longer: float, quick: bool) -> Iterator[Hull]:
+    """Where the same sets lie, under a hanging weight."""
+    task = scenes.tasks(longer)
+    down = list(scenes.force_ways()).index("down")
+    assert task.load.tip is not None
+    for side in SIDES[:1] if quick else SIDES:
+        load = ta.ExternalLoad(tip=task.load.tip[side, down], gravity=True)
+        angle = 360.0 * side / scenes.DIRECTIONS
+        yield from hulls(name, arm, task.twists[side, 0], load, angle, NODES[1:2] if quick else NODES)
 
 
 # ---- what rows say ------------------------------------------------------------------------------
@@ -255,6 +269,23 @@ def arms_table(lengths: Sequence[Length], results: Sequence[Result]) -> Table:
             *(f"{value:.1f}" for value in (*medians, searched, np.median(off))),
             *(f"{value:.2f}" for value in sets),
             *(f"{row.shape_mm:.1f}" for row in lengths if row.arm == name and row.longer == ALIKE),
+        )
+    return table
+
+
+def bodies_table(bodies: Sequence[Hull]) -> Table:
+    title = "where sets lie; moments at the force that weight asks for, medians"
+    table = Table(title=title, title_justify="left")
+    for heading in ("arm", "forces [N]", "asked for [N]", "moments range over [N·m]", "volume [N·(N·m)²]"):
+        table.add_column(heading, justify="left" if heading == "arm" else "right")
+    for name in dict.fromkeys(row.arm for row in bodies):
+        own = [row for row in bodies if row.arm == name]
+        table.add_row(
+            name,
+            f"{min(row.force_min for row in own):.0f} to {max(row.force_max for row in own):.0f}",
+            f"{min(row.required for row in own):.1f} to {max(row.required for row in own):.1f}",
+            f"{np.median([row.moment for row in own]):.2f}",
+            f"{np.median([row.volume for row in own]):.0f}",
         )
     return table
 

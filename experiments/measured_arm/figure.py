@@ -1,6 +1,7 @@
 """The picture: where tips were measured and where the model puts them, and errors by hypothesis."""
 
 from collections.abc import Sequence
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
     from experiments.measured_arm.run import Row
 
 MEASURED, MODEL = "#000000", "#D55E00"
-CASES = {"noload": ("no load", "#0072B2"), "load1": ("pulled at the tip", "#E69F00")}
+GROUPS = {False: ("not pulled", "#0072B2", "o"), True: ("pulled by 0.7 to 0.8 N", "#E69F00", "^")}
 
 
 def draw(states: States, modelled: Tensor, rows: "Sequence[Row]") -> Figure:
@@ -23,20 +24,19 @@ def draw(states: States, modelled: Tensor, rows: "Sequence[Row]") -> Figure:
     measured, model = 1e3 * states.tip.numpy(), 1e3 * modelled.numpy()
     for seen, said in zip(measured, model, strict=True):
         left.plot([seen[0], said[0]], [seen[2], said[2]], color="0.7", linewidth=1, zorder=1)
-    for case, (name, _) in CASES.items():
-        own = np.array([word == case for word in states.case])
-        style = {"linestyle": "", "marker": "o" if case == "noload" else "^"}
+    for pulled, (name, _, marker) in GROUPS.items():
+        own = states.pulled.numpy() == pulled
+        style = {"linestyle": "", "marker": marker}
         left.plot(*measured[own][:, [0, 2]].T, color=MEASURED, label=f"measured, {name}", **style)
         left.plot(*model[own][:, [0, 2]].T, color=MODEL, fillstyle="none", label=f"model, {name}", **style)
-    left.set(xlabel="x [mm]", ylabel="z [mm]", title="The tip from above: published constants, nothing fitted")
+    left.set(xlabel="x [mm]", ylabel="z [mm]", title="The tip from below: published constants, nothing fitted")
     left.set_aspect("equal", adjustable="datalim")
     left.legend(fontsize="small")
     names = list(dict.fromkeys(row.hypothesis for row in rows))
-    for shift, (case, (name, colour)) in zip((-0.17, 0.17), CASES.items(), strict=True):
+    for shift, (pulled, (name, colour, marker)) in zip((-0.17, 0.17), GROUPS.items(), strict=True):
         for place, hypothesis in enumerate(names):
-            errors = [row.tip_error_mm for row in rows if row.hypothesis == hypothesis and row.case == case]
+            errors = [row.tip_error_mm for row in rows if row.hypothesis == hypothesis and row.pulled is pulled]
             spots = np.full(len(errors), place + shift)
-            marker = "o" if case == "noload" else "^"
             right.plot(
                 spots,
                 errors,
@@ -48,11 +48,11 @@ def draw(states: States, modelled: Tensor, rows: "Sequence[Row]") -> Figure:
                 label=name if place == 0 else None,
             )
             right.plot([place + shift - 0.12, place + shift + 0.12], [np.median(errors)] * 2, color=colour, linewidth=3)
-    right.set_xticks(range(len(names)), [name.replace(" ", "\n", 1) for name in names])
+    right.set_xticks(range(len(names)), [fill(name, 12) for name in names], fontsize="small")
     right.set(
         ylabel="tip error [mm]",
-        title="Fitted on half of the states, judged on the other half",
-        ylim=(0, None),
+        title="Hypotheses: fitted on half of the states, judged on the other",
+        ylim=(0, 25),
     )
     right.legend()
     return figure

@@ -20,6 +20,8 @@ assert END.length is not None
 LENGTH, END_LENGTH = float(BODY.length[0]), float(END.length)
 """Of the silicone body, and of the rigid end with the force sensor [m]."""
 POISSON = 0.5
+PULLED = 0.1
+"""Force [N] from which a state counts as pulled."""
 HIGHEST = 100.0
 """Pressure at which a stiffness that grows with pressure is told [kPa]."""
 
@@ -34,12 +36,14 @@ class Hypothesis:
             below 0 it swells.
         stiffening: bending stiffness that each chamber adds at 100 kPa [1e-3 N·m²].
         twisting: torsional flexibility, as a part of that of the body by its shear modulus; 0 does not twist.
+        short_of_tip: where on the rigid end the measured force acts: 0 at its tip, 1 where it sits on the body.
     """
 
     young: float = 1.0
     thinning: float = 0.0
     stiffening: float = 0.0
     twisting: float = 0.0
+    short_of_tip: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,7 @@ class States:
         pressure: (S, 7) of the six chambers and of the core, which has none [kPa].
         wrench: (S, 6) at the tip, in the world frame [N, N·m].
         tip: (S, 3) its position [m].
+        pulled: (S,) whether someone pulls: with more than 0.5 N, where others measure less than 0.05 N.
     """
 
     case: tuple[str, ...]
@@ -73,6 +78,10 @@ class States:
     pressure: Tensor
     wrench: Tensor
     tip: Tensor
+
+    @property
+    def pulled(self) -> Tensor:
+        return self.wrench[:, :3].norm(dim=-1) > PULLED
 
 
 def module(how: Hypothesis) -> ta.ArmSeries:
@@ -123,7 +132,11 @@ def to_world(vector: Tensor) -> Tensor:
 
 def tips(how: Hypothesis, states: States, nodes: int = 10) -> Tensor:
     """(S, 3) where the model puts the tip [m]; NaN where it finds no stable equilibrium."""
-    load = ta.ExternalLoad(tip=states.wrench, gravity=True)
+    share = torch.tensor([how.short_of_tip] * 3 + [0.0] * 3, dtype=torch.float64)
+    # a force between two points is one at either of them, in parts
+    load = ta.ExternalLoad(
+        tip=(1 - share) * states.wrench, gravity=True, points=[ta.PointLoad(share * states.wrench, at=1.0)]
+    )
     held = ta.solve_equilibrium(module(how), states.pressure, load, nodes=nodes)
     place = held.poses[:, -1, :3, 3]
     return torch.where((held.converged & held.stable).unsqueeze(-1), place, torch.nan)

@@ -23,13 +23,16 @@ from experiments.rows import write_rows
 
 HERE = Path(__file__).parent
 PUBLISHED = "published"
-HYPOTHESES: dict[str, tuple[str, tuple[float, float]]] = {
-    "Young's modulus": ("young", (0.5, 3.0)),
-    "chambers thin or swell": ("thinning", (-3.0, 3.0)),
-    "stiffer with pressure": ("stiffening", (0.0, 10.0)),
-    "twists": ("twisting", (0.0, 3.0)),
+SHORT = Hypothesis(short_of_tip=1.0)
+HYPOTHESES: dict[str, tuple[str, tuple[float, float], Hypothesis]] = {
+    "Young's modulus": ("young", (0.5, 3.0), Hypothesis()),
+    "chambers thin or swell": ("thinning", (-3.0, 3.0), Hypothesis()),
+    "stiffer with pressure": ("stiffening", (0.0, 10.0), Hypothesis()),
+    "twists": ("twisting", (0.0, 3.0), Hypothesis()),
+    "pulled short of the tip": ("short_of_tip", (0.0, 1.0), Hypothesis()),
+    "pulled there, and chambers swell": ("thinning", (-3.0, 3.0), SHORT),
 }
-"""Names, the field that is fitted, and between which values."""
+"""Names, the field that is fitted, between which values, and what else is assumed."""
 ACCURACY = 1e-3
 """Of a fitted value."""
 
@@ -41,6 +44,7 @@ class Row:
     hypothesis: str
     case: str
     state: int
+    pulled: bool
     value: float
     tip_error_mm: float
     deflection_mm: float
@@ -51,7 +55,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="a smoke run: one hypothesis, no file written")
     quick = parser.parse_args().quick
     torch.set_num_threads(1)
-    console = Console(width=110)
+    console = Console(width=120)
     found = list(limits())
     console.print(limits_table(found))
     if not quick:
@@ -68,22 +72,24 @@ def main() -> None:
         figure.draw(states, tips(Hypothesis(), states), rows).savefig(HERE / "measured_arm.png", dpi=110)
 
 
-def compared(states: States, hypotheses: dict[str, tuple[str, tuple[float, float]]]) -> Iterator[Row]:
+def compared(
+    states: States, hypotheses: dict[str, tuple[str, tuple[float, float], Hypothesis]] = HYPOTHESES
+) -> Iterator[Row]:
     """The published model, then each hypothesis fitted on every other state and judged on the rest, both ways."""
     count = len(states.case)
     yield from rows_of(PUBLISHED, states, Hypothesis(), 0.0, range(count))
-    for name, (field, ends) in hypotheses.items():
+    for name, (field, ends, base) in hypotheses.items():
         for first in (0, 1):
             seen, unseen = range(first, count, 2), range(1 - first, count, 2)
-            value = fitted(states, field, ends, list(seen))
-            yield from rows_of(name, states, replace(Hypothesis(), **{field: value}), value, unseen)
+            value = fitted(states, field, ends, list(seen), base)
+            yield from rows_of(name, states, replace(base, **{field: value}), value, unseen)
 
 
-def fitted(states: States, field: str, ends: tuple[float, float], seen: list[int]) -> float:
+def fitted(states: States, field: str, ends: tuple[float, float], seen: list[int], base: Hypothesis) -> float:
     """The value with the least mean tip error on the states seen."""
 
     def missed(value: float) -> float:
-        apart = (tips(replace(Hypothesis(), **{field: value}), states) - states.tip)[seen].norm(dim=-1)
+        apart = (tips(replace(base, **{field: value}), states) - states.tip)[seen].norm(dim=-1)
         return float(apart.nan_to_num(1.0).mean())
 
     return float(minimize_scalar(missed, bounds=ends, method="bounded", options={"xatol": ACCURACY}).x)
@@ -94,18 +100,18 @@ def rows_of(name: str, states: States, how: Hypothesis, value: float, which: ran
     apart, moved = (tips(how, states) - states.tip).norm(dim=-1), (states.tip - straight).norm(dim=-1)
     for index in which:
         errors = 1e3 * float(apart[index]), 1e3 * float(moved[index])
-        yield Row(name, states.case[index], states.number[index], value, *errors)
+        yield Row(name, states.case[index], states.number[index], bool(states.pulled[index]), value, *errors)
 
 
 def table(rows: list[Row]) -> Table:
     shown = Table(box=None, title="Tip errors, mm; fitted ones on states that were not seen", title_justify="left")
-    for heading in ("", "value", "no load: median", "largest", "pulled: median", "largest", "all: mean"):
+    for heading in ("", "value", "not pulled: median", "largest", "pulled: median", "largest", "all: mean"):
         shown.add_column(heading, justify="right" if heading else "left")
     for name in dict.fromkeys(row.hypothesis for row in rows):
         own = [row for row in rows if row.hypothesis == name]
         cells: list[str] = []
-        for case in ("noload", "load1"):
-            errors = [row.tip_error_mm for row in own if row.case == case]
+        for pulled in (False, True):
+            errors = [row.tip_error_mm for row in own if row.pulled is pulled]
             cells += [f"{np.median(errors):.1f}", f"{np.max(errors):.1f}"]
         values = ", ".join(f"{value:.2f}" for value in dict.fromkeys(row.value for row in own))
         mean = f"{np.mean([row.tip_error_mm for row in own]):.1f}"

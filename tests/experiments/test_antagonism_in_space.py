@@ -17,6 +17,7 @@ from experiments.antagonism_in_space.claims import (
     edges_fall_short,
     nearest,
 )
+from experiments.antagonism_in_space.hulls import hulls, moment_range
 from experiments.antagonism_in_space.run import pairs_in_order
 from experiments.hull_gallery.search import FINE, CurveSum
 
@@ -121,6 +122,25 @@ def test_edges_fall_short_by_as_much_as_the_library_s_own_edges():
     gap = ((exact @ way.T).max(0) - (edges @ way.T).max(0)).max()
     assert own == pytest.approx(gap, rel=0.05)
     assert ConvexHull(exact).volume > ConvexHull(edges).volume
+
+
+def test_moments_at_a_force_of_a_box_and_of_a_pyramid():
+    box = np.array([(f, y, z) for f in (-1.0, 3.0) for y in (-2.0, 2.0) for z in (-0.5, 0.5)])
+    assert moment_range(box, 0.4) == pytest.approx(1.0)
+    assert moment_range(box, 3.5) == 0.0
+    pyramid = np.concatenate((box[:4], [[3.0, 0.0, 0.0]]))  # its base at -1, its top at 3
+    assert moment_range(pyramid, 1.0) == pytest.approx(0.5)
+
+
+def test_weight_asks_the_base_for_all_of_its_pull():
+    arm, task = scenes.arms()["6 bellows on the outer ring"], scenes.tasks(0.12, 1)
+    down = list(scenes.force_ways()).index("down")
+    load = ta.ExternalLoad(tip=task.load.tip[0, down], gravity=True)
+    (found,) = hulls("", arm, task.twists[0, 0], load, 0.0, [0])
+    # The first element's middle is tilted by a twentieth of its curvature; a twentieth of the arm hangs before it.
+    pull = scenes.FORCE + 0.95 * 9.81 * scenes.MASS
+    assert found.required == pytest.approx(-pull * math.cos(scenes.BEND[1] / 20), rel=1e-9)
+    assert found.force_min < found.required < found.force_max
 
 
 def test_pairs_in_order():

@@ -144,7 +144,8 @@ def _report(console: "Console", plan: "Study", results: Sequence["StudyResult"],
         console.print(line)
     arms, tasks = count(len(plan.arms), "arm"), count(len(plan.tasks), "task")
     evaluations = count(sum(result.loads for result in results), "evaluation")
-    console.print(f"{arms} on {tasks}: {evaluations} in {seconds:.2g} s.")
+    taken = f"{seconds:.0f}" if seconds >= 10 else f"{seconds:.2g}"
+    console.print(f"{arms} on {tasks}: {evaluations} in {taken} s.")
 
 
 def _why(summary: "Summary", load: int, verdict: str, why: str) -> str:
