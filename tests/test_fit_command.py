@@ -70,6 +70,13 @@ def test_a_fit_from_files_to_file(runs, tmp_path):
     assert provenance["actuators in parallel"] == 4
 
 
+def test_what_a_study_is_told_to_hold_is_toml_for_any_name(runs, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = fit(runs, "--out", r'C:\models\"b".toml')
+    line = "".join(result.output.split("In a study: ")[1].splitlines()).split(", ...]")[0] + "]"
+    assert tomllib.loads(line)["actuators"] == [{"kind": "file", "path": r'C:\models\"b".toml'}]
+
+
 def test_the_options_are_those_of_python(runs, tmp_path):
     out = tmp_path / "m.toml"
     fit(

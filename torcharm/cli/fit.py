@@ -89,8 +89,9 @@ def _outputs(
     model: "FittedActuator", recording: "Recording", out: Path, figure: Path | None
 ) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
     from torcharm.actuators.model_file import save_actuator
+    from torcharm.actuators.toml_text import toml_value
 
-    study = f'. In a study: actuators = [{{ kind = "file", path = "{out}" }}, ...]'
+    study = f". In a study: actuators = [{toml_value({'kind': 'file', 'path': str(out)})}, ...]"
     yield out, lambda path: save_actuator(path, model), study
     if figure is not None:
         from torcharm.plot.characterisation import characterisation_figure
