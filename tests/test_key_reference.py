@@ -195,7 +195,7 @@ def test_tables_that_are_left_out_may_be_used(tmp_path):
     assert parse_study(drawn.replace("\n#loads = ", "\nloads = ")).tasks[0].task.batch_shape == (2,)
 
     named = "\n\n".join(part for part in TEXT.split("\n\n") if "[arm.actuators" not in part)
-    arm = parse_study(named.replace("\n#actuators = ", "\nactuators = ")).arms[1].design
+    arm = parse_study(named.replace("\n#actuators = ", "\nactuators = ", 1)).arms[1].design
     assert arm.actuators == (ta.Bellows(), ta.McKibben(force_scale=2.0))
 
 
