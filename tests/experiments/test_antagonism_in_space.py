@@ -48,14 +48,7 @@ def test_a_force_towards_the_bend_points_to_where_the_shape_goes():
     assert bool(((toward * aside).sum(-1) > 0).all())
 
 
-FAULTY = "evaluate calls a wrench attainable (node 4, side 60°, force up) that NNLS finds 1.3e-3 N outside"
-NAMES = [
-    pytest.param(name, marks=pytest.mark.xfail(strict=True, reason=FAULTY)) if "behind" in name else name
-    for name in scenes.arms()
-]
-
-
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", scenes.arms())
 def test_arms_of_threefold_symmetry_lack_alike_at_sides_120_degrees_apart(name):
     found = ta.evaluate(scenes.arms()[name], scenes.tasks(-0.06, 12), ("absolute", "relative"))
     for value in (found.absolute, found.relative):

@@ -148,7 +148,7 @@ def nearest_part(D: int, ask: Any) -> Any:
                 low = max(low, ahead)
                 if length - low <= GAP * size:
                     break
-                if surrounded(simplex):
+                if low <= TOUCHING * size and surrounded(simplex):  # of slivers rounding decides; a plane beyond w does
                     return 0.0, 0.0, True
                 own, now = nearest_face(simplex)
                 if now < square:
