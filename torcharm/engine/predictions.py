@@ -123,6 +123,8 @@ def _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, be
             least, found = points.known[at, HALF_COST], True
             for m in range(points.place.shape[1]):
                 points.place[to, m] = points.place[at, m]
+            if not _near(problem, work, b, at, math.inf):  # it is held: nothing can do better
+                break
     if found:
         copy_twists(path.trial, shape)
         evaluate_point(problem, work, b, to, CLOSE, EVALUATIONS)
