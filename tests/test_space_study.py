@@ -283,7 +283,7 @@ BAD = {
     "mixed arms": (SMALL + f'[[arm]]\nname = "b"\n{FLAT}', "task[1].shape: must be in the plane", 'arm "b"'),
     "mixed segments": (
         study_text(f"[[arm.segment]]\n{RING}\n[[arm.segment]]\nradii = [0]\nlength = 1\nactuators = 'bellows'", BEND),
-        "arm[1].segments[1]: must be of dimension 3 as the first, got 2",
+        "arm[1].segment[2]: must be in the plane (radii) or in space (offsets, ring) as the first segment is",
     ),
     "mixed loads": (
         study_text(RING, BEND.replace("[0.5, 0, 0.1, 0, 0, 0]", "[0, 0, 0]")),
@@ -387,7 +387,7 @@ BAD = {
     ),
     "radius of a ring": (
         study_text(RING.replace("50 mm", "-50 mm"), BEND),
-        "arm[1].radius: must be at least 0 m, got -0.05",
+        "arm[1].ring.radius: must be at least 0 m, got -0.05",
     ),
     "lists for rings": (
         study_text(f"{RING}\nmax_pressure = [1, 2]", BEND),
@@ -410,6 +410,15 @@ BAD = {
         study_text("[[arm.segment]]\nlength = 1", BEND),
         "arm[1].segment[1]: must have one of radii, offsets, ring, got none",
     ),
+    "no pose": (
+        study_text(RING, f"{BEND}\nbase_pose = 5"),
+        "task[1].base_pose: must be hanging, upright, horizontal, a list [x, y, θ], or in space the four rows of a",
+    ),
+    "no tip pose": (
+        study_text(RING, f'{BEND}\n[[plan]]\nname = "p"\ntip_pose = "x"\ntip_load = [0, 0, 0, 0, 0, 0]'),
+        "plan[1].tip_pose: must be a list [x, y, θ], or in space the four rows of a homogeneous matrix, got",
+    ),
+    "no segment nodes": (TWO.replace("@", "segment_nodes = []"), "task[1].segment_nodes: must be a list of numbers"),
     "no such arm": (study_text(RING, f'{BEND}\narms = ["b"]'), "task[1].arms[1]: must be one of a, got"),
     "an arm without tasks": (
         SMALL.replace('name = "t"', 'name = "t"\narms = ["a"]') + f'[[arm]]\nname = "b"\n{RING}',

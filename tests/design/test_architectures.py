@@ -134,7 +134,8 @@ THIRDS = (0.0, 2 * math.pi / 3, 4 * math.pi / 3)
         (bent_towards(0.4, gravity=True), LENGTHS, 1),
         (bent_towards(0.4, gravity=True), DesignSpace(free="angles"), 3),
         (bent_towards(0.4, gravity=True), DesignSpace(free="angles", tied="mirror"), 1),
-        (bent_towards(0.4, gravity=True), DesignSpace(free="angles", bounds={"angles": (-3.0, 6.0)}), 1),
+        (bent_towards(*THIRDS, force=2.0), DesignSpace(free="angles", bounds={"angles": (-3.0, 6.0)}), 1),
+        (ta.Task(ta.constant_curvature(0.5, 0.4, 3, 0.0), [0.0] * 6), LENGTHS, 2),  # of no batch
         (bent_towards(*THIRDS, force=2.0), DesignSpace(free="length", bounds={"length": (0.3, (0.5, 0.5, 0.6))}), 2),
     ],
 )

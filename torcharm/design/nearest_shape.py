@@ -55,7 +55,7 @@ def nearest_shape(
 def _advice(found: Array, strains: tuple[Array, Array] | None, nodes: int, away: float) -> str:
     """What holds the nearest shape back says what to change."""
     if strains is None:
-        return "try another reference_length, or a tip nearer to the base"
+        return "try a tip nearer to the base, more nodes or more starts"
     rows, bound = strains
     reach = bound[rows[:, :nodes].sum(-1) > 0].min(initial=math.inf)
     if away > reach:

@@ -70,6 +70,8 @@ def _order(arm: ArmDesign, turn: Tensor, space: DesignSpace) -> Order | None:
     alike = [(image, offsets[:, order]), *((value, value[..., order]) for value in kept)]
     if len(set(order.tolist())) < len(order) or any(bool(((a - b).abs() > SAME).any()) for a, b in alike):
         return None
+    if "angles" in space.bounds and order != tuple(range(len(order))):
+        return None
     for name, bounds in space.bounds.items():
         try:
             low, high = (np.broadcast_to(np.asarray(end, dtype=np.float64), len(order)) for end in bounds)
@@ -111,7 +113,7 @@ def _rows(tasks: Sequence[Task], turn: Tensor | None = None) -> list[tuple[Any, 
         places = tuple((point.segment, point.at) for point in task.load.points)
         about = (*task.base_pose.flatten().tolist(), task.wrench_at, task.nodes, task.load.gravity, places)
         whole = torch.cat((shape, load, *(weight.unsqueeze(-1) for weight in weights)), -1)
-        found += [(about, *row) for row in (whole.flatten(0, -2) / SAME).round().add(0.0).tolist()]
+        found += [(about, *row) for row in (whole.reshape(-1, whole.shape[-1]) / SAME).round().add(0.0).tolist()]
     return sorted(found)
 
 

@@ -61,7 +61,13 @@ def make_arm(table: PaperArm | FreeArm | SeriesArm, folder: Path) -> NamedArm:
         parts: list[ArmDesign | RigidLink] = []
         for index, one in enumerate(table.segment):
             with within(field_path(["segment", index])):
-                parts += _parts(one, folder, files)
+                own = _parts(one, folder, files)
+            if parts and own[0].dimension != parts[0].dimension:
+                raise ValueError(
+                    f"{field_path(['segment', index])}: must be in the plane (radii) or in space (offsets, ring) "
+                    "as the first segment is"
+                )
+            parts += own
         design: ArmDesign | ArmSeries = series(parts)
     elif isinstance(table, FreeArm):
         found = _parts(table, folder, files)
@@ -82,7 +88,11 @@ def _parts(table: SegmentTable, folder: Path, files: list[str | None]) -> list[A
     if table.ring is not None:
         rings = table.ring if isinstance(table.ring, list) else [table.ring]
         counts = tuple(one.count for one in rings)
-        places: dict[str, Any] = {"offsets": torch.cat([ring(one.radius, one.count, one.phase) for one in rings])}
+        offsets = []
+        for index, one in enumerate(rings):
+            with within(field_path(["ring", index] if isinstance(table.ring, list) else ["ring"])):
+                offsets.append(ring(one.radius, one.count, one.phase))
+        places: dict[str, Any] = {"offsets": torch.cat(offsets)}
     else:
         places = {"radii": table.radii} if table.radii is not None else {"offsets": table.offsets}
     number = len(next(iter(places.values())))

@@ -147,8 +147,6 @@ class PointTable(Table):
 
 
 def _by_form(value: Any) -> str:
-    if isinstance(value, str):
-        return "<name>"
     return "<matrix>" if isinstance(value, list) and any(isinstance(row, list) for row in value) else "<pose>"
 
 
@@ -156,12 +154,16 @@ _Matrix = Annotated[
     list[Annotated[list[float], entries("x axis", "y axis", "z axis", "position")]],
     entries("row 1", "row 2", "row 3", "row 4"),
 ]
-TipPose = Annotated[Annotated[_Matrix, Tag("<matrix>")] | Annotated[Pose, Tag("<pose>")], Discriminator(_by_form)]
+_POSE = "a list [x, y, θ], or in space the four rows of a homogeneous matrix"
+TipPose = Annotated[
+    Annotated[_Matrix, Tag("<matrix>")] | Annotated[Pose, Tag("<pose>")], Discriminator(_by_form), either(_POSE, list)
+]
 BasePose = Annotated[
     Annotated[str, one_of(tuple(HEADINGS)), Tag("<name>")]
     | Annotated[_Matrix, Tag("<matrix>")]
     | Annotated[Pose, Tag("<pose>")],
-    Discriminator(_by_form),
+    Discriminator(lambda value: "<name>" if isinstance(value, str) else _by_form(value)),
+    either(f"{', '.join(HEADINGS)}, {_POSE}", str, list),
 ]
 base_pose: Any = Field(
     default=HANGING,
@@ -221,7 +223,7 @@ class TwistTask(LoadedTable):
         "were like it; in space six numbers [l, γ_y, γ_z, κ_x, κ_y, κ_z].",
         examples=[[[0.48, 0.0, 1.0], [0.48, 0.0, "30 deg"], [0.48, 0.0, 0.0]]],
     )
-    segment_nodes: list[_Count] | None = Field(
+    segment_nodes: Annotated[list[_Count], filled("a list of numbers")] | None = Field(
         default=None, description="How many of these each segment has; without it, the arm is one.", examples=[[3]]
     )
 
