@@ -37,8 +37,8 @@ def test_search_shows_the_least_the_median_and_the_largest_error(found):
         np.testing.assert_allclose(reached.get_xydata()[:: plot.SMOOTHING], ta.poses(found.twists[load])[:, :2])
         assert (reached.get_color(), reached.get_linestyle()) == (plot.UNATTAINABLE, "--")
         outer = max(lines(axes, "bellows"), key=lambda line: line.get_xydata()[-1, 0])
-        offset = torch.tensor([0.0, -0.08, 0.0]), torch.tensor([0.0, 0.08, 0.0])
-        tips = [se2.compose(ta.poses(found.twists[load])[-1], one.double())[:2].numpy() for one in offset]
+        offset = torch.tensor([[0.0, -0.08, 0.0], [0.0, 0.08, 0.0]], dtype=torch.float64)
+        tips = [se2.compose(ta.poses(found.twists[load])[-1], one)[:2].numpy() for one in offset]
         assert min(np.linalg.norm(outer.get_xydata()[-1] - tip) for tip in tips) < 1e-9, (
             "actuators are where it gets to"
         )

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+import torcharm
 from torcharm import Task, affine_curvature, cubic_curvature, sample_loads
 
 

@@ -9,7 +9,7 @@ import torch
 from typer.testing import CliRunner
 
 import torcharm as ta
-from experiments.trust.agreement import counted
+from experiments.trust.agreement import ARMS, counted
 from experiments.trust.run import EACH
 from torcharm.cli.app import app
 from torcharm.study import evaluate_study, parse_study, write_results
@@ -322,7 +322,7 @@ def test_the_command_says_what_is_impossible_and_asks_about_units(tmp_path):
     path.write_text(STUDY, encoding="utf-8")
     done = CliRunner().invoke(app, ["evaluate", str(path)], env={"COLUMNS": "300"})
     assert done.exit_code == 0, done.output
-    assert "pair, load 1: actuator 2 would have no length at node 1" in done.stdout
+    assert "pair: actuator 2 would have no length at node 1" in done.stdout
     assert "impossible: an actuator would have no length." in done.stdout
     path.write_text(STUDY.replace("12.0", "90.0"), encoding="utf-8")
     refused = CliRunner().invoke(app, ["evaluate", str(path)], env={"COLUMNS": "300"})
@@ -331,7 +331,7 @@ def test_the_command_says_what_is_impossible_and_asks_about_units(tmp_path):
 
 
 def test_trusted_predictions_agree_with_the_search():
-    rows = [row for row in counted(range(12)) if row.status in ("converged", "at a kink")]
+    rows = [row for row in counted(range(ARMS)) if row.status in ("converged", "at a kink")]
     tasks = sum(row.tasks for row in rows)
-    assert tasks > 0.6 * 12 * EACH
+    assert tasks > 0.6 * ARMS * EACH
     assert sum(row.prediction_larger + row.search_larger for row in rows) <= 0.01 * tasks
