@@ -6,12 +6,14 @@ import math
 import re
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import pytest
 import torch
 from test_cli import invoke, mistake
 
 import torcharm as ta
+from torcharm.cli import optimise
 from torcharm.study import evaluate_study, example_text, parse_study, result_rows, summarise
 
 D = torch.float64
@@ -282,7 +284,7 @@ def test_files_of_studies_in_the_plane_and_in_space_name_every_column(tmp_path):
     path, out = tmp_path / "s.toml", tmp_path / "out.csv"
     pose = ta.poses(ta.constant_curvature(0.26, 0.35, 4, direction=0.0))[-1]
     plan = f'[[plan]]\nname = "p"\ntip_pose = {pose.tolist()}\ntip_load = [0, 0, 0, 0, 0, 0]\nnodes = 4\n'
-    path.write_text(f'{MIXED}[optimise]\nmetric = "unattainability"\nstarts = 1\niterations = 1\n{IN_THE_PLANE}{plan}')
+    path.write_text(MIXED + IN_THE_PLANE + plan)
 
     invoke("search", path, "--starts", 1, "--out", out)
     space, _, flat, row = csv.DictReader(out.open(encoding="utf-8"))
@@ -298,7 +300,13 @@ def test_files_of_studies_in_the_plane_and_in_space_name_every_column(tmp_path):
     assert ta.poses(twists.double())[-1].tolist() == pytest.approx([0.0, -0.5, -math.pi / 2], abs=1e-7)
     assert (rows[-1]["curvature_rad"], rows[-1]["curvature_z_rad"] != "") == ("", True)
 
-    text = invoke("optimise", path, "--out", out)
+
+def test_angles_of_arms_in_space_are_told_beside_arms_in_the_plane(tmp_path):
+    out = tmp_path / "out.csv"
+    arms = parse_study(MIXED).arms[:2]
+    results = [(arm, SimpleNamespace(given=arm.design, best=arm.design)) for arm in arms]
+    optimise._write(out, results, ".csv")
+    text = " ".join(cell for column in optimise._designs(results) for cell in column.cells)
     rows = list(csv.DictReader(out.open(encoding="utf-8")))
     angles = {name: [one["given_angle_rad"] for one in rows if one["arm"] == name] for name in ("flat", "a")}
     assert angles["flat"] == [""] * 4
