@@ -94,9 +94,13 @@ def test_one_arm_that_is_refused_costs_no_other(tmp_path: Path) -> None:
 
 
 def test_a_spacing_that_nobody_gave_is_said(tmp_path: Path) -> None:
-    said = "Actuators may come as close as 5 mm, axis to axis: set optimise.spacing to their width."
-    assert said not in _run(tmp_path, "optimise", "study.toml").stdout
-    assert said in _run(tmp_path, "optimise", "study.toml", text=STUDY.replace("spacing = 0.005\n", "")).stdout
+    said = "without a diameter may come as close as 5 mm, axis to axis: give them one, or set optimise.spacing."
+    bare = STUDY.replace("spacing = 0.005\n", "")
+    wide = bare.replace("length = 0.51\n", 'length = 0.51\ndiameter = "6 mm"\n')
+    for text, expected in ((STUDY, False), (bare, True), (wide, False)):
+        answer = _run(tmp_path, "optimise", "study.toml", text=text)
+        assert answer.returncode == 0, answer.stderr
+        assert (said in answer.stdout) == expected
 
 
 def test_numbers_of_a_search_are_named_and_are_its_own(tmp_path: Path) -> None:

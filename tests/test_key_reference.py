@@ -20,6 +20,7 @@ ENTRY = re.compile(r"#?(\w+) = .*")
 HEADING = re.compile(r"#?(\[+[\w.]+\]+)")
 NEEDS = {  # keys left out that need others, and with what they are used
     ("evaluate", "samples"): ('hull = "exact"', 'hull = "edges"'),
+    ("optimise.bounds", "angles"): ('free = ["radii", "length"]', 'free = ["radii", "length", "angles"]'),
     ("optimise.bounds", "max_pressure"): ('free = ["radii", "length"]', 'free = ["radii", "length", "max_pressure"]'),
     ("task", "payloads"): ("gravity = false", "gravity = true"),
     ("plan", "length_weight"): ("#reference_length", "reference_length"),

@@ -94,6 +94,51 @@ def test_search_of_one_load_and_of_several_shapes(found):
         plot.search_figure([("soft", ta.antagonistic_arm(), found)], "one", task)
 
 
+def test_loads_are_those_of_the_shape_that_is_drawn(found):
+    """Of a batch (loads, shapes), where those of the first shape are every other one."""
+    shapes = torch.stack((TASK.twists, ta.affine_curvature(1.0, 1.0, nodes=4)))
+    task = ta.Task(shapes, TASK.tip_load[:, None])
+    assert task.batch_shape == (5, 2)
+    columns = {
+        name: value.repeat_interleave(2, 0) for name, value in vars(found).items() if isinstance(value, torch.Tensor)
+    }
+    both = dataclasses.replace(found, **columns)
+    figure = plot.search_figure([("soft", ta.antagonistic_arm(), both)], "two", task)
+    order = found.tip_error.argsort()
+    for axes, load in zip(figure.axes, order[[0, 2, 4]].tolist(), strict=True):
+        x, y, moment = TASK.tip_load[load].tolist()
+        words = f"load {2 * load + 1}: {np.hypot(x, y):.3g} N, {moment:.3g} N·m"
+        assert axes.get_title().splitlines()[-1] == words
+        (arrow,) = [one for one in axes.collections if isinstance(one, Quiver)]
+        np.testing.assert_allclose((arrow.U[0], arrow.V[0]), (x, y))
+
+
+def test_plans_in_space_show_the_pose_wanted_and_no_empty_axes():
+    arm = ta.ArmDesign(offsets=ta.ring(0.05, 3), length=0.3, actuators="bellows")
+    twists = ta.constant_curvature(0.26, 0.35, 4, direction=0.5)
+    pose = ta.poses(twists)[-1]
+    shape = PlannedShape("found", twists, 0.0, 0.0, None)
+    none = PlannedShape("no shape: none of 4", torch.full((4, 6), torch.nan), np.nan, np.nan, None)
+    figure = plot.plan_figure([("a", arm, shape), ("b", arm, none)], "p", pose, [0.0] * 6)
+    assert [axes.get_title() for axes in figure.axes] == ["a: found", "b: no shape"]
+    for axes in figure.axes:
+        (rim,) = lines(axes, "tip pose wanted")
+        x, z, y = (np.asarray(part) for part in rim.get_data_3d())
+        apart = np.stack((x, y, z), -1) - pose[:3, 3].numpy()
+        np.testing.assert_allclose(apart @ pose[:3, 0].numpy(), 0.0, atol=1e-9)
+        np.testing.assert_allclose(apart[:-1].mean(0), 0.0, atol=1e-3)
+        low, high = axes.get_zlim()
+        assert low < float(pose[1, 3]) < 0 < high, "tip and base are in sight"
+    figure.savefig(io.BytesIO())
+
+
+def test_searches_in_space_of_too_many_tasks_are_refused(found):
+    arm = ta.ArmDesign(offsets=ta.ring(0.05, 3), length=0.3, actuators="bellows")
+    task = ta.Task(ta.constant_curvature(0.26, 0.35, 4, direction=0.5), [0.0] * 6)
+    with pytest.raises(ValueError, match="results: a: must be of at most 1 tasks, got 5"):
+        plot.search_figure([("a", arm, found)], "one", task)
+
+
 def test_plan_shows_the_shape_the_pose_and_where_the_arm_is_predicted():
     pose, load = (0.15, -0.43, -0.6), (0.0, -1.0, 0.0)
     arm = ta.antagonistic_arm(0.04, 0.01, 0.48)

@@ -6,12 +6,14 @@ import math
 import re
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import pytest
 import torch
 from test_cli import invoke, mistake
 
 import torcharm as ta
+from torcharm.cli import optimise
 from torcharm.study import evaluate_study, example_text, parse_study, result_rows, summarise
 
 D = torch.float64
@@ -261,6 +263,92 @@ def test_plan_finds_a_shape_in_space(small, tmp_path):
     names = ("length_m", "shear_y_m", "shear_z_m", "torsion_rad", "curvature_y_rad", "curvature_z_rad")
     twists = torch.tensor([[float(row[name]) for name in names] for row in rows], dtype=D)
     torch.testing.assert_close(ta.poses(twists)[-1], pose, atol=1e-7, rtol=0)
+
+
+SERIES = "[[arm.segment]]\nradii = [-0.05, 0.05]\nlength = 0.3\nactuators = 'bellows'\n"
+MIXED = SMALL.replace('name = "t"', 'name = "t"\narms = ["a"]').replace(
+    "actuators = ", 'diameter = "20 mm"\nactuators = '
+)
+MIXED = (
+    MIXED.replace('[[arm]]\nname = "a"', '[[arm]]\nname = "flat"\nkind = "bellows"\n[[arm]]\nname = "a"')
+    + f'[[arm]]\nname = "row"\n{SERIES}{SERIES}[[task]]\nname = "f"\narms = ["flat"]\n'
+    + "twists = [[0.5, 0, 0], [0.5, 0, 0]]\nloads = [[0.5, 0, 0.01]]\n"
+    + '[[task]]\nname = "r"\narms = ["row"]\nshape = [{ kind = "constant", curvature = 0, nodes = 1, length = 0.3 }, '
+    + '{ kind = "constant", curvature = 0, nodes = 1, length = 0.3 }]\nloads = [[0, 0, 0]]\n'
+)
+"""Arms in the plane, in space and in series, each with a task."""
+IN_THE_PLANE = '[[plan]]\nname = "q"\ntip_pose = [0.0, -0.5, "-90 deg"]\ntip_load = [0, 0, 0]\nnodes = 3\n'
+
+
+def test_files_of_studies_in_the_plane_and_in_space_name_every_column(tmp_path):
+    path, out = tmp_path / "s.toml", tmp_path / "out.csv"
+    pose = ta.poses(ta.constant_curvature(0.26, 0.35, 4, direction=0.0))[-1]
+    plan = f'[[plan]]\nname = "p"\ntip_pose = {pose.tolist()}\ntip_load = [0, 0, 0, 0, 0, 0]\nnodes = 4\n'
+    path.write_text(MIXED + IN_THE_PLANE + plan)
+
+    invoke("search", path, "--starts", 1, "--out", out)
+    space, _, flat, row = csv.DictReader(out.open(encoding="utf-8"))
+    assert [one["arm"] for one in (space, flat, row)] == ["a", "flat", "row"]
+    assert (flat["moment_Nm"], flat["moment_z_Nm"], space["moment_Nm"], space["moment_z_Nm"]) == ("0.01", "", "", "0.0")
+    assert (flat["pressure_4_kPa"] != "", space["pressure_3_kPa"] != "", space["pressure_4_kPa"]) == (True, True, "")
+
+    invoke("plan", path, "--out", out)
+    rows = list(csv.DictReader(out.open(encoding="utf-8")))
+    assert [(one["plan"], one["arm"]) for one in rows] == [("q", "flat")] * 3 + [("p", "a")] * 4
+    assert (rows[0]["curvature_rad"] != "", rows[0]["curvature_z_rad"]) == (True, "")
+    twists = torch.tensor([[float(one[name]) for name in ("length_m", "shear_m", "curvature_rad")] for one in rows[:3]])
+    assert ta.poses(twists.double())[-1].tolist() == pytest.approx([0.0, -0.5, -math.pi / 2], abs=1e-7)
+    assert (rows[-1]["curvature_rad"], rows[-1]["curvature_z_rad"] != "") == ("", True)
+
+
+def test_angles_of_arms_in_space_are_told_beside_arms_in_the_plane(tmp_path):
+    out = tmp_path / "out.csv"
+    arms = parse_study(MIXED).arms[:2]
+    results = [(arm, SimpleNamespace(given=arm.design, best=arm.design)) for arm in arms]
+    optimise._write(out, results, ".csv")
+    text = " ".join(cell for column in optimise._designs(results) for cell in column.cells)
+    rows = list(csv.DictReader(out.open(encoding="utf-8")))
+    angles = {name: [one["given_angle_rad"] for one in rows if one["arm"] == name] for name in ("flat", "a")}
+    assert angles["flat"] == [""] * 4
+    assert float(angles["a"][1]) == pytest.approx(2 * math.pi / 3)
+    assert "120 → 120" in text
+
+
+def test_plans_name_their_arms():
+    study = parse_study(MIXED + IN_THE_PLANE)
+    assert [arm.name for arm in study.arms_of(study.plans[0])] == ["flat"]
+    for names, words in (
+        ('["flat", "flt"]', 'plan[1].arms[2]: must be one of flat, a, row, got "flt"; did you mean flat?'),
+        ('["a"]', 'plan[1].arms: must be of one segment without a link in the plane, as tip_load is, got "a"'),
+        ('["row"]', 'plan[1].arms: must be of one segment without a link in the plane, as tip_load is, got "row"'),
+    ):
+        with pytest.raises(ValueError, match=re.escape(words)):
+            parse_study(f"{MIXED}{IN_THE_PLANE}arms = {names}\n")
+    with pytest.raises(ValueError, match="tip_load: must fit an arm of one segment without a link in the plane, of"):
+        parse_study(SMALL + IN_THE_PLANE)
+
+
+def test_angles_have_bounds():
+    space = parse_study(
+        f'{SMALL}[optimise]\nfree = ["angles"]\nbounds = {{ angles = ["-60 deg", 1] }}'
+    ).optimisation.space
+    assert space.bounds["angles"] == pytest.approx((-math.pi / 3, 1.0))
+
+
+def test_shape_of_segments_in_the_plane_goes_without_a_picture(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s.toml").write_text(MIXED)
+    options = ("shape", "--study", "s.toml", "--arm", "row", "--pressure", "5,6,5,6", "--nodes", 3)
+    text = invoke(*options)
+    arm = ta.series([ta.ArmDesign([-0.05, 0.05], 0.3, "bellows")] * 2)
+    x, y, _ = ta.solve_equilibrium(arm, [5.0, 6.0, 5.0, 6.0], (0.0, 0.0, 0.0), 3).poses[-1].tolist()
+    assert text.startswith(f"row: tip at x {x:.6g} m, y {y:.6g} m")
+    assert text.endswith("No picture: arms of segments in the plane are not drawn.\n")
+    line = mistake(monkeypatch, capsys, *options, "--figure", "p.png")
+    assert line == "--figure: must be left out for row: arms of segments in the plane are not drawn"
+    assert [path.name for path in tmp_path.iterdir()] == ["s.toml"]
+    weighing = invoke("shape", "--study", "s.toml", "--arm", "flat", "--pressure", "5,5,5,5", "--gravity")
+    assert weighing.endswith("Wrote shape.png; weight counts, but has no arrow.\n")
 
 
 def test_pictures_of_the_plane_with_weight_are_refused_before_the_work(tmp_path, monkeypatch, capsys):

@@ -61,7 +61,7 @@ def _root(
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
-    pass  # holds the options of torcharm itself; `main` shows the help if there are none
+    pass  # holds the options of torcharm itself; `run` shows the help if nothing is given
 
 
 class _Command(TyperCommand):

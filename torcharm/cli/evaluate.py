@@ -47,7 +47,7 @@ def evaluate(
     paper: Annotated[bool, typer.Option("--paper", help="Evaluate the paper's validation.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the rows of --out as JSON, and no tables.")] = False,
 ) -> None:
-    """Evaluate every arm of a study on every task: how far off, held or not, and why not."""
+    """Evaluate every arm of a study on each of its tasks: how far off, held or not, and why not."""
     with mistakes():
         if paper and study is not None:
             raise ValueError(f"--paper: stands alone, got the study {study} too")

@@ -126,6 +126,7 @@ def _check_checkpoint(study: Path, out: Path | None, figure: Path | None, checkp
 def _tell(results: Found) -> None:
     from torcharm.design.result import objective_words
     from torcharm.design.space import LEAST_SPACING
+    from torcharm.statics.balance import segments_of
 
     console = open_console()
     print_table(_errors(results))
@@ -142,9 +143,10 @@ def _tell(results: Found) -> None:
         over = words.split()[0]
         say(console, f"Where a pressure search is named, its numbers are the {over} shape error that it reaches [mm].")
     space = first.space
-    if space.spacing is None and "radii" in space.free:  # arms of studies have no diameters
-        near = f"{1e3 * LEAST_SPACING:g} mm"
-        say(console, f"Actuators may come as close as {near}, axis to axis: set optimise.spacing to their width.")
+    segments = [segment for _, result in results for segment in segments_of(result.best)[0]]
+    if space.spacing is None and "radii" in space.free and any(segment.diameter is None for segment in segments):
+        near = f"as close as {1e3 * LEAST_SPACING:g} mm, axis to axis"
+        say(console, f"Actuators without a diameter may come {near}: give them one, or set optimise.spacing.")
     for arm, result in results:
         say(console, f"{arm.name}: {result.status}.")
         if result.violated and result.best is not result.given:
@@ -203,18 +205,20 @@ def _write_rows(path: Path, results: Found) -> None:
 
 
 def _fields(results: Found) -> list[tuple[str, str, int]]:
-    """Of each field that is told its name, its unit and its row of `given_values`; angles are of arms in space."""
+    """Of each field that is told its name, its unit and its row of `given_values`; angles if an arm is in space."""
     fields = [("radius", "m", 0), ("angle", "rad", 1), ("length", "m", 2), ("max_pressure", "kPa", 3)]
-    return fields if results[0][1].best.dimension == 3 else [fields[0], *fields[2:]]
+    return fields if any(result.best.dimension == 3 for _, result in results) else [fields[0], *fields[2:]]
 
 
-def _values(result: "OptimisedDesign", results: Found) -> Iterator[tuple[list[float], list[float]]]:
-    """For each actuator the fields that are told, given and best."""
+def _values(result: "OptimisedDesign", results: Found) -> Iterator[tuple[list[float | None], list[float | None]]]:
+    """For each actuator the fields that are told, given and best; in the plane the angle is None."""
     from torcharm.design.space import given_values
 
-    rows = [row for *_, row in _fields(results)]
-    given, best = (given_values(arm)[0][rows].T.tolist() for arm in (result.given, result.best))
-    return zip(given, best, strict=True)
+    flat, rows = result.best.dimension == 2, [row for *_, row in _fields(results)]
+    for given, best in zip(*(given_values(arm)[0].T.tolist() for arm in (result.given, result.best)), strict=True):
+        if flat:
+            given[1] = best[1] = None
+        yield [given[row] for row in rows], [best[row] for row in rows]
 
 
 def _errors(results: Found) -> list[Column]:
@@ -241,8 +245,8 @@ def _designs(results: Found) -> list[Column]:
         for index, pair in enumerate(_values(result, results)):
             cells = []
             for old, new, (_, unit, _) in zip(*pair, fields, strict=True):
-                scale = shown[unit][0]
-                cells.append(f"{scale * old:.{1 - in_space}f} → {scale * new:.{1 - in_space}f}")
+                ends = [f"{shown[unit][0] * one:.{1 - in_space}f}" for one in (old, new) if one is not None]
+                cells.append(" → ".join(ends) or "-")
             model = type(result.best.actuators[index]).__name__
             rows.append(("" if index else arm.name, f"{index + 1} {model}", *cells))
     names, models, *numbers = zip(*rows, strict=True)

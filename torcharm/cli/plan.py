@@ -42,7 +42,7 @@ def plan(
         typer.Option("--figure", help=f"Draw the shapes, to a file ending in {', '.join(FIGURE_FORMATS)}."),
     ] = None,
 ) -> None:
-    """Find shapes through the tip poses of a study, for each of its arms.
+    """Find shapes through the tip poses of a study, for each arm that they name or fit.
 
     Each element's wrench is taken at its middle. Ctrl-C ends the work and shows what was found until then.
     """
@@ -81,9 +81,9 @@ def _find(read: "Study", found: list[Found]) -> None:
 
     from torcharm.design.shape_planning import PlannedShape, plan_shape
 
-    with progress("planning", len(read.plans) * len(read.arms)) as advance:
+    with progress("planning", sum(len(read.arms_of(wanted)) for wanted in read.plans)) as advance:
         for wanted in read.plans:
-            for arm in read.arms:
+            for arm in read.arms_of(wanted):
                 pose, load, how = wanted.tip_pose, wanted.tip_load, wanted.smoothness
                 options = {"nodes": wanted.nodes, "base_pose": wanted.base_pose, "in_range": wanted.in_range}
                 try:
@@ -167,9 +167,10 @@ def _columns(found: Sequence[Found]) -> list[Column]:
 
 def _write(path: Path, found: Sequence[Found]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        columns = TWISTS[len(found[0][0].tip_load)]
-        writer.writerow(("plan", "arm", "node", *columns))
+        columns = dict.fromkeys(name for wanted, *_ in found for name in TWISTS[len(wanted.tip_load)])
+        writer = csv.DictWriter(file, ("plan", "arm", "node", *columns), lineterminator="\n")
+        writer.writeheader()
         for wanted, arm, shape in (one for one in found if one[-1].found):
+            names = {"plan": plain_cell(wanted.name), "arm": plain_cell(arm.name)}
             for node, twist in enumerate(shape.twists.tolist(), 1):
-                writer.writerow((plain_cell(wanted.name), plain_cell(arm.name), node, *twist))
+                writer.writerow(names | {"node": node} | dict(zip(TWISTS[len(twist)], twist, strict=True)))

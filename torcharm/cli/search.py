@@ -1,4 +1,4 @@
-"""`torcharm search`: for every arm and task of a study, the pressure that comes closest."""
+"""`torcharm search`: for every arm of a study and each of its tasks, the pressure that comes closest."""
 
 import csv
 import math
@@ -61,7 +61,7 @@ def search(
     ] = None,
     weights: Annotated[str, typer.Option(help="Of the nodes: ramp, uniform, tip.")] = "ramp",
 ) -> None:
-    """Search the pressure that brings every arm closest to every task, through its forward mechanics.
+    """Search the pressure that brings every arm closest to each of its tasks, through its forward mechanics.
 
     Ctrl-C ends the search and shows what was found until then.
     """
@@ -81,8 +81,7 @@ def search(
         check_drawable(figure, plan)
         for path in numbered(figure, len(plan.tasks)):
             check_writable(path, "--figure")
-        count_ = max(arm.design.actuator_count for arm in plan.arms)
-        kept = _Rows(out, _header(count_, plan.tasks[0].task.twists.shape[-1]))
+        kept = _Rows(out)
         results: list[tuple[NamedTask, Found]] = []
         interrupted = False
         with kept:
@@ -116,7 +115,7 @@ def _search(
             for arm in arms:
                 for first, block in _blocks(arm, task, method, starts, weights):
                     blocks[arm.name].append(block)
-                    kept.add(_rows(arm, task, first, block, kept.pressures))
+                    kept.add(_rows(arm, task, first, block))
                     advance()
         except KeyboardInterrupt:  # what is finished is shown and written all the same
             interrupted = True
@@ -165,10 +164,9 @@ class _Rows:
     A failure to write on the way is passed over: the rows are kept, and written once more at the end.
     """
 
-    def __init__(self, path: Path | None, header: list[str]) -> None:
-        self.path, self.header = path, header
-        self.pressures = sum(name.startswith("pressure_") for name in header)
-        self.rows: list[list[Any]] = []
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
+        self.rows: list[dict[str, Any]] = []
         self._grows = path is not None and not is_stream(path)  # a terminal gets all at the end
         self._next = -math.inf
 
@@ -179,7 +177,7 @@ class _Rows:
         if kind is not None and self.rows:
             self._save()
 
-    def add(self, rows: Iterator[list[Any]]) -> None:
+    def add(self, rows: Iterator[dict[str, Any]]) -> None:
         if self.path is not None:
             self.rows += rows
             started = time.monotonic()
@@ -196,8 +194,10 @@ class _Rows:
 
     def write(self, path: Path) -> None:
         with path.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(self.header)
+            # Tasks in the plane and in space have other loads, and arms other numbers of actuators.
+            header = dict.fromkeys(name for row in self.rows for name in row)
+            writer = csv.DictWriter(file, header, lineterminator="\n")
+            writer.writeheader()
             writer.writerows(self.rows)
 
 
@@ -238,41 +238,22 @@ def _blocks(
         yield first + 1, found
 
 
-def _header(actuators: int, components: int) -> list[str]:
+def _rows(arm: "NamedArm", task: "NamedTask", first: int, found: "PressureSearch") -> Iterator[dict[str, Any]]:
+    """A row for each load."""
     from torcharm.study.results import LOADS
 
-    pressures = [f"pressure_{index}_kPa" for index in range(1, actuators + 1)]
-    return [
-        *("arm", "task", "load", *LOADS[components], "cost_m2"),
-        *("tip_error_m", "tip_rotation_error_rad", "shape_error_m", *pressures),
-        *("converged", "continued", "in_range", "optimality", "spread_m2"),
-    ]
-
-
-def _rows(
-    arm: "NamedArm", task: "NamedTask", first: int, found: "PressureSearch", pressures: int
-) -> Iterator[list[Any]]:
-    """A row for each load; of arms with fewer actuators than others cells are left empty."""
     whole = task.task
-    loads = whole.tip_load.expand(*whole.batch_shape, -1).reshape(-1, whole.twists.shape[-1]).tolist()
-    errors = (found.cost, found.tip_error, found.tip_rotation_error, found.shape_error)
-    flags = (found.converged, found.continued, found.in_range)
-    columns = (*errors, found.pressure, *flags, found.optimality, found.spread)
-    values = zip(*(column.tolist() for column in columns), strict=True)
-    for index, (*sizes, pressure, sure, along, within, optimality, spread) in enumerate(values, start=first):
-        truths = [str(flag).lower() for flag in (sure, along, within)]
-        yield [
-            plain_cell(arm.name),
-            plain_cell(task.name),
-            index,
-            *loads[index - 1],
-            *sizes,
-            *pressure,
-            *[""] * (pressures - len(pressure)),
-            *truths,
-            optimality,
-            spread,
-        ]
+    loads = whole.tip_load.expand(*whole.batch_shape, -1).reshape(-1, whole.twists.shape[-1])[first - 1 :]
+    columns = dict(zip(LOADS[loads.shape[-1]], loads[: len(found.cost)].mT, strict=True))
+    columns |= {"cost_m2": found.cost, "tip_error_m": found.tip_error}
+    columns |= {"tip_rotation_error_rad": found.tip_rotation_error, "shape_error_m": found.shape_error}
+    columns |= {"converged": found.converged, "continued": found.continued, "in_range": found.in_range}
+    columns |= {"optimality": found.optimality, "spread_m2": found.spread}
+    columns |= {f"pressure_{index}_kPa": one for index, one in enumerate(found.pressure.mT, 1)}
+    names = {"arm": plain_cell(arm.name), "task": plain_cell(task.name)}
+    for load, values in enumerate(zip(*(column.tolist() for column in columns.values()), strict=True), start=first):
+        cells = (str(value).lower() if isinstance(value, bool) else value for value in values)
+        yield names | {"load": load} | dict(zip(columns, cells, strict=True))
 
 
 def _columns(found: "Found") -> list[Column]:

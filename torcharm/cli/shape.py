@@ -32,15 +32,20 @@ def shape(
     nodes: Annotated[int, typer.Option("--nodes", help="Elements of the arm, or of each segment.")] = 10,
     gravity: Annotated[bool, typer.Option("--gravity", help="Let the arm and its links weigh.")] = False,
     figure: Annotated[
-        Path, typer.Option("--figure", help=f"Draw it, to a file ending in {', '.join(FIGURE_FORMATS)}.")
-    ] = Path("shape.png"),
+        Path | None,
+        typer.Option(
+            "--figure", help=f"Draw it, to a file ending in {', '.join(FIGURE_FORMATS)}.", show_default="shape.png"
+        ),
+    ] = None,
 ) -> None:
     """Solve the forward mechanics of one arm: print the pose of its tip, and draw it.
 
     Each element's wrench is taken at its middle.
     """
     with mistakes():
-        check_outputs(study, None, figure)
+        picture = Path("shape.png") if figure is None else figure
+        check_outputs(study, None, picture)
+        from torcharm.arm_series import ArmSeries
         from torcharm.equilibrium import solve_equilibrium
         from torcharm.load import ExternalLoad
         from torcharm.study import load_study, paper_study
@@ -48,6 +53,9 @@ def shape(
 
         plan = paper_study() if study is None else load_study(study)
         chosen = _arm(plan.arms, arm)
+        drawn = chosen.design.dimension == 3 or not isinstance(chosen.design, ArmSeries)
+        if figure is not None and not drawn:
+            raise ValueError(f"--figure: must be left out for {chosen.name}: {UNDRAWN}")
         pressures = _numbers("--pressure", pressure, [PRESSURE] * chosen.design.actuator_count)
         units = (FORCE, FORCE, MOMENT) if chosen.design.dimension == 2 else (FORCE,) * 3 + (MOMENT,) * 3
         wrench = [0.0] * len(units) if load == "0" else _numbers("--load", load, units)
@@ -76,7 +84,14 @@ def shape(
             excess = float(found.strain_excess)
             what = f"Strains are up to {excess:.2g} out of range" if excess > 1e-9 else "Pressures are out of range"
             say(console, f"{what}: there the force models are extrapolated.")
-        save_all(console, [(figure, lambda path: _draw(path, chosen, found.twists, whole, nodes), ".")])
+        if not drawn:
+            say(console, f"No picture: {UNDRAWN}.")
+            return
+        words = "; weight counts, but has no arrow." if gravity else "."
+        save_all(console, [(picture, lambda path: _draw(path, chosen, found.twists, whole, nodes), words)])
+
+
+UNDRAWN = "arms of segments in the plane are not drawn"
 
 
 def _place(pose: "Tensor") -> str:

@@ -108,6 +108,32 @@ def node_index(task: Task, node: int | Tensor) -> int:
     return index
 
 
+def mark_inks(colour: str, filled: bool, marker: str = "o") -> dict[str, Any]:
+    """Of a scatter's marks, the marker, and the colours of face and edge; a cross has no face."""
+    inks = {"color": colour} if marker == "x" else {"edgecolors": colour, "facecolors": colour if filled else "none"}
+    return {"marker": marker} | inks
+
+
+def tip_errors(name: str, found: Tensor, tasks: int) -> Array:
+    """The tip's errors [m] of the tasks that were searched; an interruption leaves fewer than all."""
+    error = array(found).ravel()
+    if len(error) > tasks:
+        raise ValueError(f"results: {name}: must be of at most {tasks} tasks, got {len(error)}")
+    return error
+
+
+def ranked_places(error: Array) -> NDArray[np.intp]:
+    """The places of what is finite, from the least on."""
+    known = np.flatnonzero(np.isfinite(error))
+    return known[np.argsort(error[known], kind="stable")]
+
+
+def median_place(error: Array) -> int | None:
+    """The place of the median of what is finite, or None."""
+    ranked = ranked_places(error)
+    return int(ranked[(len(ranked) - 1) // 2]) if len(ranked) else None
+
+
 def legend_below(axes: Axes, below: float) -> None:
     """The legend where it covers nothing: so far below the axes, as a share of their height."""
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, below), ncols=3, fontsize="small", frameon=False)

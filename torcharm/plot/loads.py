@@ -16,9 +16,9 @@ from torch import Tensor
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.attainability import evaluate
-from torcharm.inputs import TensorLike, as_floating, check_choice, check_count
+from torcharm.inputs import TensorLike, as_floating, check_choice, check_count, shown
 from torcharm.load import ExternalLoad
-from torcharm.plot._common import VERDICT_STYLES, Array, array, axes_or_new
+from torcharm.plot._common import VERDICT_STYLES, Array, array, axes_or_new, mark_inks
 from torcharm.task import WRENCH_AT, Task
 from torcharm.wrench_sets.design_task_grid import segments_of
 
@@ -172,9 +172,8 @@ def verdict_map(loads: TensorLike, verdict: Sequence[Any] | NDArray[Any], *, ax:
     for word, (colour, marker, filled) in VERDICT_STYLES.items():
         own = words == word
         if own.any():
-            face = colour if filled else "none"
-            style = {"color": colour} if marker == "x" else {"edgecolors": colour, "facecolors": face}
-            axes.scatter(x[own], y[own], 25, marker=marker, label=f"{word}: {own.sum()} of {own.size}", **style)
+            inks = mark_inks(colour, filled, marker)
+            axes.scatter(x[own], y[own], 25, label=f"{word}: {own.sum()} of {own.size}", **inks)
     _label(axes, labels)
     return axes
 
@@ -220,7 +219,7 @@ def attainable_load_map(
     loads: Float[Tensor, "rows columns components"] | None = None,
     metric: str = "absolute",
     base_pose: TensorLike | str | None = None,
-    wrench_at: str = WRENCH_AT,
+    wrench_at: str | None = None,
     weights: tuple[float, float] = (1.0, 1.0),
     ax: Axes | None = None,
 ) -> Axes:
@@ -234,16 +233,23 @@ def attainable_load_map(
             forces act; its base pose and the place of its wrenches count then.
         loads: (R, C, 3 or 6) as for `load_map`; None takes `load_grid()`, in space of the plane "xy".
         metric, weights: as for `evaluate`.
-        base_pose: of node 1, as of `Task`.
-        wrench_at: as of `Task`.
+        base_pose: of node 1, as of `Task`; of twists alone.
+        wrench_at: as of `Task`, None for its default; of twists alone.
         ax: 2-D axes to draw in; None makes some.
 
     Raises:
-        ValueError: there are several designs or shapes, or as for `load_map` and `evaluate`.
+        ValueError: there are several designs or shapes, a task is given a base pose or a place of wrenches beside its
+            own, or as for `load_map` and `evaluate`.
     """
     if arm.batch_shape:
         raise ValueError(f"arm: must be one design, as arm[0] of a batch, got batch shape {tuple(arm.batch_shape)}")
-    task = shape if isinstance(shape, Task) else Task(shape.detach(), None, base_pose, ExternalLoad(), wrench_at)
+    if isinstance(shape, Task):
+        for name, value in (("base_pose", base_pose), ("wrench_at", wrench_at)):
+            if value is not None:
+                raise ValueError(f"{name}: must be left out beside a Task, which has its own, got {shown(value)}")
+        task = shape
+    else:
+        task = Task(shape.detach(), None, base_pose, ExternalLoad(), wrench_at or WRENCH_AT)
     like = segments_of(arm)[0].radii
     if math.prod(task.twists.shape[:-2]) != 1:
         raise ValueError(f"shape: must be one, (N, 3) or (N, 6), got {tuple(task.twists.shape)}")

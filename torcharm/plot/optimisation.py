@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from torcharm.arm import ArmDesign
 from torcharm.design.result import OptimisedDesign
-from torcharm.plot._common import ATTAINABLE, UNATTAINABLE
+from torcharm.plot._common import ATTAINABLE, UNATTAINABLE, mark_inks
 from torcharm.statics.balance import segments_of
 
 if TYPE_CHECKING:
@@ -53,7 +53,6 @@ def _draw_section(axes: "Axes", arm: ArmDesign, kinds: list[str], filled: bool) 
     for index, kind in enumerate(kinds):
         own = [place for place, model in enumerate(arm.actuators) if type(model).__name__ == kind]
         colour = COLOURS[index % len(COLOURS)]
-        face = colour if filled else "none"
         other = arm.length if arm.out_of_plane is None else arm.out_of_plane
         across, along = (1e3 * value.detach()[own].numpy(force=True) for value in (arm.radii, other))
-        axes.scatter(across, along, s=80, edgecolors=colour, facecolors=face, label=kind if filled else None)
+        axes.scatter(across, along, s=80, label=kind if filled else None, **mark_inks(colour, filled))

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
@@ -14,9 +15,20 @@ from torcharm.arm_series import ArmSeries
 from torcharm.design.shape_planning import PlannedShape
 from torcharm.geometry import rod
 from torcharm.inputs import TensorLike
-from torcharm.plot._common import ATTAINABLE, Array, Mask, array, first_shape, one_design
+from torcharm.plot._common import (
+    ATTAINABLE,
+    Array,
+    Mask,
+    array,
+    first_shape,
+    legend_below,
+    median_place,
+    one_design,
+    ranked_places,
+    tip_errors,
+)
 from torcharm.plot.arms import draw_arm, draw_loads, draw_reached, draw_task
-from torcharm.plot.space import arm_in_space, search_figure_in_space
+from torcharm.plot.space import arm_in_space, draw_tip_pose, poses_in_space, search_figure_in_space
 from torcharm.pressure.search import PressureSearch
 from torcharm.task import Task
 
@@ -44,41 +56,36 @@ def search_figure(
     Args:
         results: names, designs, and what `search_pressure` found of each for all of the task.
         task_name: for the title.
-        task: tasks of any batch shape.
+        task: tasks of any batch shape; the last may be left out of a result, as an interruption does.
 
     Raises:
-        ValueError: there is no result, a design is a batch, or a result is of another number of tasks.
+        ValueError: there is no result, a design is a batch, or a result is of more tasks than there are.
     """
     if not results:
         raise ValueError("results: must hold at least one arm, got none")
     if task.dimension == 3:
         return search_figure_in_space(results, task_name, task)
     first, drawn, shapes = first_shape(task)
-    errors = [_known_errors(found, drawn, name) for name, _, found in results]
+    errors = [tip_errors(name, found.tip_error, len(drawn)) for name, _, found in results]
+    errors = [np.where(drawn[: len(error)], error, np.nan) for error in errors]
     ranks = RANKS[: max(1, *(int(np.isfinite(error).sum()) for error in errors))]
     figure = Figure(layout="constrained", dpi=130)
     note = f"; drawn: the first of {shapes} shapes" if shapes > 1 else ""
     figure.suptitle(f"{task_name}: how near the best pressures bring the tip{note}", fontweight="bold")
     grid: Any = figure.subplots(len(results), len(ranks), squeeze=False)
     for row, (name, arm, found), error in zip(grid, results, errors, strict=True):
-        _draw_row(row, name, one_design(name, arm), first, found, error)
+        _draw_row(row, name, one_design(name, arm), (first, drawn), found, error)
     _share(figure, grid)
     return figure
 
 
-def _known_errors(found: PressureSearch, drawn: Mask, name: str) -> Array:
-    """The tip's error of each task [m], NaN for those of other shapes than the one that is drawn."""
-    error = array(found.tip_error).ravel()
-    if len(error) > len(drawn):
-        raise ValueError(f"results: {name}: must be of at most {len(drawn)} tasks, got {len(error)}")
-    return np.where(drawn[: len(error)], error, np.nan)
-
-
-def _draw_row(row: Any, name: str, arm: ArmDesign, first: Task, found: PressureSearch, error: Array) -> None:
-    """An arm under the loads of its least, median and largest error."""
-    known = np.flatnonzero(np.isfinite(error))
-    ranked = known[np.argsort(error[known], kind="stable")]
-    chosen = dict(zip(RANKS, ranked[[0, -1, (len(ranked) - 1) // 2]], strict=True)) if len(ranked) else {}
+def _draw_row(
+    row: Any, name: str, arm: ArmDesign, shown: tuple[Task, Mask], found: PressureSearch, error: Array
+) -> None:
+    """An arm under the loads of its least, median and largest error; NaN are those of shapes that are not drawn."""
+    first, drawn = shown
+    ranked = ranked_places(error)
+    chosen = dict(zip(RANKS, (ranked[0], ranked[-1], median_place(error)), strict=True)) if len(ranked) else {}
     twists = found.twists.detach().reshape(-1, *found.twists.shape[-2:])
     turned = np.degrees(array(found.tip_rotation_error).ravel())
     lost = int(np.isinf(error).sum())
@@ -87,12 +94,15 @@ def _draw_row(row: Any, name: str, arm: ArmDesign, first: Task, found: PressureS
         axes.set_axis_off()
     for axes, rank in zip(row, ranks, strict=False):
         load = int(chosen[rank])
+        place = int(drawn[:load].sum())  # among the loads on the shape that is drawn
         at = Task(twists[load], first.tip_load, first.base_pose)
         draw_arm(axes, arm, at, reached=True)
         draw_task(axes, first)
-        _draw_load(axes, at, load)
+        _draw_load(axes, at, place)
         off = f"tip off by {1e3 * error[load]:.3g} mm, turned by {turned[load]:.3g}°"
-        axes.set_title(f"{name}: {_which(rank, len(ranked), lost)}\n{off}\n{_load(first, load)}", fontsize="medium")
+        axes.set_title(
+            f"{name}: {_which(rank, len(ranked), lost)}\n{off}\n{_load(first, place, load)}", fontsize="medium"
+        )
     if not len(ranked):
         row[0].set_title(f"{name}: no equilibrium was found", fontsize="medium")
 
@@ -102,8 +112,8 @@ def _which(rank: str, count: int, lost: int) -> str:
     return f"{whole}{f', {lost} not found' if lost else ''}"
 
 
-def _load(first: Task, load: int) -> str:
-    x, y, moment = array(first.tip_load)[load]
+def _load(first: Task, place: int, load: int) -> str:
+    x, y, moment = array(first.tip_load)[place]
     return f"load {load + 1}: {np.hypot(x, y):.3g} N, {moment:.3g} N·m"
 
 
@@ -117,7 +127,8 @@ def plan_figure(
 ) -> Figure:
     """One page that shows planned shapes through a tip pose, for `figure.savefig(path)`.
 
-    A panel for each arm: the arm at the shape planned, the tip pose, the load, and where the arm is predicted to be.
+    A panel for each arm: the arm at the shape planned, the tip pose, the load, and where the arm is predicted to be
+    (in space the arm itself is drawn there, where that is known). Without a shape, the base and the tip pose alone.
 
     Args:
         shapes: names, designs, and what `plan_shape` found for each.
@@ -132,7 +143,7 @@ def plan_figure(
     if not shapes:
         raise ValueError("shapes: must hold at least one arm, got none")
     if shapes[0][1].dimension == 3:
-        return _plan_in_space(shapes, plan_name, tip_load, base_pose)
+        return _plan_in_space(shapes, plan_name, tip_pose, tip_load, base_pose)
     figure = Figure(layout="constrained", dpi=130)
     figure.suptitle(f"{plan_name}: shapes through the tip pose", fontweight="bold")
     grid: Any = figure.subplots(1, len(shapes), squeeze=False)
@@ -156,9 +167,11 @@ def plan_figure(
 def _plan_in_space(
     shapes: Sequence[tuple[str, ArmDesign | ArmSeries, PlannedShape]],
     plan_name: str,
+    tip_pose: TensorLike,
     tip_load: TensorLike,
     base_pose: TensorLike | str | None,
 ) -> Figure:
+    goal, start = (array(Task(torch.eye(6)[:1], torch.zeros(6), pose).base_pose) for pose in (tip_pose, base_pose))
     figure = Figure(figsize=(max(9.0, 5.5 * len(shapes)), 6.5), layout="constrained")
     figure.suptitle(f"{plan_name}: shapes through the tip pose", fontweight="bold")
     for column, (name, arm, shape) in enumerate(shapes, 1):
@@ -171,6 +184,10 @@ def _plan_in_space(
                 twists = result.prediction.twists.detach().reshape(shape.twists.shape)
                 reached = twists if bool(twists.isfinite().all()) else None
             arm_in_space(arm, task, reached=reached, ax=axes)
+            draw_tip_pose(axes, goal, PLATE)
+            legend_below(axes, 0.0)
+        else:
+            poses_in_space(axes, start, goal, PLATE)
         axes.set_title(f"{name}: {verdict}", fontsize="medium")
     return figure
 

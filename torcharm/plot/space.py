@@ -29,7 +29,9 @@ from torcharm.plot._common import (
     axes_or_new,
     kind_of,
     legend_below,
+    median_place,
     node_index,
+    tip_errors,
 )
 from torcharm.plot.hulls import draw_required
 from torcharm.pressure.search import PressureSearch
@@ -105,12 +107,12 @@ def search_figure_in_space(
     figure.suptitle(f"{task_name}: how near the best pressures bring the tip", fontweight="bold")
     for column, (name, arm, found) in enumerate(results, 1):
         axes: Any = figure.add_subplot(1, len(results), column, projection="3d")
-        error = array(found.tip_error).ravel()
-        known = np.flatnonzero(np.isfinite(error))
-        if not len(known):
+        error = tip_errors(name, found.tip_error, prod(task.batch_shape))
+        load = median_place(error)
+        if load is None:
+            axes.set_axis_off()
             axes.set_title(f"{name}: no equilibrium was found")
             continue
-        load = int(known[np.argsort(error[known], kind="stable")][(len(known) - 1) // 2])
         reached = found.twists.detach().reshape(-1, *found.twists.shape[-2:])[load]
         arm_in_space(arm, one_task(task, load), reached=reached, ax=axes)
         axes.set_title(f"{name}, load {load + 1} of {len(error)}, of median error", fontsize="medium")
@@ -195,6 +197,29 @@ def hull_projections(
         panel.set(xlabel=HULL_LABELS[x], ylabel=HULL_LABELS[y])
     axes[0].legend(loc="best", fontsize="small")
     return axes
+
+
+def poses_in_space(axes: Any, base: Array, tip: Array, half: float) -> None:
+    """Where an arm begins and is to end: plates across the backbone, that of the tip with the stem on which it sits.
+
+    Args:
+        axes: 3-D ones.
+        base, tip: (4, 4) poses.
+        half: radius of the plates [m].
+    """
+    _draw_base(axes, base, half / 1.25)
+    draw_tip_pose(axes, tip, half)
+    _limit(axes, np.stack((base[:3, 3], tip[:3, 3])), 0.06 + half)
+    legend_below(axes, 0.0)
+
+
+def draw_tip_pose(axes: Any, pose: Array, half: float) -> None:
+    """The rim of a plate square to the heading of a pose (4, 4), and its stem."""
+    turn = np.linspace(0, 2 * np.pi, 4 * AROUND)
+    rim = np.stack((0 * turn, half * np.cos(turn), half * np.sin(turn), 1 + 0 * turn))
+    stem = np.array([[0, 0, 0, 1], [-half, 0, 0, 1]]).T
+    for points, label in ((rim, "tip pose wanted"), (stem, None)):
+        axes.plot(*_upright((pose @ points)[:3].T), color=ATTAINABLE, linewidth=2, zorder=5, label=label)
 
 
 def one_task(task: Task, index: int) -> Task:

@@ -21,6 +21,8 @@ from torcharm.plot._common import (
     Mask,
     array,
     first_shape,
+    mark_inks,
+    median_place,
     one_design,
 )
 from torcharm.plot.arms import draw_arm, draw_loads, draw_reached
@@ -110,7 +112,7 @@ def _figure_in_space(
     for column, ((name, arm), found) in enumerate(zip(arms.items(), evaluated, strict=True), 1):
         axes: Any = rows[1].add_subplot(1, columns, column, projection="3d")
         error = np.zeros(found.strain_excess.numel()) if found.prediction is None else _off(found)
-        load = _median_place(error) or 0
+        load = median_place(error) or 0
         twists = None if found.prediction is None else found.prediction.twists.detach().flatten(0, -3)[load]
         known = twists is not None and bool(twists.isfinite().all())
         arm_in_space(arm, one_task(task, load), reached=twists if known else None, ax=axes)
@@ -131,12 +133,6 @@ def _draw_lacking(axes: Any, found: Attainability, task: Task) -> None:
     for end in np.cumsum(task.segment_nodes or ())[:-1]:
         axes.axvline(end + 0.5, color="0.6", linestyle=":")
     axes.set(xlabel="node, 1 at the base", ylabel="lacking [N]", ylim=(0, max(axes.get_ylim()[1], LEAST)))
-
-
-def _median_place(error: Array) -> int | None:
-    """The place of the median of what is finite, or None."""
-    known = np.flatnonzero(np.isfinite(error))
-    return int(known[np.argsort(error[known])[(len(known) - 1) // 2]]) if len(known) else None
 
 
 def _check(
@@ -167,10 +163,9 @@ def _draw_errors(axes: Any, names: Sequence[str], evaluated: Sequence[Attainabil
         for word, (colour, marker, filled) in VERDICT_STYLES.items():
             chosen = words == word
             if chosen.any():
-                face = colour if filled else "none"
                 label = word if word not in drawn else None
-                inks = {"color": colour} if marker == "x" else {"edgecolors": colour, "facecolors": face}
-                axes.scatter(place[chosen], spread[chosen], 28, marker=marker, label=label, gid=word, **inks)
+                inks = mark_inks(colour, filled, marker)
+                axes.scatter(place[chosen], spread[chosen], 28, label=label, gid=word, **inks)
                 drawn.add(word)
         middle = float(np.clip(np.median(place), LEAST, most))
         axes.plot([middle] * 2, [row - 0.38, row + 0.38], color="black", linewidth=2)
@@ -247,7 +242,7 @@ def _draw_predicted(axes: Any, first: Task, found: Attainability, drawn: Mask) -
     """The predicted centreline under the load of the median of the errors found, of the shape that is drawn."""
     if found.prediction is None:
         return
-    index = _median_place(np.where(drawn, _over(found), np.inf))
+    index = median_place(np.where(drawn, _over(found), np.inf))
     if index is None:
         return
     twists = found.prediction.twists.detach().reshape(-1, *found.prediction.twists.shape[-2:])[index]

@@ -80,7 +80,7 @@ class Optimisation:
 
 @dataclass(frozen=True)
 class NamedPlan:
-    """A tip pose for which every arm's shape is to be found, and what the study calls it.
+    """A tip pose for which arms' shapes are to be found, and what the study calls it.
 
     Attributes:
         name: of the plan.
@@ -89,6 +89,7 @@ class NamedPlan:
         smoothness: the heuristic to follow; None: the shape that each arm holds best.
         nodes, base_pose: of the shape.
         in_range: whether strains must stay in the characterised range; None leaves it to `plan_shape`.
+        arms: names of the arms to plan for; empty for all.
     """
 
     name: str
@@ -98,6 +99,7 @@ class NamedPlan:
     nodes: int
     base_pose: Pose | str
     in_range: bool | None = None
+    arms: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -112,8 +114,8 @@ class Study(HoldsTensors):
     optimisation: Optimisation = field(default_factory=Optimisation)
     plans: tuple[NamedPlan, ...] = ()
 
-    def arms_of(self, task: NamedTask) -> tuple[NamedArm, ...]:
-        """The arms that are to hold a task, in the study's order."""
+    def arms_of(self, task: NamedTask | NamedPlan) -> tuple[NamedArm, ...]:
+        """The arms that are to hold a task, or for which to plan a shape, in the study's order."""
         return tuple(arm for arm in self.arms if not task.arms or arm.name in task.arms)
 
     def tasks_of(self, arm: NamedArm) -> tuple[NamedTask, ...]:

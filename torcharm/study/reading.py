@@ -9,6 +9,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from torcharm.arm import ArmDesign
 from torcharm.attainability import CHOICES, PoseTolerance, check_measure
 from torcharm.design.objective import Objective
 from torcharm.design.shape_planning import Smoothness
@@ -115,20 +116,24 @@ def _study(table: StudyTable, folder: Path) -> Study:
     plans = []
     for index, wanted in enumerate(table.plan):
         with within(field_path(["plan", index]), wanted.name):
-            plans.append(_plan(wanted))
+            plans.append(_plan(wanted, arms))
     return replace(plain, optimisation=optimisation, plans=tuple(plans))
 
 
 def _check_arms(table: ShapedTask | TwistTask, task: NamedTask, arms: Sequence[NamedArm]) -> None:
     """Refuse a task for arms that there are not, or that it does not fit."""
+    for arm in _named(task.arms, arms):
+        check_fit(shape_field(table), task.task, arm)
+
+
+def _named(given: Sequence[str], arms: Sequence[NamedArm]) -> list[NamedArm]:
+    """The arms of these names, or all if none is given."""
     names = [arm.name for arm in arms]
-    for index, name in enumerate(task.arms):
+    for index, name in enumerate(given):
         if name not in names:
             here = field_path(["arms", index])
             raise ValueError(f"{here}: must be one of {', '.join(names)}, got {shown_value(name)}{hint(name, names)}")
-    for arm in arms:
-        if arm.name in (task.arms or names):
-            check_fit(shape_field(table), task.task, arm)
+    return [arm for arm in arms if arm.name in (given or names)]
 
 
 def _check_unique(section: str, tables: Sequence[NamedTable]) -> None:
@@ -158,14 +163,29 @@ def _optimisation(table: OptimiseTable) -> Optimisation:
     return Optimisation(space, objective, table.starts, table.seed, table.iterations)
 
 
-def _plan(table: PlanTable) -> NamedPlan:
+def _plan(table: PlanTable, arms: Sequence[NamedArm]) -> NamedPlan:
     weight, reference = table.length_weight, table.reference_length
     if (weight is None) != (reference is None):
         missing = "length_weight" if weight is None else "reference_length"
         raise ValueError(f"{missing}: must be given too, as the other is; without both, unattainability is minimised")
     smoothness = None if weight is None or reference is None else Smoothness(weight, reference)
     tip = table.tip_pose, tuple(table.tip_load)
-    return NamedPlan(table.name, *tip, smoothness, table.nodes, table.base_pose, table.in_range)
+    chosen = tuple(arm.name for arm in _planned(table, arms))
+    return NamedPlan(table.name, *tip, smoothness, table.nodes, table.base_pose, table.in_range, chosen)
+
+
+def _planned(table: PlanTable, arms: Sequence[NamedArm]) -> list[NamedArm]:
+    """The arms to plan for: those named, which must fit, or all that fit."""
+    dimension = len(table.tip_load) // 3 + 1
+    chosen = _named(table.arms or (), arms)
+    fit = [arm for arm in chosen if isinstance(arm.design, ArmDesign) and arm.design.dimension == dimension]
+    kind = f"of one segment without a link {'in the plane' if dimension == 2 else 'in space'}, as tip_load is"
+    if table.arms and len(fit) < len(chosen):
+        other = next(arm.name for arm in chosen if arm not in fit)
+        raise ValueError(f"arms: must be {kind}, got {shown_value(other)}, which is not")
+    if not fit:
+        raise ValueError(f"tip_load: must fit an arm {kind.removesuffix(', as tip_load is')}, of which there is none")
+    return fit
 
 
 def _check_size(arm: NamedArm, task: NamedTask, settings: Settings) -> None:

@@ -1,4 +1,4 @@
-"""A study evaluated: every arm on every task, summed up in tables and written to files."""
+"""A study evaluated: every arm on each of its tasks, summed up in tables and written to files."""
 
 import csv
 import json

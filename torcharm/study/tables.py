@@ -15,7 +15,7 @@ from torcharm.study.arm_tables import ArmTable
 from torcharm.study.data import Settings
 from torcharm.study.fields import Name, NotNegative, Positive, Table, entries, filled, one_of, refuse
 from torcharm.study.task_tables import BasePose, TaskTable, TipPose, base_pose
-from torcharm.study.units import LengthRange, Load, PositiveAngle, PositiveLength, PressureRange
+from torcharm.study.units import Angle, LengthRange, Load, PositiveAngle, PositiveLength, PressureRange
 from torcharm.wrench_sets.vertex_sets import DISTANCES, HULLS
 
 
@@ -77,7 +77,15 @@ class BoundsTable(Table):
     """How far torcharm optimise may go, in what is free."""
 
     radii: LengthRange | None = Field(
-        default=None, description="Of each actuator. Without it, 0.1 m to either side.", examples=[[-0.1, 0.1]]
+        default=None,
+        description="Of each actuator. Without it, 0.1 m to either side; in space from 0 to 0.1 m.",
+        examples=[[-0.1, 0.1]],
+    )
+    angles: Annotated[list[Angle], entries("lowest", "highest")] | None = Field(
+        default=None,
+        description="Of each actuator, from the arm's left (y) towards z, where angles are free. Without it, half a "
+        "turn to either side.",
+        examples=[["-60 deg", "60 deg"]],
     )
     length: LengthRange | None = Field(
         default=None,
@@ -110,8 +118,8 @@ class OptimiseTable(Table):
     bounds: BoundsTable = Field(default=BoundsTable(), description="How far what is free may go.")
     spacing: PositiveLength | None = Field(
         default=None,
-        description="Least distance between the centres of actuators: their width. Without it, 5 mm, which suits only "
-        "the thinnest that can be bought.",
+        description="Least distance between the centres of actuators: their width. Without it, what diameters of the "
+        "arm need; without these, 5 mm, which suits only the thinnest that can be bought.",
         examples=["20 mm"],
     )
     in_range: bool = Field(
@@ -138,7 +146,7 @@ class OptimiseTable(Table):
 
 
 class PlanTable(Table):
-    """A tip pose for which torcharm plan finds a shape of each arm."""
+    """A tip pose for which torcharm plan finds a shape of each arm of one segment."""
 
     name: Name = Field(description="What tables and files call the plan.", examples=["drawer"])
     tip_pose: TipPose = Field(description="Place and heading of the tip.", examples=[[0.35, -0.3, 0.0]])
@@ -163,6 +171,12 @@ class PlanTable(Table):
         examples=[False],
     )
     base_pose: BasePose = base_pose
+    arms: Annotated[list[Name], filled("a list of names of arms")] | None = Field(
+        default=None,
+        description="The arms to plan for. Without it, all of one segment without a link, in the plane or in space as "
+        "tip_load is.",
+        examples=[["paper", "own"]],
+    )
 
 
 class StudyTable(Table):
