@@ -317,3 +317,8 @@ def test_gradients_flow_through_lists_of_tensors(nested):
 def test_float32_tensors_stay_float32():
     arm = antagonistic_arm(torch.tensor(0.08), torch.tensor(0.015), torch.tensor(0.5))
     assert {value.dtype for value in (arm.radii, arm.length, arm.max_pressure)} == {torch.float32}
+
+
+def test_offsets_are_one_for_each_model():
+    with pytest.raises(ValueError, match=r"^offsets: must hold one \(y, z\) for each of the 3 actuators, got 4$"):
+        ArmDesign(offsets=ring(0.05, 4), length=0.4, actuators=["bellows"] * 3)

@@ -104,6 +104,9 @@ class ArmDesign(HoldsTensors):
             driven = [float(not without) for without in passive]
             values["max_pressure"] = values["max_pressure"] * values["max_pressure"].new_tensor(driven)
         if "offsets" in values:
+            places = values["offsets"].shape[-2]
+            if places != len(models):
+                raise ValueError(f"offsets: must hold one (y, z) for each of the {len(models)} actuators, got {places}")
             values["radii"], values["out_of_plane"] = values.pop("offsets").unbind(-1)
         else:
             values["radii"] = one_for_all(values["radii"], len(models))

@@ -237,6 +237,15 @@ def test_it_is_stopped_by_callback_time_and_interrupt() -> None:
     assert part.stopped == "interrupted"
     assert part.value <= part.given_value
 
+    def at_once(_: Progress) -> None:
+        raise KeyboardInterrupt
+
+    kept = optimise_design(part.best, BENT, starts=1, callback=at_once)
+    assert kept.best is kept.given
+    assert kept.status.startswith(
+        "given design kept: no better one was found within the constraints before it was interrupted"
+    )
+
 
 def test_a_result_is_short_in_print_and_survives_pickle() -> None:
     found = optimise_design(ARM, BENT, objective=NEWTONS, starts=1, iterations=3)

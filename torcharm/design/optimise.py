@@ -149,7 +149,8 @@ def outcome(
         except KeyboardInterrupt:
             status, stopped = "better as predicted, not compared by a pressure search: interrupted", "interrupted"
     elif not better:
-        status = "given design kept: no better one was found within the constraints"
+        early = " before it was interrupted" if stopped == "interrupted" else ""
+        status = f"given design kept: no better one was found within the constraints{early}"
     best = given if chosen is None else designs.design(chosen.point)
     before, after = (predicted(one, problem.tasks, objective.pose_cost) for one in (given, best))
     if chosen is None and violated:

@@ -182,7 +182,7 @@ def _draw_errors(axes: Any, names: Sequence[str], evaluated: Sequence[Attainabil
     axes.set_yticklabels(names)
     errors = "predicted error over its tolerance, the largest of tip, turn and shape"
     what = errors if predicted else "absolute unattainability [N]"
-    axes.set_xlabel(f"{what}; bars are medians; at the right edge, none was found")
+    axes.set_xlabel(f"{what}\nbars are medians; at the right edge, none was found")
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small", frameon=False)
 
 
