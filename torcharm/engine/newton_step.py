@@ -112,11 +112,11 @@ def _sweep(arms, loads, room, b, twist, factor, linear_shift, angular_shift, siz
             while q >= 0 and loads.element[q] == i:
                 add_load_inside(arms, loads, room, b, q, i, twist, share, factor)
                 q -= 1
-            _write_residual(arms, room, i, factor, inside, size, columns)
-            _write_slopes(arms, room, i, first_row, loads.middle, inside, size, columns)
+            _write_residual(room, i, factor, inside, size, columns)
+            _write_slopes(room, i, first_row, loads.middle, inside, size, columns)
             _shift(arms, room, i, linear_shift, angular_shift)
-            _factor(arms, room, i, size, columns)
-            _eliminate(arms, room, i, first_row, size, columns)
+            _factor(room, i, columns)
+            _eliminate(room, i, first_row, size, columns)
             if inside:
                 _take_share(room)
 
@@ -140,7 +140,7 @@ def factor_section(arms, room, i, linear_shift, angular_shift):  # type: ignore[
         for e in range(len(arms.unknown)):
             room.factor[i, c, e] = room.sections.slope[i, c, e]
     _shift(arms, room, i, linear_shift, angular_shift)
-    _factor(arms, room, i, arms.size, len(arms.unknown))
+    _factor(room, i, len(arms.unknown))
 
 
 @part
@@ -153,7 +153,7 @@ def _take_share(room):  # type: ignore[no-untyped-def]
 
 
 @inlined_part
-def _write_residual(arms, room, i, factor, inside, size, columns):  # type: ignore[no-untyped-def]
+def _write_residual(room, i, factor, inside, size, columns):  # type: ignore[no-untyped-def]
     """Write what a section carries, its residual, and K of the wrench that it carries."""
     turned, total = room.turned, room.sum
     for r in range(size):
@@ -187,7 +187,7 @@ def _write_residual(arms, room, i, factor, inside, size, columns):  # type: igno
 
 
 @inlined_part
-def _write_slopes(arms, room, i, first_row, middle, inside, size, columns):  # type: ignore[no-untyped-def]
+def _write_slopes(room, i, first_row, middle, inside, size, columns):  # type: ignore[no-untyped-def]
     """Write L in `factor`, G in `feed`, and in `pull` how the element's own unknowns change the wrench before it."""
     turned = room.turned
     for r in range(first_row, size):
@@ -230,7 +230,7 @@ def _write_slopes(arms, room, i, first_row, middle, inside, size, columns):  # t
 
 
 @inlined_part
-def _factor(arms, room, i, size, columns):  # type: ignore[no-untyped-def]
+def _factor(room, i, columns):  # type: ignore[no-untyped-def]
     """Factor L in place, without pivoting; the diagonal takes the inverse pivots, 0 for those that are zero."""
     matrix = room.factor
     for c in range(columns):
@@ -252,7 +252,7 @@ def _factor(arms, room, i, size, columns):  # type: ignore[no-untyped-def]
 
 
 @inlined_part
-def _eliminate(arms, room, i, first_row, size, columns):  # type: ignore[no-untyped-def]
+def _eliminate(room, i, first_row, size, columns):  # type: ignore[no-untyped-def]
     """Make `feed` of G the product L⁻¹ G, and take the element's own unknowns out of S."""
     matrix, feed = room.factor, room.feed
     for c in range(columns):

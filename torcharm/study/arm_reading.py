@@ -21,9 +21,9 @@ from torcharm.actuators.model_file import load_actuator
 from torcharm.arm import ArmDesign, ring
 from torcharm.arm_series import ArmSeries, RigidLink, series
 from torcharm.attainability.questions import question_about_arm
-from torcharm.ready_arms import antagonistic_arm, bellows_arm, mckibben_arm
 from torcharm.statics.balance import segments_of
 from torcharm.study.arm_tables import (
+    PAPER_ARMS,
     BendingTable,
     ChamberTable,
     CoreTable,
@@ -42,12 +42,6 @@ HIGHEST_DEGREE = 20
 """Of strain or pressure in a polynomial force model."""
 
 AnyActuator = ShippedActuator | FileActuator | PolynomialTable | ChamberTable | CoreTable
-
-_PAPER_ARMS: dict[str, Callable[..., ArmDesign]] = {
-    "antagonistic": antagonistic_arm,
-    "bellows": bellows_arm,
-    "mckibben": mckibben_arm,
-}
 
 
 def make_arm(table: PaperArm | FreeArm | SeriesArm, folder: Path) -> NamedArm:
@@ -74,7 +68,7 @@ def make_arm(table: PaperArm | FreeArm | SeriesArm, folder: Path) -> NamedArm:
         design = found[0] if len(found) == 1 and isinstance(found[0], ArmDesign) else series(found)
     else:
         given = table.model_dump(include={"outer_radius", "inner_radius"}, exclude_none=True)
-        paper = _PAPER_ARMS[table.kind](**given)
+        paper = PAPER_ARMS[table.kind](**given)
         design = _bundle(table, {"radii": paper.radii.tolist()}, paper.actuators)
     question = question_about_arm(segments_of(design)[0])
     if question is not None:

@@ -1,11 +1,14 @@
 """What the tables of a study's arms may hold, each value by itself."""
 
+from collections.abc import Callable
 from typing import Annotated, Any, ClassVar
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag
 
 from torcharm.actuators import SHIPPED
 from torcharm.actuators.ready import USUAL_STRAINS
+from torcharm.arm import ArmDesign
+from torcharm.ready_arms import antagonistic_arm, bellows_arm, mckibben_arm
 from torcharm.study.fields import (
     Name,
     Needed,
@@ -180,6 +183,9 @@ def name_as(example: str) -> Any:
     return Field(description="What tables and files call it; no two have the same name.", examples=[example])
 
 
+Names = Annotated[list[Name], filled("a list of names of arms")]
+
+
 class NamedTable(Table):
     """What has a name."""
 
@@ -201,13 +207,21 @@ _diameter: Any = Field(
 )
 
 
+PAPER_ARMS: dict[str, Callable[..., ArmDesign]] = {
+    "antagonistic": antagonistic_arm,
+    "bellows": bellows_arm,
+    "mckibben": mckibben_arm,
+}
+"""The paper's arms, by what a study calls them."""
+
+
 class PaperArm(NamedTable):
     """One of the paper's arms, with four actuators: two outside, two inside."""
 
     name: Name = name_as("paper")
-    kind: Annotated[str, one_of(("antagonistic", "bellows", "mckibben"))] = Field(
+    kind: Annotated[str, one_of(tuple(PAPER_ARMS))] = Field(
         description="Bellows outside and muscles inside, four bellows, or four muscles, each doubled in force.",
-        examples=["antagonistic", "bellows", "mckibben"],
+        examples=list(PAPER_ARMS),
     )
     outer_radius: NotNegativeLength | None = Field(
         default=None,

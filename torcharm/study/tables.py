@@ -11,7 +11,7 @@ from torcharm.design.objective import AGGREGATES, Objective
 from torcharm.design.objective import METRICS as OBJECTIVES
 from torcharm.design.optimise import ITERATIONS
 from torcharm.design.space import FIELDS, TIES
-from torcharm.study.arm_tables import ArmTable
+from torcharm.study.arm_tables import ArmTable, Names
 from torcharm.study.data import Settings
 from torcharm.study.fields import Name, NotNegative, Positive, Table, entries, filled, one_of, refuse
 from torcharm.study.task_tables import BasePose, TaskTable, TipPose, base_pose
@@ -171,7 +171,7 @@ class PlanTable(Table):
         examples=[False],
     )
     base_pose: BasePose = base_pose
-    arms: Annotated[list[Name], filled("a list of names of arms")] | None = Field(
+    arms: Names | None = Field(
         default=None,
         description="The arms to plan for. Without it, all of one segment without a link, in the plane or in space as "
         "tip_load is.",

@@ -6,7 +6,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag
 
 from torcharm.geometry.rod import HANGING, HEADINGS
 from torcharm.load import FRAMES
-from torcharm.study.arm_tables import NamedTable, name_as
+from torcharm.study.arm_tables import NamedTable, Names, name_as
 from torcharm.study.fields import (
     Name,
     Table,
@@ -202,7 +202,7 @@ class LoadedTable(NamedTable):
         description="Where on its element a node's wrench is taken; the start is the paper's, and less exact.",
         examples=["start"],
     )
-    arms: Annotated[list[Name], filled("a list of names of arms")] | None = Field(
+    arms: Names | None = Field(
         default=None, description="The arms that are to hold it. Without it, all.", examples=[["paper", "own"]]
     )
 
