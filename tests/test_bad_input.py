@@ -95,7 +95,7 @@ CASES = {
     "ArmDesign([0.1, 0.2], 0.5)": ("actuators", "None"),
     "ArmDesign([0.1, 0.2], 0.5, two, offsets=[[0.1, 0.0], [0.2, 0.0]])": ("offsets", "both"),
     "ArmDesign(offsets=[0.1, 0.2, 0.3], length=0.5, actuators=two)": ("offsets", "(3,)"),
-    "ArmDesign(offsets=ta.ring(0.05, 3), length=0.5, actuators=two)": ("radii", "(3,)"),
+    "ArmDesign(offsets=ta.ring(0.05, 3), length=0.5, actuators=two)": ("offsets", "got 3"),
     "ArmDesign([0.1, 0.2], 0.5, two, mass=-1)": ("mass", "-1"),
     "ArmDesign([0.1, 0.2], 0.5, two, mass=nan)": ("mass", "nan"),
     "ArmDesign(torch.zeros(3, 2), 0.5, two, mass=[0.1, 0.2])": ("radii, length, max_pressure, mass", "(2, 1)"),
