@@ -151,6 +151,11 @@ class ArmDesign(HoldsTensors):
         return 2 if self.out_of_plane is None else 3
 
     @property
+    def neutral_length(self) -> Tensor:
+        """(*batch) the actuators' mean neutral length [m]."""
+        return self.length.mean(-1)
+
+    @property
     def offsets(self) -> Tensor:
         """(*batch, M, 2) offsets (y, z) [m]; z is 0 for a planar arm."""
         z = torch.zeros_like(self.radii) if self.out_of_plane is None else self.out_of_plane

@@ -111,6 +111,11 @@ class ArmSeries(HoldsTensors):
         return torch.broadcast_shapes(*(segment.batch_shape for segment in self.segments))
 
     @property
+    def neutral_length(self) -> Tensor:
+        """(*batch) the sum of the segments' neutral lengths [m], without links."""
+        return torch.stack([one.neutral_length.expand(self.batch_shape) for one in self.segments]).sum(0)
+
+    @property
     def actuators(self) -> tuple[Actuator, ...]:
         """All force models, segment after segment."""
         return tuple(model for segment in self.segments for model in segment.actuators)

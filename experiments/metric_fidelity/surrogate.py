@@ -61,6 +61,6 @@ def _affine(arm: ta.ArmDesign, task: ta.Task) -> tuple[Tensor, Tensor]:
         return pose_errors(prepared.poses(moved), prepared.poses(shape))
 
     slope = torch.autograd.functional.jacobian(errors, shape[..., [0, 2]]).flatten(2).flatten(0, 1)
-    root = ta.PoseCost().weights(task.nodes, shape).sqrt().flatten()
+    root = ta.PoseCost().weights(task.nodes, arm.neutral_length).sqrt().flatten()
     weighted = root.unsqueeze(-1) * (slope @ moves)
     return weighted[..., 0], weighted[..., 1:]

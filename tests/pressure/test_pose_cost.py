@@ -7,7 +7,7 @@ from torcharm.pressure.pose_cost import pose_errors
 
 
 def test_weights_of_the_words():
-    like = torch.zeros((), dtype=torch.float64)
+    like = torch.tensor(0.5, dtype=torch.float64)  # the length of the paper's arms
     ramp = ta.PoseCost().weights(5, like)
     torch.testing.assert_close(ramp[:, 0], torch.tensor([0.0, 0.25, 0.5, 0.75, 1.0, 0.0]).double())
     torch.testing.assert_close(ramp[:, 2], 0.05 * ramp[:, 0])
@@ -17,8 +17,23 @@ def test_weights_of_the_words():
     assert ta.PoseCost([0, 0, 2, 1]).weights(3, like)[:, 0].tolist() == [0, 0, 2, 1]
 
 
+def test_an_arm_of_a_quarter_of_the_size_is_a_quarter_as_far_off():
+    """Lengths, offsets and moments a quarter, forces the same: the mechanics do not know the size, nor do verdicts."""
+    found = []
+    for size in (1.0, 0.25):
+        stiffness = size**2 * float(ta.Bellows().bending_stiffness)
+        models = (ta.Bellows(bending_stiffness=stiffness), ta.Bellows(bending_stiffness=stiffness))
+        arm = ta.ArmDesign([-0.08 * size, 0.08 * size], 0.5 * size, models)
+        load = torch.tensor([[2.0, 1.0, 0.1 * size], [0.5, -4.0, 0.3 * size]], dtype=torch.float64)
+        twists = ta.affine_curvature(0.5, 0.8) * torch.tensor([size, 1.0, 1.0], dtype=torch.float64)
+        found.append(ta.evaluate(arm, ta.Task(twists, load)))
+    torch.testing.assert_close(found[1].shape_error, 0.25 * found[0].shape_error, rtol=1e-6, atol=0)
+    assert float(found[0].shape_error.min()) > 1e-3
+    assert found[0].verdict.tolist() == found[1].verdict.tolist()
+
+
 def test_weights_in_space():
-    like = torch.zeros((), dtype=torch.float64)
+    like = torch.tensor(0.5, dtype=torch.float64)
     assert ta.PoseCost().diagonal(like, 3).tolist() == [1, 1, 1, 0.05, 0.05, 0.05]
     assert ta.PoseCost("tip", (1, 1, 1, 0, 2, 2)).weights(4, like, 3)[-1].tolist() == [1, 1, 1, 0, 2, 2]
     with pytest.raises(ValueError, match="error_weights: must be 6 numbers in space"):

@@ -10,7 +10,6 @@ from torch import Tensor
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.inputs import check_number
-from torcharm.wrench_sets.design_task_grid import segments_of
 
 if TYPE_CHECKING:
     from torcharm.pressure.predicted_error import PredictedError
@@ -67,15 +66,9 @@ class PoseTolerance:
 
     def lengths(self, arm: ArmDesign | ArmSeries) -> tuple[Tensor, Tensor]:
         """(*design batch) tolerances of tip and shape [m] for arms of their lengths."""
-        own = LENGTH_SHARE * neutral_length(arm)
+        own = LENGTH_SHARE * arm.neutral_length.detach()
         tip = own if self.tip is None else torch.full_like(own, self.tip)
         return tip, tip if self.shape is None else torch.full_like(own, self.shape)
-
-
-def neutral_length(arm: ArmDesign | ArmSeries) -> Tensor:
-    """(*design batch) the sum over segments of their actuators' mean neutral length [m]."""
-    own = [segment.length.detach().mean(-1).expand(arm.batch_shape) for segment in segments_of(arm)]
-    return torch.stack(own).sum(0)
 
 
 def over_tolerance(arm: ArmDesign | ArmSeries, prediction: "PredictedError", tolerance: PoseTolerance) -> Tensor:

@@ -33,7 +33,7 @@ class Goal(NamedTuple):
     Attributes:
         pose: (B, N, 3) positions from the base's and turns from the base's heading, without those of links, in the
             plane; (B, N, 12) rows of rotations and positions in space.
-        weight: (N, E) ω_i K of each error; E is 3 or 6.
+        weight: (B, N, E) ω_i K of each error; E is 3 or 6.
     """
 
     pose: Array
@@ -88,7 +88,7 @@ def write_errors(arms, goal, room, b, twist, change, directions, errors):  # typ
                     _spatial_error(goal, room, b, i, x, errors)
     for i in range(value.shape[1]):
         for e in range(size):
-            root = math.sqrt(goal.weight[i, e])
+            root = math.sqrt(goal.weight[b, i, e])
             value[0, i, e] *= root
             for x in range(1, 1 + directions):
                 value[x, i, e] *= root

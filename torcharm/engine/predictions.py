@@ -1,8 +1,8 @@
 """The pressures at which arms that are put down at a shape come closest to it.
 
 From half the limits, or the most promising of other pressures where there is no stable equilibrium near the shape, the
-cost is followed to a minimum, through stable equilibria wherever there are any. From pressures that almost hold the
-very shape, or do, as the wrenches there say, it is followed once more.
+cost is followed to a minimum, through stable equilibria wherever there are any; and from pressures that come closest
+to holding the very shape, as the wrenches there say: first from these where they nearly do.
 """
 
 import math
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from torcharm.engine.compilation import kernel, part
 from torcharm.engine.continuation import CONTINUED
-from torcharm.engine.descent import CLOSE, FLOOR, NO_START, STEPS, descend, error_slope
+from torcharm.engine.descent import CLOSE, FLOOR, NO_START, RUNNING, STABILITY_ENDS, STEPS, descend, error_slope
 from torcharm.engine.path import copy_twists, move_size
 from torcharm.engine.pressure_model import (
     EVALUATIONS,
@@ -31,10 +31,14 @@ from torcharm.engine.wrench_fit import fit_wrenches, write_carried
 
 Array = NDArray[Any]
 
+START, HOLDS, BEST = 0, 2, 4
+"""Slots: where the arm is put down; pressures that almost hold the shape; and the best point. Behind the first two is
+room for descents."""
 SCREENED = (3, 8, 64)
 """Pressures at which an arm is tried that does not stay near the shape at half the limits; and again, of more."""
 ALMOST_HOLDS = 5e-2
-"""Mean error over the arm's length below which pressures that hold the very shape are looked for with patience."""
+"""Mean error over the arm's length of pressures from which the first descent begins, as they nearly hold the very
+shape; and below which such pressures are looked for with patience."""
 FITS, PATIENT_FITS = 2, 10
 """Pressures from which it is looked for."""
 FIT_STEPS, PATIENT_FIT_STEPS = 15, 20
@@ -99,8 +103,8 @@ def _start(problem, work, b, shape, draws):  # type: ignore[no-untyped-def]
 
 
 @part
-def _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, best, to):  # type: ignore[no-untyped-def]
-    """Write a slot: of pressures whose reactions come closest to what the shape requires, the best, at an equilibrium.
+def _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, best):  # type: ignore[no-untyped-def]
+    """Write HOLDS: of pressures whose reactions come closest to what the shape requires, the best, at an equilibrium.
 
     Pressures are compared by the cost after one Newton step from the shape. Returns whether any promises
     less than the best slot's.
@@ -112,7 +116,7 @@ def _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, be
             fit.place[0, m] = points.place[best, m] if s < 0 else draws[first + s, m]
         write_carried(problem, work, b, shape)
         fit_wrenches(problem, work, fit, b, shape, steps, gain)
-        at = to + 1
+        at = HOLDS + 1
         for m in range(points.place.shape[1]):
             points.place[at, m] = fit.place[0, m]
         copy_twists(path.trial, shape)
@@ -122,55 +126,57 @@ def _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, be
         if points.known[at, STABLE] > 0.0 and points.known[at, HALF_COST] < least:
             least, found = points.known[at, HALF_COST], True
             for m in range(points.place.shape[1]):
-                points.place[to, m] = points.place[at, m]
-            if not _near(problem, work, b, at, math.inf):  # it is held: nothing can do better
+                points.place[HOLDS, m] = points.place[at, m]
+            if _mean_error(problem, work, b, at) <= FLOOR:  # it is held: nothing can do better
                 break
     if found:
         copy_twists(path.trial, shape)
-        evaluate_point(problem, work, b, to, CLOSE, EVALUATIONS)
+        evaluate_point(problem, work, b, HOLDS, CLOSE, EVALUATIONS)
     return found
 
 
 @part
-def _near(problem, work, b, at, share):  # type: ignore[no-untyped-def]
-    """Whether the mean error of a slot is below a share of the length, and more than rounding."""
+def _mean_error(problem, work, b, at):  # type: ignore[no-untyped-def]
+    """The mean error of a slot over the arm's length."""
     weight = 0.0
-    for i in range(problem.goal.weight.shape[0]):
-        weight += problem.goal.weight[i, 0]
-    error = math.sqrt(2.0 * work.points.known[at, HALF_COST] / max(weight, 1e-300)) / problem.scale.length[b]
-    return FLOOR < error < share
+    for i in range(problem.goal.weight.shape[1]):
+        weight += problem.goal.weight[b, i, 0]
+    return math.sqrt(2.0 * work.points.known[at, HALF_COST] / max(weight, 1e-300)) / problem.scale.length[b]
+
+
+@part
+def _descend(problem, work, b, here, free, ended):  # type: ignore[no-untyped-def]
+    """Descend from a slot; where that leads to a better point, it is the best.
+
+    Returns how the descent to the best point ended, where that to the last best one ended in the last way.
+    """
+    end, how = descend(problem, work, b, here, here + 1, free, math.inf, STEPS)
+    if not _better(work.points, end, BEST):
+        return ended
+    copy_point(work.points, BEST, end)
+    return how
 
 
 @part
 def _predict(problem, work, fit, b, shape, draws):  # type: ignore[no-untyped-def]
-    """The slot of the best point that is found, and how its descent ended."""
-    points, best, ended, free = work.points, 0, NO_START, False
-    for turn in range(3):
-        here = 0 if turn == 0 else 2
-        share, first, starts, steps, gain = math.inf, 0, FITS, FIT_STEPS, FIT_GAIN
-        if turn == 0:
-            _start(problem, work, b, shape, draws)
-            free = not points.known[0, STABLE] > 0.0
-        else:
-            if turn == 2:
-                share, first, starts, steps, gain = (
-                    ALMOST_HOLDS,
-                    FITS,
-                    PATIENT_FITS,
-                    PATIENT_FIT_STEPS,
-                    PATIENT_FIT_GAIN,
-                )
-            if not _near(problem, work, b, best, share):
-                continue
-            if not _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, best, here):
-                continue
-        other, how = descend(problem, work, b, here, here + 1, free, math.inf, STEPS)
-        if turn == 0:
-            best, ended = other, how
-        elif _better(points, other, best):
-            copy_point(points, best, other)
-            ended = how
-    return best, ended
+    """Write the best point that is found; returns how its descent ended."""
+    points, ended = work.points, NO_START
+    points.known[BEST, HALF_COST], points.known[BEST, STABLE] = math.inf, -1.0
+    _start(problem, work, b, shape, draws)
+    free = not points.known[START, STABLE] > 0.0
+    found = _holding(problem, work, fit, b, shape, draws, 0, FITS, FIT_STEPS, FIT_GAIN, START)
+    first, other = START, HOLDS
+    if found and _mean_error(problem, work, b, HOLDS) < ALMOST_HOLDS:
+        first, other = HOLDS, START
+    ended = _descend(problem, work, b, first, free, ended)
+    unsure = ended in (RUNNING, STABILITY_ENDS)
+    if (first == HOLDS and unsure) or (found and _better(points, other, BEST)):
+        ended = _descend(problem, work, b, other, free, ended)
+    if FLOOR < _mean_error(problem, work, b, BEST) < ALMOST_HOLDS and _holding(
+        problem, work, fit, b, shape, draws, FITS, PATIENT_FITS, PATIENT_FIT_STEPS, PATIENT_FIT_GAIN, BEST
+    ):
+        ended = _descend(problem, work, b, HOLDS, free, ended)
+    return ended
 
 
 @kernel
@@ -186,15 +192,14 @@ def predict_all(problem, shape, draws, start, tolerance, first, last, work, fit,
     points = work.points
     work.path.stays[0] = True
     for b in range(first, last):
-        best, ended = _predict(problem, work, fit, b, shape[b], draws)
+        ended = _predict(problem, work, fit, b, shape[b], draws)
         for m in range(points.place.shape[1]):
-            out.place[b, m] = points.place[best, m]
-        copy_twists(out.twists[b], points.twists[best])
-        out.half_cost[b], out.stable[b] = points.known[best, HALF_COST], points.known[best, STABLE]
+            out.place[b, m] = points.place[BEST, m]
+        copy_twists(out.twists[b], points.twists[BEST])
+        out.half_cost[b], out.stable[b] = points.known[BEST, HALF_COST], points.known[BEST, STABLE]
         out.ended[b], out.slope[b], out.reached[b] = ended, math.inf, False
         if ended != NO_START and math.isfinite(out.half_cost[b]):
-            out.slope[b] = error_slope(problem, work, b, best)
-            if points.known[best, STABLE] > 0.0:
-                other = 2 if best < 2 else 0
-                how = reach(problem, work, b, best, other, start, tolerance)
-                out.reached[b] = how == CONTINUED and distance_of(problem, work, b, best, other) <= SAME_SHAPE
+            out.slope[b] = error_slope(problem, work, b, BEST)
+            if points.known[BEST, STABLE] > 0.0:
+                how = reach(problem, work, b, BEST, START, start, tolerance)
+                out.reached[b] = how == CONTINUED and distance_of(problem, work, b, BEST, START) <= SAME_SHAPE

@@ -15,6 +15,7 @@ from torcharm.engine.arms import Arms
 from torcharm.engine.box_step import factor_free, largest_curvature, optimality, solve_free, write_box_step
 from torcharm.engine.compilation import kernel, part
 from torcharm.engine.newton_step import write_balance, write_shape
+from torcharm.engine.path import copy_twists
 from torcharm.engine.references import by_reference
 from torcharm.engine.sections import set_pressure, write_rates, write_section
 
@@ -36,8 +37,8 @@ class Fit(NamedTuple):
     """Room for one fit.
 
     Attributes:
-        place: (3, M) normalised pressures: where the fit is, and places that are tried.
-        miss: (3, N, C) weighted residuals there.
+        place: (2, M) normalised pressures: where the fit is, and a place that is tried.
+        miss: (2, N, C) weighted residuals there.
         rates: (M, N, C) of the first by the place.
         gradient, normal: (M,), (M, M) of half the squared distance.
         nothing: (M, M) zeros.
@@ -57,8 +58,8 @@ def make_fit(arms: Arms) -> Fit:
     """Room for one arm at a time, with weights of 0."""
     nodes, columns, count = arms.first_node[-1], len(arms.unknown), len(arms.models.kind)
     return Fit(
-        place=np.zeros((3, count)),
-        miss=np.zeros((3, nodes, columns)),
+        place=np.zeros((2, count)),
+        miss=np.zeros((2, nodes, columns)),
         rates=np.zeros((count, nodes, columns)),
         gradient=np.zeros(count),
         normal=np.zeros((count, count)),
@@ -68,8 +69,8 @@ def make_fit(arms: Arms) -> Fit:
 
 
 @part
-def _evaluate(problem, work, fit, b, twist, at, slopes):  # type: ignore[no-untyped-def]
-    """Write the residual of a place, and its slopes; returns the squared distance. `write_balance` was before."""
+def _evaluate(problem, work, fit, b, twist, at):  # type: ignore[no-untyped-def]
+    """Write the residual of a place; returns the squared distance. `write_carried` was before."""
     arms, room = problem.arms, work.room
     for m in range(problem.limit.shape[1]):
         work.pressure[b, m] = fit.place[at, m] * problem.limit[b, m]
@@ -82,16 +83,19 @@ def _evaluate(problem, work, fit, b, twist, at, slopes):  # type: ignore[no-unty
                 one = fit.weight[c] * (room.sections.reaction[i, c] + room.carried[i, c])
                 fit.miss[at, i, c] = one
                 total += one * one
-            if slopes:
-                write_rates(arms, room.drive, room.sections, b, segment, i, twist)
-                for m in range(problem.limit.shape[1]):
-                    for c in range(len(arms.unknown)):
-                        fit.rates[m, i, c] = fit.weight[c] * room.sections.rate[i, c, m] * problem.limit[b, m]
     return total
 
 
 @part
-def _write_normal(fit):  # type: ignore[no-untyped-def]
+def _write_normal(problem, work, fit, b, twist):  # type: ignore[no-untyped-def]
+    """Write the slopes of the residual at the first place, which was evaluated last, and the normal equations."""
+    arms, sections = problem.arms, work.room.sections
+    for segment in range(len(arms.first_node) - 1):
+        for i in range(arms.first_node[segment], arms.first_node[segment + 1]):
+            write_rates(arms, work.room.drive, sections, b, segment, i, twist)
+            for m in range(len(fit.gradient)):
+                for c in range(len(arms.unknown)):
+                    fit.rates[m, i, c] = fit.weight[c] * sections.rate[i, c, m] * problem.limit[b, m]
     for m in range(len(fit.gradient)):
         for k in range(m + 1):
             total = 0.0
@@ -113,7 +117,7 @@ def _bend(problem, work, fit, b, twist):  # type: ignore[no-untyped-def]
     count = len(box.step)
     for m in range(count):
         fit.place[1, m] = fit.place[0, m] + LOOK_AHEAD * box.step[m]
-    _evaluate(problem, work, fit, b, twist, 1, False)
+    _evaluate(problem, work, fit, b, twist, 1)
     for m in range(count):
         box.held[m], total = box.step[m] == 0.0, 0.0
         for i in range(fit.rates.shape[1]):
@@ -159,8 +163,8 @@ def fit_wrenches(problem, work, fit, b, twist, steps, gain):  # type: ignore[no-
         The squared distance at the first place, and whether the descent came to its end.
     """
     count = len(fit.gradient)
-    value = _evaluate(problem, work, fit, b, twist, 0, True)
-    _write_normal(fit)
+    value = _evaluate(problem, work, fit, b, twist, 0)
+    _write_normal(problem, work, fit, b, twist)
     damping = START_DAMPING
     for _ in range(steps):
         scale = largest_curvature(fit.normal)
@@ -170,17 +174,15 @@ def fit_wrenches(problem, work, fit, b, twist, steps, gain):  # type: ignore[no-
         if 2.0 * promised <= gain * value + NOTHING or damping > MOST_DAMPING:
             return value, True
         _bend(problem, work, fit, b, twist)
-        for m in range(count):
-            fit.place[2, m] = fit.place[0, m]
-            fit.place[0, m] = fit.place[1, m]
-        tried = _evaluate(problem, work, fit, b, twist, 1, False)
+        tried = _evaluate(problem, work, fit, b, twist, 1)
         if tried < value:
-            value = _evaluate(problem, work, fit, b, twist, 0, True)
-            _write_normal(fit)
+            value = tried
+            for m in range(count):
+                fit.place[0, m] = fit.place[1, m]
+            copy_twists(fit.miss[0], fit.miss[1])
+            _write_normal(problem, work, fit, b, twist)
             damping = max(0.1 * damping, LEAST_DAMPING)
         else:
-            for m in range(count):
-                fit.place[0, m] = fit.place[2, m]
             damping *= 5.0
     return value, False
 
@@ -221,9 +223,9 @@ def fit_all(problem, shape, starts, steps, gain, first, last, work, fit, out):  
                 fit.place[0, m] = starts[s, m]
             value, done = fit_wrenches(problem, work, fit, b, shape[b], steps, gain)
             if value < out.square[b]:
-                _evaluate(problem, work, fit, b, shape[b], 0, True)
+                _evaluate(problem, work, fit, b, shape[b], 0)
                 out.square[b], out.done[b] = value, done
-                _write_normal(fit)
+                _write_normal(problem, work, fit, b, shape[b])
                 out.optimality[b] = optimality(fit.gradient, fit.place[0])
                 for m in range(len(fit.gradient)):
                     out.place[b, m] = fit.place[0, m]

@@ -52,7 +52,8 @@ def errors_at(prepared: Prepared, place: Tensor, twists: Tensor, known: Tensor, 
         known: (*batch) which are minima; the gradients of the others are NaN, unless nothing depends on them.
         stable: (*batch) which are stable equilibria; the errors of the others are infinite.
     """
-    problem, diagonal = prepared.problem, prepared.cost.diagonal(twists, prepared.dimension)
+    problem, weight = prepared.problem, prepared.weights
+    diagonal = prepared.cost.diagonal(problem.arm.neutral_length, prepared.dimension).unsqueeze(-2)
     limit = problem.pressure
     pressure = torch.where(place >= 1, limit, place * limit.detach())  # what is at a limit moves with it
     reached = with_gradients(replace(problem, pressure=pressure), twists, known)
@@ -60,8 +61,7 @@ def errors_at(prepared: Prepared, place: Tensor, twists: Tensor, known: Tensor, 
     wanted = _Known.apply(wanted, known) if wanted.requires_grad else wanted
     found = prepared.poses(reached)
     error = pose_errors(found, wanted)
-    weight = prepared.cost.weights(prepared.nodes, error, prepared.dimension)
-    omega = weight.sum() / diagonal.sum()
+    omega = prepared.cost.omega(prepared.nodes, error).sum()
     square, floor = error.square(), FLOOR * _mean_length(prepared)
     cost = (weight * square).sum((-2, -1))
     split = prepared.dimension

@@ -9,8 +9,11 @@ from torcharm.geometry import se2, se3
 from torcharm.inputs import TensorLike, as_floating, check_choice, check_count, shown
 
 NODE_WEIGHTS = ("ramp", "uniform", "tip")
-PLACE_WEIGHT, TURN_WEIGHT = 1.0, 0.05
-"""The paper's weights on squared distances [1] and on squared turns [m²/rad²]."""
+TURN_WEIGHT = 0.2
+"""Weight of squared turns [1/rad²], over the arm's squared length, where squared distances have 1: a turn counts as the
+distance that it moves the end of a tool of 0.45 arm lengths. On the paper's arms of 0.5 m that is its 0.05 m²."""
+PAPER_LENGTH = 0.5
+"""Neutral length of the paper's arms [m]."""
 
 
 @dataclass(frozen=True)
@@ -23,8 +26,9 @@ class PoseCost:
         node_weights: ω. "ramp" is `linspace(0, 1, N)` on nodes 1 to N (the paper's validation), "uniform" ones on
             these (its shape study), "tip" the tip alone; or N or N+1 numbers, the last of N+1 for the tip.
         error_weights: K's diagonal: in the plane three numbers, on x², y² [1] and θ² [m²/rad²], in space six; None is
-            the paper's 1 on positions and 0.05 on turns. (1, 1, 0) counts positions only; in space a 0 in the fourth
-            place leaves the roll out, which no pressure steers where torsion is rigid.
+            1 on positions and 0.2 L² on turns, L the arm's neutral length: on arms of 0.5 m the paper's 0.05 m².
+            (1, 1, 0) counts positions only; in space a 0 in the fourth place leaves the roll out, which no pressure
+            steers where torsion is rigid.
 
     Raises:
         ValueError: a weight is negative or not finite, all are 0, or the words are none of those allowed.
@@ -47,29 +51,36 @@ class PoseCost:
                 )
             object.__setattr__(self, "error_weights", weights)
 
-    def weights(self, nodes: int, like: Tensor, dimension: int = 2) -> Tensor:
-        """`ω_i K` of every pose, (N+1, 3) in the plane or (N+1, 6) in space, like a tensor in dtype and device.
+    def weights(self, nodes: int, length: Tensor, dimension: int = 2) -> Tensor:
+        """`ω_i K` of every pose, (..., N+1, 3) in the plane or (..., N+1, 6) in space, like the lengths.
+
+        Args:
+            nodes: N.
+            length: (...) neutral lengths of arms [m].
+            dimension: 2 or 3.
 
         Raises:
             ValueError: weights were given, and are neither N nor N+1, or not of this dimension; or none of them is
                 above 0.
         """
-        check_count("nodes", nodes, 1)
-        return self._omega(nodes, like).unsqueeze(-1) * self.diagonal(like, dimension)
+        return self.omega(nodes, length).unsqueeze(-1) * self.diagonal(length, dimension).unsqueeze(-2)
 
-    def diagonal(self, like: Tensor, dimension: int = 2) -> Tensor:
-        """The diagonal of K, (3,) in the plane or (6,) in space."""
+    def diagonal(self, length: Tensor, dimension: int = 2) -> Tensor:
+        """The diagonal of K, (..., 3) in the plane or (..., 6) in space, for arms of neutral lengths (...) [m]."""
         count = 3 if dimension == 2 else 6
         if self.error_weights is None:
-            turns = 1 if dimension == 2 else 3
-            return like.new_tensor([PLACE_WEIGHT] * dimension + [TURN_WEIGHT] * turns)
+            places = length.new_ones(*length.shape, dimension)
+            turn = TURN_WEIGHT * length.square().unsqueeze(-1)
+            return torch.cat((places, turn.expand(*length.shape, count - dimension)), -1)
         (diagonal,) = as_floating(error_weights=self.error_weights)
         if len(diagonal) != count:
             where = "the plane" if dimension == 2 else "space"
             raise ValueError(f"error_weights: must be {count} numbers in {where}, got {shown(self.error_weights)}")
-        return diagonal.to(like)
+        return diagonal.to(length).expand(*length.shape, count)
 
-    def _omega(self, nodes: int, like: Tensor) -> Tensor:
+    def omega(self, nodes: int, like: Tensor) -> Tensor:
+        """ω (N+1,), like a tensor in dtype and device; raises as `weights`."""
+        check_count("nodes", nodes, 1)
         omega = like.new_zeros(nodes + 1)
         if not isinstance(self.node_weights, str):
             (given,) = as_floating(node_weights=self.node_weights)
@@ -90,10 +101,11 @@ class PoseCost:
             raise ValueError(f"node_weights: must be above 0 at a pose that moves, got {shown(self.node_weights)}")
         return omega
 
-    def __call__(self, error: Tensor) -> Tensor:
-        """The cost (...) [m²] of errors (..., N+1, 3 or 6) [m, rad]."""
+    def __call__(self, error: Tensor, length: Tensor | float = PAPER_LENGTH) -> Tensor:
+        """The cost (...) [m²] of errors (..., N+1, 3 or 6) [m, rad] of arms of neutral lengths (...) [m]."""
         dimension = 2 if error.shape[-1] == 3 else 3
-        return (self.weights(error.shape[-2] - 1, error, dimension) * error.square()).sum((-2, -1))
+        weights = self.weights(error.shape[-2] - 1, torch.as_tensor(length).to(error), dimension)
+        return (weights * error.square()).sum((-2, -1))
 
 
 def pose_errors(reached: Tensor, wanted: Tensor) -> Tensor:

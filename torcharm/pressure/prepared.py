@@ -60,6 +60,11 @@ class Prepared:
         """N."""
         return self.twists.shape[-2]
 
+    @property
+    def weights(self) -> Tensor:
+        """(*#batch, N+1, 3 or 6) of the squared errors of poses."""
+        return self.cost.weights(self.nodes, self.problem.arm.neutral_length, self.dimension)
+
     def poses(self, twists: Tensor) -> Tensor:
         """Poses (..., N+1, 3) or (..., N+1, 4, 4) of twists (..., N, K)."""
         links = [None if link is None else link.end(self.dimension) for link in segments_of(self.problem.arm)[1]]
@@ -101,8 +106,7 @@ class Prepared:
         """The problems as the engine takes them."""
         packed = self.problem.packed
         with torch.no_grad():
-            weight = numbers(self.cost.weights(self.nodes, self.twists, self.dimension)[1:])
-            goal = Goal(self.flat(self._goal(), 2), weight)
+            goal = Goal(self.flat(self._goal(), 2), self.flat(self.weights[..., 1:, :], 2))
         return EngineProblem(packed.arms, packed.loads, packed.scale, goal, packed.pressure)
 
     def _goal(self) -> Tensor:
@@ -128,7 +132,7 @@ def prepare(
     cost = PoseCost() if cost is None else cost
     if not isinstance(cost, PoseCost):
         raise ValueError(f"pose_cost: must be a PoseCost, got {shown(cost)}")
-    cost.weights(task.nodes, task.twists, task.dimension)
+    cost.weights(task.nodes, arm.neutral_length, task.dimension)
     stiffness = check_above_zero("shear_stiffness", shear_stiffness)
     beside = _beside(arm, len(task.batch_shape))
     batch = (*arm.batch_shape, *task.batch_shape)

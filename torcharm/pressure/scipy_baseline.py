@@ -40,16 +40,17 @@ def search_one_by_one(prepared: Prepared, starts: int, seed: int, method: str, p
         targets = prepared.poses(prepared.twists)
         tail = targets.shape[prepared.twists.ndim - 2 :]
         targets = targets.expand(*prepared.batch, *tail).reshape(-1, *tail)
+        weights = torch.from_numpy(prepared.flat(prepared.weights, 2))
         for b in track(range(len(out.how)), "pressure search", disable=progress is False, transient=True):
-            _search(_Task(prepared, b, targets[b]), places, method, out)
+            _search(_Task(prepared, b, targets[b], weights[b]), places, method, out)
     return out
 
 
 class _Task:
     """One pair of a design and a task, with the cost of its poses at normalised pressures."""
 
-    def __init__(self, prepared: Prepared, b: int, target: Tensor) -> None:
-        self.prepared, self.b, self.target = prepared, b, target
+    def __init__(self, prepared: Prepared, b: int, target: Tensor, weights: Tensor) -> None:
+        self.prepared, self.b, self.target, self.weights = prepared, b, target, weights
         self.whole: EngineProblem = prepared.engine
         self.packed = _row(prepared.problem.packed, b)
         self.limit = self.whole.limit[b]
@@ -64,7 +65,7 @@ class _Task:
         if found.reached[0] == FAILED or not bool(stays(packed, found)[0]):
             return NOTHING, found.twists[0], FAILED
         error = pose_errors(self.prepared.poses(torch.from_numpy(found.twists[0])), self.target)
-        return float(self.prepared.cost(error)), found.twists[0], int(found.reached[0])
+        return float((self.weights * error.square()).sum()), found.twists[0], int(found.reached[0])
 
     def cost(self, place: Numbers) -> float:
         """The cost, warm-started by the last equilibrium."""
