@@ -27,7 +27,7 @@ from torcharm.engine.pressure_model import (
     write_point,
 )
 from torcharm.engine.references import by_reference
-from torcharm.engine.wrench_fit import fit_wrenches, write_carried
+from torcharm.engine.wrench_fit import FIT_GAIN, FIT_STEPS, fit_wrenches, write_carried
 
 Array = NDArray[Any]
 
@@ -41,10 +41,8 @@ ALMOST_HOLDS = 5e-2
 shape; and below which such pressures are looked for with patience."""
 FITS, PATIENT_FITS = 2, 10
 """Pressures from which it is looked for."""
-FIT_STEPS, PATIENT_FIT_STEPS = 15, 20
-"""Steps of each."""
-FIT_GAIN, PATIENT_FIT_GAIN = 1e-2, 1e-4
-"""Share of the squared distance that a step must promise: all of it where the shape can be held."""
+PATIENT_STEPS, PATIENT_GAIN = 20, 1e-4
+"""Of the latter fits."""
 
 SAME_SHAPE = 1e-2
 """Difference of two shapes, as of `move_size`, that counts as none: other equilibria are much further away."""
@@ -173,7 +171,7 @@ def _predict(problem, work, fit, b, shape, draws):  # type: ignore[no-untyped-de
     if (first == HOLDS and unsure) or (found and _better(points, other, BEST)):
         ended = _descend(problem, work, b, other, free, ended)
     if FLOOR < _mean_error(problem, work, b, BEST) < ALMOST_HOLDS and _holding(
-        problem, work, fit, b, shape, draws, FITS, PATIENT_FITS, PATIENT_FIT_STEPS, PATIENT_FIT_GAIN, BEST
+        problem, work, fit, b, shape, draws, FITS, PATIENT_FITS, PATIENT_STEPS, PATIENT_GAIN, BEST
     ):
         ended = _descend(problem, work, b, HOLDS, free, ended)
     return ended

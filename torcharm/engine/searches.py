@@ -42,6 +42,7 @@ from torcharm.engine.search_room import (
     keep_point,
     reach_and_keep,
 )
+from torcharm.engine.wrench_fit import FIT_GAIN, FIT_STEPS, fit_wrenches, write_carried
 
 Array = NDArray[Any]
 
@@ -115,11 +116,12 @@ def _load_places(problem, work, search, b, shape, pool, spread, start, tolerance
 
 
 @part
-def _begin(problem, work, search, b, s, shape, pool, above):  # type: ignore[no-untyped-def]
+def _begin(problem, work, search, fit, b, s, shape, pool, above):  # type: ignore[no-untyped-def]
     """Write the first slot: the start of descent s. Returns the slot of the point that was loaded; or -1.
 
-    The first is at the shape itself, with the pressures of the pool that are best there to first order: the best point
-    that was loaded stands for it. Then come the places at which the arm was loaded, from the best on.
+    The first is at the shape itself, with the pressures of the pool that are best there to first order, or those near
+    them that come closest to holding it: the best point that was loaded stands for it. Then come the places at which
+    the arm was loaded, from the best on.
     """
     points = work.points
     if s > 0:
@@ -132,7 +134,14 @@ def _begin(problem, work, search, b, s, shape, pool, above):  # type: ignore[no-
         return best
     q = _best_of(search.expected, 0, len(pool))
     for m in range(points.place.shape[1]):
-        points.place[0, m] = pool[q, m]
+        points.place[0, m] = fit.place[0, m] = pool[q, m]
+    write_carried(problem, work, b, shape)
+    fit_wrenches(problem, work, fit, b, shape, FIT_STEPS, FIT_GAIN)
+    for m in range(points.place.shape[1]):
+        points.place[AIM, m] = fit.place[0, m]
+    if expected_cost(problem, work, b, AIM, shape) < search.expected[q]:
+        for m in range(points.place.shape[1]):
+            points.place[0, m] = points.place[AIM, m]
     copy_twists(work.path.trial, shape)
     found = evaluate_point(problem, work, b, 0, CLOSE, EVALUATIONS) and points.known[0, STABLE] > 0.0
     return BEST if found else -1
@@ -176,7 +185,7 @@ def _descend_and_load(problem, work, search, b, begun, at_end, start, tolerance)
 
 
 @part
-def _multistart(problem, work, search, b, shape, pool, spread, start, tolerance):  # type: ignore[no-untyped-def]
+def _multistart(problem, work, search, fit, b, shape, pool, spread, start, tolerance):  # type: ignore[no-untyped-def]
     """Descend from all starts, and confirm the ends; whether the best point is one."""
     points, at_end, agreed, above = work.points, False, 0, -1.0
     _load_places(problem, work, search, b, shape, pool, spread, start, tolerance)
@@ -184,7 +193,7 @@ def _multistart(problem, work, search, b, shape, pool, spread, start, tolerance)
         if agreed >= AGREE:
             break
         search.start_cost[s] = math.inf
-        begun = _begin(problem, work, search, b, s, shape, pool, above)
+        begun = _begin(problem, work, search, fit, b, s, shape, pool, above)
         if begun < 0:
             continue
         if s > 0:
@@ -228,7 +237,7 @@ def _try_other_ends(problem, work, search, b, at_end, start, tolerance):  # type
 
 
 @part
-def _search(problem, work, search, b, shape, pool, spread, rounds, start, tolerance):  # type: ignore[no-untyped-def]
+def _search(problem, work, search, fit, b, shape, pool, spread, rounds, start, tolerance):  # type: ignore[no-untyped-def]
     """Write the best point; whether it is the end of a descent, and none led to a better one."""
     points = work.points
     for s in range(len(search.start_cost)):
@@ -236,7 +245,7 @@ def _search(problem, work, search, b, shape, pool, spread, rounds, start, tolera
     for j in range(FIRST_LOST, FIRST_LOST + LOST):
         points.known[j, HALF_COST] = math.inf
     points.known[BEST, HALF_COST] = math.inf
-    at_end = _multistart(problem, work, search, b, shape, pool, spread, start, tolerance)
+    at_end = _multistart(problem, work, search, fit, b, shape, pool, spread, start, tolerance)
     if math.isfinite(points.known[BEST, HALF_COST]):
         at_end = _try_other_ends(problem, work, search, b, at_end, start, tolerance)
     work.path.stays[0] = False
@@ -255,7 +264,7 @@ def _search(problem, work, search, b, shape, pool, spread, rounds, start, tolera
 
 
 @kernel
-def search_all(problem, shape, pool, spread, rounds, start, tolerance, first, last, work, search, out):  # type: ignore[no-untyped-def]
+def search_all(problem, shape, pool, spread, rounds, start, tolerance, first, last, work, search, fit, out):  # type: ignore[no-untyped-def]
     """Search for the arms from one to another, without the last.
 
     Args:
@@ -270,7 +279,7 @@ def search_all(problem, shape, pool, spread, rounds, start, tolerance, first, la
     for b in range(first, last):
         for snaps in range(2):  # where no branch is found to the full load at any start, arms may snap
             work.path.stays[0] = snaps == 0
-            out.at_end[b] = _search(problem, work, search, b, shape[b], pool, spread, rounds, start, tolerance)
+            out.at_end[b] = _search(problem, work, search, fit, b, shape[b], pool, spread, rounds, start, tolerance)
             if math.isfinite(points.known[BEST, HALF_COST]):
                 break
         for m in range(points.place.shape[1]):

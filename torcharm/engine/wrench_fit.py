@@ -21,6 +21,9 @@ from torcharm.engine.sections import set_pressure, write_rates, write_section
 
 Array = NDArray[Any]
 
+FIT_STEPS, FIT_GAIN = 15, 1e-2
+"""Steps of a fit where a descent begins, at most; and the share of the squared distance that one must promise, which is
+all of it where the shape can be held."""
 START_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-14, 1e8
 """Of the largest curvature: at first; where it no longer changes a step; and where a step is but rounding."""
 NOTHING = 1e-30
@@ -54,8 +57,8 @@ class Fit(NamedTuple):
     weight: Array
 
 
-def make_fit(arms: Arms) -> Fit:
-    """Room for one arm at a time, with weights of 0."""
+def make_fit(arms: Arms, weight: Array) -> Fit:
+    """Room for one arm at a time, and the roots of the weights (C,) of the components."""
     nodes, columns, count = arms.first_node[-1], len(arms.unknown), len(arms.models.kind)
     return Fit(
         place=np.zeros((2, count)),
@@ -64,7 +67,7 @@ def make_fit(arms: Arms) -> Fit:
         gradient=np.zeros(count),
         normal=np.zeros((count, count)),
         nothing=np.zeros((count, count)),
-        weight=np.zeros(columns),
+        weight=weight,
     )
 
 

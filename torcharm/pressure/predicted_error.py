@@ -195,18 +195,8 @@ def _found(prepared: Prepared) -> Predictions:
     pressure = np.zeros_like(problem.limit)
 
     def work(first: int, last: int) -> None:
-        room, fit = make_work(problem.arms, pressure), make_fit(problem.arms)
-        fit.weight[:] = _weights(prepared)
+        room, fit = make_work(problem.arms, pressure), make_fit(problem.arms, prepared.wrench_weights)
         predict_all(problem, shape, draws, start, TOLERANCE, first, last, room, fit, out)
 
     spread(count, work)
     return out
-
-
-def _weights(prepared: Prepared) -> NDArray[np.float64]:
-    """(C,) roots of the weights of forces [1/N] and moments [1/(N·m)] where pressures are looked for that hold a
-    shape: a moment counts as the force that has it at the largest offset."""
-    problem = prepared.engine
-    linear = np.array([column < prepared.dimension for column in problem.arms.unknown])
-    reach = max(float(problem.scale.reach.max(initial=0.0)), 1e-3)
-    return np.where(linear, 1.0, 1.0 / reach)

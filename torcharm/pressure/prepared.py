@@ -101,6 +101,14 @@ class Prepared:
         start[..., self.problem.unknown] = self.shape[..., self.problem.unknown]
         return start
 
+    @property
+    def wrench_weights(self) -> Numbers:
+        """(C,) roots of the weights of forces [1/N] and moments [1/(N·m)] where pressures are looked for that hold a
+        shape: a moment counts as the force that has it at the largest offset."""
+        linear = np.array([column < self.dimension for column in self.engine.arms.unknown])
+        reach = max(float(self.engine.scale.reach.max(initial=0.0)), 1e-3)
+        return np.where(linear, 1.0, 1.0 / reach)
+
     @cached_property
     def engine(self) -> EngineProblem:
         """The problems as the engine takes them."""

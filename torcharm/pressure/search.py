@@ -16,6 +16,7 @@ from torcharm.engine.pressure_model import make_work
 from torcharm.engine.search_room import LOADED, make_search
 from torcharm.engine.searches import LOT, Searches, search_all
 from torcharm.engine.threads import spread
+from torcharm.engine.wrench_fit import make_fit
 from torcharm.equilibrium.solve import TOLERANCE, NotConvergedError
 from torcharm.equilibrium.stability import strain_excess
 from torcharm.inputs import HoldsTensors, check_choice, check_count, check_flag, shapes_only
@@ -255,7 +256,8 @@ def _found(prepared: Prepared, starts: int, rounds: int, seed: int) -> Searches:
     def work(first: int, last: int) -> None:
         room = make_work(problem.arms, pressure, slots)
         search = make_search(problem.arms, starts, len(pool), slots)
-        search_all(problem, shape, pool.numpy(), places, rounds, start, TOLERANCE, first, last, room, search, out)
+        fit, draws = make_fit(problem.arms, prepared.wrench_weights), pool.numpy()
+        search_all(problem, shape, draws, places, rounds, start, TOLERANCE, first, last, room, search, fit, out)
 
     spread(len(shape), work)
     return out

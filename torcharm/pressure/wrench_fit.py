@@ -96,9 +96,12 @@ def _fitted(prepared: Prepared, force: float, moment: float, starts: NDArray[np.
     """What the engine finds, with the roots of the weights."""
     problem, shape = prepared.engine, prepared.shape
     hull = HULL[shape.shape[2]]
-    weight = [
-        (force if column < prepared.dimension else moment) if column in hull else 0.0 for column in problem.arms.unknown
-    ]
+    weight = np.array(
+        [
+            (force if column < prepared.dimension else moment) if column in hull else 0.0
+            for column in problem.arms.unknown
+        ]
+    )
     count, actuators = problem.limit.shape
     miss = np.zeros((count, shape.shape[1], len(weight)))
     out = FitAnswers(
@@ -107,8 +110,7 @@ def _fitted(prepared: Prepared, force: float, moment: float, starts: NDArray[np.
     pressure = np.zeros_like(problem.limit)
 
     def work(first: int, last: int) -> None:
-        room, fit = make_work(problem.arms, pressure), make_fit(problem.arms)
-        fit.weight[:] = weight
+        room, fit = make_work(problem.arms, pressure), make_fit(problem.arms, weight)
         fit_all(problem, shape, starts, STEPS, GAIN, first, last, room, fit, out)
 
     spread(count, work)
