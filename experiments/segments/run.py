@@ -90,7 +90,7 @@ def by_aim(kind: str, shape: str, twists: torch.Tensor, count: int) -> Iterator[
     for aim, cost in scenes.aims().items():
         found = ta.evaluate(arm, task, pose_cost=cost)
         searched = ta.search_pressure(arm, task, pose_cost=cost)
-        omega = whole.weights(scenes.NODES, searched.pose_errors, 3)[..., 0].sum()
+        omega = whole.omega(scenes.NODES, searched.pose_errors).sum()
         assert found.shape_error is not None
         assert found.absolute is not None
         assert found.relative is not None
