@@ -111,7 +111,7 @@ class TestArmShape:
         arm = mixed_arm()
         axes = plot.arm_shape(arm, TWISTS)
         node = ta.poses(TWISTS)
-        kinds = ["bellows", "muscle", "other", "muscle", "bellows"]
+        kinds = ["bellows", "muscle", "polynomial", "muscle", "bellows"]
         curves = [line for line in axes.lines if line.get_gid() in kinds]
         assert [line.get_gid() for line in curves] == kinds
         for line, radius in zip(curves, arm.radii, strict=True):
@@ -149,7 +149,9 @@ class TestArmShape:
         assert not arrows(ax)
         assert (ax.get_xlabel(), ax.get_ylabel()) == ("x [m]", "y [m]")
         assert ax.get_aspect() == 1.0
-        assert all(text in legend_text(ax) for text in ("bellows (2)", "muscle (2)", "other (1)", "base", "centreline"))
+        assert all(
+            text in legend_text(ax) for text in ("bellows (2)", "muscle (2)", "polynomial (1)", "base", "centreline")
+        )
 
     def test_makes_axes(self):
         assert plot.arm_shape(segment_arm(), TWISTS[None]).name == "rectilinear"

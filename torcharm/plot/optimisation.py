@@ -35,7 +35,8 @@ def optimisation_figure(result: OptimisedDesign, title: str = "") -> "Figure":
             f", {len(side.stable) - len(values)} without a stable equilibrium" if len(values) < len(side.stable) else ""
         )
         label = f"{name}: mean {side.tip_mm:.3g} mm{left}"
-        errors.step(range(1, len(values) + 1), values, where="mid", color=colour, linestyle=dash, label=label)
+        dots = {"marker": "o", "markersize": 3} if len(values) == 1 else {}  # a line of one point is none
+        errors.step(range(1, len(values) + 1), values, where="mid", color=colour, linestyle=dash, label=label, **dots)
     errors.set(xlabel="tasks, the nearest first", ylabel="predicted tip error [mm]", title=title, ylim=(0, None))
     errors.legend(frameon=False)
     planar = result.best.dimension == 2
