@@ -11,11 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from standard_error import without_notice
 from typer.testing import CliRunner
 
 import torcharm as ta
 from torcharm import cli, study
 from torcharm.cli.app import app
+from torcharm.study import results
 
 STUDY = """
 name = "two tasks"
@@ -58,9 +60,10 @@ def mistake(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
     output = capsys.readouterr()
     assert caught.value.code == 2
     assert output.out == ""
-    assert output.err.startswith("torcharm: ")
-    assert output.err.count("\n") == 1
-    return output.err.removeprefix("torcharm: ").strip()
+    said = without_notice(output.err)
+    assert said.startswith("torcharm: ")
+    assert said.count("\n") == 1
+    return said.removeprefix("torcharm: ").strip()
 
 
 def run(*args: object, **env: str) -> subprocess.CompletedProcess[bytes]:
@@ -265,8 +268,11 @@ def test_init_writes_the_example_and_does_not_overwrite(monkeypatch, capsys, tmp
     assert path.read_text() == "mine"
     invoke("init", "--force")
     assert path.read_text(encoding="utf-8") == study.example_text()
-    invoke("init", "other.toml")
-    assert (tmp_path / "other.toml").exists()
+    for given in (("other.toml",), ("--out", "third.toml")):
+        invoke("init", *given)
+        assert (tmp_path / given[-1]).read_text(encoding="utf-8") == study.example_text()
+    assert mistake(monkeypatch, capsys, "init", "--out", "third.toml").startswith("third.toml: is there already")
+    assert mistake(monkeypatch, capsys, "init", "a.toml", "--out", "b.toml").startswith("--out: must not stand beside")
 
 
 def test_version():
@@ -338,7 +344,7 @@ def test_mistakes_are_one_line(monkeypatch, capsys, tmp_path, args, parts):
 
 
 def test_outputs_are_checked_before_the_work(monkeypatch, capsys):
-    monkeypatch.setattr(study, "evaluate_study", lambda plan: pytest.fail("the work was done"))
+    monkeypatch.setattr(study, "evaluate_study", lambda *_: pytest.fail("the work was done"))
     mistake(monkeypatch, capsys, "evaluate", "--out", "nowhere/results.csv")
     mistake(monkeypatch, capsys, "evaluate", "--figure", "figure.txt")
 
@@ -356,7 +362,7 @@ def test_outputs_without_permission(monkeypatch, capsys, tmp_path):
     [(OSError(28, "No space left on device"), "No space left on device"), (MemoryError(), "not enough memory")],
 )
 def test_failures_on_the_way_are_one_line(monkeypatch, capsys, error, line):
-    def fail(plan):
+    def fail(*_):
         raise error
 
     monkeypatch.setattr(study, "evaluate_study", fail)
@@ -364,7 +370,7 @@ def test_failures_on_the_way_are_one_line(monkeypatch, capsys, error, line):
 
 
 def test_a_defect_keeps_its_traceback(monkeypatch):
-    def fail(plan):
+    def fail(*_):
         raise RuntimeError("a defect")
 
     monkeypatch.setattr(study, "evaluate_study", fail)
@@ -376,7 +382,7 @@ def test_a_defect_keeps_its_traceback(monkeypatch):
 def test_interruption_is_one_line_and_keeps_what_is_finished(monkeypatch, capsys, tmp_path):
     plan, finished = study.paper_study(), study.evaluate_study
 
-    def interrupt(plan):
+    def interrupt(plan, refused):
         yield next(finished(plan))
         raise KeyboardInterrupt
 
@@ -386,9 +392,41 @@ def test_interruption_is_one_line_and_keeps_what_is_finished(monkeypatch, capsys
         cli.main()
     assert caught.value.code == 130
     output = capsys.readouterr()
-    assert output.err == "torcharm: interrupted\n"
+    assert without_notice(output.err) == "torcharm: interrupted\n"
     assert plan.arms[0].name in output.out
     assert len((tmp_path / "rows.csv").read_text().splitlines()) == 101
+
+
+def test_an_arm_that_is_refused_costs_only_its_own_rows(monkeypatch, capsys, study_file, tmp_path):
+    whole = ta.evaluate
+
+    def refuse_bellows(arm, task, **settings):
+        if len({type(model) for model in arm.actuators}) == 1:
+            raise ValueError("actuators[0].force: must return a value")
+        return whole(arm, task, **settings)
+
+    monkeypatch.setattr(results, "evaluate", refuse_bellows)
+    out = tmp_path / "rows.csv"
+    monkeypatch.setattr(sys, "argv", ["torcharm", "evaluate", str(study_file), "--out", str(out)])
+    with pytest.raises(SystemExit) as caught:
+        cli.main()
+    output = capsys.readouterr()
+    assert caught.value.code == 2
+    line = "torcharm: [red]bellows[/red] ✓: actuators[0].force: must return a value\n"
+    assert without_notice(output.err) == line
+    assert "Task bent" in output.out
+    with out.open(encoding="utf-8") as file:
+        rows = [(row["task"], row["arm"][:6]) for row in csv.DictReader(file)]
+    assert rows == [("straight", "an arm")] + [("bent", "an arm")] * 4
+
+
+def test_limits_in_other_units_are_asked_about_and_not_refused(study_file):
+    text = STUDY.replace('kind = "bellows"', 'kind = "bellows"\nmax_pressure = [1.2, 0, 50, 50]')
+    study_file.write_text(text, encoding="utf-8")
+    result = CliRunner().invoke(app, ["evaluate", str(study_file)])
+    question = "max_pressure: 1.2 kPa is 1.3 % of the 92 kPa that were characterised: is it in bar?"
+    assert result.exit_code == 0
+    assert without_notice(result.stderr) == f"torcharm: [red]bellows[/red] ✓: {question}\n"
 
 
 # As a process
@@ -397,7 +435,7 @@ def test_interruption_is_one_line_and_keeps_what_is_finished(monkeypatch, capsys
 def test_process_writes_plain_text_and_results(tmp_path):
     path = tmp_path / "results.csv"
     done = run("evaluate", "--paper", "--out", path, PYTHONIOENCODING="utf-8")
-    assert (done.returncode, done.stderr) == (0, b"")
+    assert (done.returncode, without_notice(done.stderr.decode())) == (0, "")
     output = done.stdout.decode()
     assert "\x1b" not in output
     assert max(len(line) for line in output.splitlines() if str(path) not in line) <= 80
@@ -406,7 +444,7 @@ def test_process_writes_plain_text_and_results(tmp_path):
 
 def test_process_copes_with_a_narrow_encoding(study_file):
     done = run("evaluate", study_file, PYTHONIOENCODING="ascii")
-    assert (done.returncode, done.stderr) == (0, b"")
+    assert (done.returncode, without_notice(done.stderr.decode())) == (0, "")
     assert b"bellow" in done.stdout
 
 
@@ -429,7 +467,7 @@ def test_process_is_interrupted_by_a_signal():
     slow = (
         "import signal, sys, time; from torcharm import cli, study;"
         "signal.signal(signal.SIGINT, signal.default_int_handler);"  # which a process in the background ignores
-        "study.evaluate_study = lambda plan: (print('working', flush=True), time.sleep(60));"
+        "study.evaluate_study = lambda *_: (print('working', flush=True), time.sleep(60));"
         "sys.argv = ['torcharm', 'evaluate']; cli.main()"
     )
     with subprocess.Popen([sys.executable, "-c", slow], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
@@ -438,7 +476,7 @@ def test_process_is_interrupted_by_a_signal():
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert errors == b"torcharm: interrupted\n"
+    assert errors == b"torcharm: interrupted: nothing was finished\n"
 
 
 def test_the_table_shows_predicted_errors_in_millimetres(tmp_path):

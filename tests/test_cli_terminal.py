@@ -7,12 +7,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
+from standard_error import without_notice
 from test_cli import invoke, mistake
 from test_cli_optimise import STUDY
 from typer.testing import CliRunner
 
 from torcharm import cli
+from torcharm.cli import terminal
 from torcharm.cli.app import app
 from torcharm.cli.tables import Column, print_table
 from torcharm.design import shape_planning
@@ -154,7 +157,7 @@ def test_a_plan_that_is_an_error_costs_only_its_own_row(monkeypatch, capsys, stu
         cli.main()
     output = capsys.readouterr()
     assert caught.value.code == 2
-    assert output.err.count("\n") == 1
+    assert without_notice(output.err).count("\n") == 1
     assert "too far for numbers, antagonistic: refused: tip_pose: must be finite" in output.err
     assert "refused" in output.out
     with out.open(encoding="utf-8") as file:
@@ -205,6 +208,39 @@ def test_search_keeps_what_was_found_before_ctrl_c(monkeypatch, capsys, study_fi
     assert "Task reach" in output
     assert "Task hold" not in output
     assert len(out.read_text(encoding="utf-8").splitlines()) == 3
+
+
+def test_search_of_an_arm_that_is_refused_costs_no_other(monkeypatch, capsys, study_file):
+    from torcharm.pressure import search
+
+    whole = search.search_pressure
+
+    def refuse_bellows(arm, *rest, **options):
+        if len({type(model) for model in arm.actuators}) == 1:
+            raise ValueError("arm: is refused")
+        return whole(arm, *rest, **options)
+
+    monkeypatch.setattr(search, "search_pressure", refuse_bellows)
+    study_file.write_text(STUDY.replace("[[arm]]", '[[arm]]\nname = "b"\nkind = "bellows"\n\n[[arm]]', 1))
+    out = study_file.parent / "found.csv"
+    monkeypatch.setattr(sys, "argv", ["torcharm", "search", str(study_file), "--out", str(out)])
+    with pytest.raises(SystemExit) as caught:
+        cli.main()
+    assert caught.value.code == 2
+    assert without_notice(capsys.readouterr().err) == "torcharm: b: arm: is refused\n"
+    with out.open(encoding="utf-8") as file:
+        rows = [(row["arm"], row["task"]) for row in csv.DictReader(file)]
+    assert rows == [("antagonistic", "reach")] * 2 + [("antagonistic", "hold")]
+
+
+def test_who_waits_without_a_terminal_is_told_once(capsys):
+    with terminal.compiling_told():
+        for more in (1, 2):
+            assert numba.njit(lambda one, more=more: one + more)(1.0) == 1.0 + more
+    assert re.fullmatch(r"torcharm: compiling, once: about \d+ s\n", capsys.readouterr().err)
+    with terminal.compiling_told():
+        pass
+    assert capsys.readouterr().err == ""
 
 
 def test_optimise_keeps_what_was_found_before_ctrl_c(monkeypatch, capsys, study_file):

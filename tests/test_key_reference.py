@@ -8,6 +8,7 @@ import torch
 from test_cli import invoke
 
 import torcharm as ta
+from torcharm.actuators import Chamber, ElasticCore
 from torcharm.actuators.model_file import save_actuator
 from torcharm.actuators.toml_text import toml_value
 from torcharm.study import evaluate_study, key_reference, parse_study
@@ -187,8 +188,8 @@ def test_tables_that_are_left_out_may_be_used(tmp_path):
     assert bent.bending_stiffness == ta.LinearBending(-0.1, 40.0)
 
     save_actuator(tmp_path / "my_bellows.toml", ta.Bellows())
-    kinds = {"bellows": ta.Bellows, "polynomial": ta.PolynomialActuator, "chamber": ta.PolynomialActuator}
-    for kind, model in (kinds | {"elastic_core": ta.PolynomialActuator, "file": ta.Bellows}).items():
+    kinds = {"bellows": ta.Bellows, "polynomial": ta.PolynomialActuator, "chamber": Chamber}
+    for kind, model in (kinds | {"elastic_core": ElasticCore, "file": ta.Bellows}).items():
         mark = "" if kind == "bellows" else "#"
         text = use_block(f"{mark}[arm.actuators]", kind, without="" if kind == "bellows" else "[arm.actuators]")
         arm = parse_study(text, folder=tmp_path).arms[1]

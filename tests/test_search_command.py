@@ -95,6 +95,38 @@ def test_shape_takes_an_arm_of_a_study(study_file, tmp_path):
     )
 
 
+BODY = """
+name = "body"
+[[arm]]
+name = "finger"
+ring = [{ radius = 0 }, { radius = "9 mm", count = 3 }]
+actuators = [
+    { kind = "elastic_core", axial_stiffness = 45.0, bending_stiffness = 3.6e-3 },
+    { kind = "chamber", area = "110 mm²" },
+]
+length = "100 mm"
+[[task]]
+name = "bend"
+shape = { kind = "constant", curvature = "20 deg", direction = 0, length = "102 mm", nodes = 3 }
+"""
+
+
+def test_passive_actuators_have_no_pressure(tmp_path, monkeypatch, capsys):
+    """They may be left out where pressures are given, and are where they are told."""
+    path = tmp_path / "body.toml"
+    path.write_text(BODY, encoding="utf-8")
+    options = ("--study", path, "--nodes", 3, "--figure", tmp_path / "arm.png", "--pressure")
+    short, long = (invoke("shape", *options, given) for given in ("30,0,10", "0,30,0,10"))
+    assert short == long
+    message = mistake(monkeypatch, capsys, "shape", *options, "30,10")
+    assert message == "--pressure: must be 4 numbers with commas between them, or 3 without the 1 passive, got 30,10"
+    for command in ("evaluate", "search"):
+        invoke(command, path, "--out", tmp_path / "out.csv")
+        with (tmp_path / "out.csv").open(encoding="utf-8") as file:
+            (row,) = csv.DictReader(file)
+        assert [name for name in row if name.startswith("pressure")] == [f"pressure_{k}_kPa" for k in (2, 3, 4)]
+
+
 def test_searches_that_find_no_equilibrium_count_as_failed(tmp_path):
     study = tmp_path / "heavy.toml"
     study.write_text(

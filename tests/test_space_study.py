@@ -314,17 +314,28 @@ def test_angles_of_arms_in_space_are_told_beside_arms_in_the_plane(tmp_path):
     assert "120 → 120" in text
 
 
+def test_loads_may_be_left_out():
+    """Then there is none at the tip; weight and payloads count all the same."""
+    bare = re.sub(r"\nloads = .*", "", study_text(RING, BEND))
+    assert "loads" not in bare
+    task = parse_study(f"{bare}gravity = true\npayloads = [{{ mass = 0.1 }}]\n").tasks[0].task
+    assert (task.tip_load.tolist(), task.load.gravity) == ([[0.0] * 6], True)
+    assert parse_study(bare).tasks[0].task.batch_shape == (1,)
+    plan = parse_study(MIXED + IN_THE_PLANE.replace("tip_load = [0, 0, 0]\n", "")).plans[0]
+    assert plan.tip_load == (0.0, 0.0, 0.0)
+
+
 def test_plans_name_their_arms():
     study = parse_study(MIXED + IN_THE_PLANE)
     assert [arm.name for arm in study.arms_of(study.plans[0])] == ["flat"]
     for names, words in (
         ('["flat", "flt"]', 'plan[1].arms[2]: must be one of flat, a, row, got "flt"; did you mean flat?'),
-        ('["a"]', 'plan[1].arms: must be of one segment without a link in the plane, as tip_load is, got "a"'),
-        ('["row"]', 'plan[1].arms: must be of one segment without a link in the plane, as tip_load is, got "row"'),
+        ('["a"]', 'plan[1].arms: must be of one segment without a link in the plane, as tip_pose is, got "a"'),
+        ('["row"]', 'plan[1].arms: must be of one segment without a link in the plane, as tip_pose is, got "row"'),
     ):
         with pytest.raises(ValueError, match=re.escape(words)):
             parse_study(f"{MIXED}{IN_THE_PLANE}arms = {names}\n")
-    with pytest.raises(ValueError, match="tip_load: must fit an arm of one segment without a link in the plane, of"):
+    with pytest.raises(ValueError, match="tip_pose: must fit an arm of one segment without a link in the plane, of"):
         parse_study(SMALL + IN_THE_PLANE)
 
 
@@ -401,12 +412,12 @@ BAD = {
     ),
     "pose of the plane": (
         study_text(RING, f"{BEND}\nbase_pose = [0, 0, 0]"),
-        "base_pose: must be a name or four rows",
+        "base_pose: must be hanging, upright, horizontal or four rows",
         "got [0",
     ),
     "pose of space": (
         study_text(FLAT, f"{FLAT_TASK}\nbase_pose = {MATRIX}"),
-        "base_pose: must be a name or a list [x, y, θ]",
+        "base_pose: must be hanging, upright, horizontal or a list [x, y, θ]",
     ),
     "pose of three rows": (
         study_text(RING, f"{BEND}\nbase_pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]"),
@@ -461,7 +472,19 @@ BAD = {
     ),
     "off the arm": (
         study_text(RING, f"{BEND}\npoints = [{{ wrench = [0, 0, 0, 0, 0, 0], at = 2 }}]"),
-        "points[1].at: must be from 0 to 1",
+        "points[1].at: must be a share of its segment, a number from 0 (start) to 1 (end), got 2",
+    ),
+    "place in millimetres": (
+        study_text(RING, f'{BEND}\ngravity = true\npayloads = [{{ mass = 1, at = "60 mm" }}]'),
+        'payloads[1].at: must be a share of its segment, a number from 0 (start) to 1 (end), got "60 mm"',
+    ),
+    "plan's load of the plane": (
+        study_text(RING, f'{BEND}\n[[plan]]\nname = "p"\ntip_pose = {MATRIX}\ntip_load = [0, 0, 0]'),
+        "plan[1].tip_load: must have 6 numbers in space, as tip_pose is, got 3",
+    ),
+    "plan's base of the plane": (
+        study_text(RING, f'{BEND}\n[[plan]]\nname = "p"\ntip_pose = {MATRIX}\nbase_pose = [0, 0, 0]'),
+        "plan[1].base_pose: must be hanging, upright, horizontal or four rows of a homogeneous matrix in space, as",
     ),
     "wrench of the plane": (
         study_text(RING, f"{BEND}\npoints = [{{ wrench = [0, 0, 0] }}]"),

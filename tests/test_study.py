@@ -578,7 +578,6 @@ BAD_STUDIES = {
     ),
     "neither shape nor twists": (bad_task(LOADS), "task[1]: must have one of shape, twists", "got none"),
     "both shape and twists": (bad_task(f"{SHAPE}\n{LOADS}\ntwists = [[1, 0, 0]]"), "got shape and twists together"),
-    "no loads": (bad_task(SHAPE), "task[1].loads: missing; must be a list of [f_x, f_y, m]", '(in "one task")'),
     "empty loads": (bad_loads("[]"), "task[1].loads: must be at least one load [f_x, f_y, m], got []"),
     "flat loads": (
         bad_loads("[1, 2, 3]"),

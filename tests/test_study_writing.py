@@ -1,6 +1,7 @@
 """Arms as tables of a study, and back."""
 
 import dataclasses
+import re
 
 import pytest
 import torch
@@ -20,15 +21,35 @@ def read(text, folder=".", twists=STRAIGHT):
     return arm
 
 
+def numbers(value):
+    """What a force model is made of, class by class and number by number."""
+    if dataclasses.is_dataclass(value):
+        yield type(value)
+        value = [getattr(value, field.name) for field in dataclasses.fields(value)]
+    if isinstance(value, (list, tuple)):
+        for item in value:
+            yield from numbers(item)
+    elif isinstance(value, torch.Tensor):
+        yield value.item()
+    else:
+        yield value
+
+
 def check_same(arm, again):
-    assert again.actuators == arm.actuators
+    """To 1e-9 of each number."""
+    for given, read in zip(numbers(arm.actuators), numbers(again.actuators), strict=True):
+        assert read == (pytest.approx(given, rel=1e-9, abs=0) if isinstance(given, float) else given)
     for one, other in zip(segments_of(arm)[0], segments_of(again)[0], strict=True):
         for name in ("radii", "out_of_plane", "length", "max_pressure", "mass", "torsion_stiffness", "diameter"):
             given, read = getattr(one, name), getattr(other, name)
-            assert (read if read is None else read.tolist()) == (given if given is None else given.tolist()), name
+            assert (read is None) == (given is None), name
+            if given is not None:
+                torch.testing.assert_close(read, given.double(), rtol=1e-9, atol=1e-12)
     for one, other in zip(segments_of(arm)[1], segments_of(again)[1], strict=True):
         assert (one is None) == (other is None)
-        assert one is None or (one.length.item(), one.mass.item()) == (other.length.item(), other.mass.item())
+        if one is not None:
+            assert other.length.item() == pytest.approx(one.length.item(), rel=1e-9)
+            assert other.mass.item() == pytest.approx(one.mass.item(), rel=1e-9)
 
 
 MODELS = {
@@ -86,6 +107,10 @@ SPATIAL = ta.ArmDesign(
     diameter=0.01,
 )
 
+CHANGED = [
+    dataclasses.replace(ta.chamber(8e-5, strain_range=(-0.2, 0.5)), max_pressure=50.0),
+    dataclasses.replace(ta.elastic_core(40.0, 1e-3), bending_stiffness=-0.2),
+]
 PAIR = ta.ArmDesign(offsets=ta.ring(0.03, 2), length=1 / 7, actuators="bellows")
 
 
@@ -107,6 +132,27 @@ def test_arms_in_space_with_mass_or_in_series_read_back(arm):
     shape = [0.4, 0, 0] if arm.dimension == 2 else [0.4, 0, 0, 0, 0, 0]
     twists = f"twists = {[shape] * len(counts)}\nsegment_nodes = {counts}\nloads = [{[0] * len(shape)}]"
     check_same(arm, read(arm_to_toml(arm, "a"), twists=twists).design)
+
+
+def test_ready_models_are_written_as_what_they_are_and_in_few_digits():
+    text = arm_to_toml(SPATIAL, "a")
+    assert text.count('{ kind = "chamber", area = 8e-05, max_pressure = 100.0 }') == 3
+    assert '{ kind = "elastic_core", axial_stiffness = 5.714285714, bending_stiffness = 0.001 }' in text
+    assert max(len(number.strip("0.").replace(".", "")) for number in re.findall(r"[\d.]+", text)) <= 10
+    ring = arm_to_toml(ta.ArmDesign(offsets=ta.ring(0.05, 4), length=0.3, actuators="bellows"), "a")
+    assert "[0.0, 0.05]" in ring  # and not the cosine of a right angle
+    bounded = arm_to_toml(ta.ArmDesign([0.0], 0.1, ta.chamber(8e-5, strain_range=(-0.2, 0.5)), 50.0), "a")
+    assert "strain_range = [-0.2, 0.5]" in bounded
+
+
+def test_a_ready_model_that_was_changed_is_written_as_a_polynomial():
+    arm = read(arm_to_toml(ta.ArmDesign([-0.01, 0.0], 0.1, CHANGED), "a")).design
+    strain, pressure = torch.tensor([[-0.1, 0.2]]).double().mT, torch.tensor([0.0, 30.0]).double()
+    for given, found in zip(CHANGED, arm.actuators, strict=True):
+        assert type(found) is ta.PolynomialActuator
+        torch.testing.assert_close(found.force(strain, pressure), given.force(strain, pressure), rtol=1e-9, atol=0)
+        assert found.bending_stiffness == given.bending_stiffness
+        assert (found.max_pressure, found.strain_range) == (given.max_pressure, given.strain_range)
 
 
 class OwnBellows(ta.Bellows):

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torcharm.actuators import Actuator, is_passive, model_of
+from torcharm.actuators import Actuator, is_passive, model_name, model_of
 from torcharm.inputs import (
     HoldsTensors,
     TensorLike,
@@ -179,7 +179,7 @@ class ArmDesign(HoldsTensors):
 
     def __repr__(self) -> str:
         """Kinds and shapes, no numbers."""
-        kinds = Counter(type(model).__name__ for model in self.actuators)
+        kinds = Counter(map(model_name, self.actuators))
         models = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
         where = "planar" if self.dimension == 2 else "spatial"
         return f"ArmDesign({where}, {models}, batch {tuple(self.batch_shape)}, {self.radii.dtype})"

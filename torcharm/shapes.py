@@ -10,7 +10,7 @@ import math
 import torch
 from torch import Tensor
 
-from torcharm.geometry.rod import as_base, goes_by_name, group_of
+from torcharm.geometry.rod import as_base, check_base_shape, goes_by_name
 from torcharm.inputs import (
     TensorLike,
     as_floating,
@@ -127,8 +127,7 @@ def arc_to(tip: TensorLike, nodes: int = 10, base_pose: TensorLike | str | None 
         raise ValueError(f"tip: must have shape (..., 2) or (..., 3), got {tuple(point.shape)}")
     columns = 3 * point.shape[-1] - 3
     base = as_base(pose[0] if pose else base_pose, point, columns)
-    if base.shape != group_of(columns).POSE_SHAPE:
-        raise ValueError(f"base_pose: must have shape {group_of(columns).POSE_SHAPE}, got {tuple(base.shape)}")
+    check_base_shape(base, columns)
     ahead, *across = _from_base(point, base)
     square = sum(part * part for part in across)
     chord = (ahead * ahead + square).sqrt()

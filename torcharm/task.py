@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm.geometry.rod import as_base, check_rigid, check_segment_nodes, goes_by_name, group_of
+from torcharm.geometry.rod import as_base, check_base_shape, check_rigid, check_segment_nodes, goes_by_name
 from torcharm.inputs import (
     HoldsTensors,
     TensorLike,
@@ -91,9 +91,7 @@ class Task(HoldsTensors):
             )
         columns = twists_.shape[-1]
         base = as_base(values.get("base_pose", base_pose), twists_, columns)
-        pose_shape = group_of(columns).POSE_SHAPE
-        if base.shape != pose_shape:
-            raise ValueError(f"base_pose: must have shape {pose_shape}, got {tuple(base.shape)}")
+        check_base_shape(base, columns)
         for name, value in (("twists", twists_), ("base_pose", base)):
             check_finite(name, value)
         check_rigid("base_pose", base)

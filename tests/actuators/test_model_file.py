@@ -98,7 +98,7 @@ def test_models_that_no_file_holds(tmp_path):
 
 GOOD = actuator_text(MODELS["polynomial"])
 BAD = {
-    "": "kind: must be one of polynomial, fitted polynomial, gridded, bellows, mckibben, got None",
+    "": "kind: must be one of polynomial, fitted polynomial, gridded, chamber, elastic core, bellows, mckibben, got",
     "kind = 3": "kind: must be one of",
     'kind = "cubic"': "kind: must be one of .*'cubic'",
     "kind = ": "is not valid TOML",

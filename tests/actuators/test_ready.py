@@ -6,6 +6,7 @@ import pytest
 import torch
 
 import torcharm as ta
+from torcharm.actuators import model_name
 
 AREA, STRETCH, BEND = 2e-5, 40.0, 1.2e-3  # m², EA [N], EI [N·m²]
 
@@ -21,6 +22,23 @@ def test_a_chamber_pushes_with_its_area_and_the_core_resists():
     strain, pressure = torch.tensor([-0.1, 0.3], dtype=torch.float64), torch.tensor([0.0, 70.0], dtype=torch.float64)
     assert torch.allclose(ta.chamber(AREA).force(strain, pressure), pressure * 1e3 * AREA)
     assert torch.allclose(ta.elastic_core(STRETCH, BEND).force(strain, pressure), -STRETCH * strain)
+
+
+def test_models_have_names():
+    """Of one's own: what its class or the object says, else the class; what a parent says is the parent's name."""
+
+    class Own(ta.Bellows):
+        pass
+
+    class Named(ta.Bellows):
+        name = "long bellows"
+
+    names = [model_name(model) for model in (*body(1).actuators, ta.Bellows(), ta.McKibben(), Own(), Named())]
+    assert names == ["chamber", "elastic core", "bellows", "mckibben", "Own", "long bellows"]
+    assert repr(body()).startswith("ArmDesign(spatial, 3 chamber, 1 elastic core, ")
+    figure = ta.plot.arm_in_space(body(), ta.Task([[0.05, 0, 0, 0, 0, 0.1]] * 2, [0.0] * 6))
+    labels = [text.get_text() for text in figure.get_legend().get_texts()]
+    assert {"chamber (3)", "elastic core (1)"} <= set(labels)
 
 
 def test_a_core_is_passive_and_chambers_are_not():

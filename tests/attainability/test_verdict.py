@@ -2,6 +2,7 @@
 
 import math
 import pickle
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 import torch
 
 import torcharm as ta
+from torcharm.attainability.reasons import at_limits, differences
 
 D = torch.float64
 ARM = ta.antagonistic_arm(0.05, 0.015, 0.5)
@@ -41,6 +43,52 @@ def test_each_tolerance_is_missed_alone(found, field, said):
     assert all(
         reason.startswith(said) for reason, word in zip(strict.reason, strict.verdict, strict=True) if word == "missed"
     )
+
+
+def test_what_is_missed_says_what_the_arm_does_wrong():
+    """Of a shape of one curvature the bend is the angle from base to tip."""
+    length, angle = 0.75, 1.0
+    arm = ta.ArmDesign([-0.05, 0.05], 0.5, ta.Bellows(), 6.0)
+    found = ta.evaluate(arm, ta.Task(ta.constant_curvature(angle, length), [0.0, 1.0, 0.0]))
+    twists = found.prediction.twists
+    short, little = (100 * (1 - float(part)) for part in (twists[:, 0].mean() / length, twists[:, 2].mean() / angle))
+    assert min(short, little) > 1
+    assert float(found.pressure[0]) == 6.0 > float(found.pressure[1]) > 0
+    assert found.verdict == "missed"
+    said = f": {short:.2g} % too short, bends {little:.2g} % too little; actuator 1 at its limit; "
+    assert re.search(said + r"(no pressure serves all nodes: )?node \d+ lacks [\d.]+ N", found.reason)
+
+
+@pytest.mark.parametrize(
+    ("curvature", "direction", "reached", "said"),
+    [
+        (1.0, None, (1.1, None, 0.52), "4 % too long, bends 10 % too much"),
+        (1.0, None, (-0.4, None, 0.5), "bends to the other side"),
+        (1.0, None, (-0.02, None, 0.5), "bends 100 % too little"),
+        (1.0, None, (1.004, None, 0.501), ""),
+        (0.0, None, (0.3, None, 0.45), "10 % too short, bends by 34°, the task does not"),
+        (0.5, 1.0, (0.25, 1.0, 0.5), "bends 50 % too little"),
+        (1.0, 1.0, (1.0, 1.0 + math.pi / 6, 0.5), "bends 13 % too little, bends 57° sideways"),
+    ],
+)
+def test_differences_of_shapes_in_words(curvature, direction, reached, said):
+    """Of two segments of that shape, whose angles add up."""
+    wanted = ta.constant_curvature(curvature, 0.5, 4, direction)
+    assert differences(wanted, ta.constant_curvature(reached[0], reached[2], 4, reached[1]), (1, 3)) == said
+
+
+def test_a_shape_of_two_bends_has_a_bend_of_its_own():
+    wanted = ta.affine_curvature(-2.0, 1.0)
+    half = wanted * torch.tensor([1.0, 1.0, 0.5], dtype=D)
+    assert differences(wanted, half, (10,)) == "bends 50 % too little"
+
+
+def test_pressures_at_limits_are_those_of_driven_actuators():
+    limit = torch.tensor([50.0, 0.0, 100.0, 50.0], dtype=D)
+    assert at_limits(torch.tensor([50.0, 0.0, 100.0, 0.0], dtype=D), limit) == (
+        "actuators 1, 3 at their limit, actuator 4 without pressure"
+    )
+    assert at_limits(0.5 * limit, limit) == ""
 
 
 def test_a_number_is_the_tips_tolerance():
@@ -103,6 +151,18 @@ def test_arms_in_millimetres_are_asked_about():
     found = ta.evaluate(arm, ta.Task(BENT, [0.0, -1.0, 0.0]))
     assert found.verdict == "impossible"
     assert found.reason.endswith("radii: 50 m, more than the arm is long: are they in millimetres?")
+
+
+@pytest.mark.parametrize(
+    ("limit", "unit"), [(1.2, "1.2 kPa is 1.3 % of the 92 kPa that were characterised: is it in bar?"), (0.02, "MPa?")]
+)
+def test_limits_in_other_units_are_asked_about(limit, unit):
+    found = ta.evaluate(ta.ArmDesign([-0.05, 0.05], 0.5, ta.Bellows(), [limit, 0.0]), ta.Task(BENT, [0.0, 0.0, 0.0]))
+    assert found.verdict == "missed"
+    assert found.reason.endswith(unit)
+    passive = ta.ArmDesign([-0.01, 0.01], 0.5, [ta.elastic_core(40.0, 1e-3), ta.Bellows()], [0.5, 50.0])
+    fine = ta.evaluate(passive, ta.Task(BENT, [0.0, 0.0, 0.0]), "absolute")
+    assert "max_pressure" not in fine.reason
 
 
 def test_the_end_of_a_range_is_within_it():

@@ -491,3 +491,33 @@ def test_weight_alone_is_no_payload_to_scale():
     task = ta.Task(ta.affine_curvature(0.5, 1.0, length=0.5), load=ta.ExternalLoad(gravity=True))
     with pytest.raises(ValueError, match=r"^load: must hold a payload to scale, a tip load or point loads, got none"):
         ta.load_capacity(ta.antagonistic_arm(), task)
+
+
+@pytest.mark.parametrize("space", [False, True])
+def test_an_arm_without_driven_actuators_bears_what_it_is_at_rest_with(space):
+    """Its sets are points: none, one or all factors serve, though an equilibrium is solved to rounding only."""
+    core, zero = ta.elastic_core(45.0, 1.2e-3), [0.0] * (6 if space else 3)
+    places = {"offsets": [[0.004, 0.001], [-0.005, 0.002]]} if space else {"radii": [0.004, -0.005]}
+    arm = ta.ArmDesign(**places, length=0.05, actuators=core, mass=0.04)
+    payload = ta.ExternalLoad(gravity=True, points=[ta.PointLoad(mass=0.02)])
+    nothing = ta.ExternalLoad(gravity=True, points=[ta.PointLoad(zero)])
+    for rest, load, expected in (
+        (ta.ExternalLoad(gravity=True), payload, 0.0),
+        (payload, payload, 1.0),
+        (ta.ExternalLoad(gravity=True), nothing, np.inf),
+        (payload, nothing, np.nan),
+    ):
+        eq = ta.solve_equilibrium(arm, [0.0, 0.0], rest, 4, base_pose="horizontal")
+        found = ta.load_capacity(arm, ta.Task(eq.twists, load=load, base_pose="horizontal"))
+        assert float(found.factor) == pytest.approx(expected, abs=1e-9, nan_ok=True)
+        assert bool(found.converged)
+        assert (bool(found.attainable), bool(found.attainable_unloaded)) == (expected >= 0, expected in (0, np.inf))
+
+
+def test_gradients_where_nothing_is_driven():
+    """A weight under which a core is stretched: `t w = E A ε`."""
+    stiffness = torch.tensor(45.0, dtype=torch.float64, requires_grad=True)
+    arm = ta.ArmDesign([0.0], 0.05, ta.elastic_core(stiffness, 1.2e-3))
+    found = ta.load_capacity(arm, ta.Task([[0.051, 0.0, 0.0]] * 2, [0.0, -0.6, 0.0]))
+    assert float(found.factor.detach()) == pytest.approx(45.0 * 0.02 / 0.6)
+    assert float(torch.autograd.grad(found.factor, stiffness)[0]) == pytest.approx(0.02 / 0.6)

@@ -10,11 +10,12 @@ from torcharm.actuators.protocol import (
     force_slopes,
     is_linear_in_pressure,
     is_passive,
+    model_name,
     pressure_degree,
     pressure_knots,
     want_gradients,
 )
-from torcharm.actuators.ready import chamber, elastic_core
+from torcharm.actuators.ready import Chamber, ElasticCore, chamber, elastic_core
 from torcharm.actuators.shipped import SHIPPED, model_of
 
 __all__ = [
@@ -23,7 +24,9 @@ __all__ = [
     "Bellows",
     "Bending",
     "BendingFunction",
+    "Chamber",
     "ConstantBending",
+    "ElasticCore",
     "LinearBending",
     "McKibben",
     "Monotonicity",
@@ -34,6 +37,7 @@ __all__ = [
     "force_slopes",
     "is_linear_in_pressure",
     "is_passive",
+    "model_name",
     "model_of",
     "monotonicity",
     "pressure_degree",

@@ -8,7 +8,7 @@ The model is a polynomial actuator, ready for any arm; `model.quality` says how 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,6 +97,7 @@ class FittedActuator(PolynomialActuator):
         provenance: names and values: files, settings, versions.
     """
 
+    name: ClassVar[str] = "fitted polynomial"
     quality: FitQuality | None = field(default=None, repr=False)
     provenance: Provenance = field(default=(), repr=False)
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -42,6 +42,7 @@ class GriddedActuator(HoldsTensors):
             not positive.
     """
 
+    name: ClassVar[str] = "gridded"
     strains: Row
     pressures: Row
     forces: tuple[Row, ...]

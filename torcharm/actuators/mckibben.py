@@ -1,6 +1,7 @@
 """The contracting McKibben muscle of Olson et al. (2020)."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -79,6 +80,7 @@ class McKibben(HoldsTensors):
         ValueError: a limit is not positive, a range is none, or a number is not finite.
     """
 
+    name: ClassVar[str] = "mckibben"
     strain_range: tuple[float, float] = (-0.5, 0.05)
     pressure_range: tuple[float, float] = (0.0, 100.0)
     max_pressure: Number = 100.0

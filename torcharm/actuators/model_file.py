@@ -17,6 +17,7 @@ from torcharm.actuators.characterisation import FittedActuator
 from torcharm.actuators.gridded import GriddedActuator
 from torcharm.actuators.polynomial import PolynomialActuator
 from torcharm.actuators.protocol import Actuator
+from torcharm.actuators.ready import Chamber, ElasticCore
 from torcharm.actuators.shipped import SHIPPED, model_of
 from torcharm.actuators.toml_text import toml_entry, toml_value
 from torcharm.files import atomic_write, read_file
@@ -29,10 +30,8 @@ _OPEN_END = re.compile(r"=\s*[\w.+-]*\d$")
 """A last line that ends within what may be a longer number."""
 
 KINDS: dict[str, Any] = {
-    "polynomial": PolynomialActuator,
-    "fitted polynomial": FittedActuator,
-    "gridded": GriddedActuator,
-    **SHIPPED,
+    kind.name: kind
+    for kind in (PolynomialActuator, FittedActuator, GriddedActuator, Chamber, ElasticCore, *SHIPPED.values())
 }
 BENDINGS: dict[str, type[Any]] = {"linear": LinearBending, "constant": ConstantBending}
 UNITS = {"strain": "1", "pressure": "kPa", "force": "N", "bending_stiffness": "N·m²"}

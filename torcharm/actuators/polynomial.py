@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -33,6 +34,7 @@ class PolynomialActuator(HoldsTensors):
             or a number is not finite.
     """
 
+    name: ClassVar[str] = "polynomial"
     coefficients: Coefficients
     strain_range: tuple[float, float]
     pressure_range: tuple[float, float]
@@ -117,6 +119,7 @@ class Bellows(PolynomialActuator):
     which it is monotonic in pressure.
     """
 
+    name: ClassVar[str] = "bellows"
     coefficients: Coefficients = BELLOWS_COEFFICIENTS
     strain_range: tuple[float, float] = (-0.167, 0.668)
     pressure_range: tuple[float, float] = (0.0, 92.0)

@@ -45,7 +45,8 @@ class Actuator(Protocol):
     were written for the force: a subclass that overrides `force` has none of its parent's, unless it writes its own.
     `pressure_knots(strain)` returns pressures (k, *strain.shape) [kPa], in any order, at which the force has
     a kink. `pressure_degree = 3` says that between them it is a polynomial in pressure of that degree:
-    up to 3 one cubic piece stands for the whole curve, and at degree 1 two samples.
+    up to 3 one cubic piece stands for the whole curve, and at degree 1 two samples. A text `name` is what tables and
+    legends call it, in place of its class.
     """
 
     @property
@@ -80,6 +81,12 @@ class Actuator(Protocol):
 
 
 MEMBERS = ("force", "bending_stiffness", "max_pressure", "strain_range", "pressure_range")
+
+
+def model_name(actuator: Actuator) -> str:
+    """What tables and legends call a force model: its own `name`, or its class's; else the class by its name."""
+    name = {**vars(type(actuator)), **getattr(actuator, "__dict__", {})}.get("name")
+    return name if isinstance(name, str) and name else type(actuator).__name__
 
 
 def check_actuator(name: str, actuator: object) -> None:

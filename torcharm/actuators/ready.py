@@ -1,5 +1,8 @@
 """Ready models for arms of one body: its pressure chambers, and the elastic material around them."""
 
+from dataclasses import dataclass
+from typing import ClassVar
+
 from torcharm.actuators.bending import ConstantBending, Number
 from torcharm.actuators.polynomial import PolynomialActuator
 from torcharm.inputs import check_number
@@ -14,11 +17,25 @@ LARGEST_AREA = 1.0
 """Of a chamber [m²]: more was meant in other units."""
 
 
+@dataclass(frozen=True)
+class Chamber(PolynomialActuator):
+    """What `chamber` makes."""
+
+    name: ClassVar[str] = "chamber"
+
+
+@dataclass(frozen=True)
+class ElasticCore(PolynomialActuator):
+    """What `elastic_core` makes."""
+
+    name: ClassVar[str] = "elastic core"
+
+
 def chamber(
     area: Number,
     max_pressure: Number = 100.0,
     strain_range: tuple[float, float] = USUAL_STRAINS,
-) -> PolynomialActuator:
+) -> Chamber:
     """A pressure chamber in an elastic body: `f = p · area`, at any strain; it resists neither stretch nor bending.
 
     Args:
@@ -31,7 +48,7 @@ def chamber(
     """
     if check_number("area", area, 0.0, strict=True, unit="m²") > LARGEST_AREA:
         raise ValueError(f"area: must be at most {LARGEST_AREA:g} m² (is it in mm²?), got {float(area):g}")
-    return PolynomialActuator(
+    return Chamber(
         coefficients=((0, 1, PASCALS),),
         strain_range=strain_range,
         pressure_range=(0.0, check_number("max_pressure", max_pressure, 0.0, strict=True, unit="kPa")),
@@ -45,7 +62,7 @@ def elastic_core(
     axial_stiffness: Number,
     bending_stiffness: Number,
     strain_range: tuple[float, float] = USUAL_STRAINS,
-) -> PolynomialActuator:
+) -> ElasticCore:
     """The body itself, a passive actuator: `f = -EA ε`, `τ = -EI κ/l`, whatever the pressure.
 
     An arm's limit for it is 0. Its resistance to torsion, GJ, is the arm's `torsion_stiffness`.
@@ -60,7 +77,7 @@ def elastic_core(
     """
     check_number("axial_stiffness", axial_stiffness, 0.0, strict=True, unit="N")
     check_number("bending_stiffness", bending_stiffness, 0.0, strict=True, unit="N·m²")
-    return PolynomialActuator(
+    return ElasticCore(
         coefficients=((1, 0, -1.0),),
         strain_range=strain_range,
         pressure_range=(0.0, ANY_PRESSURE),

@@ -1,6 +1,5 @@
 """The force models that torcharm ships, by the names that stand for them: in Python, in study files and model files."""
 
-from collections.abc import Callable
 from typing import Any
 
 from torcharm.actuators.mckibben import McKibben
@@ -8,7 +7,7 @@ from torcharm.actuators.polynomial import Bellows
 from torcharm.actuators.protocol import Actuator, check_actuator
 from torcharm.inputs import hint, shown
 
-SHIPPED: dict[str, Callable[..., Actuator]] = {"bellows": Bellows, "mckibben": McKibben}
+SHIPPED: dict[str, type[Bellows] | type[McKibben]] = {kind.name: kind for kind in (Bellows, McKibben)}
 
 
 def model_of(field: str, given: Any) -> Actuator:

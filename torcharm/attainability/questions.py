@@ -6,12 +6,15 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from torcharm.actuators import is_passive
 from torcharm.arm import ArmDesign
 
 LONGEST = 5.0
 """A length of an arm or a shape [m] beyond which metres were hardly meant."""
 MOST_TURN = 4 * math.pi
 """A bend of a whole segment [rad], two turns, beyond which radians were hardly meant."""
+LEAST_LIMIT = 0.03
+"""Of the highest pressure that was characterised, below which a limit was hardly meant in kilopascals."""
 PER_ELEMENT = 0.3
 """By which share the length of a shape may differ from an element's of the arm to be taken for it."""
 
@@ -24,7 +27,12 @@ def question(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[int]
         twists: (N, 3 or 6) of all segments.
         nodes: of each segment.
     """
-    return question_about_arm(segments) or question_about_shape(twists) or _question_about_fit(segments, twists, nodes)
+    return (
+        question_about_arm(segments)
+        or question_about_shape(twists)
+        or _question_about_fit(segments, twists, nodes)
+        or question_about_limits(segments)
+    )
 
 
 def question_about_shape(twists: Tensor) -> str | None:
@@ -48,6 +56,23 @@ def question_about_arm(segments: Sequence[ArmDesign]) -> str | None:
         if bool(beyond.any()):
             name = "radii" if segment.dimension == 2 else "offsets"
             return f"{name}: {offset[beyond].max():g} m, more than the arm is long: are they in millimetres?"
+    return None
+
+
+def question_about_limits(segments: Sequence[ArmDesign]) -> str | None:
+    """Whether the pressure limits of actuators that are driven are in other units; None: they make sense."""
+    for segment in segments:
+        limits = segment.max_pressure.detach().reshape(-1, segment.actuator_count)
+        for model, own in zip(segment.actuators, limits.unbind(-1), strict=True):
+            known = float(model.pressure_range[1])
+            low = own[(own > 0) & (own < LEAST_LIMIT * known)]
+            if len(low) and not is_passive(model):
+                limit = float(low.min())
+                unit = "bar" if 100 * limit > LEAST_LIMIT * known else "MPa"
+                return (
+                    f"max_pressure: {limit:g} kPa is {100 * limit / known:.2g} % of the {known:g} kPa that were "
+                    f"characterised: is it in {unit}?"
+                )
     return None
 
 

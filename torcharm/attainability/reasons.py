@@ -1,5 +1,6 @@
 """Why a task is not held."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -7,7 +8,6 @@ import torch
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
-from torcharm.attainability.questions import question
 from torcharm.statics.cross_section import RANGE_SLACK, cross_sections, per_actuator
 
 UNDECIDED = {
@@ -18,6 +18,14 @@ UNDECIDED = {
 
 NOTHING = 1e-6
 """A miss [N] that explains nothing: of the size of rounding."""
+SHARE = 0.005
+"""A part of the task's length or bend that is not told: it reads 0 %."""
+ANGLE = math.radians(1.0)
+"""A bend that is not told, and that of a shape that counts as straight [rad]: well within the default tolerance."""
+OTHER_SIDE = -1.2
+"""By how much of the task's bend less than that an arm bends to the other side, and not just not at all."""
+AT_LIMIT = 1e-6
+"""Of its limit, how far from 0 or from the limit a pressure is at it: descents end there to rounding."""
 
 
 def one_design(segment: ArmDesign, batch: torch.Size, index: tuple[int, ...]) -> ArmDesign:
@@ -47,6 +55,71 @@ def missing(absolute: Tensor | None, relative: Tensor | None, weights: tuple[flo
     return ""
 
 
+def differences(wanted: Tensor, reached: Tensor, nodes: Sequence[int]) -> str:
+    """What an arm does wrong: too short or long, bent too little or much, or sideways; "" if its mean shape is right.
+
+    The length is that of the whole arm. The bend is measured along the task's: by which factor the task's curvatures
+    come nearest to those reached, by least squares over the arm; so a shape of two bends has one, too. To the side is
+    across the task's plane of bending at each node, in space.
+
+    Args:
+        wanted, reached: (N, 3 or 6) twists of the task and of the shape predicted.
+        nodes: of each segment.
+    """
+    part = torch.cat([wanted.new_full((count,), 1 / count) for count in nodes])
+    long, length = (float(part @ twists[:, 0]) for twists in (reached, wanted))
+    bend, aim = _bends(reached), _bends(wanted)
+    square = float(part @ (aim * aim).sum(-1))
+    said = [_too(long / length - 1, "short", "long")]
+    if square <= ANGLE**2:
+        turned = float(torch.linalg.vector_norm(part @ (bend - aim)))
+        said.append(f"bends by {_rounded(math.degrees(turned))}°, the task does not" if turned > ANGLE else "")
+    else:
+        more = float(part @ (aim * bend).sum(-1)) / square - 1
+        amount = "to the other side" if more < OTHER_SIDE else _too(max(more, -1.0), "little", "much")
+        said.append(amount and f"bends {amount}")
+        if bend.shape[-1] == 2:
+            along = torch.nn.functional.normalize(aim, dim=-1)
+            aside = float(part @ (along[:, 0] * bend[:, 1] - along[:, 1] * bend[:, 0]).abs())
+            said.append(f"bends {_rounded(math.degrees(aside))}° sideways" if aside > ANGLE else "")
+    return ", ".join(filter(None, said))
+
+
+def _bends(twists: Tensor) -> Tensor:
+    """(N, 1 or 2) what bends of twists, without torsion."""
+    return twists[:, 2:] if twists.shape[-1] == 3 else twists[:, 4:]
+
+
+def _too(more: float, less_word: str, more_word: str) -> str:
+    """`3 % too short`, or "" for next to nothing."""
+    return f"{_rounded(100 * abs(more))} % too {more_word if more > 0 else less_word}" if abs(more) > SHARE else ""
+
+
+def _rounded(value: float) -> str:
+    """Two digits, or all before the point."""
+    return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"
+
+
+def at_limits(pressure: Tensor, limit: Tensor) -> str:
+    """Which driven actuators, from 1, are at their limit, and which without pressure; "" if none is.
+
+    Args:
+        pressure, limit: (M) of all segments [kPa].
+    """
+    driven = limit > 0
+    full = driven & (pressure >= (1 - AT_LIMIT) * limit)
+    none = driven & (pressure <= AT_LIMIT * limit)
+    said = [f"{_listed(full)} at {'its' if int(full.sum()) == 1 else 'their'} limit" if bool(full.any()) else ""]
+    said.append(f"{_listed(none)} without pressure" if bool(none.any()) else "")
+    return ", ".join(filter(None, said))
+
+
+def _listed(which: Tensor) -> str:
+    """`actuator 1`, `actuators 1, 4`."""
+    numbers = [str(index + 1) for index in which.nonzero().flatten().tolist()]
+    return f"actuator{'s' * (len(numbers) > 1)} {', '.join(numbers)}"
+
+
 @dataclass(frozen=True)
 class _Strain:
     """A strain, where it is, and what was characterised."""
@@ -60,18 +133,13 @@ class _Strain:
 
 
 def out_of_range(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[int]) -> str:
-    """The actuator that is strained furthest beyond its range, or whose limit is, and whether units are to blame.
+    """The actuator that is strained furthest beyond its range, or whose limit is.
 
     Args:
         segments: of one design.
         twists: (N, 3 or 6) of all segments.
         nodes: of each segment.
     """
-    asked = question(segments, twists, nodes)
-    return "; ".join(filter(None, (_beyond(segments, twists, nodes), asked)))
-
-
-def _beyond(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[int]) -> str:
     worst = max(_strains(segments, twists, nodes), key=lambda one: one.excess)
     if worst.value <= -1:
         return f"actuator {worst.actuator} would have no length at node {worst.node} (strain {worst.value:.3g})"

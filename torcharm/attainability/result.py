@@ -1,18 +1,20 @@
 """What an evaluation found, and what it means: a verdict for each task, and its reason."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.attainability.questions import question
-from torcharm.attainability.reasons import UNDECIDED, missing, one_design, out_of_range
+from torcharm.attainability.reasons import UNDECIDED, at_limits, differences, missing, one_design, out_of_range
 from torcharm.attainability.verdict import VERDICTS, PoseTolerance, judge, over_tolerance
 from torcharm.inputs import HoldsTensors
 from torcharm.task import Task
@@ -117,8 +119,10 @@ class Attainability(HoldsTensors):
     def reason(self) -> str | NDArray[Any]:
         """Why a task is not held, in a sentence for each: the node, the actuator or what was not found; else empty.
 
-        Nodes and actuators are counted from 1 at the base, so that "node 1" is `worst_node` 0. What a node lacks is its
-        distance, which mixes N and N·m by the weights.
+        Of what is missed it also says by how much the arm predicted is too short or long, bends too little or much, or
+        sideways, and which actuators are at their limit or without pressure. Nodes and actuators are counted from 1 at
+        the base, so that "node 1" is `worst_node` 0. What a node lacks is its distance, which mixes N and N·m by the
+        weights.
         """
         shape = self.strain_excess.shape
         if not shape:
@@ -129,30 +133,42 @@ class Attainability(HoldsTensors):
         return found.astype(str)
 
     def _reason(self, index: tuple[int, ...]) -> str:
-        """Of one design on one task: an index into design and task batch."""
+        """Of one design on one task: an index into design and task batch. Where units are to blame it asks so."""
         verdict = _word(self.verdict, index)
         if verdict == "held":
             return ""
-        lead, task, batch = len(self.arm.batch_shape), self.task, self.arm.batch_shape
-        segments = [one_design(segment, batch, index[:lead]) for segment in segments_of(self.arm)]
-        nodes = task.segment_nodes or (task.nodes,)
         if verdict == "impossible" and not bool(self.impossible[index]):
             return "the centreline of the shape would have no length"
+        lead, task, batch = len(self.arm.batch_shape), self.task, self.arm.batch_shape
+        segments = [one_design(segment, batch, index[:lead]) for segment in segments_of(self.arm)]
         twists = task.twists.detach().expand(*task.batch_shape, *task.twists.shape[-2:])[index[lead:]]
+        nodes = task.segment_nodes or (task.nodes,)
+        causes = self._causes(verdict, index, segments, twists, nodes)
+        asked = question(segments, twists, nodes) if any(causes) else None
+        return "; ".join(filter(None, (*causes, asked)))
+
+    def _causes(
+        self, verdict: str, index: tuple[int, ...], segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[int]
+    ) -> Sequence[str]:
+        """Parts of a reason, some of them empty; all are where nothing is known to be amiss."""
         if not bool(self.shape_in_range[index]):
-            return out_of_range(segments, twists, nodes)
-        if verdict == "excluded by range" and self.prediction is not None:
-            return f"predicted: {out_of_range(segments, self.prediction.twists[index].detach(), nodes)}"
+            return (out_of_range(segments, twists, nodes),)
+        found = self.prediction
+        reached = None if found is None else found.twists[index].detach()
+        if verdict == "excluded by range" and reached is not None:
+            return (f"predicted: {out_of_range(segments, reached, nodes)}",)
         if verdict == "undecided":
-            return UNDECIDED[_word(self.status, index)]
+            return (UNDECIDED[_word(self.status, index)],)
         absolute, relative = (
             None if value is None else value[index] for value in (self.absolute_per_node, self.relative_per_node)
         )
         lacking = missing(absolute, relative, self.weights)
-        if verdict != "missed":
-            return lacking
+        if found is None or reached is None:
+            return (lacking,)
+        limits = at_limits(found.pressure[index].detach(), torch.cat([segment.max_pressure for segment in segments]))
+        wrong = differences(twists, reached.to(twists), nodes)
         cause = lacking or "no pressure comes close enough, though sets do not exclude it"
-        return "; ".join(filter(None, (self._beyond_tolerance(index), cause, question(segments, twists, nodes))))
+        return ": ".join(filter(None, (self._beyond_tolerance(index), wrong))), limits, cause
 
     def _beyond_tolerance(self, index: tuple[int, ...]) -> str:
         """Which error of a prediction is furthest beyond what is tolerated."""

@@ -10,6 +10,7 @@ def main() -> None:
 
         code = run(sys.argv[1:])
     except KeyboardInterrupt:
-        print("torcharm: interrupted", file=sys.stderr)
-        code = 130
+        from torcharm.cli.terminal import INTERRUPTED, fail
+
+        fail("interrupted", INTERRUPTED)
     sys.exit(code)

@@ -13,10 +13,12 @@ import typer
 from torcharm.cli.tables import LONGEST_WORD, Column, print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
+    asked_about,
     check_drawable,
     check_ending,
     check_outputs,
     count,
+    finish,
     mistakes,
     numbered,
     open_console,
@@ -55,32 +57,31 @@ def evaluate(
         from torcharm.study import RESULT_FORMATS, evaluate_study, example_study, load_study, paper_study
 
         check_ending("--out", out, RESULT_FORMATS)
-        plan = paper_study() if paper else example_study() if study is None else load_study(study)
+        plan = paper_study() if paper else example_study() if study is None else asked_about(load_study(study))
         check_drawable(figure, plan)
         for path in numbered(figure, len(plan.tasks)):
             check_writable(path, "--figure")
         started = time.perf_counter()
         results: list[StudyResult] = []
+        refused: dict[str, list[str]] = {}
         total, interrupted = sum(len(plan.arms_of(task)) for task in plan.tasks), False
         with progress("evaluating", total) as advance:
             try:
-                for result in evaluate_study(plan):
+                for result in evaluate_study(plan, lambda arm, why: refused.setdefault(why, []).append(arm.name)):
                     results.append(result)
                     advance()
             except KeyboardInterrupt:  # what is finished is shown and written all the same
                 interrupted = True
-        if interrupted and not results:  # nothing is worth a file that may be there
-            raise KeyboardInterrupt
-        console = open_console()
-        if as_json:
-            _print_json(results)
-        else:
-            _report(console, plan, results, time.perf_counter() - started, sums or paper)
-            for line in [] if paper else _next_steps(study, results):
-                say(console, line)
-        save_all(console, _outputs(plan, results, out, figure))
-        if interrupted:
-            raise KeyboardInterrupt
+        if results:  # nothing is worth a file that may be there
+            console = open_console()
+            if as_json:
+                _print_json(results)
+            else:
+                _report(console, plan, results, time.perf_counter() - started, sums or paper)
+                for line in [] if paper else _next_steps(study, results):
+                    say(console, line)
+            save_all(console, _outputs(plan, results, out, figure))
+        finish(interrupted, results, refused)
 
 
 def _next_steps(study: Path | None, results: Sequence["StudyResult"]) -> Iterator[str]:

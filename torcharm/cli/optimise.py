@@ -15,9 +15,11 @@ import typer
 from torcharm.cli.tables import LONGEST_WORD, Column, print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
+    asked_about,
     check_ending,
     check_outputs,
     count,
+    finish,
     mistakes,
     numbered,
     open_console,
@@ -62,7 +64,7 @@ def optimise(
         _check_checkpoint(study, out, figure, checkpoint)
         from torcharm.study import load_study
 
-        plan = load_study(study)
+        plan = asked_about(load_study(study))
         for option, path in (("--figure", figure), ("--checkpoint", checkpoint)):
             for one in numbered(path, len(plan.arms)):
                 check_writable(one, option)
@@ -77,10 +79,7 @@ def optimise(
         if results:
             _tell(results)
         save_all(open_console(), _outputs(plan, results, out, numbered(figure, len(plan.arms))))
-        if interrupted:
-            raise KeyboardInterrupt
-        if refused:
-            raise ValueError("; ".join(f"{', '.join(names)}: {message}" for message, names in refused.items()))
+        finish(interrupted, results, refused)
 
 
 def _optimise(
@@ -194,13 +193,15 @@ def _toml(results: Found) -> str:
 
 
 def _write_rows(path: Path, results: Found) -> None:
+    from torcharm.actuators import model_name
+
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         columns = [f"{name}_{unit}" for name, unit, _ in _fields(results)]
         writer.writerow(("arm", "actuator", "model", *(f"given_{name}" for name in columns), *columns))
         for arm, result in results:
             for index, (given, best) in enumerate(_values(result, results)):
-                model = type(result.best.actuators[index]).__name__
+                model = model_name(result.best.actuators[index])
                 writer.writerow((plain_cell(arm.name), index + 1, plain_cell(model), *given, *best))
 
 
@@ -237,6 +238,8 @@ def _errors(results: Found) -> list[Column]:
 
 def _designs(results: Found) -> list[Column]:
     """A row for each actuator: what it was and is."""
+    from torcharm.actuators import model_name
+
     shown = {"m": (1e3, "mm"), "rad": (180 / math.pi, "°"), "kPa": (1.0, "kPa")}
     fields = _fields(results)
     in_space = len(fields) > 3
@@ -247,7 +250,7 @@ def _designs(results: Found) -> list[Column]:
             for old, new, (_, unit, _) in zip(*pair, fields, strict=True):
                 ends = [f"{shown[unit][0] * one:.{1 - in_space}f}" for one in (old, new) if one is not None]
                 cells.append(" → ".join(ends) or "-")
-            model = type(result.best.actuators[index]).__name__
+            model = model_name(result.best.actuators[index])
             rows.append(("" if index else arm.name, f"{index + 1} {model}", *cells))
     names, models, *numbers = zip(*rows, strict=True)
     gap = "\n" if in_space else " "  # so that four columns fit

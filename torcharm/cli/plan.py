@@ -12,9 +12,11 @@ import typer
 from torcharm.cli.tables import Column, print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
+    asked_about,
     check_ending,
     check_outputs,
     count,
+    finish,
     mistakes,
     numbered,
     open_console,
@@ -51,7 +53,7 @@ def plan(
         check_ending("--out", out, ("csv",))
         from torcharm.study import load_study
 
-        read = load_study(study)
+        read = asked_about(load_study(study))
         if not read.plans:
             raise ValueError(f"{study}: plan: must hold at least one table that begins with [[plan]], got none")
         for path in numbered(figure, len(read.plans)):
@@ -64,8 +66,7 @@ def plan(
             interrupted = True
         _tell(found)
         save_all(open_console(), _outputs(read, found, out, figure))
-        if interrupted:
-            raise KeyboardInterrupt
+        finish(interrupted, found, {})
         refused = [f"{_whose(one)}: {one[-1].status}" for one in found if one[-1].status.startswith(REFUSED)]
         if refused:
             raise ValueError(f"{study}: {'; '.join(refused)}")

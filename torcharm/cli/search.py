@@ -15,10 +15,12 @@ import typer
 from torcharm.cli.tables import LONGEST_WORD, Column, print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
+    asked_about,
     check_drawable,
     check_ending,
     check_outputs,
     count,
+    finish,
     mistakes,
     numbered,
     open_console,
@@ -77,16 +79,17 @@ def search(
         check_choice("--weights", weights, NODE_WEIGHTS)
         if starts is not None and starts < 1:
             raise ValueError(f"--starts: must be at least 1, got {starts}")
-        plan = paper_study() if study is None else load_study(study)
+        plan = paper_study() if study is None else asked_about(load_study(study))
         check_drawable(figure, plan)
         for path in numbered(figure, len(plan.tasks)):
             check_writable(path, "--figure")
         kept = _Rows(out)
         results: list[tuple[NamedTask, Found]] = []
+        refused: dict[str, list[str]] = {}
         interrupted = False
         with kept:
             for task in plan.tasks:
-                found, interrupted = _search(plan.arms_of(task), task, kept, method, starts, weights)
+                found, interrupted = _search(plan.arms_of(task), task, kept, method, starts, weights, refused)
                 if found:
                     results.append((task, found))
                     _report(task, found)
@@ -96,14 +99,19 @@ def search(
         for line in LEGEND if results else ():
             say(console, line)
         save_all(console, _outputs(kept, results, numbered(figure, len(plan.tasks))))
-        if interrupted:
-            raise KeyboardInterrupt
+        finish(interrupted, results, refused)
 
 
 def _search(
-    arms: "Sequence[NamedArm]", task: "NamedTask", kept: "_Rows", method: str, starts: int | None, weights: str
+    arms: "Sequence[NamedArm]",
+    task: "NamedTask",
+    kept: "_Rows",
+    method: str,
+    starts: int | None,
+    weights: str,
+    refused: dict[str, list[str]],
 ) -> "tuple[Found, bool]":
-    """What is found of all arms on one task, and whether Ctrl-C came between."""
+    """What is found of all arms on one task, and whether Ctrl-C came between; arms are refused by why they are."""
     import torch
 
     from torcharm.pressure.search import PressureSearch
@@ -113,10 +121,13 @@ def _search(
     with progress(task.name, len(arms) * len(_starts_of_blocks(task, method))) as advance:
         try:
             for arm in arms:
-                for first, block in _blocks(arm, task, method, starts, weights):
-                    blocks[arm.name].append(block)
-                    kept.add(_rows(arm, task, first, block))
-                    advance()
+                try:
+                    for first, block in _blocks(arm, task, method, starts, weights):
+                        blocks[arm.name].append(block)
+                        kept.add(_rows(arm, task, first, block))
+                        advance()
+                except ValueError as error:  # costs this arm alone
+                    refused.setdefault(str(error), []).append(arm.name)
         except KeyboardInterrupt:  # what is finished is shown and written all the same
             interrupted = True
     names = [field.name for field in fields(PressureSearch)]
@@ -240,7 +251,7 @@ def _blocks(
 
 def _rows(arm: "NamedArm", task: "NamedTask", first: int, found: "PressureSearch") -> Iterator[dict[str, Any]]:
     """A row for each load."""
-    from torcharm.study.results import LOADS
+    from torcharm.study.results import LOADS, pressure_columns
 
     whole = task.task
     loads = whole.tip_load.expand(*whole.batch_shape, -1).reshape(-1, whole.twists.shape[-1])[first - 1 :]
@@ -249,7 +260,7 @@ def _rows(arm: "NamedArm", task: "NamedTask", first: int, found: "PressureSearch
     columns |= {"tip_rotation_error_rad": found.tip_rotation_error, "shape_error_m": found.shape_error}
     columns |= {"converged": found.converged, "continued": found.continued, "in_range": found.in_range}
     columns |= {"optimality": found.optimality, "spread_m2": found.spread}
-    columns |= {f"pressure_{index}_kPa": one for index, one in enumerate(found.pressure.mT, 1)}
+    columns |= pressure_columns(arm, found.pressure)
     names = {"arm": plain_cell(arm.name), "task": plain_cell(task.name)}
     for load, values in enumerate(zip(*(column.tolist() for column in columns.values()), strict=True), start=first):
         cells = (str(value).lower() if isinstance(value, bool) else value for value in values)

@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from torcharm.cli.terminal import FIGURE_FORMATS, check_outputs, mistakes, open_console, save_all, say
+from torcharm.cli.terminal import (
+    FIGURE_FORMATS,
+    asked_about,
+    check_outputs,
+    compiling_told,
+    mistakes,
+    open_console,
+    save_all,
+    say,
+)
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -17,7 +26,11 @@ if TYPE_CHECKING:
 
 def shape(
     pressure: Annotated[
-        str, typer.Option("--pressure", help="Of each actuator: 20,10,0,5 [kPa], or '0.2 bar,3 psi,0,5'.")
+        str,
+        typer.Option(
+            "--pressure",
+            help="Of each actuator, passive ones left out or 0: 20,10,0,5 [kPa], or '0.2 bar,3 psi,0,5'.",
+        ),
     ],
     load: Annotated[
         str,
@@ -49,18 +62,20 @@ def shape(
         from torcharm.equilibrium import solve_equilibrium
         from torcharm.load import ExternalLoad
         from torcharm.study import load_study, paper_study
-        from torcharm.study.units import FORCE, MOMENT, PRESSURE
+        from torcharm.study.units import FORCE, MOMENT
 
-        plan = paper_study() if study is None else load_study(study)
+        plan = paper_study() if study is None else asked_about(load_study(study))
         chosen = _arm(plan.arms, arm)
         drawn = chosen.design.dimension == 3 or not isinstance(chosen.design, ArmSeries)
         if figure is not None and not drawn:
             raise ValueError(f"--figure: must be left out for {chosen.name}: {UNDRAWN}")
-        pressures = _numbers("--pressure", pressure, [PRESSURE] * chosen.design.actuator_count)
+        limits = chosen.design.max_pressure.tolist()
+        pressures = _pressures(pressure, limits)
         units = (FORCE, FORCE, MOMENT) if chosen.design.dimension == 2 else (FORCE,) * 3 + (MOMENT,) * 3
         wrench = [0.0] * len(units) if load == "0" else _numbers("--load", load, units)
         whole = ExternalLoad(wrench, gravity)
-        found = solve_equilibrium(chosen.design, pressures, whole, nodes)
+        with compiling_told():
+            found = solve_equilibrium(chosen.design, pressures, whole, nodes)
         if not bool(found.converged):
             left = float(found.residual)
             why = f"the imbalance left is {left:.2g} of the load" if left > 1e-10 else "the only one found is folded"
@@ -73,11 +88,7 @@ def shape(
             say(console, "The arm snapped on the way to the full load: other shapes are possible.")
         if not bool(found.stable):
             say(console, "The arm would not stay there: this equilibrium is not stable.")
-        above = [
-            f"{given:g} of {limit:g}"
-            for given, limit in zip(pressures, chosen.design.max_pressure.tolist(), strict=True)
-            if given > limit
-        ]
+        above = [f"{given:g} of {limit:g}" for given, limit in zip(pressures, limits, strict=True) if given > limit]
         if above:
             say(console, f"Pressures are above the arm's limits: {', '.join(above)} kPa.")
         if not bool(found.in_range):
@@ -110,6 +121,22 @@ def _arm(arms: "tuple[NamedArm, ...]", name: str | None) -> "NamedArm":
         if arm.name == name:
             return arm
     raise ValueError(f"--arm: must be one of {', '.join(arm.name for arm in arms)}, got {name}")
+
+
+def _pressures(text: str, limits: Sequence[float]) -> list[float]:
+    """Of each actuator [kPa]; those of passive ones, whose limit is 0, may be left out."""
+    from torcharm.study.units import PRESSURE
+
+    driven = [index for index, limit in enumerate(limits) if limit > 0]
+    given = text.count(",") + 1
+    if given != len(driven) or not driven:
+        passive = len(limits) - len(driven)
+        fewer = f", or {len(driven)} without the {passive} passive" if passive and driven else ""
+        if given != len(limits):
+            raise ValueError(f"--pressure: must be {len(limits)} numbers with commas between them{fewer}, got {text}")
+        driven = list(range(len(limits)))
+    found = dict(zip(driven, _numbers("--pressure", text, [PRESSURE] * given), strict=True))
+    return [found.get(index, 0.0) for index in range(len(limits))]
 
 
 def _numbers(option: str, text: str, units: Sequence[dict[str, float]]) -> list[float]:

@@ -1,7 +1,7 @@
 """What every command shares: how mistakes are told, where outputs may go, what is printed."""
 
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 FIGURE_FORMATS = ("png", "pdf", "svg", "jpg", "eps")
 MISTAKE, INTERRUPTED = 2, 130
+COMPILING = "torcharm: compiling, once: about {} s"
 
 
 def fail(message: str, code: int = MISTAKE) -> NoReturn:
@@ -28,8 +29,8 @@ def mistakes() -> Iterator[None]:
     """Report in one line what a person can cause."""
     try:
         yield
-    except KeyboardInterrupt:
-        fail("interrupted", INTERRUPTED)
+    except KeyboardInterrupt as error:
+        fail(": ".join(["interrupted", *map(str, error.args)]), INTERRUPTED)
     except BrokenPipeError:
         raise  # whoever read the output has left: no mistake
     except MemoryError:
@@ -39,6 +40,56 @@ def mistakes() -> Iterator[None]:
         fail(f"{where}{error.strerror or error}")
     except ValueError as error:
         fail(str(error))
+
+
+def finish(interrupted: bool, finished: Sized, refused: Mapping[str, Sequence[str]]) -> None:
+    """Say who was refused, and end the command by an error unless all is well.
+
+    Args:
+        interrupted: whether Ctrl-C came.
+        finished: what there is to show all the same.
+        refused: names of arms by why they were.
+    """
+    for why, names in refused.items():
+        print("torcharm:", " ".join(f"{', '.join(dict.fromkeys(names))}: {why}".split()), file=sys.stderr)
+    if interrupted:
+        raise KeyboardInterrupt(*[] if finished else ["nothing was finished"])
+    if refused:
+        sys.exit(MISTAKE)
+
+
+def asked_about(study: "Study") -> "Study":
+    """The study, after questions on the standard error about limits that make sense in other units."""
+    from torcharm.attainability.questions import question_about_limits
+    from torcharm.statics.balance import segments_of
+
+    for arm in study.arms:
+        question = question_about_limits(segments_of(arm.design)[0])
+        if question is not None:
+            print(f"torcharm: {arm.name}: {question}", file=sys.stderr)
+    return study
+
+
+@contextmanager
+def compiling_told() -> Iterator[None]:
+    """Where the standard error is no terminal, say on it when the engine is compiled; on a terminal the engine does."""
+    from numba.core.event import Listener, install_listener
+
+    from torcharm.engine.code_parts import SECONDS
+
+    class Once(Listener):
+        told = sys.stderr.isatty()
+
+        def on_start(self, event: object) -> None:
+            if not self.told:
+                print(COMPILING.format(SECONDS), file=sys.stderr, flush=True)
+            self.told = True
+
+        def on_end(self, event: object) -> None:
+            pass
+
+    with install_listener("numba:compile", Once()):
+        yield
 
 
 def check_outputs(study: Path | None, out: Path | None, figure: Path | None) -> None:
@@ -77,7 +128,7 @@ def check_ending(option: str, path: Path | None, allowed: Sequence[str]) -> None
 
 @contextmanager
 def progress(what: str, total: int) -> Iterator[Callable[..., None]]:
-    """A bar on the standard error, of a terminal only.
+    """A bar on the standard error, of a terminal only; elsewhere a line if the engine is compiled first.
 
     Gives a function that moves it on by one; or to so many of the total, as `to=3`, with some words behind the bar.
     """
@@ -87,7 +138,8 @@ def progress(what: str, total: int) -> Iterator[Callable[..., None]]:
 
     columns = (*Progress.get_default_columns(), TextColumn("{task.fields[words]}", markup=False))
     console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not sys.stderr.isatty()) as bar:
+    hidden = not sys.stderr.isatty()
+    with compiling_told(), Progress(*columns, console=console, transient=True, disable=hidden) as bar:
         task = bar.add_task(escape(what), total=total, words="")
 
         def move(to: int | None = None, words: str = "") -> None:

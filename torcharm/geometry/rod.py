@@ -36,6 +36,14 @@ def goes_by_name(base_pose: object) -> bool:
     return base_pose is None or isinstance(base_pose, str)
 
 
+def check_base_shape(base_pose: Tensor, columns: int) -> None:
+    """Raise a ValueError unless a base pose is one pose of the plane or of space, for twists of so many columns."""
+    shape = group_of(columns).POSE_SHAPE
+    if base_pose.shape != shape:
+        given = tuple(base_pose.shape)
+        raise ValueError(f"base_pose: must be {', '.join(HEADINGS)} or a pose of shape {shape}, got shape {given}")
+
+
 def check_rigid(name: str, pose: Tensor) -> None:
     """Raise a ValueError unless poses (..., 3) or (..., 4, 4) in space are homogeneous matrices of rotations."""
     if pose.shape[-2:] != (4, 4):

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm.actuators import Actuator, Bellows, McKibben
+from torcharm.actuators import Actuator, Bellows, McKibben, model_name
 from torcharm.arm import ArmDesign, check_planar
 from torcharm.geometry import rod
 from torcharm.inputs import check_count
@@ -31,7 +31,13 @@ VERDICT_STYLES = {  # colour, marker, and whether that is filled
     "undecided": ("#0072B2", "^", False),
     "impossible": ("#882255", "*", True),
 }
-KIND_STYLES = {"bellows": ("#56B4E9", 4.5), "muscle": ("#882255", 2.5), "other": ("#999999", 3.5)}  # colour, width
+KIND_STYLES = {  # colour, width
+    "bellows": ("#56B4E9", 4.5),
+    "muscle": ("#882255", 2.5),
+    "chamber": ("#009E73", 3.5),
+    "elastic core": ("#E69F00", 5.5),
+    "other": ("#999999", 3.5),
+}
 SMOOTHING = 8  # points drawn on each segment, so that a segment of constant curvature is seen to be an arc
 LONGEST_ARROW = 0.3  # of the largest force, as a share of the centreline's length
 
@@ -42,8 +48,13 @@ def array(value: Tensor) -> Array:
 
 
 def kind_of(model: Actuator) -> str:
-    """The kind of a force model, of those that have a style."""
-    return "bellows" if isinstance(model, Bellows) else "muscle" if isinstance(model, McKibben) else "other"
+    """What a legend calls a force model; `style_of` is how it is drawn."""
+    return "bellows" if isinstance(model, Bellows) else "muscle" if isinstance(model, McKibben) else model_name(model)
+
+
+def style_of(kind: str) -> tuple[str, float]:
+    """Colour and width of a kind of force model."""
+    return KIND_STYLES.get(kind, KIND_STYLES["other"])
 
 
 def fine_poses(task: Task) -> Array:

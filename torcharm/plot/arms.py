@@ -13,7 +13,6 @@ from torcharm.geometry import se2
 from torcharm.inputs import TensorLike
 from torcharm.plot._common import (
     ATTAINABLE,
-    KIND_STYLES,
     LONGEST_ARROW,
     UNATTAINABLE,
     Mask,
@@ -25,6 +24,7 @@ from torcharm.plot._common import (
     legend_below,
     one_design,
     one_shape,
+    style_of,
 )
 from torcharm.task import Task
 
@@ -85,7 +85,7 @@ def draw_arm(axes: Axes, arm: ArmDesign, task: Task, *, reached: bool = False) -
     own = se2.compose(torch.as_tensor(line).unsqueeze(1), offset.expand(len(line), -1, -1)).numpy()
     kinds = [kind_of(model) for model in arm.actuators]
     for index, kind in enumerate(kinds):
-        colour, width = KIND_STYLES[kind]
+        colour, width = style_of(kind)
         label = f"{kind} ({kinds.count(kind)})" if index == kinds.index(kind) else None
         axes.plot(*own[:, index, :2].T, color=colour, linewidth=width, solid_capstyle="butt", label=label, gid=kind)
     if reached:

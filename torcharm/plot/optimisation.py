@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
+from torcharm.actuators import model_name
 from torcharm.arm import ArmDesign
 from torcharm.design.result import OptimisedDesign
 from torcharm.plot._common import ATTAINABLE, UNATTAINABLE, mark_inks
@@ -34,12 +35,13 @@ def optimisation_figure(result: OptimisedDesign, title: str = "") -> "Figure":
             f", {len(side.stable) - len(values)} without a stable equilibrium" if len(values) < len(side.stable) else ""
         )
         label = f"{name}: mean {side.tip_mm:.3g} mm{left}"
-        errors.step(range(1, len(values) + 1), values, where="mid", color=colour, linestyle=dash, label=label)
+        dots = {"marker": "o", "markersize": 3} if len(values) == 1 else {}  # a line of one point is none
+        errors.step(range(1, len(values) + 1), values, where="mid", color=colour, linestyle=dash, label=label, **dots)
     errors.set(xlabel="tasks, the nearest first", ylabel="predicted tip error [mm]", title=title, ylim=(0, None))
     errors.legend(frameon=False)
     planar = result.best.dimension == 2
     names = ("radius [mm]", "neutral length [mm]") if planar else ("offset y [mm]", "offset z [mm]")
-    kinds = list(dict.fromkeys(type(model).__name__ for model in result.best.actuators))
+    kinds = list(dict.fromkeys(map(model_name, result.best.actuators)))
     for arm, filled in ((result.given, False), (result.best, True)):
         for segment in segments_of(arm)[0]:
             _draw_section(section, segment, kinds, filled)
@@ -51,7 +53,7 @@ def optimisation_figure(result: OptimisedDesign, title: str = "") -> "Figure":
 
 def _draw_section(axes: "Axes", arm: ArmDesign, kinds: list[str], filled: bool) -> None:
     for index, kind in enumerate(kinds):
-        own = [place for place, model in enumerate(arm.actuators) if type(model).__name__ == kind]
+        own = [place for place, model in enumerate(arm.actuators) if model_name(model) == kind]
         colour = COLOURS[index % len(COLOURS)]
         other = arm.length if arm.out_of_plane is None else arm.out_of_plane
         across, along = (1e3 * value.detach()[own].numpy(force=True) for value in (arm.radii, other))

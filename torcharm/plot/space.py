@@ -20,7 +20,6 @@ from torcharm.load import GRAVITY, ExternalLoad
 from torcharm.plot._common import (
     ARM_COLOURS,
     ATTAINABLE,
-    KIND_STYLES,
     LONGEST_ARROW,
     SMOOTHING,
     UNATTAINABLE,
@@ -31,6 +30,7 @@ from torcharm.plot._common import (
     legend_below,
     median_place,
     node_index,
+    style_of,
     tip_errors,
 )
 from torcharm.plot.hulls import draw_required
@@ -267,7 +267,7 @@ def _draw_tubes(axes: Any, segment: ArmDesign, line: Array, alpha: float) -> Non
     kinds = [kind_of(model) for model in segment.actuators]
     named = {text.get_label() for text in axes.lines}
     for index, (kind, radius) in enumerate(zip(kinds, radii, strict=True)):
-        (y, z), colour = offsets[index], KIND_STYLES[kind][0]
+        (y, z), colour = offsets[index], style_of(kind)[0]
         own = np.stack((0 * turn, y + radius * np.cos(turn), z + radius * np.sin(turn), 1 + 0 * turn))
         skin = (line @ own)[:, :3]
         axes.plot_surface(*(skin[:, c] for c in (0, 2, 1)), color=colour, alpha=alpha, linewidth=0, shade=True)

@@ -15,12 +15,11 @@ from torcharm.study.fields import (
     Range,
     Table,
     by_key,
-    by_kind,
+    by_kinds,
     by_list,
     either,
     entries,
     filled,
-    kind_among,
     one_key,
     one_of,
 )
@@ -132,19 +131,8 @@ def _named_kind(value: Any) -> Any:
     return {"kind": value} if isinstance(value, str) else value
 
 
-def _by_model(value: Any) -> str:
-    return "<shipped>" if value["kind"] in SHIPPED else by_kind(value)
-
-
-ActuatorTable = Annotated[
-    Annotated[ShippedActuator, Tag("<shipped>")]
-    | Annotated[PolynomialTable, Tag("<polynomial>")]
-    | Annotated[ChamberTable, Tag("<chamber>")]
-    | Annotated[CoreTable, Tag("<elastic_core>")]
-    | Annotated[FileActuator, Tag("<file>")],
-    Discriminator(_by_model),
-    kind_among(*SHIPPED, "polynomial", "chamber", "elastic_core", "file"),
-    BeforeValidator(_named_kind),
+ActuatorTable: Any = Annotated[
+    by_kinds(ShippedActuator, PolynomialTable, ChamberTable, CoreTable, FileActuator), BeforeValidator(_named_kind)
 ]
 ActuatorsTable = Annotated[
     Annotated[list[ActuatorTable], filled("a list of force models such as bellows"), Tag("<list>")]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from types import NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
@@ -40,9 +40,11 @@ class Check(BeforeValidator):
 
     Attributes:
         words: what it allows, for messages and for the reference of all keys.
+        allowed: the words that it may be, if it is one of some.
     """
 
     words: str = ""
+    allowed: Sequence[str] = ()
 
 
 def one_of(allowed: Sequence[str]) -> Check:
@@ -53,7 +55,8 @@ def one_of(allowed: Sequence[str]) -> Check:
             raise refuse(f"must be one of {', '.join(allowed)}, got {shown_value(value)}{hint(value, allowed)}")
         return value
 
-    return Check(check, words=f"one of {', '.join(allowed)}" if len(allowed) > 1 else f'the word "{allowed[0]}"')
+    words = f"one of {', '.join(allowed)}" if len(allowed) > 1 else f'the word "{allowed[0]}"'
+    return Check(check, words=words, allowed=allowed)
 
 
 def entries(*names: str, other: Sequence[str] = ()) -> Check:
@@ -111,8 +114,13 @@ def one_key(*keys: str) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-def kind_among(*kinds: str) -> BeforeValidator:
-    """A table whose kind is one of those given, so that the kind can choose the model."""
+def by_kinds(*models: "type[Table]") -> Any:
+    """The type of a table of one of some models, which its kind chooses: of those that the models allow.
+
+    pydantic puts tags into the path of an error, and the brackets tell them from keys there.
+    """
+    tags = {kind: f"<{model.__name__}>" for model in models for kind in _kinds_of(model)}
+    kinds = list(tags)
 
     def check(value: Any) -> Any:
         if not isinstance(value, dict):
@@ -124,13 +132,13 @@ def kind_among(*kinds: str) -> BeforeValidator:
             raise refuse(f"must be one of {', '.join(kinds)}, got {shown_value(kind)}{hint(kind, kinds)}", "kind")
         return value
 
-    return BeforeValidator(check)
+    choices = tuple(Annotated[model, Tag(f"<{model.__name__}>")] for model in models)
+    union = Union[choices]  # type: ignore[valid-type]  # noqa: UP007
+    return Annotated[union, Discriminator(lambda value: tags[value["kind"]]), BeforeValidator(check)]
 
 
-def by_kind(value: Any) -> str:
-    """Tags say which of several models is meant. pydantic puts them into the path of an error, and the
-    brackets tell them from keys there."""
-    return f"<{value['kind']}>"
+def _kinds_of(model: "type[Table]") -> Sequence[str]:
+    return next(part.allowed for part in model.model_fields["kind"].metadata if isinstance(part, Check))
 
 
 def by_list(value: Any) -> str:

@@ -21,7 +21,7 @@ from torcharm.study.arm_tables import NamedTable
 from torcharm.study.data import NamedArm, NamedPlan, NamedTask, Optimisation, Settings, Study
 from torcharm.study.fields import field_path, first_mistake, one_line, shown_value, within
 from torcharm.study.tables import EvaluateTable, OptimiseTable, PlanTable, StudyTable
-from torcharm.study.task_reading import check_fit, check_values, make_task, shape_field
+from torcharm.study.task_reading import check_base, check_columns, check_fit, check_values, make_task, shape_field
 from torcharm.study.task_tables import ShapedTask, TwistTask
 from torcharm.wrench_sets.vertex_sets import CURVE_SAMPLES, EDGE_SAMPLES
 
@@ -169,22 +169,28 @@ def _plan(table: PlanTable, arms: Sequence[NamedArm]) -> NamedPlan:
         missing = "length_weight" if weight is None else "reference_length"
         raise ValueError(f"{missing}: must be given too, as the other is; without both, unattainability is minimised")
     smoothness = None if weight is None or reference is None else Smoothness(weight, reference)
-    tip = table.tip_pose, tuple(table.tip_load)
-    chosen = tuple(arm.name for arm in _planned(table, arms))
+    columns = 3 if len(table.tip_pose) == 3 else 6
+    load = [0.0] * columns if table.tip_load is None else table.tip_load
+    check_columns("tip_load", len(load), columns, POSE_IS)
+    check_base(table.base_pose, columns, POSE_IS)
+    tip, chosen = (table.tip_pose, tuple(load)), tuple(arm.name for arm in _planned(table, arms, columns))
     return NamedPlan(table.name, *tip, smoothness, table.nodes, table.base_pose, table.in_range, chosen)
 
 
-def _planned(table: PlanTable, arms: Sequence[NamedArm]) -> list[NamedArm]:
+POSE_IS = {3: "in the plane, as tip_pose is", 6: "in space, as tip_pose is"}
+"""By the number of components of a load, why it must have them."""
+
+
+def _planned(table: PlanTable, arms: Sequence[NamedArm], columns: int) -> list[NamedArm]:
     """The arms to plan for: those named, which must fit, or all that fit."""
-    dimension = len(table.tip_load) // 3 + 1
-    chosen = _named(table.arms or (), arms)
+    dimension, chosen = columns // 3 + 1, _named(table.arms or (), arms)
     fit = [arm for arm in chosen if isinstance(arm.design, ArmDesign) and arm.design.dimension == dimension]
-    kind = f"of one segment without a link {'in the plane' if dimension == 2 else 'in space'}, as tip_load is"
+    kind = f"of one segment without a link {POSE_IS[columns]}"
     if table.arms and len(fit) < len(chosen):
         other = next(arm.name for arm in chosen if arm not in fit)
         raise ValueError(f"arms: must be {kind}, got {shown_value(other)}, which is not")
     if not fit:
-        raise ValueError(f"tip_load: must fit an arm {kind.removesuffix(', as tip_load is')}, of which there is none")
+        raise ValueError(f"tip_pose: must fit an arm {kind.removesuffix(', as tip_pose is')}, of which there is none")
     return fit
 
 

@@ -3,7 +3,7 @@
 import csv
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -84,11 +84,22 @@ class Summary:
         return (self.not_excluded or 0) if self.verdicts is None else self.verdicts.get("held", 0)
 
 
-def evaluate_study(study: Study) -> Iterator[StudyResult]:
-    """Evaluate every arm on its tasks, one after the other: task by task, in the study's order of arms."""
+def evaluate_study(study: Study, refused: Callable[[NamedArm, str], object] | None = None) -> Iterator[StudyResult]:
+    """Evaluate every arm on its tasks, one after the other: task by task, in the study's order of arms.
+
+    Args:
+        study: what to evaluate.
+        refused: told of an arm that cannot be evaluated on a task, and why; it costs no others. None: a ValueError.
+    """
     for task in study.tasks:
         for arm in study.arms_of(task):
-            found = evaluate(arm.design, task.task, **vars(study.settings))
+            try:
+                found = evaluate(arm.design, task.task, **vars(study.settings))
+            except ValueError as error:
+                if refused is None:
+                    raise
+                refused(arm, str(error))
+                continue
             yield StudyResult(arm, task, study.settings, found)
 
 
@@ -135,7 +146,7 @@ def write_results(path: str | PathLike[str], results: Sequence[StudyResult], end
     reason; tip_error_mm, tip_rotation_error_deg and shape_error_mm; worst_node, counted from 1, and worst_miss_N;
     absolute_N and relative_N, the paper's sums, which mix N and N·m by the weights as the miss does; in_range,
     strain_excess and status, as in `Attainability`; and the pressure that comes nearest, pressure_1_kPa and so on, one
-    for each actuator.
+    for each actuator that is driven: passive ones, of limit 0, have none.
 
     Raises:
         ValueError: the ending is none of `RESULT_FORMATS`.
@@ -197,11 +208,21 @@ def result_rows(result: StudyResult) -> Iterator[dict[str, Any]]:
     columns |= {"status": [str(word) for word in np.ravel(np.asarray(found.status))]}
     if found.prediction is not None:
         stable = found.prediction.stable.reshape(-1).tolist()
-        for index, pressure in enumerate(found.prediction.pressure.detach().reshape(result.loads, -1).mT.tolist(), 1):
-            kept = [value if stays else None for value, stays in zip(pressure, stable, strict=True)]
-            columns |= {f"pressure_{index}_kPa": kept}
+        pressures = pressure_columns(result.arm, found.prediction.pressure.detach().reshape(result.loads, -1))
+        for name, pressure in pressures.items():
+            columns |= {name: [one if stays else None for one, stays in zip(pressure.tolist(), stable, strict=True)]}
     for values in zip(*columns.values(), strict=True):
         yield {"arm": result.arm.name, "task": result.task.name, **dict(zip(columns, values, strict=True))}
+
+
+def pressure_columns(arm: NamedArm, pressure: Tensor) -> dict[str, Tensor]:
+    """Pressures (L, M) [kPa] of the actuators that are driven, by the names of their columns; numbered from 1."""
+    limits = arm.design.max_pressure.tolist()
+    return {
+        f"pressure_{index}_kPa": own
+        for index, (own, limit) in enumerate(zip(pressure.mT, limits, strict=True), 1)
+        if limit > 0
+    }
 
 
 LOADS = {

@@ -150,8 +150,10 @@ class PlanTable(Table):
 
     name: Name = Field(description="What tables and files call the plan.", examples=["drawer"])
     tip_pose: TipPose = Field(description="Place and heading of the tip.", examples=[[0.35, -0.3, 0.0]])
-    tip_load: Load = Field(
-        description="Force and moment at the tip under which the shape is to be held.", examples=[[6.0, 0.0, 0.0]]
+    tip_load: Load | None = Field(
+        default=None,
+        description="Force and moment at the tip under which the shape is to be held. Without it, none.",
+        examples=[[6.0, 0.0, 0.0]],
     )
     length_weight: NotNegative | None = Field(
         default=None,
@@ -174,7 +176,7 @@ class PlanTable(Table):
     arms: Names | None = Field(
         default=None,
         description="The arms to plan for. Without it, all of one segment without a link, in the plane or in space as "
-        "tip_load is.",
+        "tip_pose is.",
         examples=[["paper", "own"]],
     )
 

@@ -1,29 +1,23 @@
 """From the tables of tasks to tasks, and whether they fit the arms."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
 
 from torcharm.attainability.questions import question_about_shape
+from torcharm.geometry.rod import HEADINGS
 from torcharm.load import ExternalLoad, PointLoad
-from torcharm.shapes import affine_curvature, constant_curvature, cubic_curvature, helix
 from torcharm.statics.balance import segments_of
-from torcharm.study.data import NamedArm, NamedTask
+from torcharm.study.data import NamedArm, NamedTask, Pose
 from torcharm.study.fields import field_path, shown_value, within
 from torcharm.study.task_tables import DrawnLoads, PayloadTable, PointTable, ShapedTask, TwistTask
 from torcharm.task import Task, sample_loads
 
 MOST_VALUES = 50_000_000
 """Numbers that one tensor of a study may hold (400 MB); past it, a key was struck once too often."""
-_SHAPES: dict[str, Any] = {
-    "affine": affine_curvature,
-    "cubic": cubic_curvature,
-    "constant": constant_curvature,
-    "helix": helix,
-}
-_SPACE = {3: "in the plane, as the shape is (a direction makes it one in space)", 6: "in space, as the shape is"}
+SHAPE_IS = {3: "in the plane, as the shape is (a direction makes it one in space)", 6: "in space, as the shape is"}
+"""By the number of columns of a shape, why what stands beside it must be in the plane or in space."""
 
 
 def make_task(table: ShapedTask | TwistTask) -> NamedTask:
@@ -39,9 +33,7 @@ def make_task(table: ShapedTask | TwistTask) -> NamedTask:
             raise ValueError(f'{field}: {question} A text with a unit, such as "48 cm" or "30 deg", is understood')
     columns, nodes = segments[0].shape[-1], [len(twists) for twists in segments]
     loads = _loads(table, columns, sum(nodes))
-    if not isinstance(table.base_pose, str) and len(table.base_pose) != columns // 3 + 2:
-        form = "a list [x, y, θ]" if columns == 3 else "four rows of a homogeneous matrix"
-        raise ValueError(f"base_pose: must be a name or {form} {_SPACE[columns]}, got {shown_value(table.base_pose)}")
+    check_base(table.base_pose, columns, SHAPE_IS)
     task = Task(
         torch.cat(segments),
         loads,
@@ -57,7 +49,7 @@ def _segments(table: ShapedTask | TwistTask) -> list[Tensor]:
     """Twists of each segment."""
     if isinstance(table, ShapedTask):
         shapes = table.shape if isinstance(table.shape, list) else [table.shape]
-        segments = [_SHAPES[one.kind](**one.model_dump(exclude={"kind"})) for one in shapes]
+        segments = [one.twists(**one.model_dump(exclude={"kind"})) for one in shapes]
         for index, twists in enumerate(segments):
             if twists.shape[-1] != segments[0].shape[-1]:
                 raise ValueError(
@@ -65,7 +57,7 @@ def _segments(table: ShapedTask | TwistTask) -> list[Tensor]:
                 )
         return segments
     for index, row in enumerate(table.twists):
-        _check_columns(field_path(["twists", index]), len(row), len(table.twists[0]))
+        check_columns(field_path(["twists", index]), len(row), len(table.twists[0]))
     twists = torch.tensor(table.twists, dtype=torch.float64)
     counts = table.segment_nodes or [len(twists)]
     if sum(counts) != len(twists):
@@ -74,12 +66,15 @@ def _segments(table: ShapedTask | TwistTask) -> list[Tensor]:
 
 
 def _loads(table: ShapedTask | TwistTask, columns: int, nodes: int) -> Tensor:
+    """Tip loads (L, columns)."""
+    if table.loads is None:
+        return torch.zeros(1, columns, dtype=torch.float64)
     if isinstance(table.loads, DrawnLoads):
-        _check_columns("loads.scale", len(table.loads.scale), columns)
+        check_columns("loads.scale", len(table.loads.scale), columns)
         check_values("loads.count", table.loads.count * nodes, f"{table.loads.count} loads, {nodes} nodes")
         return sample_loads(table.loads.count, table.loads.scale, table.loads.seed)
     for index, load in enumerate(table.loads):
-        _check_columns(field_path(["loads", index]), len(load), columns)
+        check_columns(field_path(["loads", index]), len(load), columns)
     return torch.tensor(table.loads, dtype=torch.float64)
 
 
@@ -97,14 +92,23 @@ def _points(table: ShapedTask | TwistTask, columns: int, segments: int) -> list[
                         f"segment: must be at most {segments}, the shape's number of them, got {one.segment}"
                     )
                 if isinstance(one, PointTable):
-                    _check_columns("wrench", len(one.wrench), columns)
+                    check_columns("wrench", len(one.wrench), columns)
                 points.append(PointLoad(**one.model_dump(exclude={"segment"}), segment=one.segment - 1))
     return points
 
 
-def _check_columns(field: str, given: int, columns: int) -> None:
+def check_columns(field: str, given: int, columns: int, why: Mapping[int, str] = SHAPE_IS) -> None:
+    """Raise a ValueError unless a load has the components that it must have, for a reason of that number of them."""
     if given != columns:
-        raise ValueError(f"{field}: must have {columns} numbers {_SPACE[columns]}, got {given}")
+        raise ValueError(f"{field}: must have {columns} numbers {why[columns]}, got {given}")
+
+
+def check_base(base_pose: Pose | str, columns: int, why: Mapping[int, str]) -> None:
+    """Raise a ValueError unless a base pose is in the plane or in space as it must be, for a reason of either."""
+    if not isinstance(base_pose, str) and len(base_pose) != columns // 3 + 2:
+        form = "a list [x, y, θ]" if columns == 3 else "four rows of a homogeneous matrix"
+        names = ", ".join(HEADINGS)
+        raise ValueError(f"base_pose: must be {names} or {form} {why[columns]}, got {shown_value(base_pose)}")
 
 
 def shape_field(table: ShapedTask | TwistTask) -> str:

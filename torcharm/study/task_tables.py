@@ -1,22 +1,23 @@
 """What the tables of a study's tasks may hold, each value by itself."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import AfterValidator, Discriminator, Field, Tag
 
 from torcharm.geometry.rod import HANGING, HEADINGS
 from torcharm.load import FRAMES
+from torcharm.shapes import affine_curvature, constant_curvature, cubic_curvature, helix
 from torcharm.study.arm_tables import NamedTable, Names, name_as
 from torcharm.study.fields import (
+    Check,
     Name,
     Table,
     by_key,
-    by_kind,
+    by_kinds,
     by_list,
     either,
     entries,
     filled,
-    kind_among,
     one_key,
     one_of,
     refuse,
@@ -38,6 +39,8 @@ Nodes = Annotated[int, Field(ge=1, le=10_000)]
 class AffineShape(Table):
     """A shape whose curvature is affine in the arc s, from 0 at the base to 1 at the tip."""
 
+    twists: ClassVar[Any] = staticmethod(affine_curvature)
+    """What makes the shape of the other keys."""
     kind: Annotated[str, one_of(("affine",))] = Field(description="That it is such a shape.", examples=["affine"])
     slope: Angle = Field(description="Change of the curvature from base to tip.", examples=[0.0])
     intercept: Angle = Field(description="Curvature at the base.", examples=[1.0, "60 deg"])
@@ -49,6 +52,7 @@ class AffineShape(Table):
 class CubicShape(AffineShape):
     """A shape of curvature cubic s³ + quadratic s² + slope s + intercept."""
 
+    twists: ClassVar[Any] = staticmethod(cubic_curvature)
     kind: Annotated[str, one_of(("cubic",))] = Field(description="That it is such a shape.", examples=["cubic"])
     cubic: Angle = Field(description="Factor of s³.", examples=[4.0])
     quadratic: Angle = Field(description="Factor of s².", examples=[-6.0])
@@ -57,6 +61,7 @@ class CubicShape(AffineShape):
 class ConstantShape(Table):
     """An arc of a circle."""
 
+    twists: ClassVar[Any] = staticmethod(constant_curvature)
     kind: Annotated[str, one_of(("constant",))] = Field(description="That it is such a shape.", examples=["constant"])
     curvature: Angle = Field(description="Angle by which it turns from base to tip.", examples=["60 deg"])
     length: PositiveLength = _length
@@ -67,6 +72,7 @@ class ConstantShape(Table):
 class HelixShape(Table):
     """A helix in space: its bend goes round the backbone, which does not twist."""
 
+    twists: ClassVar[Any] = staticmethod(helix)
     kind: Annotated[str, one_of(("helix",))] = Field(description="That it is such a shape.", examples=["helix"])
     curvature: Angle = Field(description="Of the centreline, times its length.", examples=["90 deg"])
     torsion: Angle = Field(description="Angle by which the bend goes round.", examples=["180 deg"])
@@ -77,14 +83,7 @@ class HelixShape(Table):
     )
 
 
-ShapeTable = Annotated[
-    Annotated[AffineShape, Tag("<affine>")]
-    | Annotated[CubicShape, Tag("<cubic>")]
-    | Annotated[ConstantShape, Tag("<constant>")]
-    | Annotated[HelixShape, Tag("<helix>")],
-    Discriminator(by_kind),
-    kind_among("affine", "cubic", "constant", "helix"),
-]
+ShapeTable: Any = by_kinds(AffineShape, CubicShape, ConstantShape, HelixShape)
 ShapesTable = Annotated[
     Annotated[list[ShapeTable], filled("a list of shapes, one for each segment"), Tag("<list>")]
     | Annotated[ShapeTable, Tag("<other>")],
@@ -95,6 +94,15 @@ ShapesTable = Annotated[
 def _check_not_negative(value: list[float]) -> list[float]:
     if min(value) < 0:
         raise refuse(f"must be numbers of at least 0, got {shown_value(value)}")
+    return value
+
+
+_SHARE = "a share of its segment, a number from 0 (start) to 1 (end)"
+
+
+def _check_share(value: Any) -> Any:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
+        raise refuse(f"must be {_SHARE}, got {shown_value(value)}")
     return value
 
 
@@ -122,7 +130,8 @@ LoadsTable = Annotated[
     Discriminator(by_list),
     either("a list of [f_x, f_y, m], in space of six, or a table with count, scale and seed", list, dict),
 ]
-_at: Any = Field(default=1.0, description="Place on its segment, from 0 (start) to 1 (end).", examples=[0.5])
+At = Annotated[float, Check(_check_share, words=_SHARE)]
+_at: Any = Field(default=1.0, description="Place on its segment, as a share of its length.", examples=[0.5])
 _segment: Any = Field(default=1, description="Number of the segment on which it sits, from the base on.")
 _Count = Annotated[int, Field(ge=1)]
 
@@ -131,7 +140,7 @@ class PayloadTable(Table):
     """A mass on the arm, which weighs."""
 
     mass: Mass = Field(description="How much.", examples=["100 g"])
-    at: float = _at
+    at: At = _at
     segment: _Count = _segment
 
 
@@ -139,7 +148,7 @@ class PointTable(Table):
     """A force and a moment at a place of the arm."""
 
     wrench: Load = Field(description="Force and moment, as of loads.", examples=[[1.0, 0.0, 0.0]])
-    at: float = _at
+    at: At = _at
     segment: _Count = _segment
     frame: Annotated[str, one_of(FRAMES)] = Field(
         default="world", description="Whether the directions are the world's, or turn with the arm.", examples=["body"]
@@ -180,9 +189,10 @@ base_pose: Any = Field(
 class LoadedTable(NamedTable):
     """What tasks have beside a shape."""
 
-    loads: LoadsTable = Field(
+    loads: LoadsTable | None = Field(
+        default=None,
         description="Loads at the tip in the world frame, x right, y up and z to the viewer: forces, and the moment; "
-        "in space six numbers.",
+        "in space six numbers. Without it, none.",
         examples=[[[0.0, 0.0, 0.0], [1.0, "-200 gf", 0.1]]],
     )
     gravity: bool = Field(

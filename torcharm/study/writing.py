@@ -1,35 +1,48 @@
 """From designs to the text of a study file."""
 
-from collections.abc import Sequence
-from dataclasses import fields
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+import torch
 from pydantic import ValidationError
+from torch import Tensor
 
-from torcharm.actuators import SHIPPED, Actuator, ConstantBending, LinearBending, PolynomialActuator
+from torcharm.actuators import (
+    SHIPPED,
+    Actuator,
+    Chamber,
+    ConstantBending,
+    ElasticCore,
+    LinearBending,
+    PolynomialActuator,
+)
+from torcharm.actuators.ready import USUAL_STRAINS
 from torcharm.actuators.toml_text import toml_entry
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries, RigidLink
 from torcharm.inputs import plain_number, shown
 from torcharm.statics.balance import segments_of
 from torcharm.study.arm_reading import make_actuator
-from torcharm.study.arm_tables import NamedTable, SegmentTable
+from torcharm.study.arm_tables import ActuatorTable, NamedTable, SegmentTable
 from torcharm.study.fields import Table, field_path, first_mistake, one_line, within
 
 Read = TypeVar("Read", bound=Table)
-KINDS: dict[Any, str] = {model: name for name, model in SHIPPED.items()} | {PolynomialActuator: "polynomial"}
-"""Of force models that a study can name or write out."""
+DIGITS = 10
+"""Of numbers, as many as read back to 1e-9 of themselves: nothing is built or measured as well."""
+NOWHERE = 1e-12
+"""An offset that is rounding of 0 [m]: what sines leave of actuators on an axis."""
 ALLOWED = (
-    "a study holds Bellows() and McKibben() of any max_pressure, bending_stiffness and force_scale, a "
-    "PolynomialActuator, and a model from a file whose path is given, each with a number, LinearBending or "
+    "a study holds Bellows() and McKibben() of any max_pressure, bending_stiffness and force_scale, chambers, elastic "
+    "cores, a PolynomialActuator, and a model from a file whose path is given, each with a number, LinearBending or "
     "ConstantBending as bending_stiffness"
 )
-_OPTIONS = ("max_pressure", "bending_stiffness", "force_scale")
 
 
 def arm_to_toml(arm: ArmDesign | ArmSeries, name: str, files: Sequence[str | None] = ()) -> str:
-    """An arm as an `[[arm]]` table to paste into a study, from which the very same arm is read.
+    """An arm as an `[[arm]]` table to paste into a study, from which the same arm is read, to 1e-9 of each number.
 
     Args:
         arm: one design, in the plane or in space, or segments in series.
@@ -63,14 +76,24 @@ def arm_to_toml(arm: ArmDesign | ArmSeries, name: str, files: Sequence[str | Non
 
 
 def _text(heading: str, table: dict[str, Any]) -> str:
-    return "\n".join([heading, *(toml_entry(key, value) for key, value in table.items()), ""])
+    return "\n".join([heading, *(toml_entry(key, _rounded(value)) for key, value in table.items()), ""])
+
+
+def _rounded(value: Any) -> Any:
+    """A value of a table with its numbers in `DIGITS`."""
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(item) for item in value]
+    return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
 
 
 def _segment(arm: ArmDesign, link: RigidLink | None, paths: Sequence[str | None]) -> dict[str, Any]:
-    """A segment's table, once it is known that the same force models are read from it; those of files are not read."""
+    """A segment's table; it is known that the same force models are read from it, but for those of files."""
     place = "radii" if arm.dimension == 2 else "offsets"
     keys = (place, "length", "max_pressure", "diameter", "torsion_stiffness")
     table = {key: value.tolist() for key in keys if (value := getattr(arm, key)) is not None}
+    table[place] = torch.where(getattr(arm, place).abs() < NOWHERE, 0.0, getattr(arm, place)).tolist()
     if bool(arm.mass):
         table["mass"] = arm.mass.item()
     if link is not None:
@@ -80,29 +103,51 @@ def _segment(arm: ArmDesign, link: RigidLink | None, paths: Sequence[str | None]
             )
         table["link"] = {"length": link.length.item(), "mass": link.mass.item()}
     table["actuators"] = [_table(*pair, index) for index, pair in enumerate(zip(arm.actuators, paths, strict=True))]
-    read = _validated(SegmentTable, table).actuators
-    assert isinstance(read, list)
-    for index, (model, path) in enumerate(zip(arm.actuators, paths, strict=True)):
-        if path is None and make_actuator(read[index], ["actuators", index], Path()) != model:
-            raise _refusal(index, model)
+    _validated(SegmentTable, table)
     return table
 
 
 def _table(model: Actuator, path: str | None, index: int) -> str | dict[str, Any]:
-    """A force model as a study has it; what is as the kind's default is left out."""
-    options = {key: getattr(model, key) for key in _OPTIONS if hasattr(model, key)}
-    kind = "file" if path is not None else KINDS.get(type(model))
-    if kind is None:
-        raise _refusal(index, model)
-    table: dict[str, Any] = {"kind": kind}
+    """A force model as a study has it: by the first of some forms from which the same is read."""
     if path is not None:
-        table["path"] = path
-    elif isinstance(model, PolynomialActuator) and kind == "polynomial":
-        table["coefficients"] = [list(row) for row in model.coefficients]
-        table |= {key: list(getattr(model, key)) for key in ("strain_range", "pressure_range")}
-    defaults = {} if path is not None else {field.name: field.default for field in fields(model)}  # type: ignore[arg-type]
-    for key, value in options.items():
-        if key in defaults and type(value) is type(defaults[key]) and value == defaults[key]:
+        return {"kind": "file", "path": path} | _options(model, index)
+    for table in _forms(model, index):
+        (read,) = _validated(_Actuators, {"actuators": [table]}).actuators
+        if _alike(make_actuator(read, ["actuators", index], Path()), model):
+            return table if len(table) > 1 else str(table["kind"])
+    raise _refusal(index, model)
+
+
+class _Actuators(Table):
+    """Where an arm's table has its force models."""
+
+    actuators: list[ActuatorTable]
+
+
+def _forms(model: Actuator, index: int) -> Iterator[dict[str, Any]]:
+    """Tables of a force model, the shortest first; what is as the kind's default is left out."""
+    if isinstance(model, PolynomialActuator):
+        strains = {} if model.strain_range == USUAL_STRAINS else {"strain_range": list(model.strain_range)}
+        size, limit = plain_number(model.force_scale), plain_number(model.max_pressure)
+        if type(model) is Chamber:
+            yield {"kind": "chamber", "area": size, "max_pressure": limit} | strains
+        elif type(model) is ElasticCore and isinstance(model.bending_stiffness, ConstantBending):
+            bending = -plain_number(model.bending_stiffness.stiffness)
+            yield {"kind": "elastic_core", "axial_stiffness": size, "bending_stiffness": bending} | strains
+    if type(model) in SHIPPED.values():
+        yield {"kind": model.name} | _options(model, index)  # type: ignore[attr-defined]
+    elif type(model) in (PolynomialActuator, Chamber, ElasticCore):
+        own = {"coefficients": [list(row) for row in model.coefficients]}  # type: ignore[attr-defined]
+        ranges = {key: list(getattr(model, key)) for key in ("strain_range", "pressure_range")}
+        yield {"kind": "polynomial"} | own | ranges | _options(model, index)
+
+
+def _options(model: Actuator, index: int) -> dict[str, Any]:
+    """What a force model has of the keys that most kinds have, but for what is as its class's default."""
+    table: dict[str, Any] = {}
+    for key in ("max_pressure", "bending_stiffness", "force_scale"):
+        value, default = getattr(model, key, None), getattr(type(model), key, None)
+        if value is None or (type(value) is type(default) and value == default):
             continue
         if isinstance(value, LinearBending | ConstantBending):
             table["bending"] = _bending(value)
@@ -110,7 +155,19 @@ def _table(model: Actuator, path: str | None, index: int) -> str | dict[str, Any
             raise _refusal(index, model)
         else:
             table[key] = plain_number(value)
-    return kind if list(table) == ["kind"] else table
+    return table
+
+
+def _alike(one: Any, other: Any) -> bool:
+    """Whether force models, or what they hold, are equal to `DIGITS`; a polynomial may stand for a ready model."""
+    if isinstance(one, tuple | list):
+        return len(one) == len(other) and all(map(_alike, one, other))
+    if is_dataclass(one):
+        fitting = type(one) is type(other) or (type(one) is PolynomialActuator and isinstance(other, type(one)))
+        return fitting and all(_alike(getattr(one, f.name), getattr(other, f.name)) for f in fields(one))
+    if isinstance(one, float | int | Tensor):
+        return math.isclose(plain_number(one), plain_number(other), rel_tol=10.0**-DIGITS)
+    return bool(one == other)
 
 
 def _bending(model: LinearBending | ConstantBending) -> dict[str, Any]:

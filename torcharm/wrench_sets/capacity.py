@@ -33,7 +33,7 @@ from torcharm.wrench_sets.node_distances import (
     strain_excess,
     wants_gradient,
 )
-from torcharm.wrench_sets.rays import evaluate_ends, find_ends
+from torcharm.wrench_sets.rays import evaluate_ends, find_ends, meet_points
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -94,6 +94,9 @@ def load_capacity(
     formula with the normal held; where a corner or two nodes limit alike there is a kink, and the gradient is a
     one-sided one.
 
+    Where all actuators are passive each set is one point: the factor is 0 where the arm is at rest at the shape without
+    the payload, 1 with it, infinite where the payload asks nothing of any node, and NaN at other shapes.
+
     As all that sets say, the factor is an upper bound: every node's requirement can be met below it, each by a
     pressure of its own. Verdicts of `evaluate` are another question: the factor is of the very shape, without any
     tolerance. So a task may be held within its tolerance where the factor is below 1 or NaN, and missed where it is
@@ -127,14 +130,19 @@ def load_capacity(
 def _over_nodes(
     low: Tensor, high: Tensor, slack: Tensor, converged: Tensor, excess: Tensor, impossible: Tensor, limits: Tensor
 ) -> LoadCapacity:
-    """Intersect the nodes' intervals (..., N), known to within `slack`; one that is empty has `low > high`."""
+    """Intersect the nodes' intervals (..., N), known to within `slack`; one that is empty has `low > high`.
+
+    Those that are points meet each other, and 0, to within what is known of them.
+    """
     least, latest = low.max(-1)
     most, limiting = high.min(-1)
     either = torch.stack((latest, limiting), -1)
     possible = (low <= high).all(-1) & (least - most <= slack.gather(-1, either).sum(-1)) & ~impossible
     least = torch.minimum(least, most)
-    serves = possible & (most >= 0)
-    factor = torch.where(serves, most, torch.nan)
+    near = slack.gather(-1, either)
+    serves = possible & (most >= -near[..., 1])
+    nothing = most.abs() <= near[..., 1]
+    factor = torch.where(serves, torch.where(nothing, most - most.detach(), most), torch.nan)
     unbounded = factor == torch.inf
     own = (low <= high) & ~impossible.unsqueeze(-1)
     return LoadCapacity(
@@ -145,7 +153,7 @@ def _over_nodes(
         t_max_per_node=torch.where(own, high, torch.nan),
         limiting_node=torch.where(serves & ~unbounded, limiting, -1),
         attainable=serves,
-        attainable_unloaded=possible & (least <= 0) & (most >= 0),
+        attainable_unloaded=possible & (least <= near[..., 0]) & (most >= -near[..., 1]),
         unbounded=unbounded,
         in_range=(excess <= 16 * torch.finfo(excess.dtype).eps) & limits & ~impossible,
         impossible=impossible,
@@ -206,8 +214,13 @@ def _segment(
     elif points:
         factor = evaluate_ends(sections, start, direction, ends, relative=relative)
     low, high = _met_in_one_point(factor[:, 0], factor[:, 1], ends.slack.sum(1))
+    slack = ends.slack.amax(1)
+    passive = (sections.limit == 0).all(-1, keepdim=True)
+    if bool(passive.any()):
+        met = meet_points(prepare()[0] if followed else sections, start, direction, relative=relative)
+        low, high, slack = (torch.where(passive, *pair) for pair in zip(met, (low, high, slack), strict=True))
     shape = (*excess.shape, direction.shape[1])
-    columns = (low, high, ends.slack.amax(1), ends.certified.all(1))
+    columns = (low, high, slack, ends.certified.all(1) | passive)
     return *columns, excess.unsqueeze(-1).expand(shape), lost.unsqueeze(-1).expand(shape)
 
 

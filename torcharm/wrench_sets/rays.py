@@ -21,6 +21,10 @@ from torcharm.wrench_sets.design_task_grid import RequiredWrench
 from torcharm.wrench_sets.distance import CERTIFIED, as_array, beyond_planes, engine_sections
 from torcharm.wrench_sets.once import once
 
+BALANCED = 1e-9
+"""Of the wrenches required and provided, how far apart they may be and count as one where no pressure changes either:
+ten times what equilibria are solved to."""
+
 
 @dataclass(frozen=True, eq=False)
 class RayEnds:
@@ -74,6 +78,27 @@ def find_ends(
     found = [torch.from_numpy(part).to(sections.strain).unflatten(0, (-1, 2)) for part in ends if part.size or points]
     factor, slack, gap = found[:3]
     return RayEnds(factor, slack, gap <= CERTIFIED, *(found[3:] if points else (None, None, None)))
+
+
+def meet_points(
+    sections: CrossSections, start: RequiredWrench, direction: Tensor, *, relative: bool
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Entries and exits (B, P, L, N) of rays where no actuator is driven, so that each set is one point; and slacks.
+
+    A point is met to within what an equilibrium is solved to, as passive arms are looked at where they are at rest.
+    """
+    point, asked = sections.reaction(torch.zeros_like(sections.limit)).unsqueeze(-3), start.whole()
+    size = point.norm(dim=-1) + asked.norm(dim=-1) + direction.norm(dim=-1)
+    still = torch.from_numpy(_still(as_array(direction), relative)).to(size.device)
+    way, change = point - asked, direction
+    if relative:
+        way, change = way - way[..., :1, :], change - change[..., :1, :]
+    length = torch.where(still, 1.0, change.norm(dim=-1))
+    factor = torch.where(still, 0.0, (way * change).sum(-1) / length.square())
+    near = max(BALANCED, 16 * torch.finfo(size.dtype).eps) * size
+    met = (way - factor.unsqueeze(-1) * change).norm(dim=-1) <= near
+    ends = [torch.where(met, torch.where(still, end, factor), -end) for end in (-torch.inf, torch.inf)]
+    return ends[0], ends[1], torch.where(still, 0.0, near.detach() / length.detach())
 
 
 def _still(direction: np.ndarray, relative: bool) -> np.ndarray:  # type: ignore[type-arg]
