@@ -12,9 +12,9 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
-from torcharm.engine import balances
 from torcharm.engine.arms import Arms, Loads, arms_of, numbers
 from torcharm.engine.continuation import find_equilibria
+from torcharm.engine.implicit import solve_rows
 from torcharm.engine.loads import loads_of
 from torcharm.engine.path import Array, Found, Scale, make_path
 from torcharm.engine.room import make_room
@@ -136,9 +136,7 @@ class Packed:
 
         def work(first: int, last: int) -> None:
             room = make_room(self.arms)
-            balances.solve_rows(
-                self.arms, self.loads, self.pressure, twists, index[first:last], room, right[first:last]
-            )
+            solve_rows(self.arms, self.loads, self.pressure, twists, index[first:last], room, right[first:last])
 
         spread(len(index), work)
 

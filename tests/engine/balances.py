@@ -1,7 +1,7 @@
-"""The balance of batches of arms at given shapes: residuals, solutions with its slope, and its rates."""
+"""The engine's balance at given shapes, as kernels that tests call: residuals, pivots and rates."""
 
 from torcharm.engine.compilation import kernel, part
-from torcharm.engine.newton_step import solve, write_balance, write_shape
+from torcharm.engine.newton_step import write_balance, write_shape
 from torcharm.engine.sections import set_pressure
 
 
@@ -30,23 +30,6 @@ def balances(arms, loads, pressures, twists, factor, room, residual, pivots):  #
             for c in range(residual.shape[2]):
                 residual[b, i, c] = room.residual[i, c]
         pivots[b, 0], pivots[b, 1] = room.pivots[0], room.pivots[1]
-
-
-@kernel
-def solve_rows(arms, loads, pressures, twists, rows, room, right):  # type: ignore[no-untyped-def]
-    """Replace right-hand sides by J⁻¹ times them, under all of the load.
-
-    Args:
-        pressures: (B, M) [kPa].
-        twists: (B, N, K).
-        rows: (b,) which of the B arms.
-        right: (b, X, N, C).
-    """
-    for at in range(len(rows)):
-        b = rows[at]
-        write_arm(arms, loads, pressures, twists, b, 1.0, room, False)
-        for x in range(right.shape[1]):
-            solve(arms, loads, room, right[at, x])
 
 
 @kernel
