@@ -9,7 +9,6 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from torcharm.arm import ArmDesign
 from torcharm.attainability import CHOICES, PoseTolerance, check_measure
 from torcharm.design.objective import Objective
 from torcharm.design.shape_planning import Smoothness
@@ -178,13 +177,13 @@ def _planned(table: PlanTable, arms: Sequence[NamedArm]) -> list[NamedArm]:
     """The arms to plan for: those named, which must fit, or all that fit."""
     dimension = len(table.tip_load) // 3 + 1
     chosen = _named(table.arms or (), arms)
-    fit = [arm for arm in chosen if isinstance(arm.design, ArmDesign) and arm.design.dimension == dimension]
-    kind = f"of one segment without a link {'in the plane' if dimension == 2 else 'in space'}, as tip_load is"
+    fit = [arm for arm in chosen if arm.design.dimension == dimension]
+    where = "in the plane" if dimension == 2 else "in space"
     if table.arms and len(fit) < len(chosen):
         other = next(arm.name for arm in chosen if arm not in fit)
-        raise ValueError(f"arms: must be {kind}, got {shown_value(other)}, which is not")
+        raise ValueError(f"arms: must be {where}, as tip_load is, got {shown_value(other)}, which is not")
     if not fit:
-        raise ValueError(f"tip_load: must fit an arm {kind.removesuffix(', as tip_load is')}, of which there is none")
+        raise ValueError(f"tip_load: must fit an arm {where}, of which there is none")
     return fit
 
 
