@@ -15,7 +15,6 @@ import typer
 from torcharm.cli.tables import LONGEST_WORD, Column, print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
-    check_drawable,
     check_ending,
     check_outputs,
     count,
@@ -78,7 +77,6 @@ def search(
         if starts is not None and starts < 1:
             raise ValueError(f"--starts: must be at least 1, got {starts}")
         plan = paper_study() if study is None else load_study(study)
-        check_drawable(figure, plan)
         for path in numbered(figure, len(plan.tasks)):
             check_writable(path, "--figure")
         kept = _Rows(out)
