@@ -194,7 +194,7 @@ def test_arguments_are_checked(options: dict[str, Any], words: str) -> None:
 
 @pytest.mark.parametrize(("weight", "reference"), [(-1.0, 0.5), (1.0, 0.0), (math.inf, 0.5)])
 def test_smoothness_is_checked(weight: float, reference: float) -> None:
-    with pytest.raises(ValueError, match="must be finite"):
+    with pytest.raises(ValueError, match="must be a finite number"):
         Smoothness(weight, reference)
 
 

@@ -17,7 +17,7 @@ from torcharm.design.space import Arm, Array
 from torcharm.design.tip_problem import LENGTH_UNIT, Cost, TipProblem, strain_rows, value_and_slope, why_no_shape
 from torcharm.equilibrium.solve import segment_counts, whole_load
 from torcharm.geometry import rod
-from torcharm.inputs import HoldsTensors, TensorLike, as_floating, check_count, check_finite, shown
+from torcharm.inputs import HoldsTensors, TensorLike, as_floating, check_count, check_finite, check_number, shown
 from torcharm.load import ExternalLoad
 from torcharm.statics.balance import segments_of
 from torcharm.task import check_segments
@@ -42,10 +42,8 @@ class Smoothness:
     reference_length: float
 
     def __post_init__(self) -> None:
-        for name, low in (("length_weight", -1e-300), ("reference_length", 0.0)):
-            value = getattr(self, name)
-            if not (isinstance(value, (int, float)) and low < value < math.inf):
-                raise ValueError(f"{name}: must be finite and {'above' if low == 0 else 'at least'} 0, got {value!r}")
+        check_number("length_weight", self.length_weight, 0.0)
+        check_number("reference_length", self.reference_length, 0.0, strict=True, unit="m")
 
 
 PAPER_SHAPES = (Smoothness(45.0, 0.5), Smoothness(20.0, 0.5), Smoothness(4.0, 0.51))
@@ -136,9 +134,7 @@ def plan_shape(
     values = [float(cost(torch.from_numpy(unknowns))) for unknowns, cost in met]
     best = met[int(np.argmin(values))][0]
     twists = problem.twists(torch.from_numpy(best)).to(like)
-    options: dict[str, Any] = {}
-    if isinstance(judge, Objective):
-        options = {"weights": judge.weights, "power": judge.power}
+    options: Any = {"weights": judge.weights, "power": judge.power} if isinstance(judge, Objective) else {}
     error = float(np.abs(problem.tip_miss(best)).max())
     return PlannedShape("found", twists, error, min(values), evaluate(arm, problem.task(twists, whole), **options))
 
@@ -179,10 +175,8 @@ def _problem(
 
 
 def _norm(value: Tensor) -> Tensor:
-    """The Euclidean norm, whose gradient at 0 is 0."""
-    square = value.square().sum()
-    nought = square < 1e-300
-    return torch.where(nought, 0.0, torch.where(nought, 1.0, square).sqrt())
+    """The Euclidean norm, but that its gradient at 0 is 0."""
+    return (value.square().sum() + 1e-300).sqrt()
 
 
 def _smoothest(problem: TipProblem, judge: Smoothness, iterations: int) -> tuple[Array, Cost]:

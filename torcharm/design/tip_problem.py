@@ -12,21 +12,19 @@ from torcharm.design.space import Arm, Array
 from torcharm.geometry import rod, se3
 from torcharm.load import ExternalLoad
 from torcharm.statics.balance import segments_of
+from torcharm.statics.external_load import HULL
 from torcharm.task import Task
 
 STRAIN_SLACK = 1e-7
 """By how much of a length [m] strains stay off the ends of their range."""
 LENGTH_UNIT = 0.1
 """In which lengths are counted [m], so that they vary as much as curvatures do."""
-COLUMNS = {2: (0, 2), 3: (0, 4, 5)}
-"""Of a twist, those that a shape chooses: the length and the bending; shear and torsion are 0."""
 ANGLE = 0.1
 """Which miss of the tip's place [m] counts as much as one of its heading by 1 rad."""
 ACTIVE = 1e-4
 """How near to its end [m] a strain is that holds a shape back, by the length of its actuator."""
 
 Cost = Callable[[Tensor], Tensor]
-EVERY = slice(None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,12 +70,11 @@ class TipProblem:
         return list(unknowns[self.bends].unflatten(0, (-1, self.count)).split(self.nodes, -1))
 
     def twists(self, unknowns: Tensor) -> Tensor:
-        """(N, 3 or 6)."""
-        length, *bends = unknowns.unflatten(0, (-1, self.count))
-        whole = [torch.zeros_like(length) for _ in range(3 * self.arm.dimension - 3)]
-        for column, value in zip(COLUMNS[self.arm.dimension], (length * LENGTH_UNIT, *bends), strict=True):
-            whole[column] = value
-        return torch.stack(whole, -1)
+        """(N, 3 or 6), without shear and torsion."""
+        values = unknowns.unflatten(0, (-1, self.count)).T
+        whole = values.new_zeros(self.count, 3 * self.arm.dimension - 3)
+        whole[:, HULL[whole.shape[-1]]] = values * values.new_tensor((LENGTH_UNIT, *[1.0] * (self.arm.dimension - 1)))
+        return whole
 
     def task(self, twists: Tensor, load: ExternalLoad) -> Task:
         """A shape (N, 3 or 6) as the task to hold it under loads."""
@@ -118,10 +115,10 @@ class TipProblem:
         rows = [lengths / LENGTH_UNIT, *(turn * lengths / lengths.sum() for turn in turns)]
         return np.concatenate([np.repeat(row, self.nodes) for row in rows])
 
-    def onto_tip(self, unknowns: Array, free: slice = EVERY, steps: int = 20) -> Array:
+    def onto_tip(self, unknowns: Array, free: slice = slice(None)) -> Array:
         """The nearest unknowns, by Newton's method, whose tip is where it should be; some may be held."""
         z = unknowns.copy()
-        for _ in range(steps):
+        for _ in range(20):
             miss = self.tip_miss(z)
             if np.abs(miss).max() < 1e-14 or not np.isfinite(miss).all():
                 break
@@ -129,7 +126,7 @@ class TipProblem:
         return z
 
     def minimise(
-        self, cost: Cost, start: Array, iterations: int, free: slice = EVERY, tolerance: float = 1e-15
+        self, cost: Cost, start: Array, iterations: int, free: slice = slice(None), tolerance: float = 1e-15
     ) -> Array:
         """The unknowns of least cost that SLSQP reaches, those not free held, and put onto the tip pose."""
         return self.onto_tip(self._descend(cost, start, iterations, free, tolerance, tip=True), free)
@@ -145,7 +142,9 @@ class TipProblem:
                 start[self.bends] *= 0.8
         scale = torch.full_like(self._miss(torch.from_numpy(start)), ANGLE)
         scale[: self.arm.dimension] = 1.0
-        return self._descend(lambda z: (scale * self._miss(z)).square().sum(), start, 200, EVERY, 1e-12, tip=False)
+        return self._descend(
+            lambda z: (scale * self._miss(z)).square().sum(), start, 200, slice(None), 1e-12, tip=False
+        )
 
     def _descend(self, cost: Cost, start: Array, iterations: int, free: slice, tolerance: float, *, tip: bool) -> Array:
         from scipy.optimize import minimize

@@ -81,6 +81,12 @@ class Centreline:
         """(Q, 3) places from the base to the tip, links included."""
         return np.concatenate((*self.segments, self.tip[None]))[:, :3, 3]
 
+    @property
+    def gaps(self) -> list[Array]:
+        """(2, 3) where what follows each segment begins and ends."""
+        ends = [*(line[0] for line in self.segments[1:]), self.tip]
+        return [np.stack((line[-1], end))[:, :3, 3] for line, end in zip(self.segments, ends, strict=True)]
+
 
 def centreline(arm: Arm, twists: Tensor, task: Task) -> Centreline:
     """Where an arm's centreline lies at twists, from a task's base."""
@@ -183,12 +189,10 @@ def _draw_actuators(axes: Any, segment: ArmDesign, line: Array, alpha: float) ->
 
 
 def _draw_links(axes: Any, arm: Arm, at: Centreline) -> None:
-    starts = [*(line[0] for line in at.segments[1:]), at.tip]
     label: str | None = "rigid link"
-    for link, line, end in zip(segments_of(arm)[1], at.segments, starts, strict=True):
+    for link, gap in zip(segments_of(arm)[1], at.gaps, strict=True):
         if link is not None:
-            points = np.stack((line[-1], end))[:, :3, 3]
-            axes.plot(*seen(axes, points), color=LINK, linewidth=5, solid_capstyle="butt", label=label, gid="link")
+            axes.plot(*seen(axes, gap), color=LINK, linewidth=5, solid_capstyle="butt", label=label, gid="link")
             label = None
 
 
@@ -199,9 +203,9 @@ def _draw_loads(axes: Any, arm: Arm, load: ExternalLoad, at: Centreline, scale: 
         size = np.linalg.norm(force, axis=-1)
         start = seen(axes, np.broadcast_to(place, force.shape))
         if axes.name == "3d":
-            axes.quiver(*start, *seen(axes, force / scale), color=ATTAINABLE, arrow_length_ratio=0.2, zorder=4)
+            axes.quiver(*start, *seen(axes, force / scale), color=ATTAINABLE, arrow_length_ratio=0.2, zorder=4.5)
         else:
-            how: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": scale, "zorder": 1.5}
+            how: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": scale, "zorder": 4.5}
             axes.quiver(*start, *seen(axes, force), color=ATTAINABLE, width=0.006 if len(size) == 1 else 0.003, **how)
         words = f"{name}," if len(size) == 1 else f"{len(size)} {name}s, up to"
         turn = np.linalg.norm(moment, axis=-1).max()
@@ -225,10 +229,8 @@ def _loads(arm: Arm, load: ExternalLoad, at: Centreline) -> Any:
         yield "payload" if point.wrench is None else "point load", pose[:3, 3], force, moment
     if load.gravity:
         segments, links = segments_of(arm)
-        starts = [*(line[0] for line in at.segments[1:]), at.tip]
         parts = [(float(array(one.mass)), line[:, :3, 3]) for one, line in zip(segments, at.segments, strict=True)]
-        for link, line, end in zip(links, at.segments, starts, strict=True):
-            parts += [] if link is None else [(float(array(link.mass)), np.stack((line[-1], end))[:, :3, 3])]
+        parts += [(float(array(link.mass)), gap) for link, gap in zip(links, at.gaps, strict=True) if link is not None]
         whole = sum(mass for mass, _ in parts)
         if whole > 0:
             middle = sum(mass * (line[1:] + line[:-1]).mean(0) / 2 for mass, line in parts) / whole

@@ -111,6 +111,7 @@ def node_hull(
     else:
         sides = {"facecolor": colour, "edgecolor": colour, "linewidth": 0.1, "alpha": 0.2}
         axes.add_collection3d(Poly3DCollection(corners[hull_faces(corners)], **sides))
+        axes.plot(*corners.T, ".", color=colour, markersize=1.5, label="pressures provide")  # all of a flat set
         _draw_required(axes, points, scene.inside[:, index])
         whole = np.concatenate((corners, points))
         low, high = whole.min(0), whole.max(0)
@@ -120,7 +121,7 @@ def node_hull(
         axes.set(xlabel=scene.labels[0], ylabel=scene.labels[1], zlabel=scene.labels[2])
         axes.set_box_aspect(None, zoom=0.82)
     axes.set_title(f"node {index + 1} of {task.nodes}")
-    axes.legend(loc="best", fontsize="small")
+    axes.legend(loc="best" if task.dimension == 2 else "upper left", fontsize="small")
     return axes
 
 
