@@ -461,6 +461,7 @@ class TestStudyFigure:
         held = int(results[0].not_excluded.sum())
         (arm,) = (axes for axes in figure.axes if axes.get_title().startswith("antagonistic: "))
         assert f"{held} not excluded" in arm.get_title()
+        assert rows(forces(arm)) == rows(LOADS[:, :2]), "no load stands out, so all are drawn"
 
     def test_sets_are_those_of_the_shape_that_is_drawn(self):
         shapes = ta.affine_curvature([-0.5, 0.5], 0.5, length=0.5, nodes=8)

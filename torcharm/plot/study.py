@@ -28,9 +28,9 @@ def study_figure(
 
     On top how far off each arm is: the largest of the errors of tip, turn and shape, each over its tolerance, with a
     mark for each task by its verdict; where no error was predicted, what the nodes lack in sum. Below a column for each
-    arm: the arm where it is predicted to be under the load of the median error, beside the shape of that task; and what
-    pressures provide and all loads on that shape require: in the plane at the base and at the node that lacks most, in
-    space at the latter, seen along each axis of its set.
+    arm: the arm where it is predicted to be under the load of the median error, beside the shape of that task, or at
+    that shape under all loads where nothing is predicted; and what pressures provide and all loads on that shape
+    require: in the plane at the base and at the node that lacks most, in space at the latter, seen along each axis.
 
     Args:
         results: names and designs.
@@ -53,10 +53,9 @@ def study_figure(
         axes = rows[1].add_subplot(1, columns, column + 1, projection=projection_of(task))
         shared = np.flatnonzero(like_shape(task, index)).tolist()
         scenes.append(make_scene(f"results[{column}]", arm, pick(task, shared)))
-        draw_arm(axes, arm, pick(task, index), reached)
-        count = prod(task.batch_shape)
-        drawn = f"drawn: load {index + 1} of {count}" if count > 1 else ""
-        axes.set_title(f"{textwrap.fill(f'{name}: {_counts(found)}', 60)}\n{drawn}", fontsize="medium")
+        draw_arm(axes, arm, pick(task, shared if reached is None else index), reached)
+        drawn = "" if reached is None else f"\ndrawn: load {index + 1} of {prod(task.batch_shape)}"
+        axes.set_title(f"{textwrap.fill(f'{name}: {_counts(found)}', 60)}{drawn}", fontsize="medium")
         below = -0.12 if flat else 0.0
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, below), ncols=2, fontsize="small", frameon=False)
         for panel, (node, sides) in zip(cells[column], _views(found, task), strict=True):
