@@ -51,7 +51,7 @@ def test_search_shows_the_least_the_median_and_the_largest_error(found):
     assert len({axes.get_xlim() for axes in figure.axes}) == 1
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == [
-        *("bellows", "muscle", "reached", "base", "shape of the task", "its tip", "tip load")
+        *("base", "bellows", "muscle", "task", "its tip", "reached", "tip reached", "tip load")
     ]
     figure.savefig(io.BytesIO())
 
@@ -79,48 +79,86 @@ def test_arms_with_fewer_equilibria_show_their_ends(found):
     assert shown == ["a: least", "a: median", "a: largest", "b: least", "b: largest", ""]
 
 
-def test_search_of_one_load_and_of_several_shapes(found):
+def test_search_of_one_load(found):
     task = ta.Task(TASK.twists, (1.0, -2.0, 0.1))
     one = ta.search_pressure(ta.bellows_arm(), task, starts=1)
     figure = plot.search_figure([("soft", ta.bellows_arm(), one)], "one", task)
     assert [axes.get_title().splitlines()[0] for axes in figure.axes] == ["soft: only load"]
-    two = ta.Task(ta.affine_curvature([-1.0, 1.0], 1.0, nodes=4), TASK.tip_load[:2])
-    figure = plot.search_figure([("soft", ta.bellows_arm(), ta.search_pressure(ta.bellows_arm(), two))], "two", two)
-    assert "the first of 2 shapes" in figure.get_suptitle()
-    assert len(figure.axes) == 1
     with pytest.raises(ValueError, match="results: must hold at least one arm"):
         plot.search_figure([], "none", TASK)
     with pytest.raises(ValueError, match="must be of at most 1 tasks, got 5"):
         plot.search_figure([("soft", ta.antagonistic_arm(), found)], "one", task)
 
 
-def test_loads_are_those_of_the_shape_that_is_drawn(found):
-    """Of a batch (loads, shapes), where those of the first shape are every other one."""
+def test_loads_and_shapes_are_those_of_the_task_that_is_drawn(found):
+    """Of a batch (loads, shapes), where those of the second shape are less off."""
     shapes = torch.stack((TASK.twists, ta.affine_curvature(1.0, 1.0, nodes=4)))
     task = ta.Task(shapes, TASK.tip_load[:, None])
     assert task.batch_shape == (5, 2)
     columns = {
         name: value.repeat_interleave(2, 0) for name, value in vars(found).items() if isinstance(value, torch.Tensor)
     }
+    columns["tip_error"] = columns["tip_error"] * torch.tensor([1.0, 0.5] * 5)
     both = dataclasses.replace(found, **columns)
     figure = plot.search_figure([("soft", ta.antagonistic_arm(), both)], "two", task)
-    order = found.tip_error.argsort()
-    for axes, load in zip(figure.axes, order[[0, 2, 4]].tolist(), strict=True):
-        x, y, moment = TASK.tip_load[load].tolist()
-        words = f"load {2 * load + 1}: {np.hypot(x, y):.3g} N, {moment:.3g} N·m"
+    order = columns["tip_error"].argsort()
+    for axes, load in zip(figure.axes, order[[0, 4, 9]].tolist(), strict=True):
+        x, y, moment = TASK.tip_load[load // 2].tolist()
+        words = f"load {load + 1}: {np.hypot(x, y):.3g} N, {moment:.3g} N·m"
         assert axes.get_title().splitlines()[-1] == words
         (arrow,) = [one for one in axes.collections if isinstance(one, Quiver)]
         np.testing.assert_allclose((arrow.U[0], arrow.V[0]), (x, y))
+        (target,) = lines(axes, "task")
+        np.testing.assert_allclose(target.get_xydata()[-1], ta.poses(shapes[load % 2])[-1, :2])
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_searches_of_heavy_segments_are_drawn_at_one_scale_and_plans_end_at_their_pose(dimension, tmp_path):
+    """In the plane and in space: links, weights and payloads; arrows of all panels are as long for as many newtons."""
+    arm, columns = ta.antagonistic_arm(0.05, 0.015, 0.2), 3 * dimension - 3
+    if dimension == 3:
+        arm = ta.antagonistic_ring(0.05, 0.015, 0.2)
+    arm = ta.series([ta.ArmDesign(**_parts(arm), mass=0.1), ta.RigidLink(length=0.03, mass=0.05), arm])
+    load = ta.ExternalLoad(gravity=True, points=ta.PointLoad(mass=0.1, segment=1))
+    tips = torch.zeros(2, columns).double()
+    tips[1, 0] = 0.5
+    shape = torch.zeros(6, columns).double()
+    shape[:, 0], shape[:, -1] = 0.2, 0.2
+    task = ta.Task(shape, tips, load=load, segment_nodes=(3, 3))
+    pressure = ta.search_pressure(arm, task, starts=1)
+    figure = plot.search_figure([("heavy", arm, pressure)], "t", task)
+    figure.savefig(tmp_path / "search.png", dpi=40)
+    words = {"rigid link", "payload", "weight of the arm", "tip load"}
+    assert words <= {text.get_text() for text in figure.legends[0].get_texts()}
+    if dimension == 2:
+        assert len({one.scale for axes in figure.axes for one in axes.collections if isinstance(one, Quiver)}) == 1
+    tip = ta.poses(shape, segment_nodes=(3, 3), links=[link and link.end(dimension) for link in arm.links])[-1]
+    plan = ta.plan_shape(arm, tip, load, nodes=1, starts=1, iterations=20)
+    figure = plot.plan_figure([("heavy", arm, plan)], "p", tip)
+    (axes,) = figure.axes
+    assert plan.found, plan.status
+    shown = lines(axes, "task") or lines(axes, "centreline")  # the latter where nothing is predicted
+    ends = [line.get_data_3d() if dimension == 3 else line.get_data() for line in shown]
+    x, *_, y = (float(part[-1]) for part in ends[0])
+    place = tip[:2] if dimension == 2 else tip[:2, 3]
+    np.testing.assert_allclose((x, y), place, atol=1e-6)
+    figure.savefig(tmp_path / "plan.png", dpi=40)
+
+
+def _parts(arm):
+    across = {"offsets": arm.offsets} if arm.dimension == 3 else {"radii": arm.radii}
+    return {**across, "length": arm.length, "actuators": arm.actuators}
 
 
 def test_plans_in_space_show_the_pose_wanted_and_no_empty_axes():
     arm = ta.ArmDesign(offsets=ta.ring(0.05, 3), length=0.3, actuators="bellows")
     twists = ta.constant_curvature(0.26, 0.35, 4, direction=0.5)
     pose = ta.poses(twists)[-1]
-    shape = PlannedShape("found", twists, 0.0, 0.0, None)
+    found = ta.evaluate(arm, ta.Task(twists, [0.0] * 6))
+    shape = PlannedShape("found", twists, 0.0, 0.0, found)
     none = PlannedShape("no shape: none of 4", torch.full((4, 6), torch.nan), np.nan, np.nan, None)
-    figure = plot.plan_figure([("a", arm, shape), ("b", arm, none)], "p", pose, [0.0] * 6)
-    assert [axes.get_title() for axes in figure.axes] == ["a: found", "b: no shape"]
+    figure = plot.plan_figure([("a", arm, shape), ("b", arm, none)], "p", pose)
+    assert [axes.get_title().split("\n")[0] for axes in figure.axes] == [f"a: {found.verdict}", "b: no shape"]
     for axes in figure.axes:
         (rim,) = lines(axes, "tip pose wanted")
         x, z, y = (np.asarray(part) for part in rim.get_data_3d())
@@ -144,11 +182,11 @@ def test_plan_shows_the_shape_the_pose_and_where_the_arm_is_predicted():
     arm = ta.antagonistic_arm(0.04, 0.01, 0.48)
     shape = ta.plan_shape(arm, pose, load, nodes=4)
     none = PlannedShape("no shape: none of 4", torch.full((4, 3), torch.nan), np.nan, np.nan, None)
-    figure = plot.plan_figure([("soft", arm, shape), ("other", arm, none)], "drawer", pose, load)
+    figure = plot.plan_figure([("soft", arm, shape), ("other", arm, none)], "drawer", pose)
     first, second = figure.axes
     assert f"predicted tip off by {1e3 * float(shape.attainability.tip_error):.3g} mm" in first.get_title()
     assert second.get_title() == "other: no shape"
-    (planned,) = lines(first, "centreline")
+    (planned,) = lines(first, "task")
     np.testing.assert_allclose(planned.get_xydata()[-1], pose[:2], atol=1e-7)
     (predicted,) = lines(first, "reached")
     np.testing.assert_allclose(
@@ -156,12 +194,11 @@ def test_plan_shows_the_shape_the_pose_and_where_the_arm_is_predicted():
     )
     for axes in figure.axes:
         (plate,) = lines(axes, "tip pose wanted")
-        left, right, middle, _ = plate.get_xydata()
-        np.testing.assert_allclose((left + right) / 2, pose[:2])
-        assert float(np.dot(right - left, (np.cos(pose[2]), np.sin(pose[2])))) == pytest.approx(0, abs=1e-12)
-        np.testing.assert_allclose(middle, pose[:2])
+        rim = plate.get_xydata() - pose[:2]
+        np.testing.assert_allclose(rim.max(0), -rim.min(0), atol=1e-7)
+        np.testing.assert_allclose(rim @ (np.cos(pose[2]), np.sin(pose[2])), 0, atol=1e-7)
         assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [m]", "y [m]")
         assert lines(axes, "base")
     figure.savefig(io.BytesIO())
     with pytest.raises(ValueError, match="shapes: must hold at least one arm"):
-        plot.plan_figure([], "none", pose, load)
+        plot.plan_figure([], "none", pose)

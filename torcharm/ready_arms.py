@@ -61,10 +61,11 @@ def antagonistic_ring(
 def silicone_module() -> ArmSeries:
     """A module of silicone with three pairs of chambers, and the rigid end that carries its force sensor.
 
-    Dimensions, density and Young's modulus as published with S. M. H. Sadati et al., *TMTDyn*, International Journal of
-    Robotics Research 2020, doi 10.1177/0278364919881685: 44 mm long, a ring of radii 4.5 and 12.5 mm less six chambers
-    of radius 2.5 mm, whose axes are 8.5 mm from the centre, 120 kPa, 1820 kg/m³; the end 14.5 mm long, 13.47 g.
-    Chambers 1 and 2, 3 and 4, 5 and 6 share a pressure each; actuator 7 is the body.
+    Cited, of S. M. H. Sadati et al., *TMTDyn*, International Journal of Robotics Research 2020, doi
+    10.1177/0278364919881685, and its recordings: 44 mm long, a ring of radii 4.5 and 12.5 mm less six chambers of
+    radius 2.5 mm, whose axes are 8.5 mm from the centre and 3 mm from the middle of their pair there, Young's modulus
+    120 kPa, 1820 kg/m³; the end 14.5 mm long, 13.47 g. Assumed: strains and pressures in range as of `chamber`, up to
+    100 kPa; the recordings reach 111. Chambers 1 and 2, 3 and 4, 5 and 6 share a pressure each; actuator 7 is the body.
     """
     outer, inner, hole, axes, length = 12.5e-3, 4.5e-3, 2.5e-3, 8.5e-3, 44e-3
     apart = math.acos(1 - 3**2 / (2 * 8.5**2))
@@ -81,24 +82,49 @@ def silicone_module() -> ArmSeries:
     return series([body, RigidLink(length=14.5e-3, mass=13.47e-3)])
 
 
-def bionic_trunk(length: TensorLike) -> ArmSeries:
-    """Three segments of three bellows each, as wide as those of the Bionic Handling Assistant.
+def silicone_arm() -> ArmSeries:
+    """Two segments of silicone with three chambers each, and rigid connectors: SoPrA, but that it stretches.
 
-    Radii of 100, 93 and 79 mm as in the kinematic model of R. F. Reinhart, K. Neumann and A. Lemme, CoR-Lab, Bielefeld
-    University 2013 (in Python: smp_sys, systems_bhasim), in which bellows are 0.1 to 0.3 m long. That model has no
-    forces: here the bellows push as the paper's do, which are others. It has no masses either.
+    Cited, of Y. Toshimitsu, K. W. Wong, T. Buchner and R. Katzschmann, *SoPrA*, arXiv 2103.10726, by their model
+    (github.com/srl-ethz/3d-soft-trunk, softtrunkparams_example.yaml and SoftTrunkModel.cpp): segments 125 mm long of
+    160 and 82 g, the connectors behind them 20 mm long of 20 and 23 g; 35, 28 and 19.8 mm across where segments begin
+    and end, each with the section at its middle: a triangle whose sides are as long as the segment is wide there, and
+    on each of them a half disc, whose chamber lies behind 2 mm of wall; shear moduli G of 35 and 40 kPa; a bending
+    stiffness of 4 G times the section's second moment; pressures up to 500 mbar.
 
-    Args:
-        length: neutral length of all bellows, or one for each segment [m].
+    Assumed: 4 G times its area against stretch, too, as fibres keep the girth, and no core, where theirs keeps its
+    length: so this arm grows under pressure. Strains in range as of `chamber`. Actuator 4 of each segment is the
+    silicone.
     """
-    (lengths,) = as_floating(length=length)
-    radii = (0.1, 0.093, 0.079)
-    if lengths.shape not in ((), (3,)):
-        raise ValueError(f"length: must be one number or three, got shape {tuple(lengths.shape)}")
-    each = lengths.expand(3)
-    return series(
-        [ArmDesign(offsets=ring(r, 3), length=own, actuators=Bellows()) for r, own in zip(radii, each, strict=True)]
-    )
+    parts: list[ArmDesign | RigidLink] = []
+    across, weights, moduli = (35e-3, 28e-3, 19.8e-3), ((0.160, 0.020), (0.082, 0.023)), (35e3, 40e3)
+    for begin, end, (mass, connector), modulus in zip(across, across[1:], weights, moduli, strict=False):
+        place, hole, area, second = _half_discs((begin + end) / 4, 2e-3)
+        body = elastic_core(4 * modulus * area, 4 * modulus * second)
+        offsets = torch.cat((ring(place, 3), torch.zeros(1, 2, dtype=torch.float64)))
+        own = [chamber(hole, max_pressure=50.0)] * 3 + [body]
+        parts += [ArmDesign(offsets=offsets, length=0.125, actuators=own, mass=mass), RigidLink(0.02, mass=connector)]
+    return series(parts)
+
+
+def _half_discs(radius: float, wall: float) -> tuple[float, float, float, float]:
+    """Of three half discs on the sides of a triangle as wide as they: how far a chamber's centroid is from the middle
+    [m], its area [m²], and area [m²] and second moment [m⁴] of what is solid.
+
+    A chamber is the half disc whose radius is less by the wall, less a strip as wide as it and as high as the wall.
+    """
+    small, base = radius - wall, radius / math.sqrt(3)
+    disc, hole = ((math.pi * r**2 / 2, 2 * r**3 / 3, math.pi * r**4 / 4) for r in (radius, small))
+    strip = 2 * small * wall, small * wall**2, 2 * small * wall * (small**2 + wall**2) / 3
+    void = tuple(whole - part for whole, part in zip(hole, strip, strict=True))
+
+    def polar(area: float, first: float, second: float) -> float:
+        """About the middle, of moments about the base of a half disc."""
+        return second + 2 * base * first + base**2 * area
+
+    solid = math.sqrt(3) * radius**2 + 3 * (disc[0] - void[0])
+    around = math.sqrt(3) / 3 * radius**4 + 3 * (polar(*disc) - polar(*void))
+    return base + void[1] / void[0], void[0], solid, around / 2
 
 
 def _mirrored(outer_radius: TensorLike, inner_radius: TensorLike) -> Tensor:

@@ -37,7 +37,7 @@ def draw_gallery(path: Path | BytesIO) -> None:
     for place, shape in enumerate(scenes.SHAPES):
         twists = scenes.twists(shape)
         axes = figure.add_subplot(3, 4, 4 * place + 1)
-        plot.arm_shape(arm, twists, ax=axes)
+        plot.arm_shape(arm, ta.Task(twists, [0.0, 0.0, 0.0]), ax=axes)
         axes.set_title(f"curvature {shape[0]:g} s {shape[1]:+g}", fontweight="bold")
         reaction = ta.reaction_wrench(arm, twists, pressures).numpy()
         _node(figure.add_subplot(3, 4, 4 * place + 2), arm, shape, reaction[:, SHOWN_NODE - 1])

@@ -51,7 +51,7 @@ def _arm(axes: Any, rows: "Sequence[Row]", count: int) -> None:
     """The arm at what a search reaches."""
     twists, aim = scenes.shapes("antagonistic")[PICTURED], scenes.aims()["shape"]
     arm, task = scenes.arm("antagonistic", count), scenes.task(twists, count)
-    plot.arm_in_space(arm, task, reached=ta.search_pressure(arm, task, pose_cost=aim).twists, ax=axes)
+    plot.arm_shape(arm, task, reached=ta.search_pressure(arm, task, pose_cost=aim).twists, ax=axes)
     error = next(
         row.searched_mm
         for row in rows

@@ -36,7 +36,7 @@ def test_models_have_names():
     names = [model_name(model) for model in (*body(1).actuators, ta.Bellows(), ta.McKibben(), Own(), Named())]
     assert names == ["chamber", "elastic core", "bellows", "mckibben", "Own", "long bellows"]
     assert repr(body()).startswith("ArmDesign(spatial, 3 chamber, 1 elastic core, ")
-    figure = ta.plot.arm_in_space(body(), ta.Task([[0.05, 0, 0, 0, 0, 0.1]] * 2, [0.0] * 6))
+    figure = ta.plot.arm_shape(body(), ta.Task([[0.05, 0, 0, 0, 0, 0.1]] * 2, [0.0] * 6))
     labels = [text.get_text() for text in figure.get_legend().get_texts()]
     assert {"chamber (3)", "elastic core (1)"} <= set(labels)
 

@@ -181,6 +181,8 @@ def test_that_no_shape_is_found_is_said_and_no_error() -> None:
         ({"load": (1.0, 0.0)}, "load: must have shape"),
         ({"load": ta.ExternalLoad([0.0] * 6)}, "load: must be of 3 components"),
         ({"starts": 0}, "starts"),
+        ({"nodes": (4, 4)}, "nodes: must be one number, or one for each of 1 segments"),
+        ({"load": ta.ExternalLoad(points=ta.PointLoad(LOAD, segment=1))}, "points.0..segment: must be below 1"),
         ({"arm": ta.bellows_arm(outer_radius=torch.tensor([0.03, 0.04]))}, "one design"),
     ],
 )
@@ -192,7 +194,7 @@ def test_arguments_are_checked(options: dict[str, Any], words: str) -> None:
 
 @pytest.mark.parametrize(("weight", "reference"), [(-1.0, 0.5), (1.0, 0.0), (math.inf, 0.5)])
 def test_smoothness_is_checked(weight: float, reference: float) -> None:
-    with pytest.raises(ValueError, match="must be finite"):
+    with pytest.raises(ValueError, match="must be a finite number"):
         Smoothness(weight, reference)
 
 
@@ -217,3 +219,59 @@ def test_what_has_no_shape_says_how_near_it_comes_and_what_to_try(tip, said):
         assert found is not None, status
         assert float(found[1]) == pytest.approx(nearest, abs=1e-3)
         assert float(found[2]) == pytest.approx(1e3 * abs(nearest + tip[1]), abs=1.0)
+
+
+def _segments(dimension: int) -> ta.ArmSeries:
+    """Two heavy segments of unlike width and length, a crooked link between them and a mount behind."""
+    if dimension == 2:
+        parts = [ta.ArmDesign([-r, r], length, ta.Bellows(), mass=0.2) for r, length in ((0.05, 0.25), (0.04, 0.2))]
+        link = ta.RigidLink(pose=[0.03, 0.01, 0.2], mass=0.05)
+    else:
+        rings = ((0.05, 0.25), (0.04, 0.2))
+        parts = [ta.ArmDesign(offsets=ta.ring(r, 3), length=n, actuators=ta.Bellows(), mass=0.2) for r, n in rings]
+        crooked = torch.eye(4).double()
+        crooked[:2, :2] = torch.tensor([[math.cos(0.2), -math.sin(0.2)], [math.sin(0.2), math.cos(0.2)]])
+        crooked[0, 3] = 0.03
+        link = ta.RigidLink(pose=crooked, mass=0.05)
+    return ta.series([parts[0], link, parts[1], ta.RigidLink(length=0.02)])
+
+
+@pytest.mark.parametrize(("dimension", "counts"), [(2, (3, 1)), (3, (1, 2))])
+def test_segments_in_series_hold_a_pose_that_they_reach_under_their_weight(
+    dimension: int, counts: tuple[int, int]
+) -> None:
+    """Poses by the forward mechanics; those of the shape found by its own product of exponentials, links included."""
+    arm = _segments(dimension)
+    load = ta.ExternalLoad(gravity=True, points=[ta.PointLoad(mass=0.1, segment=1, at=0.5)])
+    share = torch.linspace(0.02, 0.15, arm.actuator_count).double()
+    reached = ta.solve_equilibrium(arm, arm.max_pressure * share, load, counts)
+    assert bool(reached.stable)
+    tip = reached.poses[-1]
+    plan = plan_shape(arm, tip, load, nodes=counts, starts=1)
+    assert plan.found, plan.status
+    links = [link and link.end(dimension) for link in arm.links]
+    poses = ta.poses(plan.twists, segment_nodes=counts, links=links)  # type: ignore[arg-type]
+    torch.testing.assert_close(poses[-1], tip, atol=1e-7, rtol=0)
+    assert plan.attainability is not None
+    assert plan.attainability.task.segment_nodes == counts
+    assert bool(plan.attainability.shape_in_range)
+    assert plan.cost < 1e-6
+
+
+def test_in_series_the_smoothest_shape_keeps_each_segment_at_its_length_and_may_jump_between() -> None:
+    arm = _segments(2)
+    counts, wanted = (3, 4), torch.tensor([[0.25, 0.0, 0.8]] * 3 + [[0.25, 0.0, -0.5]] * 4).double()
+    links = [link and link.end(2) for link in arm.links]
+    tip = ta.poses(wanted, segment_nodes=counts, links=links)[-1]  # type: ignore[arg-type]
+    plan = plan_shape(arm, tip, LOAD, Smoothness(45.0, 0.25), nodes=counts)
+    assert plan.cost == pytest.approx(0.0, abs=1e-6)
+    torch.testing.assert_close(plan.twists, wanted, atol=1e-5, rtol=0)
+
+
+def test_what_has_no_shape_in_series_counts_all_segments_and_links() -> None:
+    arm = _segments(2)
+    status = plan_shape(arm, (0.0, -2.0, -math.pi / 2), LOAD, nodes=2, starts=1).status
+    most = sum((1 + ta.Bellows().strain_range[1]) * length for length in (0.25, 0.2)) + math.hypot(0.03, 0.01) + 0.02
+    assert status.startswith("no shape: none of 4 elements")
+    assert "(actuators: 0.45 m)" in status
+    assert f"the arm at most {most:.3g} m long: try a longer one" in status

@@ -14,7 +14,6 @@ from torcharm.cli.tables import LONGEST_WORD, Column, print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
     asked_about,
-    check_drawable,
     check_ending,
     check_outputs,
     count,
@@ -58,7 +57,6 @@ def evaluate(
 
         check_ending("--out", out, RESULT_FORMATS)
         plan = paper_study() if paper else example_study() if study is None else asked_about(load_study(study))
-        check_drawable(figure, plan)
         for path in numbered(figure, len(plan.tasks)):
             check_writable(path, "--figure")
         started = time.perf_counter()

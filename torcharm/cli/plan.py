@@ -143,7 +143,7 @@ def _draw(path: Path, found: Sequence[Found]) -> None:
 
     wanted = found[0][0]
     shapes = [(arm.name, arm.design, shape) for _, arm, shape in found]
-    drawn = plan_figure(shapes, wanted.name, wanted.tip_pose, wanted.tip_load, base_pose=wanted.base_pose)
+    drawn = plan_figure(shapes, wanted.name, wanted.tip_pose, base_pose=wanted.base_pose)
     drawn.savefig(path)
 
 

@@ -16,7 +16,6 @@ from torcharm.cli.tables import LONGEST_WORD, Column, print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
     asked_about,
-    check_drawable,
     check_ending,
     check_outputs,
     count,
@@ -80,7 +79,6 @@ def search(
         if starts is not None and starts < 1:
             raise ValueError(f"--starts: must be at least 1, got {starts}")
         plan = paper_study() if study is None else asked_about(load_study(study))
-        check_drawable(figure, plan)
         for path in numbered(figure, len(plan.tasks)):
             check_writable(path, "--figure")
         kept = _Rows(out)

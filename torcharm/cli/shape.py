@@ -58,7 +58,6 @@ def shape(
     with mistakes():
         picture = Path("shape.png") if figure is None else figure
         check_outputs(study, None, picture)
-        from torcharm.arm_series import ArmSeries
         from torcharm.equilibrium import solve_equilibrium
         from torcharm.load import ExternalLoad
         from torcharm.study import load_study, paper_study
@@ -66,9 +65,6 @@ def shape(
 
         plan = paper_study() if study is None else asked_about(load_study(study))
         chosen = _arm(plan.arms, arm)
-        drawn = chosen.design.dimension == 3 or not isinstance(chosen.design, ArmSeries)
-        if figure is not None and not drawn:
-            raise ValueError(f"--figure: must be left out for {chosen.name}: {UNDRAWN}")
         limits = chosen.design.max_pressure.tolist()
         pressures = _pressures(pressure, limits)
         units = (FORCE, FORCE, MOMENT) if chosen.design.dimension == 2 else (FORCE,) * 3 + (MOMENT,) * 3
@@ -95,14 +91,7 @@ def shape(
             excess = float(found.strain_excess)
             what = f"Strains are up to {excess:.2g} out of range" if excess > 1e-9 else "Pressures are out of range"
             say(console, f"{what}: there the force models are extrapolated.")
-        if not drawn:
-            say(console, f"No picture: {UNDRAWN}.")
-            return
-        words = "; weight counts, but has no arrow." if gravity else "."
-        save_all(console, [(picture, lambda path: _draw(path, chosen, found.twists, whole, nodes), words)])
-
-
-UNDRAWN = "arms of segments in the plane are not drawn"
+        save_all(console, [(picture, lambda path: _draw(path, chosen, found.twists, whole, nodes), ".")])
 
 
 def _place(pose: "Tensor") -> str:
@@ -151,17 +140,12 @@ def _numbers(option: str, text: str, units: Sequence[dict[str, float]]) -> list[
 def _draw(path: Path, arm: "NamedArm", twists: "Tensor", load: "ExternalLoad", nodes: int) -> None:
     from matplotlib.figure import Figure
 
-    from torcharm.plot import arm_in_space, arm_shape
+    from torcharm.plot import arm_shape
     from torcharm.statics.balance import segments_of
     from torcharm.task import Task
 
     figure = Figure(figsize=(6, 6), layout="constrained", dpi=150)
-    if arm.design.dimension == 3:
-        task = Task(twists, load=load, segment_nodes=[nodes] * len(segments_of(arm.design)[0]))
-        axes = arm_in_space(arm.design, task, ax=figure.add_subplot(projection="3d"))
-    else:
-        assert load.tip is not None
-        tip = load.tip if bool(load.tip.any()) else None
-        axes = arm_shape(arm.design, twists, tip_load=tip, ax=figure.subplots())  # type: ignore[arg-type]
-    axes.set_title(arm.name)
+    task = Task(twists, load=load, segment_nodes=[nodes] * len(segments_of(arm.design)[0]))
+    projection = "3d" if arm.design.dimension == 3 else "rectilinear"
+    arm_shape(arm.design, task, ax=figure.add_subplot(projection=projection)).set_title(arm.name)
     figure.savefig(path)

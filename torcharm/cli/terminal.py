@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from torcharm.study import Study
 
+
 FIGURE_FORMATS = ("png", "pdf", "svg", "jpg", "eps")
 MISTAKE, INTERRUPTED = 2, 130
 COMPILING = "torcharm: compiling, once: about {} s"
@@ -105,17 +106,6 @@ def check_outputs(study: Path | None, out: Path | None, figure: Path | None) -> 
     check_ending("--figure", figure, FIGURE_FORMATS)
     if out is not None and out.resolve() == figure.resolve():
         raise ValueError(f"--figure: {figure}: is the file of --out, must be another")
-
-
-def check_drawable(figure: Path | None, study: "Study") -> None:
-    """Raise a ValueError about a picture that there is none of, before the work is done."""
-    for task in study.tasks if figure is not None else ():
-        load, segments = task.task.load, task.task.segment_nodes
-        if task.task.dimension == 2 and (load.gravity or load.points or segments):
-            raise ValueError(
-                f"--figure: {figure}: arms in the plane are drawn of one segment under tip loads alone, "
-                f"task {task.name} has more; give offsets [y, 0] in place of radii for a picture in space"
-            )
 
 
 def check_ending(option: str, path: Path | None, allowed: Sequence[str]) -> None:

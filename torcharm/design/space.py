@@ -14,9 +14,9 @@ from torcharm.arm_series import ArmSeries
 from torcharm.inputs import check_choice, check_flag, check_number, shown
 from torcharm.statics.balance import segments_of
 
-FIELDS = ("radii", "angles", "length", "max_pressure")
-"""Of each actuator, in the order in which their values are kept."""
 UNITS = {"radii": "m", "angles": "rad", "length": "m", "max_pressure": "kPa"}
+FIELDS = tuple(UNITS)
+"""Of each actuator, in the order in which their values are kept."""
 TIES = ("mirror", "equal", "ring", "none")
 SAME = 1e-6
 """Radii, lengths [m] and limits [kPa] no further apart count as equal in a given arm: single precision rounds so."""

@@ -251,7 +251,7 @@ def _checked(
         raise ValueError(f"arm: must be an ArmDesign or an ArmSeries, got {shown(arm)}")
     check_choice("wrench_at", wrench_at, WRENCH_PLACES)
     segments, columns = segments_of(arm)[0], 3 if arm.dimension == 2 else 6
-    counts = _counts(nodes, len(segments))
+    counts = segment_counts(nodes, len(segments))
     group = group_of(columns)
     if pressure is None:
         raise ValueError("pressure: must be given, got None")
@@ -287,8 +287,8 @@ def _checked(
     return Problem(arm.to(pressure), pressure, whole, base, counts, wrench_at, stiffness, batch), start
 
 
-def _counts(nodes: Any, segments: int) -> tuple[int, ...]:
-    """The number of elements of each segment."""
+def segment_counts(nodes: Any, segments: int) -> tuple[int, ...]:
+    """The number of elements of each segment, from one number or one for each."""
     if not isinstance(nodes, Sequence) or isinstance(nodes, str):
         return (check_count("nodes", nodes, 1),) * segments
     if len(nodes) != segments:

@@ -14,9 +14,9 @@ from torcharm.plot._common import (
     SMOOTHING,
     UNATTAINABLE,
 )
-from torcharm.plot.arms import arm_shape, task_shape
+from torcharm.plot.arms import arm_shape
 from torcharm.plot.histograms import unattainability_histogram
-from torcharm.plot.hulls import hulls_along_arm, node_hull
+from torcharm.plot.hulls import hull_projections, hulls_along_arm, node_hull
 from torcharm.plot.loads import (
     attainable_load_map,
     force_directions,
@@ -27,7 +27,6 @@ from torcharm.plot.loads import (
 )
 from torcharm.plot.optimisation import optimisation_figure
 from torcharm.plot.shape_figures import plan_figure, search_figure
-from torcharm.plot.space import arm_in_space, hull_projections, node_hull_in_space
 from torcharm.plot.study import study_figure
 
 __all__ = [
@@ -38,7 +37,6 @@ __all__ = [
     "LONGEST_ARROW",
     "SMOOTHING",
     "UNATTAINABLE",
-    "arm_in_space",
     "arm_shape",
     "attainable_load_map",
     "force_directions",
@@ -47,13 +45,11 @@ __all__ = [
     "load_grid",
     "load_map",
     "node_hull",
-    "node_hull_in_space",
     "optimisation_figure",
     "plan_figure",
     "polar_load_grid",
     "search_figure",
     "study_figure",
-    "task_shape",
     "unattainability_histogram",
     "verdict_map",
 ]

@@ -1,4 +1,4 @@
-"""What the pictures share: styles, axes, and the choice of one design and one shape."""
+"""What the pictures share: styles, axes, and the choice of one design and of tasks on one shape."""
 
 from collections.abc import Sequence
 from math import prod
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torcharm.actuators import Actuator, Bellows, McKibben, model_name
-from torcharm.arm import ArmDesign, check_planar
-from torcharm.geometry import rod
+from torcharm.design.space import Arm, one_of_batch
 from torcharm.inputs import check_count
+from torcharm.load import ExternalLoad, PointLoad
 from torcharm.task import Task
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ KIND_STYLES = {  # colour, width
     "elastic core": ("#E69F00", 5.5),
     "other": ("#999999", 3.5),
 }
-SMOOTHING = 8  # points drawn on each segment, so that a segment of constant curvature is seen to be an arc
+SMOOTHING = 8  # points drawn on each element, so that one of constant curvature is seen to be an arc
 LONGEST_ARROW = 0.3  # of the largest force, as a share of the centreline's length
 
 
@@ -57,58 +57,53 @@ def style_of(kind: str) -> tuple[str, float]:
     return KIND_STYLES.get(kind, KIND_STYLES["other"])
 
 
-def fine_poses(task: Task) -> Array:
-    """Poses (SMOOTHING·N + 1, 3) along one shape; every SMOOTHING-th is a node's."""
-    return array(rod.poses(task.twists.repeat_interleave(SMOOTHING, 0), task.base_pose))
-
-
-def one_design(field: str, arm: Any) -> ArmDesign:
-    """The only design of a batch, which must be planar."""
-    check_planar(arm)
+def one_design(field: str, arm: Any, task: Task) -> Arm:
+    """The only design of a batch, which must have the task's dimension."""
+    if arm.dimension != task.dimension:
+        raise ValueError(f"{field}: must be of the task's dimension {task.dimension}, got {arm.dimension}")
     if prod(arm.batch_shape) != 1:
         raise ValueError(f"{field}: must be one design, as arm[0] of a batch, got batch shape {tuple(arm.batch_shape)}")
-    design: ArmDesign = arm.flatten()[0]
-    return design
+    return one_of_batch(arm, 0)
 
 
-def first_shape(task: Task) -> tuple[Task, Mask, int]:
-    """The task's first shape with the loads on it, which of the flattened tasks these are, and how many shapes."""
-    _check_drawable(task)
+def pick(task: Task, index: int | Sequence[int]) -> Task:
+    """One task of the flattened batch, or several that share a shape as that shape under several loads."""
+    batch = task.batch_shape
+
+    def own(value: Tensor, dims: int) -> Tensor:
+        shape = value.shape[value.ndim - dims :]
+        return value.detach().expand((*batch, *shape)).reshape((-1, *shape))[index]
+
+    points = []
+    for point in task.load.points:
+        wrench, mass = None if point.wrench is None else own(point.wrench, 1), own(point.mass, 0)
+        if wrench is not None or bool((mass > 0).any()):
+            points.append(PointLoad(wrench, point.segment, point.at, point.frame, mass))
+    load = ExternalLoad(None if task.load.tip is None else own(task.load.tip, 1), task.load.gravity, points)
+    twists = own(task.twists, 2)
+    first = twists if twists.ndim == 2 else twists[0]
+    return Task(first, None, task.base_pose, load, task.wrench_at, task.segment_nodes)
+
+
+def like_shape(task: Task, index: int) -> Mask:
+    """Which tasks of the flattened batch have the shape of one of them."""
     if 0 in task.batch_shape:
         raise ValueError(f"task: must hold at least one shape and load, got batch shape {tuple(task.batch_shape)}")
-    twists = task.twists.detach().expand(*task.batch_shape, -1, -1).reshape(-1, task.nodes, 3)
-    tip_load = task.tip_load.detach().expand(*task.batch_shape, 3).reshape(-1, 3)
-    same = (twists == twists[0]).flatten(1).all(1)
-    shapes = 1 if bool(same.all()) else len(torch.unique(twists, dim=0))
-    first = Task(twists[0], tip_load[same], task.base_pose, wrench_at=task.wrench_at)
-    return first, same.cpu().numpy(), shapes
+    count = prod(task.batch_shape)
+    twists = task.twists.detach().expand(*task.batch_shape, *task.twists.shape[-2:]).reshape(count, -1)
+    return np.asarray((twists == twists[index]).all(1).cpu())
 
 
-def _check_drawable(task: Task) -> None:
-    """Raise unless a task is planar, of one segment, with a tip load alone: nothing else is drawn yet."""
-    if task.dimension == 3:
-        raise ValueError(f"task: must be planar, twists (..., N, 3), got {tuple(task.twists.shape)}")
-    if task.load.gravity or task.load.points:
-        raise ValueError("load: must be a tip load alone here, got gravity or point loads")
-    if task.segment_nodes is not None and len(task.segment_nodes) > 1:
-        raise ValueError(f"segment_nodes: must be one segment here, got {task.segment_nodes}")
-
-
-def one_shape(task: Task) -> Task:
-    """A task of one shape, with its loads along one dimension."""
-    first, _, shapes = first_shape(task)
-    if shapes > 1:
-        raise ValueError(f"task: must hold one shape, got {shapes}; give the twists of one, (N, 3)")
-    return first
-
-
-def choose(task: Task, loads: Sequence[int] | None) -> Task:
-    """The loads of these numbers."""
-    count = len(task.tip_load)
-    chosen = list(range(count) if loads is None else loads)
-    if not chosen or not set(chosen) <= set(range(count)):
-        raise ValueError(f"loads: must be one or more integers from 0 to {count - 1}, got {chosen!r:.60}")
-    return Task(task.twists, task.tip_load[chosen], task.base_pose, wrench_at=task.wrench_at)
+def one_shape(task: Task, loads: Sequence[int] | None = None) -> Task:
+    """A task of one shape, with all its loads, or those of some numbers, along one dimension."""
+    same = like_shape(task, 0)
+    if not same.all():
+        shapes, columns = len(torch.unique(task.twists.detach().flatten(0, -3), dim=0)), task.twists.shape[-1]
+        raise ValueError(f"task: must hold one shape, got {shapes}; give the twists of one, (N, {columns})")
+    chosen = list(range(len(same)) if loads is None else loads)
+    if not chosen or not set(chosen) <= set(range(len(same))):
+        raise ValueError(f"loads: must be one or more integers from 0 to {len(same) - 1}, got {chosen!r:.60}")
+    return pick(task, chosen)
 
 
 def node_index(task: Task, node: int | Tensor) -> int:
@@ -125,14 +120,6 @@ def mark_inks(colour: str, filled: bool, marker: str = "o") -> dict[str, Any]:
     return {"marker": marker} | inks
 
 
-def tip_errors(name: str, found: Tensor, tasks: int) -> Array:
-    """The tip's errors [m] of the tasks that were searched; an interruption leaves fewer than all."""
-    error = array(found).ravel()
-    if len(error) > tasks:
-        raise ValueError(f"results: {name}: must be of at most {tasks} tasks, got {len(error)}")
-    return error
-
-
 def ranked_places(error: Array) -> NDArray[np.intp]:
     """The places of what is finite, from the least on."""
     known = np.flatnonzero(np.isfinite(error))
@@ -145,9 +132,15 @@ def median_place(error: Array) -> int | None:
     return int(ranked[(len(ranked) - 1) // 2]) if len(ranked) else None
 
 
-def legend_below(axes: Axes, below: float) -> None:
-    """The legend where it covers nothing: so far below the axes, as a share of their height."""
+def legend_below(axes: Any) -> None:
+    """The legend below the axes, where it covers nothing."""
+    below = 0.0 if axes.name == "3d" else -0.12
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, below), ncols=3, fontsize="small", frameon=False)
+
+
+def projection_of(task: Task) -> str:
+    """Of the axes in which a task is drawn."""
+    return "3d" if task.dimension == 3 else "rectilinear"
 
 
 def axes_or_new(ax: Axes | None, projection: str = "rectilinear") -> Any:

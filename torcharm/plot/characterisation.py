@@ -12,15 +12,14 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from torcharm.actuators import Actuator
 from torcharm.actuators.alignment import Recording, held_strains
 from torcharm.actuators.characterisation import FittedActuator
 from torcharm.actuators.monotonicity import monotonicity
 from torcharm.arm import find_model
+from torcharm.plot._common import Array, axes_or_new
 
-Array = NDArray[np.float64]
 ModelLike = Actuator | str | Path
 """A force model, the name of a shipped one, or the path of its file."""
 
@@ -46,7 +45,7 @@ def force_surface(model: ModelLike, recording: Recording | None = None, *, ax: A
         ValueError: the axes are not 3-D.
     """
     model = find_model("model", model)
-    axes: Any = _axes(ax, "3d")
+    axes: Any = axes_or_new(ax, "3d")
     strain, pressure, force = _surface(model)
     colours = {"color": MODEL, "alpha": 0.45, "edgecolor": MODEL, "linewidth": 0.3}
     axes.plot_surface(strain, pressure, force, rcount=17, ccount=17, shade=False, label="model", **colours)
@@ -78,7 +77,7 @@ def force_at_held_strains(
     holds = held_strains(recording)
     if not holds:
         raise ValueError("recording: must hold the strain still at times, got none that does")
-    axes = _axes(ax)
+    axes = axes_or_new(ax)
     levels = [float(np.median(recording.strain[hold])) for hold in holds]
     norm = Normalize(min(levels), max(levels) if len(levels) > 1 else min(levels) + 1)
     from matplotlib import colormaps
@@ -113,7 +112,7 @@ def residual_map(model: ModelLike, recording: Recording, *, ax: Axes | None = No
         ValueError: the axes are not 2-D.
     """
     model = find_model("model", model)
-    axes = _axes(ax)
+    axes = axes_or_new(ax)
     residual = recording.force - _force(model, recording.strain, recording.pressure)
     bins = [np.histogram_bin_edges(v, n) for v, n in ((recording.pressure, 45), (recording.strain, 21))]
     count, *_ = np.histogram2d(recording.pressure, recording.strain, bins)
@@ -142,7 +141,7 @@ def free_strain(model: ModelLike, *, ax: Axes | None = None) -> Axes:
         ValueError: the axes are not 2-D.
     """
     model = find_model("model", model)
-    axes = _axes(ax)
+    axes = axes_or_new(ax)
     strain, pressure, force = _surface(model)
     if force.min() < 0 < force.max():
         axes.contour(pressure, strain, force, [0.0], colors=MODEL, linewidths=2.5)
@@ -177,7 +176,7 @@ def blocked_force(
         ValueError: the axes are not 2-D.
     """
     model = find_model("model", model)
-    axes = _axes(ax)
+    axes = axes_or_new(ax)
     if recording is not None:
         near = np.flatnonzero(np.abs(recording.strain - strain) <= 0.005)
         near = near[:: max(1, len(near) // MOST_DOTS)]
@@ -237,13 +236,3 @@ def _mappable(norm: Normalize, colours: Any) -> Any:
     from matplotlib.cm import ScalarMappable
 
     return ScalarMappable(norm, colours)
-
-
-def _axes(ax: Axes | None, projection: str = "rectilinear") -> Any:
-    if ax is None:
-        from matplotlib import pyplot  # here alone: what pyplot makes, it also keeps
-
-        return pyplot.subplots(figsize=(8.0, 6.0), layout="constrained", subplot_kw={"projection": projection})[1]
-    if ax.name != projection:
-        raise ValueError(f"ax: must have the projection {projection!r}, got {ax.name!r}")
-    return ax

@@ -1,4 +1,4 @@
-"""Attainable sets, and what loads require."""
+"""Attainable sets, and what loads require, in the plane and in space."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,10 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
+from scipy.spatial import ConvexHull
 from torch import Tensor
 
-from torcharm.arm import ArmDesign
 from torcharm.attainability import evaluate
+from torcharm.design.space import Arm
 from torcharm.plot._common import (
     ARM_COLOURS,
     ATTAINABLE,
@@ -22,23 +23,31 @@ from torcharm.plot._common import (
     Mask,
     array,
     axes_or_new,
-    choose,
     node_index,
     one_design,
     one_shape,
+    projection_of,
 )
-from torcharm.statics.external_load import HULL, required_wrench
+from torcharm.statics.external_load import HULL, task_wrench
 from torcharm.task import Task
-from torcharm.wrench_sets.wrench_set import wrench_hulls
+from torcharm.wrench_sets.wrench_set import hull_faces, wrench_hulls
+
+LABELS = {
+    (2, False): (r"force $f_x$ [N]", r"moment $m$ [N·m]"),
+    (2, True): (r"force $f_x - f_{x,1}$ [N]", r"moment $m - m_1$ [N·m]"),
+    (3, False): (r"force $f_x$ [N]", r"moment $m_y$ [N·m]", r"moment $m_z$ [N·m]"),
+    (3, True): (r"force $f_x - f_{x,1}$ [N]", r"moment $m_y - m_{y,1}$ [N·m]", r"moment $m_z - m_{z,1}$ [N·m]"),
+}
+"""Of the axes, by the dimension and whether differences from the first node are meant."""
+SIDES = ((0, 1), (0, 2), (1, 2))
+"""Of the components of wrenches in space, the pairs that projections show."""
 
 
 def hulls_along_arm(
-    arm: ArmDesign,
+    arm: Arm,
     task: Task,
     *,
     relative: bool = False,
-    hull: str = "exact",
-    samples: int | None = None,
     loads: Sequence[int] | None = None,
     ax: Axes | None = None,
     colour: str = ARM_COLOURS[0],
@@ -46,116 +55,172 @@ def hulls_along_arm(
     """What every node can provide, as polygons along the arm, and what the loads require, as lines through them.
 
     Args:
-        arm: one design.
+        arm: one planar design, or segments in series.
         task: one shape, with any number of loads.
-        relative: differences from node 1, instead of wrenches.
-        hull, samples: as for `evaluate`, errors included.
+        relative: differences from the first node of the segment, instead of wrenches.
         loads: which of the task's loads to draw, counted from 0; None draws all.
         ax: 3-D axes to draw in; None makes some.
         colour: of the polygons.
 
     Raises:
-        ValueError: there are several designs or shapes, a load is out of range, or the axes are not 3-D.
+        ValueError: arm or task are several or in space, a load is out of range, or the axes are not 3-D.
     """
-    scene = make_scene(one_design("arm", arm), choose(one_shape(task), loads), relative, hull, samples)
+    if task.dimension != 2:
+        raise ValueError(f"task: must be planar, twists (..., N, 3), got {tuple(task.twists.shape)}")
+    scene = make_scene("arm", arm, one_shape(task, loads), relative)
     axes = axes_or_new(ax, "3d")
-    draw_hulls(axes, scene, scene.inside.all(-1), colour)
-    limit_axes(axes, [scene])
+    _draw_hulls(axes, scene, colour)
+    points = np.concatenate((scene.corners.reshape(-1, 2), scene.required.reshape(-1, 2)))
+    room = np.where(np.ptp(points, 0) > 0, 0.04 * np.ptp(points, 0), 1.0)
+    force, moment = np.stack((points.min(0) - room, points.max(0) + room)).T
+    axes.set(xlim=(0.5, len(scene.corners) + 0.5), ylim=force, zlim=moment)  # matplotlib's own do not see polygons
+    for axis, ticks in ((axes.xaxis, 10), (axes.yaxis, 4), (axes.zaxis, 6)):
+        axis.set_major_locator(MaxNLocator(ticks, integer=axis is axes.xaxis))
+    axes.set_box_aspect((1.5, 1.0, 1.0), zoom=0.95)
+    axes.view_init(elev=20, azim=-55)
     return axes
 
 
 def node_hull(
-    arm: ArmDesign,
+    arm: Arm,
     task: Task,
     node: int | Tensor,
     *,
     relative: bool = False,
-    hull: str = "exact",
-    samples: int | None = None,
     ax: Axes | None = None,
     colour: str = ARM_COLOURS[0],
 ) -> Axes:
-    """What one node can provide, as a polygon, and what each load requires of it, as a point.
+    """What one node can provide, as a polygon or, in space, a body, and what each load requires of it, as a point.
 
     Args:
-        arm, task, relative, hull, samples, colour: as for `hulls_along_arm`.
+        arm: one design, or segments in series.
+        task: one shape, with any number of loads.
         node: its index, from 0 at the base, such as `worst_node` of an evaluation; the title counts from 1.
-        ax: 2-D axes to draw in; None makes some.
+        relative: differences from the first node of the segment, instead of wrenches.
+        ax: 2-D axes to draw in, of an arm in space 3-D ones; None makes some.
+        colour: of the set.
 
     Raises:
-        ValueError: the node is out of range, the axes are not 2-D, or as for `hulls_along_arm`.
+        ValueError: arm or task are several, the node is out of range, or the axes are others.
     """
-    index = node_index(task, node)
-    scene = make_scene(one_design("arm", arm), one_shape(task), relative, hull, samples)
-    axes = axes_or_new(ax)
-    draw_node(axes, scene, index, colour)
+    index, scene = node_index(task, node), make_scene("arm", arm, one_shape(task), relative)
+    axes = axes_or_new(ax, projection_of(task))
+    corners, points = scene.corners[index], scene.required[:, index]
+    if task.dimension == 2:
+        draw_node(axes, scene, index, (0, 1), colour)
+    else:
+        sides = {"facecolor": colour, "edgecolor": colour, "linewidth": 0.1, "alpha": 0.2}
+        axes.add_collection3d(Poly3DCollection(corners[hull_faces(corners)], **sides))
+        axes.plot(*corners.T, ".", color=colour, markersize=1.5, label="pressures provide")  # all of a flat set
+        _draw_required(axes, points, scene.inside[:, index])
+        whole = np.concatenate((corners, points))
+        low, high = whole.min(0), whole.max(0)
+        room = np.maximum(0.05 * (high - low), 1e-3)
+        limits = [tuple(ends) for ends in np.stack((low - room, high + room), -1)]
+        axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
+        axes.set(xlabel=scene.labels[0], ylabel=scene.labels[1], zlabel=scene.labels[2])
+        axes.set_box_aspect(None, zoom=0.82)
     axes.set_title(f"node {index + 1} of {task.nodes}")
-    axes.legend(loc="best")
+    axes.legend(loc="best" if task.dimension == 2 else "upper left", fontsize="small")
+    return axes
+
+
+def hull_projections(
+    arm: Arm,
+    task: Task,
+    node: int | Tensor,
+    *,
+    relative: bool = False,
+    axes: Sequence[Axes] | None = None,
+    colour: str = ARM_COLOURS[0],
+) -> Sequence[Axes]:
+    """The body of `node_hull` in space and its requirements, seen along each of the three axes.
+
+    A point within all three outlines may still be outside; its colour says so.
+
+    Args:
+        arm, task, node, relative, colour: as there, in space.
+        axes: three 2-D axes to draw in; None makes some.
+
+    Raises:
+        ValueError: as there, the task is planar, or there are not three axes.
+    """
+    if task.dimension != 3:
+        raise ValueError(f"task: must be in space, twists (..., N, 6), got {tuple(task.twists.shape)}")
+    if axes is None:
+        from matplotlib import pyplot  # here alone: what pyplot makes, it also keeps
+
+        axes = list(pyplot.subplots(1, 3, figsize=(13, 4), layout="constrained")[1])
+    if len(axes) != 3:
+        raise ValueError(f"axes: must be three, got {len(axes)}")
+    index, scene = node_index(task, node), make_scene("arm", arm, one_shape(task), relative)
+    for panel, sides in zip(axes, SIDES, strict=True):
+        draw_node(panel, scene, index, sides, colour)
+    axes[0].legend(loc="best", fontsize="small")
     return axes
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Planar wrenches `(f_x, m)` [N, N·m] of one arm at one shape."""
+    """Hull wrenches of one arm at one shape, of D components: `(f_x, m)`, or `(f_x, m_y, m_z)` in space [N, N·m].
 
-    hulls: Array  # (N, V + 1, 2) closed rings: what each node can provide
-    required: Array  # (L, N, 2) what each load requires
-    inside: Mask  # (L, N) whether the one holds the other
-    labels: tuple[str, str]
+    Attributes:
+        corners: (N, V, D) of what each node can provide; in the plane in order.
+        required: (L, N, D) what each load requires.
+        inside: (L, N) whether the one holds the other.
+        labels: of the components.
+    """
+
+    corners: Array
+    required: Array
+    inside: Mask
+    labels: tuple[str, ...]
 
 
 @torch.no_grad()
-def make_scene(arm: ArmDesign, task: Task, relative: bool, hull: str, samples: int | None) -> Scene:
-    """What a picture of hulls shows."""
-    metric = "relative" if relative else "absolute"
-    distance = getattr(evaluate(arm, task, (metric,), hull=hull, samples=samples), f"{metric}_per_node")
-    vertices = wrench_hulls(arm, task.twists, relative=relative, hull=hull, samples=samples).vertices
-    required = required_wrench(task.twists, task.tip_load, task.base_pose, wrench_at=task.wrench_at)[..., HULL[3]]
-    labels = (r"force $f_x$ [N]", r"moment $m$ [N·m]")
+def make_scene(field: str, arm: Arm, task: Task, relative: bool = False) -> Scene:
+    """What pictures of hulls show of one arm on a task of one shape."""
+    arm, metric = one_design(field, arm, task), "relative" if relative else "absolute"
+    distance = getattr(evaluate(arm, task, (metric,)), f"{metric}_per_node")
+    corners = wrench_hulls(arm, task.twists, relative=relative, segment_nodes=task.segment_nodes).vertices
+    required = task_wrench(arm, task)[..., HULL[task.twists.shape[-1]]].reshape(-1, task.nodes, task.dimension)
     if relative:
-        required = required - required[..., :1, :]
-        labels = (r"force $f_x - f_{x,1}$ [N]", r"moment $m - m_1$ [N·m]")
-    closed = torch.cat((vertices, vertices[:, :1]), 1)
-    return Scene(array(closed), array(required), array(distance) <= 0, labels)
+        parts = required.split(task.segment_nodes or (task.nodes,), 1)
+        required = torch.cat([part - part[:, :1] for part in parts], 1)
+    inside = array(distance).reshape(-1, task.nodes) <= 0
+    return Scene(array(corners), array(required), inside, LABELS[task.dimension, relative])
 
 
-def draw_node(axes: Axes, scene: Scene, index: int, colour: str) -> None:
-    """The set of one node, counted from 0, and what the loads require of it."""
-    ring, point, inside = scene.hulls[index], scene.required[:, index], scene.inside[:, index]
+def draw_node(axes: Axes, scene: Scene, index: int, sides: tuple[int, int], colour: str) -> None:
+    """The set of one node, counted from 0, and what the loads require of it, by two components."""
+    corners = scene.corners[index][:, sides]
+    if len(scene.labels) == 3:
+        flat = np.linalg.matrix_rank(corners - corners[0]) < 2
+        corners = corners if flat else corners[ConvexHull(corners).vertices]
+    ring = np.concatenate((corners, corners[:1]))
     axes.fill(*ring.T, facecolor=colour, alpha=0.25, label="pressures provide")
     axes.plot(*ring.T, color=colour, marker=".", markersize=3)
-    draw_required(axes, point, inside)
-    axes.set(xlabel=scene.labels[0], ylabel=scene.labels[1])
+    _draw_required(axes, scene.required[:, index][:, sides], scene.inside[:, index])
+    axes.set(xlabel=scene.labels[sides[0]], ylabel=scene.labels[sides[1]])
 
 
-def draw_required(axes: Axes, points: Array, inside: Mask) -> None:
+def _draw_required(axes: Axes, points: Array, inside: Mask) -> None:
     """Wrenches (L, 2 or 3) that loads require, as dots inside a set and as crosses outside, counted."""
     for kept, name, ink, marker in ((inside, "inside", ATTAINABLE, "o"), (~inside, "outside", UNATTAINABLE, "x")):
         label = f"required, {name}: {kept.sum()} of {len(kept)}"
         axes.plot(*points[kept].T, color=ink, marker=marker, markersize=4, linestyle="", label=label)
 
 
-def limit_node_axes(panels: Sequence[Axes], scenes: Sequence[Scene]) -> None:
-    """The same limits for all panels, around the sets and most of what is required: some loads ask for far more."""
-    sets = np.concatenate([scene.hulls.reshape(-1, 2) for scene in scenes])
-    required = np.concatenate([scene.required.reshape(-1, 2) for scene in scenes])
-    ends = np.stack([*np.percentile(required, (2, 98), 0), sets.min(0), sets.max(0)])
-    room = np.maximum(0.06 * np.ptp(ends, 0), 1e-3)
-    force, moment = np.stack((ends.min(0) - room, ends.max(0) + room)).T
-    for panel in panels:
-        panel.set(xlim=tuple(force), ylim=tuple(moment))
-
-
-def draw_hulls(axes: Any, scene: Scene, attainable: Mask, colour: str) -> None:
+def _draw_hulls(axes: Any, scene: Scene, colour: str) -> None:
     """Hulls along the arm, and the sequences that loads require."""
-    nodes = np.arange(1.0, len(scene.hulls) + 1)
-    for node, ring in zip(nodes, scene.hulls, strict=True):
-        corners = np.insert(ring, 0, node, axis=1)
-        axes.add_collection3d(Poly3DCollection([corners], facecolor=colour, edgecolor="none", alpha=0.15))
+    nodes = np.arange(1.0, len(scene.corners) + 1)
+    for node, corners in zip(nodes, scene.corners, strict=True):
+        ring = np.insert(np.concatenate((corners, corners[:1])), 0, node, axis=1)
+        axes.add_collection3d(Poly3DCollection([ring], facecolor=colour, edgecolor="none", alpha=0.15))
         # the outline is all there is to see of a hull without area
-        axes.plot(*corners.T, color=colour, linewidth=0.9, marker=".", markersize=1.5, gid=f"hull {node:.0f}")
+        axes.plot(*ring.T, color=colour, linewidth=0.9, marker=".", markersize=1.5, gid=f"hull {node:.0f}")
     # All sequences (L, N) are one line of points (i, f_x, m), broken by NaNs: one artist, however many loads.
-    index = np.broadcast_to(nodes[:, None], (*scene.required.shape[:-1], 1))
+    index, attainable = np.broadcast_to(nodes[:, None], (*scene.required.shape[:-1], 1)), scene.inside.all(-1)
     points = np.concatenate((index, scene.required), -1)
     broken = np.pad(points, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan)
     keys = [Patch(facecolor=colour, alpha=0.4, label="pressures provide")]
@@ -169,15 +234,3 @@ def draw_hulls(axes: Any, scene: Scene, attainable: Mask, colour: str) -> None:
     keys += axes.plot(*dots, ".", color=ATTAINABLE, markersize=3, label=label, gid="inside")
     axes.set(xlabel="node i (base to tip)", ylabel=scene.labels[0], zlabel=scene.labels[1])
     axes.legend(handles=keys, loc="lower center", bbox_to_anchor=(0.5, 0.97), ncols=2, fontsize="small", frameon=False)
-
-
-def limit_axes(axes: Any, scenes: Sequence[Scene]) -> None:
-    """View and limits around all that is drawn; matplotlib's own limits do not see polygons in space."""
-    points = np.concatenate([part.reshape(-1, 2) for scene in scenes for part in (scene.hulls, scene.required)])
-    room = np.where(np.ptp(points, 0) > 0, 0.04 * np.ptp(points, 0), 1.0)
-    force, moment = np.stack((points.min(0) - room, points.max(0) + room)).T
-    axes.set(xlim=(0.5, len(scenes[0].hulls) + 0.5), ylim=force, zlim=moment)
-    for axis, ticks in ((axes.xaxis, 10), (axes.yaxis, 4), (axes.zaxis, 6)):
-        axis.set_major_locator(MaxNLocator(ticks, integer=axis is axes.xaxis))
-    axes.set_box_aspect((1.5, 1.0, 1.0), zoom=0.95)
-    axes.view_init(elev=20, azim=-55)

@@ -1,28 +1,22 @@
 """A picture of an optimisation: errors on every task, and the arm's section, before and after."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from torcharm.actuators import model_name
 from torcharm.arm import ArmDesign
 from torcharm.design.result import OptimisedDesign
-from torcharm.plot._common import ATTAINABLE, UNATTAINABLE, mark_inks
+from torcharm.plot._common import ARM_COLOURS, ATTAINABLE, UNATTAINABLE, mark_inks
 from torcharm.statics.balance import segments_of
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
-COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#000000")
-"""Of kinds of actuators."""
-
-
-def optimisation_figure(result: OptimisedDesign, title: str = "") -> "Figure":
+def optimisation_figure(result: OptimisedDesign, title: str = "") -> Figure:
     """Tip errors predicted on every task, in ascending order, and where actuators sit, of the given and best design.
 
     The section shows radii against lengths of an arm in the plane, and offsets in space.
     """
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(10, 4), layout="constrained")
     errors, section = figure.subplots(1, 2)
     for side, name, colour, dash in (
@@ -51,10 +45,10 @@ def optimisation_figure(result: OptimisedDesign, title: str = "") -> "Figure":
     return figure
 
 
-def _draw_section(axes: "Axes", arm: ArmDesign, kinds: list[str], filled: bool) -> None:
+def _draw_section(axes: Axes, arm: ArmDesign, kinds: list[str], filled: bool) -> None:
     for index, kind in enumerate(kinds):
         own = [place for place, model in enumerate(arm.actuators) if model_name(model) == kind]
-        colour = COLOURS[index % len(COLOURS)]
+        colour = ARM_COLOURS[index % len(ARM_COLOURS)]
         other = arm.length if arm.out_of_plane is None else arm.out_of_plane
         across, along = (1e3 * value.detach()[own].numpy(force=True) for value in (arm.radii, other))
         axes.scatter(across, along, s=80, label=kind if filled else None, **mark_inks(colour, filled))

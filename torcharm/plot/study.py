@@ -1,33 +1,20 @@
 """One page that compares arms on a task: how far off they are first, then the arms, then why."""
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import prod
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries
 from torcharm.attainability import VERDICTS, Attainability
-from torcharm.plot._common import (
-    ARM_COLOURS,
-    ATTAINABLE,
-    UNATTAINABLE,
-    VERDICT_STYLES,
-    Array,
-    Mask,
-    array,
-    first_shape,
-    mark_inks,
-    median_place,
-    one_design,
-)
-from torcharm.plot.arms import draw_arm, draw_loads, draw_reached
-from torcharm.plot.hulls import draw_node, limit_node_axes, make_scene
-from torcharm.plot.space import arm_in_space, one_task
+from torcharm.design.space import Arm
+from torcharm.plot._common import ARM_COLOURS, VERDICT_STYLES, Array, array, like_shape, mark_inks, pick, projection_of
+from torcharm.plot.arms import draw_arm, median_case
+from torcharm.plot.hulls import SIDES, Scene, draw_node, make_scene
 from torcharm.task import Task
 
 LEAST = 0.01
@@ -35,114 +22,75 @@ LEAST = 0.01
 
 
 def study_figure(
-    results: Sequence[tuple[str, ArmDesign | ArmSeries]],
-    task_name: str,
-    task: Task,
-    evaluated: Sequence[Attainability],
-    *,
-    hull: str = "exact",
-    samples: int | None = None,
+    results: Sequence[tuple[str, Arm]], task_name: str, task: Task, evaluated: Sequence[Attainability]
 ) -> Figure:
     """One page that compares arms on one task, for `figure.savefig(path)`.
 
     On top how far off each arm is: the largest of the errors of tip, turn and shape, each over its tolerance, with a
     mark for each task by its verdict; where no error was predicted, what the nodes lack in sum. Below a column for each
-    arm: the arm at the shape with the loads on it, and where it is predicted to be under the load with the median
-    error; and the attainable sets of the base and of the node that lacks most, with what the loads require. Of several
-    shapes the first is drawn. In space the column shows the arm under the load with the median error, and what its
-    nodes lack.
+    arm: the arm where it is predicted to be under the load of the median error, beside the shape of that task, or at
+    that shape under all loads where nothing is predicted; and what pressures provide and all loads on that shape
+    require: in the plane at the base and at the node that lacks most, in space at the latter, seen along each axis.
 
     Args:
         results: names and designs.
         task_name: for the title.
         task, evaluated: tasks of any batch shape, and what `evaluate` found on them for each arm.
-        hull, samples: as they were given to `evaluate`.
 
     Raises:
         ValueError: results, task and evaluated do not fit each other, or a name comes twice.
     """
-    if task.dimension == 3:
-        return _figure_in_space(results, task_name, task, evaluated)
-    first, drawn, shapes = first_shape(task)
-    arms = {name: one_design(f"results[{index}]", arm) for index, (name, arm) in enumerate(results)}
-    _check(results, arms, evaluated, len(drawn))
-    columns = len(arms)
-    figure = Figure(figsize=(max(9.0, 5.0 * columns), 10.0 + 0.3 * columns), layout="constrained")
-    rows: Any = figure.subfigures(3, 1, height_ratios=(1.2 + 0.4 * columns, 5.0, 3.2))
-    note = f"; drawn: the first of {shapes} shapes, {drawn.sum()} of {len(drawn)} tasks" if shapes > 1 else ""
-    figure.suptitle(f"{task_name}{note}", fontsize="large", fontweight="bold")
-    _draw_errors(rows[0].add_subplot(), list(arms), evaluated)
-    scenes = [make_scene(arm, first, False, hull, samples) for arm in arms.values()]
-    pairs = [_two_nodes(found, first.nodes) for found in evaluated]
-    panels = list(rows[2].subplots(1, 2 * columns, squeeze=False)[0])
-    for column, (name, arm) in enumerate(arms.items()):
-        found, axes = evaluated[column], rows[1].add_subplot(1, columns, column + 1)
-        axes.set_title(textwrap.fill(f"{name}: {_counts(found)}", 60), fontsize="medium")
-        draw_arm(axes, arm, first)
-        draw_loads(axes, first, np.ones(len(first.tip_load), bool), ATTAINABLE, width=0.003)
-        _draw_predicted(axes, first, found, drawn)
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, fontsize="small", frameon=False)
-        for place, node in enumerate(pairs[column]):
-            panel = panels[2 * column + place]
-            draw_node(panel, scenes[column], node, ARM_COLOURS[column % len(ARM_COLOURS)])
-            inside = scenes[column].inside[:, node]
-            counted = f"{inside.sum()} of {len(inside)} inside"
-            which = textwrap.fill(name, 26)
-            panel.set_title(f"{which}\nnode {node + 1} of {first.nodes}\n{counted}", fontsize="small")
-    limit_node_axes(panels, scenes)
-    handles, labels = panels[0].get_legend_handles_labels()
+    _check(results, evaluated, prod(task.batch_shape))
+    columns, flat = len(results), task.dimension == 2
+    figure = Figure(figsize=(max(9.0, 5.5 * columns), 11.0 + 0.3 * columns), layout="constrained")
+    rows: Any = figure.subfigures(3, 1, height_ratios=(1.2 + 0.4 * columns, 5.0 if flat else 6.0, 3.2))
+    figure.suptitle(task_name, fontsize="large", fontweight="bold")
+    _draw_errors(rows[0].add_subplot(), [name for name, _ in results], evaluated)
+    cells = rows[2].subplots(1, columns * (2 if flat else 3), squeeze=False)[0].reshape(columns, -1)
+    scenes, views = [], []
+    for column, ((name, arm), found) in enumerate(zip(results, evaluated, strict=True)):
+        index, reached = median_case(found)
+        axes = rows[1].add_subplot(1, columns, column + 1, projection=projection_of(task))
+        shared = np.flatnonzero(like_shape(task, index)).tolist()
+        scenes.append(make_scene(f"results[{column}]", arm, pick(task, shared)))
+        draw_arm(axes, arm, pick(task, shared if reached is None else index), reached)
+        drawn = "" if reached is None else f"\ndrawn: load {index + 1} of {prod(task.batch_shape)}"
+        axes.set_title(f"{textwrap.fill(f'{name}: {_counts(found)}', 60)}{drawn}", fontsize="medium")
+        below = -0.12 if flat else 0.0
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, below), ncols=2, fontsize="small", frameon=False)
+        for panel, (node, sides) in zip(cells[column], _views(found, task), strict=True):
+            draw_node(panel, scenes[-1], node, sides, ARM_COLOURS[column % len(ARM_COLOURS)])
+            inside = scenes[-1].inside[:, node]
+            counted = f"node {node + 1} of {task.nodes}\n{inside.sum()} of {len(inside)} inside"
+            panel.set_title(f"{textwrap.fill(name, 26)}\n{counted}", fontsize="small")
+            views.append((panel, sides))
+    _limit(views, scenes)
+    handles, labels = cells[0, 0].get_legend_handles_labels()
     labels = [label.split(":")[0] for label in labels]  # how many is in the titles
     rows[2].legend(handles, labels, loc="outside lower center", ncols=3, fontsize="small", frameon=False)
     return figure
 
 
-def _figure_in_space(
-    results: Sequence[tuple[str, ArmDesign | ArmSeries]],
-    task_name: str,
-    task: Task,
-    evaluated: Sequence[Attainability],
-) -> Figure:
-    """The page of a task in space."""
-    arms, columns = dict(results), len(results)
-    _check(results, arms, evaluated, prod(task.batch_shape))
-    figure = Figure(figsize=(max(9.0, 5.5 * columns), 11.0 + 0.3 * columns), layout="constrained")
-    rows: Any = figure.subfigures(3, 1, height_ratios=(1.2 + 0.4 * columns, 6.5, 2.8))
-    figure.suptitle(task_name, fontsize="large", fontweight="bold")
-    _draw_errors(rows[0].add_subplot(), list(arms), evaluated)
-    for column, ((name, arm), found) in enumerate(zip(arms.items(), evaluated, strict=True), 1):
-        axes: Any = rows[1].add_subplot(1, columns, column, projection="3d")
-        error = np.zeros(found.strain_excess.numel()) if found.prediction is None else _off(found)
-        load = median_place(error) or 0
-        twists = None if found.prediction is None else found.prediction.twists.detach().flatten(0, -3)[load]
-        known = twists is not None and bool(twists.isfinite().all())
-        arm_in_space(arm, one_task(task, load), reached=twists if known else None, ax=axes)
-        axes.set_title(f"{name}: {_counts(found)}\ndrawn: load {load + 1} of {len(error)}", fontsize="medium")
-        panel = rows[2].add_subplot(1, columns, column)
-        _draw_lacking(panel, found, task)
-        panel.set_title(f"{name}: what nodes lack", fontsize="small")
-    return figure
+def _limit(views: Sequence[tuple[Axes, tuple[int, int]]], scenes: Sequence[Scene]) -> None:
+    """The same limits for all panels, around the sets and most of what is required: some loads ask for far more."""
+    size = len(scenes[0].labels)
+    sets = np.concatenate([scene.corners.reshape(-1, size) for scene in scenes])
+    required = np.concatenate([scene.required.reshape(-1, size) for scene in scenes])
+    ends = np.stack([*np.percentile(required, (2, 98), 0), sets.min(0), sets.max(0)])
+    room = np.maximum(0.06 * np.ptp(ends, 0), 1e-3)
+    limits = [tuple(pair) for pair in np.stack((ends.min(0) - room, ends.max(0) + room), -1)]
+    for panel, (x, y) in views:
+        panel.set(xlim=limits[x], ylim=limits[y])
+        panel.xaxis.set_major_locator(MaxNLocator(4 if size == 2 else 2))  # three panels are small
 
 
-def _draw_lacking(axes: Any, found: Attainability, task: Task) -> None:
-    """What each node lacks of the wrench that it needs: the mean over the loads, and the largest."""
-    if found.node_miss is not None:
-        miss, nodes = array(found.node_miss).reshape(-1, task.nodes), np.arange(1, task.nodes + 1)
-        axes.bar(nodes, miss.mean(0), color=UNATTAINABLE, label="mean of the loads")
-        axes.plot(nodes, miss.max(0), "_", color=ATTAINABLE, markersize=9, label="largest")
-        axes.legend(fontsize="small", frameon=False)
-    for end in np.cumsum(task.segment_nodes or ())[:-1]:
-        axes.axvline(end + 0.5, color="0.6", linestyle=":")
-    axes.set(xlabel="node, 1 at the base", ylabel="lacking [N]", ylim=(0, max(axes.get_ylim()[1], LEAST)))
-
-
-def _check(
-    results: Sequence[tuple[str, Any]], arms: Mapping[str, Any], evaluated: Sequence[Attainability], tasks: int
-) -> None:
+def _check(results: Sequence[tuple[str, Arm]], evaluated: Sequence[Attainability], tasks: int) -> None:
     """Raise a ValueError unless arms have names of their own and results of all tasks."""
-    if not arms or len(arms) < len(results):
-        raise ValueError(f"results: must be one or more arms of different names, got {[name for name, _ in results]}")
-    if len(evaluated) != len(arms):
-        raise ValueError(f"evaluated: must hold one entry for each of the {len(arms)} results, got {len(evaluated)}")
+    names = [name for name, _ in results]
+    if not names or len(set(names)) < len(names):
+        raise ValueError(f"results: must be one or more arms of different names, got {names}")
+    if len(evaluated) != len(names):
+        raise ValueError(f"evaluated: must hold one entry for each of the {len(names)} results, got {len(evaluated)}")
     for index, found in enumerate(evaluated):
         if found.strain_excess.numel() != tasks:
             given = f"got shape {tuple(found.strain_excess.shape)}"
@@ -230,22 +178,11 @@ def _counts(found: Attainability) -> str:
     return ", ".join(f"{words.count(word)} {word}" for word in order if word in words)
 
 
-def _two_nodes(found: Attainability, nodes: int) -> tuple[int, int]:
-    """The base, and the node that lacks most on average, or the last one where that is the base or none."""
-    miss = found.node_miss
+def _views(found: Attainability, task: Task) -> list[tuple[int, tuple[int, int]]]:
+    """The nodes to draw, and by which components: the one that lacks most on average, in the plane behind the base."""
+    miss, nodes = found.node_miss, task.nodes
     mean = np.zeros(nodes) if miss is None else array(miss).reshape(-1, nodes).mean(0)
     worst = int(np.where(np.isfinite(mean), mean, -1.0).argmax())
-    return 0, worst or nodes - 1
-
-
-def _draw_predicted(axes: Any, first: Task, found: Attainability, drawn: Mask) -> None:
-    """The predicted centreline under the load of the median of the errors found, of the shape that is drawn."""
-    if found.prediction is None:
-        return
-    index = median_place(np.where(drawn, _over(found), np.inf))
-    if index is None:
-        return
-    twists = found.prediction.twists.detach().reshape(-1, *found.prediction.twists.shape[-2:])[index]
-    turned = float(np.degrees(array(found.prediction.tip_rotation_error).ravel()[index]))
-    label = f"predicted under load {index + 1}:\ntip off by {_off(found)[index]:.3g} mm, turned by {turned:.3g}°"
-    draw_reached(axes, twists, first.base_pose, label)
+    if task.dimension == 3:
+        return [(worst, sides) for sides in SIDES]
+    return [(0, SIDES[0]), (worst or nodes - 1, SIDES[0])]

@@ -87,7 +87,8 @@ class NamedPlan:
         tip_pose: (x, y, θ) in the world frame [m, m, rad]; in space the rows of a homogeneous matrix.
         tip_load: `(f_x, f_y, m)` in the world frame [N, N, N·m]; in space of six.
         smoothness: the heuristic to follow; None: the shape that each arm holds best.
-        nodes, base_pose: of the shape.
+        nodes: elements of each segment.
+        base_pose: of the shape.
         in_range: whether strains must stay in the characterised range; None leaves it to `plan_shape`.
         arms: names of the arms to plan for; empty for all.
     """

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from torcharm.arm import ArmDesign
 from torcharm.attainability import CHOICES, PoseTolerance, check_measure
 from torcharm.design.objective import Objective
 from torcharm.design.shape_planning import Smoothness
@@ -184,8 +183,8 @@ POSE_IS = {3: "in the plane, as tip_pose is", 6: "in space, as tip_pose is"}
 def _planned(table: PlanTable, arms: Sequence[NamedArm], columns: int) -> list[NamedArm]:
     """The arms to plan for: those named, which must fit, or all that fit."""
     dimension, chosen = columns // 3 + 1, _named(table.arms or (), arms)
-    fit = [arm for arm in chosen if isinstance(arm.design, ArmDesign) and arm.design.dimension == dimension]
-    kind = f"of one segment without a link {POSE_IS[columns]}"
+    fit = [arm for arm in chosen if arm.design.dimension == dimension]
+    kind = POSE_IS[columns]
     if table.arms and len(fit) < len(chosen):
         other = next(arm.name for arm in chosen if arm not in fit)
         raise ValueError(f"arms: must be {kind}, got {shown_value(other)}, which is not")

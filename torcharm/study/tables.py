@@ -146,7 +146,7 @@ class OptimiseTable(Table):
 
 
 class PlanTable(Table):
-    """A tip pose for which torcharm plan finds a shape of each arm of one segment."""
+    """A tip pose for which torcharm plan finds a shape of each arm."""
 
     name: Name = Field(description="What tables and files call the plan.", examples=["drawer"])
     tip_pose: TipPose = Field(description="Place and heading of the tip.", examples=[[0.35, -0.3, 0.0]])
@@ -162,10 +162,12 @@ class PlanTable(Table):
         examples=[45.0],
     )
     reference_length: PositiveLength | None = Field(
-        default=None, description="Length that the smoothest shape keeps to, with length_weight.", examples=[0.5]
+        default=None,
+        description="Length that each segment of the smoothest shape keeps to, with length_weight.",
+        examples=[0.5],
     )
     nodes: Annotated[int, Field(ge=2, le=200)] = Field(
-        default=10, description="Elements into which the arm is divided."
+        default=10, description="Elements into which each segment is divided."
     )
     in_range: bool | None = Field(
         default=None,
@@ -175,8 +177,7 @@ class PlanTable(Table):
     base_pose: BasePose = base_pose
     arms: Names | None = Field(
         default=None,
-        description="The arms to plan for. Without it, all of one segment without a link, in the plane or in space as "
-        "tip_pose is.",
+        description="The arms to plan for. Without it, all in the plane or in space as tip_pose is.",
         examples=[["paper", "own"]],
     )
 
