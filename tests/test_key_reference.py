@@ -24,6 +24,7 @@ NEEDS = {  # keys left out that need others, and with what they are used
     ("optimise.bounds", "angles"): ('free = ["radii", "length"]', 'free = ["radii", "length", "angles"]'),
     ("optimise.bounds", "max_pressure"): ('free = ["radii", "length"]', 'free = ["radii", "length", "max_pressure"]'),
     ("task", "payloads"): ("gravity = false", "gravity = true"),
+    ("plan", "payloads"): ("gravity = false", "gravity = true"),
     ("plan", "length_weight"): ("#reference_length", "reference_length"),
     ("plan", "reference_length"): ("#length_weight", "length_weight"),
 }

@@ -322,7 +322,15 @@ def test_loads_may_be_left_out():
     assert (task.tip_load.tolist(), task.load.gravity) == ([[0.0] * 6], True)
     assert parse_study(bare).tasks[0].task.batch_shape == (1,)
     plan = parse_study(MIXED + IN_THE_PLANE.replace("tip_load = [0, 0, 0]\n", "")).plans[0]
-    assert plan.tip_load == (0.0, 0.0, 0.0)
+    assert plan.load.tip.tolist() == [0.0, 0.0, 0.0]
+
+
+def test_plans_know_weight_and_payloads():
+    text = MIXED + IN_THE_PLANE + 'gravity = true\npayloads = [{ mass = "50 g", at = 0.5 }]\narms = ["flat"]\n'
+    load = parse_study(text).plans[0].load
+    assert (load.gravity, [(float(one.mass), one.at) for one in load.points]) == (True, [(0.05, 0.5)])
+    with pytest.raises(ValueError, match=re.escape("plan[1].payloads[1].segment: must be at most 1, the number of")):
+        parse_study(text.replace("at = 0.5", "segment = 2"))
 
 
 def test_plans_name_their_arms():
@@ -464,7 +472,7 @@ BAD = {
     ),
     "no such segment": (
         study_text(RING, f"{BEND}\ngravity = true\npayloads = [{{ mass = 1, segment = 2 }}]"),
-        "payloads[1].segment: must be at most 1, the shape's number of them, got 2",
+        "payloads[1].segment: must be at most 1, the number of them, got 2",
     ),
     "off the arm": (
         study_text(RING, f"{BEND}\npoints = [{{ wrench = [0, 0, 0, 0, 0, 0], at = 2 }}]"),

@@ -630,7 +630,7 @@ BAD_STUDIES = {
     "length beside shape": (
         bad_task(f"{SHAPE}\n{LOADS}\nlength = 1"),
         "task[1].length: unknown key",
-        "allowed: name, loads",
+        "allowed: name, gravity, payloads, points, loads",
     ),
     "too many values": (
         bad_task('shape = { kind = "affine", slope = 1, intercept = 1, nodes = 10000 }\nloads = { count = 100000 }'),

@@ -85,12 +85,12 @@ def _find(read: "Study", found: list[Found]) -> None:
     with progress("planning", sum(len(read.arms_of(wanted)) for wanted in read.plans)) as advance:
         for wanted in read.plans:
             for arm in read.arms_of(wanted):
-                pose, load, how = wanted.tip_pose, wanted.tip_load, wanted.smoothness
+                pose, load, how = wanted.tip_pose, wanted.load, wanted.smoothness
                 options = {"nodes": wanted.nodes, "base_pose": wanted.base_pose, "in_range": wanted.in_range}
                 try:
                     shape = plan_shape(arm.design, pose, load, how, **options)  # type: ignore[arg-type]
                 except ValueError as error:  # costs this plan alone
-                    none = torch.full((wanted.nodes, len(load)), math.nan)
+                    none = torch.full((wanted.nodes, 3 * arm.design.dimension - 3), math.nan)
                     shape = PlannedShape(f"{REFUSED}{error}", none, math.nan, math.nan, None)
                 found.append((wanted, arm, shape))
                 advance()
@@ -168,7 +168,7 @@ def _columns(found: Sequence[Found]) -> list[Column]:
 
 def _write(path: Path, found: Sequence[Found]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
-        columns = dict.fromkeys(name for wanted, *_ in found for name in TWISTS[len(wanted.tip_load)])
+        columns = dict.fromkeys(name for *_, shape in found for name in TWISTS[shape.twists.shape[-1]])
         writer = csv.DictWriter(file, ("plan", "arm", "node", *columns), lineterminator="\n")
         writer.writeheader()
         for wanted, arm, shape in (one for one in found if one[-1].found):

@@ -11,6 +11,7 @@ from torcharm.design.optimise import ITERATIONS
 from torcharm.design.shape_planning import Smoothness
 from torcharm.design.space import DesignSpace
 from torcharm.inputs import HoldsTensors
+from torcharm.load import ExternalLoad
 from torcharm.task import Task
 
 Pose = Sequence[float] | Sequence[Sequence[float]]
@@ -85,7 +86,7 @@ class NamedPlan:
     Attributes:
         name: of the plan.
         tip_pose: (x, y, θ) in the world frame [m, m, rad]; in space the rows of a homogeneous matrix.
-        tip_load: `(f_x, f_y, m)` in the world frame [N, N, N·m]; in space of six.
+        load: under which shapes are to be held.
         smoothness: the heuristic to follow; None: the shape that each arm holds best.
         nodes: elements of each segment.
         base_pose: of the shape.
@@ -95,7 +96,7 @@ class NamedPlan:
 
     name: str
     tip_pose: Pose
-    tip_load: tuple[float, ...]
+    load: ExternalLoad
     smoothness: Smoothness | None
     nodes: int
     base_pose: Pose | str

@@ -15,12 +15,22 @@ from torcharm.design.shape_planning import Smoothness
 from torcharm.design.space import DesignSpace
 from torcharm.files import read_file
 from torcharm.inputs import hint
+from torcharm.load import ExternalLoad
+from torcharm.statics.balance import segments_of
 from torcharm.study.arm_reading import make_arm
 from torcharm.study.arm_tables import NamedTable
 from torcharm.study.data import NamedArm, NamedPlan, NamedTask, Optimisation, Settings, Study
 from torcharm.study.fields import field_path, first_mistake, one_line, shown_value, within
 from torcharm.study.tables import EvaluateTable, OptimiseTable, PlanTable, StudyTable
-from torcharm.study.task_reading import check_base, check_columns, check_fit, check_values, make_task, shape_field
+from torcharm.study.task_reading import (
+    check_base,
+    check_columns,
+    check_fit,
+    check_values,
+    make_task,
+    read_points,
+    shape_field,
+)
 from torcharm.study.task_tables import ShapedTask, TwistTask
 from torcharm.wrench_sets.vertex_sets import CURVE_SAMPLES, EDGE_SAMPLES
 
@@ -172,8 +182,10 @@ def _plan(table: PlanTable, arms: Sequence[NamedArm]) -> NamedPlan:
     load = [0.0] * columns if table.tip_load is None else table.tip_load
     check_columns("tip_load", len(load), columns, POSE_IS)
     check_base(table.base_pose, columns, POSE_IS)
-    tip, chosen = (table.tip_pose, tuple(load)), tuple(arm.name for arm in _planned(table, arms, columns))
-    return NamedPlan(table.name, *tip, smoothness, table.nodes, table.base_pose, table.in_range, chosen)
+    chosen = _planned(table, arms, columns)
+    points = read_points(table, columns, min(len(segments_of(arm.design)[0]) for arm in chosen))
+    whole, names = ExternalLoad(load, table.gravity, points), tuple(arm.name for arm in chosen)
+    return NamedPlan(table.name, table.tip_pose, whole, smoothness, table.nodes, table.base_pose, table.in_range, names)
 
 
 POSE_IS = {3: "in the plane, as tip_pose is", 6: "in space, as tip_pose is"}

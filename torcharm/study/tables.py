@@ -14,7 +14,7 @@ from torcharm.design.space import FIELDS, TIES
 from torcharm.study.arm_tables import ArmTable, Names
 from torcharm.study.data import Settings
 from torcharm.study.fields import Name, NotNegative, Positive, Table, entries, filled, one_of, refuse
-from torcharm.study.task_tables import BasePose, TaskTable, TipPose, base_pose
+from torcharm.study.task_tables import BasePose, TaskTable, TipPose, WeighedTable, base_pose
 from torcharm.study.units import Angle, LengthRange, Load, PositiveAngle, PositiveLength, PressureRange
 from torcharm.wrench_sets.vertex_sets import DISTANCES, HULLS
 
@@ -145,7 +145,7 @@ class OptimiseTable(Table):
     iterations: Annotated[int, Field(ge=1)] = Field(default=ITERATIONS, description="At most, of each start.")
 
 
-class PlanTable(Table):
+class PlanTable(WeighedTable):
     """A tip pose for which torcharm plan finds a shape of each arm."""
 
     name: Name = Field(description="What tables and files call the plan.", examples=["drawer"])

@@ -11,7 +11,7 @@ from torcharm.load import ExternalLoad, PointLoad
 from torcharm.statics.balance import segments_of
 from torcharm.study.data import NamedArm, NamedTask, Pose
 from torcharm.study.fields import field_path, shown_value, within
-from torcharm.study.task_tables import DrawnLoads, PayloadTable, PointTable, ShapedTask, TwistTask
+from torcharm.study.task_tables import DrawnLoads, PayloadTable, PointTable, ShapedTask, TwistTask, WeighedTable
 from torcharm.task import Task, sample_loads
 
 MOST_VALUES = 50_000_000
@@ -38,7 +38,7 @@ def make_task(table: ShapedTask | TwistTask) -> NamedTask:
         torch.cat(segments),
         loads,
         table.base_pose if isinstance(table.base_pose, str) else torch.tensor(table.base_pose, dtype=torch.float64),
-        ExternalLoad(gravity=table.gravity, points=_points(table, columns, len(nodes))),
+        ExternalLoad(gravity=table.gravity, points=read_points(table, columns, len(nodes))),
         table.wrench_at,
         nodes if len(nodes) > 1 else None,
     )
@@ -78,8 +78,8 @@ def _loads(table: ShapedTask | TwistTask, columns: int, nodes: int) -> Tensor:
     return torch.tensor(table.loads, dtype=torch.float64)
 
 
-def _points(table: ShapedTask | TwistTask, columns: int, segments: int) -> list[PointLoad]:
-    """Payloads, then other loads along the arm."""
+def read_points(table: WeighedTable, columns: int, segments: int) -> list[PointLoad]:
+    """Payloads, then other loads along an arm of so many segments."""
     if table.payloads and not table.gravity:
         raise ValueError("gravity: must be true where there are payloads, which it gives their weight, got false")
     points = []
@@ -88,9 +88,7 @@ def _points(table: ShapedTask | TwistTask, columns: int, segments: int) -> list[
         for index, one in enumerate(listed or ()):
             with within(field_path([name, index])):
                 if one.segment > segments:
-                    raise ValueError(
-                        f"segment: must be at most {segments}, the shape's number of them, got {one.segment}"
-                    )
+                    raise ValueError(f"segment: must be at most {segments}, the number of them, got {one.segment}")
                 if isinstance(one, PointTable):
                     check_columns("wrench", len(one.wrench), columns)
                 points.append(PointLoad(**one.model_dump(exclude={"segment"}), segment=one.segment - 1))

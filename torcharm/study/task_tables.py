@@ -186,15 +186,9 @@ base_pose: Any = Field(
 )
 
 
-class LoadedTable(NamedTable):
-    """What tasks have beside a shape."""
+class WeighedTable(NamedTable):
+    """What is loaded along the arm."""
 
-    loads: LoadsTable | None = Field(
-        default=None,
-        description="Loads at the tip in the world frame, x right, y up and z to the viewer: forces, and the moment; "
-        "in space six numbers. Without it, none.",
-        examples=[[[0.0, 0.0, 0.0], [1.0, "-200 gf", 0.1]]],
-    )
     gravity: bool = Field(
         default=False, description="Whether arm, links and payloads weigh: 9.81 m/s² down (-y).", examples=[True]
     )
@@ -205,6 +199,17 @@ class LoadedTable(NamedTable):
         default=None,
         description="Further forces and moments, along the arm.",
         examples=[[{"wrench": [1.0, 0.0, 0.0], "at": 0.5, "frame": "body"}]],
+    )
+
+
+class LoadedTable(WeighedTable):
+    """What tasks have beside a shape."""
+
+    loads: LoadsTable | None = Field(
+        default=None,
+        description="Loads at the tip in the world frame, x right, y up and z to the viewer: forces, and the moment; "
+        "in space six numbers. Without it, none.",
+        examples=[[[0.0, 0.0, 0.0], [1.0, "-200 gf", 0.1]]],
     )
     base_pose: BasePose = base_pose
     wrench_at: Annotated[str, one_of(WRENCH_PLACES)] = Field(
