@@ -1,6 +1,7 @@
 """The engine's balance at given shapes, as kernels that tests call: residuals, pivots and rates."""
 
 from torcharm.engine.compilation import kernel, part
+from torcharm.engine.implicit import solve_rows
 from torcharm.engine.newton_step import write_balance, write_shape
 from torcharm.engine.sections import set_pressure
 
@@ -30,6 +31,12 @@ def balances(arms, loads, pressures, twists, factor, room, residual, pivots):  #
             for c in range(residual.shape[2]):
                 residual[b, i, c] = room.residual[i, c]
         pivots[b, 0], pivots[b, 1] = room.pivots[0], room.pivots[1]
+
+
+@kernel
+def solutions(arms, loads, pressures, twists, rows, room, right):  # type: ignore[no-untyped-def]
+    """As `solve_rows`, of all rows."""
+    solve_rows(arms, loads, pressures, twists, rows, 0, len(rows), room, right)
 
 
 @kernel

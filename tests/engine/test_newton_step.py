@@ -8,7 +8,6 @@ from spatial_scenes import SCENES, arm_and_task
 
 import torcharm as ta
 from torcharm.engine.arms import arms_of
-from torcharm.engine.implicit import solve_rows
 from torcharm.engine.loads import loads_of
 from torcharm.engine.room import make_room
 from torcharm.statics.cross_section import reaction_wrench
@@ -121,7 +120,7 @@ def test_solutions_are_those_of_the_dense_matrix_by_differences(name):
     slope = case.slope()
     right = np.random.default_rng(0).normal(size=(1, 4, *case.shape))
     found = right.copy()
-    solve_rows(case.arms, case.loads, case.pressure, case.twists, np.array([0]), case.room, found)
+    balances.solutions(case.arms, case.loads, case.pressure, case.twists, np.array([0]), case.room, found)
     for one, given in zip(found[0], right[0], strict=True):
         theirs = np.linalg.solve(slope, given.ravel())
         np.testing.assert_allclose(one.ravel(), theirs, rtol=0, atol=3e-8 * np.abs(theirs).max())
@@ -172,6 +171,6 @@ def test_a_direction_without_stiffness_takes_no_step():
     _, pivots = case.balance()
     assert pivots.tolist() == [0, 3]
     right = np.ones((1, 1, *case.shape))
-    solve_rows(case.arms, case.loads, case.pressure, case.twists, np.array([0]), case.room, right)
+    balances.solutions(case.arms, case.loads, case.pressure, case.twists, np.array([0]), case.room, right)
     assert (right[0, 0, :, 1] == 0).all()
     assert np.isfinite(right).all()

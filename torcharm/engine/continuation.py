@@ -14,7 +14,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from torcharm.engine.compilation import kernel, part
+from torcharm.engine.compilation import part
 from torcharm.engine.newton_step import factor_section, solve, write_balance, write_shape
 from torcharm.engine.path import (
     copy_twists,
@@ -302,7 +302,7 @@ def find_equilibrium(arms, loads, scale, pressures, start, room, path, b, tolera
     return CONTINUED if along else SNAPPED
 
 
-@kernel
+@part
 def find_equilibria(arms, loads, scale, pressures, start, tolerance, first, last, room, path, found):  # type: ignore[no-untyped-def]
     """Find the equilibria of the arms from one to another, without the last.
 

@@ -40,6 +40,10 @@ class Goal(NamedTuple):
     weight: Array
 
 
+NO_GOAL = Goal(np.zeros((0, 0, 0)), np.zeros((0, 0, 0)))
+"""Where poses are not compared."""
+
+
 @by_reference
 class Errors(NamedTuple):
     """Room for the errors of one arm.

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from torcharm.engine.compilation import kernel, part
+from torcharm.engine.compilation import part
 from torcharm.engine.continuation import CONTINUED
 from torcharm.engine.descent import CLOSE, FLOOR, NO_START, RUNNING, STABILITY_ENDS, STEPS, descend, error_slope
 from torcharm.engine.path import copy_twists, move_size
@@ -177,7 +177,7 @@ def _predict(problem, work, fit, b, shape, draws):  # type: ignore[no-untyped-de
     return ended
 
 
-@kernel
+@part
 def predict_all(problem, shape, draws, start, tolerance, first, last, work, fit, out):  # type: ignore[no-untyped-def]
     """Predict for the arms from one to another, without the last.
 

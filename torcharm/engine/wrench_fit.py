@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from torcharm.engine.arms import Arms
 from torcharm.engine.box_step import factor_free, largest_curvature, optimality, solve_free, write_box_step
-from torcharm.engine.compilation import kernel, part
+from torcharm.engine.compilation import part
 from torcharm.engine.newton_step import write_balance, write_shape
 from torcharm.engine.path import copy_twists
 from torcharm.engine.references import by_reference
@@ -24,6 +24,8 @@ Array = NDArray[Any]
 FIT_STEPS, FIT_GAIN = 15, 1e-2
 """Steps of a fit where a descent begins, at most; and the share of the squared distance that one must promise, which is
 all of it where the shape can be held."""
+STEPS, GAIN = 120, 1e-14
+"""The same of a fit that is wanted for itself: more steps were not seen to help."""
 START_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-14, 1e8
 """Of the largest curvature: at first; where it no longer changes a step; and where a step is but rounding."""
 NOTHING = 1e-30
@@ -209,8 +211,8 @@ class FitAnswers(NamedTuple):
     done: Array
 
 
-@kernel
-def fit_all(problem, shape, starts, steps, gain, first, last, work, fit, out):  # type: ignore[no-untyped-def]
+@part
+def fit_all(problem, shape, starts, first, last, work, fit, out):  # type: ignore[no-untyped-def]
     """Fit the arms from one to another, without the last, from several starts each, and keep the best.
 
     Args:
@@ -224,7 +226,7 @@ def fit_all(problem, shape, starts, steps, gain, first, last, work, fit, out):  
         for s in range(len(starts)):
             for m in range(len(fit.gradient)):
                 fit.place[0, m] = starts[s, m]
-            value, done = fit_wrenches(problem, work, fit, b, shape[b], steps, gain)
+            value, done = fit_wrenches(problem, work, fit, b, shape[b], STEPS, GAIN)
             if value < out.square[b]:
                 _evaluate(problem, work, fit, b, shape[b], 0)
                 out.square[b], out.done[b] = value, done

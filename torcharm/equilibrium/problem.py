@@ -13,12 +13,11 @@ from torch import Tensor
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.engine.arms import Arms, Loads, arms_of, numbers
-from torcharm.engine.continuation import find_equilibria
-from torcharm.engine.implicit import solve_rows
 from torcharm.engine.loads import loads_of
-from torcharm.engine.path import Array, Found, Scale, make_path
-from torcharm.engine.room import make_room
-from torcharm.engine.threads import spread
+from torcharm.engine.path import Array, Found, Scale
+from torcharm.engine.pose_error import NO_GOAL
+from torcharm.engine.pressure_model import Problem as EngineProblem
+from torcharm.engine.questions import EQUILIBRIA, SOLUTIONS, Given, answer, make_found
 from torcharm.load import ExternalLoad
 from torcharm.statics.balance import balance_residual, unknown_columns
 
@@ -105,21 +104,8 @@ class Packed:
             start: (B, N, K) twists of warm starts, or of none (0, N, K).
             tolerance: of the load scale.
         """
-        count, nodes, size = len(self.pressure), self.arms.first_node[-1], self.arms.size
-        found = Found(
-            np.zeros((count, nodes, size)),
-            np.zeros(count),
-            np.zeros(count, dtype=np.int64),
-            np.zeros((count, 2), dtype=np.int64),
-            np.zeros((count, 2)),
-        )
-
-        def work(first: int, last: int) -> None:
-            room, path = make_room(self.arms), make_path(self.arms)
-            given = self.arms, self.loads, self.scale, self.pressure, start, tolerance
-            find_equilibria(*given, first, last, room, path, found)
-
-        spread(count, work)
+        found = make_found(len(self.pressure), int(self.arms.first_node[-1]), self.arms.size)
+        answer(EQUILIBRIA, self._asked, tolerance, Given(start=start), found=found)
         return found
 
     def inverse(self, twists: Array, index: Array) -> Array:
@@ -133,12 +119,12 @@ class Packed:
 
     def solve(self, twists: Array, index: Array, right: Array) -> None:
         """Replace right-hand sides (b, X, N, C) by J⁻¹ times them, for the problems at an index (b,)."""
+        answer(SOLUTIONS, self._asked, 0.0, Given(twists=twists, rows=index, right=right))
 
-        def work(first: int, last: int) -> None:
-            room = make_room(self.arms)
-            solve_rows(self.arms, self.loads, self.pressure, twists, index[first:last], room, right[first:last])
-
-        spread(len(index), work)
+    @property
+    def _asked(self) -> EngineProblem:
+        """The problems as the engine takes them, without a goal."""
+        return EngineProblem(self.arms, self.loads, self.scale, NO_GOAL, self.pressure)
 
 
 def _scale(arms: Arms, loads: Loads) -> Scale:

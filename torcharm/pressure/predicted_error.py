@@ -18,10 +18,8 @@ from torch import Tensor
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.engine.descent import HELD_UP, NO_GAIN, OPTIMUM
-from torcharm.engine.predictions import SCREENED, Predictions, predict_all
-from torcharm.engine.pressure_model import make_work
-from torcharm.engine.threads import spread
-from torcharm.engine.wrench_fit import make_fit
+from torcharm.engine.predictions import SCREENED, Predictions
+from torcharm.engine.questions import PREDICTIONS, Given, answer, make_predictions
 from torcharm.equilibrium.solve import TOLERANCE
 from torcharm.equilibrium.stability import lengths_positive, strain_excess
 from torcharm.inputs import HoldsTensors, shapes_only
@@ -182,21 +180,7 @@ def _found(prepared: Prepared) -> Predictions:
     count, actuators = problem.limit.shape
     sobol = torch.quasirandom.SobolEngine(actuators).draw(1 + SCREENED[-1], dtype=torch.float64)
     draws = sobol[1:].numpy()
-    start = np.zeros((0, *shape.shape[1:]))
-    out = Predictions(
-        place=np.zeros((count, actuators)),
-        twists=np.zeros_like(shape),
-        half_cost=np.zeros(count),
-        slope=np.zeros(count),
-        ended=np.zeros(count, dtype=np.int64),
-        stable=np.zeros(count, dtype=np.bool_),
-        reached=np.zeros(count, dtype=np.bool_),
-    )
-    pressure = np.zeros_like(problem.limit)
-
-    def work(first: int, last: int) -> None:
-        room, fit = make_work(problem.arms, pressure), make_fit(problem.arms, prepared.wrench_weights)
-        predict_all(problem, shape, draws, start, TOLERANCE, first, last, room, fit, out)
-
-    spread(count, work)
+    out = make_predictions(count, shape.shape[1], shape.shape[2], actuators)
+    given = Given(twists=shape, places=draws, weight=prepared.wrench_weights)
+    answer(PREDICTIONS, problem, TOLERANCE, given, predictions=out)
     return out

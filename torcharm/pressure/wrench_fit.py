@@ -9,17 +9,13 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
-from torcharm.engine.pressure_model import make_work
-from torcharm.engine.threads import spread
-from torcharm.engine.wrench_fit import FitAnswers, fit_all, make_fit
+from torcharm.engine.questions import FITS, Given, answer, make_fits
+from torcharm.engine.wrench_fit import FitAnswers
 from torcharm.inputs import HoldsTensors, as_floating, check_at_least, check_count, check_finite, shapes_only
 from torcharm.pressure.prepared import Prepared, detached, prepare
 from torcharm.pressure.starts import spread_points
 from torcharm.statics.external_load import HULL
 from torcharm.task import Task
-
-STEPS, GAIN = 120, 1e-14
-"""Of a fit: steps at most, and the share of the squared distance that the last one promises."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -103,15 +99,6 @@ def _fitted(prepared: Prepared, force: float, moment: float, starts: NDArray[np.
         ]
     )
     count, actuators = problem.limit.shape
-    miss = np.zeros((count, shape.shape[1], len(weight)))
-    out = FitAnswers(
-        np.zeros((count, actuators)), np.zeros(count), miss, np.zeros(count), np.zeros(count, dtype=np.bool_)
-    )
-    pressure = np.zeros_like(problem.limit)
-
-    def work(first: int, last: int) -> None:
-        room, fit = make_work(problem.arms, pressure), make_fit(problem.arms, weight)
-        fit_all(problem, shape, starts, STEPS, GAIN, first, last, room, fit, out)
-
-    spread(count, work)
-    return out
+    fits = make_fits(count, shape.shape[1], len(weight), actuators)
+    answer(FITS, problem, 0.0, Given(twists=shape, places=starts, weight=weight), fits=fits)
+    return fits
