@@ -55,8 +55,9 @@ class Pictures:
                 color=COLOURS[name],
                 label=f"multistart, {name}",
             )
+            side = -26 if name == next(iter(COLOURS)) else 6  # each arm's labels stand on their own side
             for index, (t, v, plan) in enumerate(points):
-                place = (4, 5) if index % 2 else (-12, -11)
+                place = (side, 5 if index % 2 else -11)
                 axes.annotate(plan, (1e3 * t, 100 * v), place, textcoords="offset points", fontsize=8)
         for name, points in self.scipy.items():
             if not points:
