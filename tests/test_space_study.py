@@ -96,7 +96,7 @@ def test_segments_links_and_what_loads_them():
     assert task.task.load.gravity
     mass, pull = task.task.load.points
     assert (mass.mass.item(), mass.at, mass.segment) == (0.1, 0.5, 1)
-    assert (pull.wrench.tolist(), pull.frame, pull.segment, pull.at) == ([0, 0, 1, 0, 0, 0], "body", 0, 1.0)
+    assert (pull.wrench.tolist(), pull.frame, pull.segment, pull.at) == ([0, 0, 1, 0, 0, 0], "body", 1, 1.0)
     assert task.task.base_pose[:3, 0].tolist() == [0.0, 1.0, 0.0]
 
 

@@ -34,7 +34,7 @@ class PointLoad(HoldsTensors):
     Attributes:
         wrench: (..., 3) `(f_x, f_y, m)` in the plane, (..., 6) `(f_x, f_y, f_z, m_x, m_y, m_z)` in space
             [N, N·m], or None for a mass alone.
-        segment: index of the pressure segment that it sits on, from 0 at the base.
+        segment: index of the pressure segment that it sits on, from 0 at the base; -1 is the last.
         at: the place on that segment's normalised arc, from 0 (its start) to 1 (its end, before a link).
         frame: "world" for a wrench of fixed direction, "body" for one that turns with the arm.
         mass: (...) [kg], which weighs where the load has gravity.
@@ -49,7 +49,7 @@ class PointLoad(HoldsTensors):
     def __init__(
         self,
         wrench: TensorLike | None = None,
-        segment: int = 0,
+        segment: int = -1,
         at: float = 1.0,
         frame: str = "world",
         mass: TensorLike = 0.0,
@@ -74,7 +74,7 @@ class PointLoad(HoldsTensors):
         if place > 1:
             raise ValueError(f"at: must be from 0 to 1, the ends of the segment, got {place:g}")
         object.__setattr__(self, "wrench", values.get("wrench"))
-        object.__setattr__(self, "segment", check_count("segment", segment, 0))
+        object.__setattr__(self, "segment", check_count("segment", segment, -1))
         object.__setattr__(self, "at", place)
         object.__setattr__(self, "frame", frame)
         object.__setattr__(self, "mass", values["mass"])
@@ -90,7 +90,8 @@ class PointLoad(HoldsTensors):
     def __repr__(self) -> str:
         """Shapes, and where it sits."""
         wrench = "no wrench" if self.wrench is None else f"wrench {tuple(self.wrench.shape)} in the {self.frame} frame"
-        return f"PointLoad({wrench}, segment {self.segment} at {self.at:g}, mass {tuple(self.mass.shape)})"
+        where = "last segment" if self.segment < 0 else f"segment {self.segment}"
+        return f"PointLoad({wrench}, {where} at {self.at:g}, mass {tuple(self.mass.shape)})"
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)

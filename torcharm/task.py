@@ -62,7 +62,7 @@ class Task(HoldsTensors):
 
         Args:
             twists: (..., N, 3 or 6); the number of columns says whether the task is planar or spatial.
-            tip_load: (..., 3) or (..., 6) in the world frame [N, N·m]. Beside a load it is that load's tip.
+            tip_load: (..., 3) or (..., 6) in the world frame [N, N·m]; None is no load. Beside a load it is its tip.
             base_pose: (3,) or (4, 4), or "hanging" (None), "upright" or "horizontal", from the origin.
             load: point loads and gravity, with or without a tip load.
             wrench_at: "middle" (second order in 1/N) or "start" (first order; the paper, and all that it publishes).
@@ -74,8 +74,6 @@ class Task(HoldsTensors):
         if load is not None and not isinstance(load, ExternalLoad):
             raise ValueError(f"load: must be an ExternalLoad, got {shown(load)}")
         check_choice("wrench_at", wrench_at, WRENCH_PLACES)
-        if tip_load is None and load is None:
-            raise ValueError("tip_load: must be given, or a load: zeros for none, got neither")
         given: dict[str, Any] = {"twists": twists}
         if tip_load is not None:
             given["tip_load"] = tip_load

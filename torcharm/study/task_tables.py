@@ -132,7 +132,11 @@ LoadsTable = Annotated[
 ]
 At = Annotated[float, Check(_check_share, words=_SHARE)]
 _at: Any = Field(default=1.0, description="Place on its segment, as a share of its length.", examples=[0.5])
-_segment: Any = Field(default=1, description="Number of the segment on which it sits, from the base on.")
+_segment: Any = Field(
+    default=None,
+    description="Number of the segment on which it sits, from the base on; without it the last.",
+    examples=[1],
+)
 _Count = Annotated[int, Field(ge=1)]
 
 
@@ -141,7 +145,7 @@ class PayloadTable(Table):
 
     mass: Mass = Field(description="How much.", examples=["100 g"])
     at: At = _at
-    segment: _Count = _segment
+    segment: _Count | None = _segment
 
 
 class PointTable(Table):
@@ -149,7 +153,7 @@ class PointTable(Table):
 
     wrench: Load = Field(description="Force and moment, as of loads.", examples=[[1.0, 0.0, 0.0]])
     at: At = _at
-    segment: _Count = _segment
+    segment: _Count | None = _segment
     frame: Annotated[str, one_of(FRAMES)] = Field(
         default="world", description="Whether the directions are the world's, or turn with the arm.", examples=["body"]
     )
