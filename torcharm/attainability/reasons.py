@@ -13,7 +13,8 @@ from torcharm.statics.cross_section import RANGE_SLACK, cross_sections, per_actu
 UNDECIDED = {
     "not converged": "a stable shape, but perhaps not the best pressure: search_pressure may find a better one",
     "unstable": "no stable equilibrium near the task's shape was found: search_pressure follows the arm from rest",
-    "not reached": "stable there, but loading from rest leads to another shape: search_pressure finds the closest",
+    "not reached": "stable there, but loading from rest leads to another shape, which solve_equilibrium tells of this "
+    "pressure; search_pressure looks for the closest that loading reaches",
 }
 
 NOTHING = 1e-6

@@ -31,6 +31,7 @@ from torcharm.files import check_writable, plain_cell
 
 if TYPE_CHECKING:
     from torcharm.design import Objective, OptimisedDesign, Progress
+    from torcharm.design.space import Arm
     from torcharm.study import NamedArm, Study
 
 Found = Sequence[tuple["NamedArm", "OptimisedDesign"]]
@@ -77,7 +78,7 @@ def optimise(
         else:
             interrupted = any(result.stopped == "interrupted" for _, result in results)
         if results:
-            _tell(results)
+            _tell(plan, results)
         save_all(open_console(), _outputs(plan, results, out, numbered(figure, len(plan.arms))))
         finish(interrupted, results, refused)
 
@@ -122,20 +123,20 @@ def _check_checkpoint(study: Path, out: Path | None, figure: Path | None, checkp
             raise ValueError(f"--checkpoint: {checkpoint}: is {what}, must be another file")
 
 
-def _tell(results: Found) -> None:
+def _tell(plan: "Study", results: Found) -> None:
     from torcharm.design.result import objective_words
     from torcharm.design.space import LEAST_SPACING
     from torcharm.statics.balance import segments_of
 
     console = open_console()
-    print_table(_errors(results))
+    print_table(_errors(plan, results))
     console.print()
     print_table(_designs(results), lead=2)
     console.print()
     first = results[0][1]
     words, tasks = objective_words(first.objective), count(len(first.after.stable), "task")
     unit = "mm" if first.objective.unit == "m" else "N"
-    say(console, f"Value: {words} [{unit}], of {tasks}. Tip: mean predicted tip error [mm].")
+    say(console, f"Value: {words} [{unit}], of {tasks}. Tip: mean predicted tip error [mm]. Held: by verdict.")
     if first.objective.metric == "predicted_error":
         if not all(bool(side.stable.all()) for _, result in results for side in (result.before, result.after)):
             say(console, "A task without a stable equilibrium counts as its length in the value, and not in the tip's.")
@@ -222,7 +223,19 @@ def _values(result: "OptimisedDesign", results: Found) -> Iterator[tuple[list[fl
         yield [given[row] for row in rows], [best[row] for row in rows]
 
 
-def _errors(results: Found) -> list[Column]:
+def _held(plan: "Study", arm: "NamedArm", design: "Arm") -> str:
+    """How many of its tasks a design holds, as `torcharm evaluate` would say."""
+    import numpy as np
+
+    from torcharm.attainability import evaluate
+
+    tolerance = plan.settings.tolerance
+    found = [evaluate(design, named.task, ("predicted_error",), tolerance=tolerance) for named in plan.tasks_of(arm)]
+    verdicts = [word for one in found for word in np.ravel(np.array(one.verdict))]
+    return f"{verdicts.count('held')}/{len(verdicts)}"
+
+
+def _errors(plan: "Study", results: Found) -> list[Column]:
     columns = [Column("arm", [arm.name for arm, _ in results], LONGEST_WORD)]
     for name in ("given", "best"):
         values = [
@@ -233,6 +246,9 @@ def _errors(results: Found) -> list[Column]:
     for name in ("given", "best"):
         sides = [result.after if name == "best" else result.before for _, result in results]
         columns.append(Column(f"tip\n{name}", [f"{side.tip_mm:.4g}" for side in sides]))
+    for name in ("given", "best"):
+        held = [_held(plan, arm, result.best if name == "best" else result.given) for arm, result in results]
+        columns.append(Column(f"held\n{name}", held))
     return columns
 
 

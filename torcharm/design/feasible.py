@@ -25,6 +25,9 @@ from torcharm.task import Task
 
 SLACK = 1e-7
 """By how much [m] constraints are to be kept, so that neither the descent's tolerance nor rounding breaks them."""
+RANGE_MARGIN = 0.03
+"""Of the strains that were characterised, kept free at either end: an arm does not reach a task's shape exactly, and
+beyond them its forces are a guess."""
 FEASIBLE = 2e-8
 """By how much [m] one may be broken by what counts as feasible: less than the slack, more than the tolerance."""
 ACTIVE = 1e-4
@@ -294,13 +297,13 @@ def _order(segment: ArmDesign) -> list[int]:
 
 def _strain_rows(segment: ArmDesign, corners: Array, before: int) -> Array:
     """Rows (actuator, sign, l, κ_y, κ_z, 1 + ε) of a segment."""
-    rows = [
-        (before + index, sign, *corner, 1 + edge)
-        for index, model in enumerate(segment.actuators)
-        for sign, edge in zip((1.0, -1.0), (float(end) for end in model.strain_range), strict=True)
-        if np.isfinite(edge)
-        for corner in corners
-    ]
+    rows = []
+    for index, model in enumerate(segment.actuators):
+        low, high = (float(end) for end in model.strain_range)
+        kept = RANGE_MARGIN * (high - low) if np.isfinite(high - low) else 0.0
+        for sign, edge in ((1.0, low + kept), (-1.0, high - kept)):
+            if np.isfinite(edge):
+                rows += [(before + index, sign, *corner, 1 + edge) for corner in corners]
     return np.array(rows, dtype=np.float64).reshape(-1, 6)
 
 

@@ -159,6 +159,8 @@ def outcome(
         status += f"; no stable equilibrium is predicted {_on_tasks(~after.stable)}"
     elif not bool(after.converged.all()):
         status += f"; predictions did not converge {_on_tasks(~after.converged)}"
+    if chosen is not None and space.in_range and int(after.in_range.sum()) < int(before.in_range.sum()):
+        status += f"; the shapes reached leave the characterised range {_on_tasks(~after.in_range)}, where models guess"
     reached = np.array([end.point for end in ends]).reshape(len(ends), designs.dimension)
     return OptimisedDesign(
         given=given,

@@ -32,8 +32,8 @@ from numba.core.untyped_passes import (
     TranslateByteCode,
 )
 
-SECONDS = 10
-"""Of one core, for the kernels of a kind of question: sets, equilibria, predictions, searches."""
+SECONDS = 15
+"""Of one core, for the kernels of a kind of question: sets, equilibria and predictions, searches."""
 PASSES = (
     *(TranslateByteCode, FixupArgs, IRProcessing, RewriteSemanticConstants, DeadBranchPrune, GenericRewrites),
     *(ReconstructSSA, NopythonTypeInference, PreLowerStripPhis, IRLegalization, NativeLowering, NoPythonBackend),
