@@ -96,7 +96,7 @@ def test_segments_links_and_what_loads_them():
     assert task.task.load.gravity
     mass, pull = task.task.load.points
     assert (mass.mass.item(), mass.at, mass.segment) == (0.1, 0.5, 1)
-    assert (pull.wrench.tolist(), pull.frame, pull.segment, pull.at) == ([0, 0, 1, 0, 0, 0], "body", 1, 1.0)
+    assert (pull.wrench.tolist(), pull.frame, pull.segment, pull.at) == ([0, 0, 1, 0, 0, 0], "body", -1, 1.0)
     assert task.task.base_pose[:3, 0].tolist() == [0.0, 1.0, 0.0]
 
 
@@ -329,6 +329,8 @@ def test_plans_know_weight_and_payloads():
     text = MIXED + IN_THE_PLANE + 'gravity = true\npayloads = [{ mass = "50 g", at = 0.5 }]\narms = ["flat"]\n'
     load = parse_study(text).plans[0].load
     assert (load.gravity, [(float(one.mass), one.at) for one in load.points]) == (True, [(0.05, 0.5)])
+    several = parse_study(text.removesuffix('arms = ["flat"]\n')).plans[0]
+    assert (several.arms, [one.segment for one in several.load.points]) == (("flat", "row"), [-1])  # each arm's last
     with pytest.raises(ValueError, match=re.escape("plan[1].payloads[1].segment: must be at most 1, the number of")):
         parse_study(text.replace("at = 0.5", "segment = 2"))
 

@@ -215,3 +215,16 @@ def test_a_task_may_say_how_its_rows_belong_to_segments():
     task = ta.Task(torch.ones(7, 3), load=load, segment_nodes=[3, 4], wrench_at="middle")
     assert (task.segment_nodes, task.wrench_at) == ((3, 4), "middle")
     assert dataclasses.replace(task, wrench_at="start").segment_nodes == (3, 4)
+
+
+def test_a_load_sits_on_the_last_segment_unless_told_otherwise():
+    arm = ta.series([ta.ArmDesign([-0.05, 0.05], 0.3, "bellows"), ta.RigidLink(length=0.05), ta.bellows_arm()])
+    found = []
+    for where in ({}, {"segment": 1}, {"segment": 0}):
+        load = ta.ExternalLoad(gravity=True, points=[ta.PointLoad([0.5, 0.0, 0.0], at=0.7, mass=0.1, **where)])
+        rest = ta.solve_equilibrium(arm, [5.0, 6.0, 5.0, 6.0, 5.0, 6.0], load, nodes=4)
+        task = ta.Task(rest.twists, load=load, segment_nodes=(4, 4))
+        found.append((rest.poses, ta.required_wrench(task.twists, load, segment_nodes=(4, 4))))
+    for last, explicit, first in zip(*found, strict=True):
+        assert torch.equal(last, explicit)
+        assert not torch.allclose(last, first, atol=1e-3)

@@ -116,7 +116,7 @@ def evaluate(
         power: 1 sums distances (the paper's text), 2 their squares (the paper's table).
         signed: gives attainable tasks a negative value: where every node is inside its set, minus the smallest margin
             along the arm (to the power). First nodes have no part in the relative margin. Needs hull="exact" and "gjk".
-        pose_cost: what the predicted error measures; None is the paper's `PoseCost()`.
+        pose_cost: what the predicted error measures; None is `PoseCost()`.
         chunk_size: (design, shape, load) triples worked on at once; None chooses. Bounds memory.
 
     Returns:

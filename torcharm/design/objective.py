@@ -32,7 +32,7 @@ class Objective:
             predicted, or an actuator has no length, the error counts as the length of the task's shape.
         over: "mean" over the tasks, or "worst", the largest.
         task_weights: in the mean, one number for each task, in the order of the results; None weighs all alike.
-        pose_cost: what predicted errors measure; None is the paper's `PoseCost()`.
+        pose_cost: what predicted errors measure; None is `PoseCost()`.
         relative_weight: λ of `absolute + λ relative` unattainability.
         margin: whether unattainability goes on, below zero, to the margins once every task is attainable.
         weights, power: of unattainability, as in `torcharm.evaluate`, whose exact sets are used.

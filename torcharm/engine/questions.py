@@ -94,7 +94,7 @@ def answer(
         given: what the question takes.
         found, predictions, fits: that which it writes.
     """
-    pressure, walks = np.zeros_like(problem.limit), question in (FITS, PREDICTIONS)
+    pressure, slots = np.zeros_like(problem.limit), SLOTS if question in (FITS, PREDICTIONS) else 0
     answers = Answers(
         make_found(0, 0, 0) if found is None else found,
         make_predictions(0, 0, 0, 0) if predictions is None else predictions,
@@ -102,7 +102,7 @@ def answer(
     )
 
     def work(first: int, last: int) -> None:
-        room = make_work(problem.arms, pressure, SLOTS if walks else 0)
+        room = make_work(problem.arms, pressure, slots)
         fit = make_fit(problem.arms, given.weight)
         _answer(question, problem, tolerance, given, first, last, room, fit, answers)
 

@@ -102,7 +102,8 @@ class PoseCost:
         return omega
 
     def __call__(self, error: Tensor, length: Tensor | float = PAPER_LENGTH) -> Tensor:
-        """The cost (...) [m²] of errors (..., N+1, 3 or 6) [m, rad] of arms of neutral lengths (...) [m]."""
+        """The cost (...) [m²] of errors (..., N+1, 3 or 6) [m, rad] of arms of neutral lengths (...) [m], by default
+        the paper's."""
         dimension = 2 if error.shape[-1] == 3 else 3
         weights = self.weights(error.shape[-2] - 1, torch.as_tensor(length).to(error), dimension)
         return (weights * error.square()).sum((-2, -1))

@@ -120,7 +120,7 @@ def predict_error(
     Args:
         arm: designs, of any batch shape; or segments in series.
         task: shapes and loads, of any batch shape; every design meets every task. Or a list of such.
-        pose_cost: what is minimised; None is the paper's `PoseCost()`.
+        pose_cost: what is minimised; None is `PoseCost()`.
 
     Returns:
         What is predicted; of a list of tasks a tuple, with what is predicted for each, in their order.

@@ -171,7 +171,7 @@ def search_pressure(
         method: "multistart" or "scipy".
         starts: S, the number of descents at most, before those from other ends; None takes 8 (multistart) or 1 (scipy).
         rounds: searches along boundaries at most (multistart).
-        pose_cost: what is minimised; None is the paper's `PoseCost()`.
+        pose_cost: what is minimised; None is `PoseCost()`.
         shear_stiffness: as for `solve_equilibrium`.
         seed: of the pressures that are drawn.
         scipy_method: a bounded method of `scipy.optimize.minimize`.

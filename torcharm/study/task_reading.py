@@ -87,12 +87,12 @@ def read_points(table: WeighedTable, columns: int, segments: int) -> list[PointL
     for name, listed in named.items():
         for index, one in enumerate(listed or ()):
             with within(field_path([name, index])):
-                number = one.segment or segments
-                if number > segments:
-                    raise ValueError(f"segment: must be at most {segments}, the number of them, got {number}")
+                if one.segment is not None and one.segment > segments:
+                    raise ValueError(f"segment: must be at most {segments}, the number of them, got {one.segment}")
                 if isinstance(one, PointTable):
                     check_columns("wrench", len(one.wrench), columns)
-                points.append(PointLoad(**one.model_dump(exclude={"segment"}), segment=number - 1))
+                segment = -1 if one.segment is None else one.segment - 1
+                points.append(PointLoad(**one.model_dump(exclude={"segment"}), segment=segment))
     return points
 
 
