@@ -402,9 +402,8 @@ def test_batches_broadcast_and_give_what_each_gives_alone(group, wrench_at):
     for a, b, c in np.ndindex(3, 2, 4):
         one = load(tip[c], wrench[b, 0], mass[c])
         alone = required_wrench(twists[a, 0, 0], one, base[b, 0], **rest(own[b, 0], link[a, 0, 0]))
-        torch.testing.assert_close(
-            found[a, b, c], alone, rtol=4e-15, atol=1e-14
-        )  # rounding: vectors of other lengths are summed otherwise
+        # Vectors of other lengths are summed otherwise, which rounds otherwise.
+        torch.testing.assert_close(found[a, b, c], alone, rtol=4e-15, atol=1e-14)
 
 
 @PLACES
