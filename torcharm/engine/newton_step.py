@@ -21,12 +21,15 @@ from torcharm.engine.carried_load import add_load_at_end, add_load_inside, add_o
 from torcharm.engine.compilation import inlined_part, part
 from torcharm.engine.elements import write_lever, write_link, write_motion
 from torcharm.engine.sections import write_rates, write_section
+from torcharm.engine.stack import small_matrix, small_vector
 
 SINGULAR = 64 * np.finfo(np.float64).eps
 """Of the largest number in its row: a pivot so small is rounding, and stands for a direction without stiffness, in
 which steps are 0."""
-PLANE_SIZE, PLANE_COLUMNS = 3, 2
-"""Numbers of a twist in the plane, and those that are unknown without shear: loops over so few are written out."""
+# Numbers of a twist, those that are unknown without shear or torsion, and the first row of moments, before which S is
+# zero under dead loads: loops over so few are written out, which is several times as fast.
+PLANE_SIZE, PLANE_COLUMNS, PLANE_ROW = 3, 2, 2
+SPACE_SIZE, SPACE_COLUMNS, SPACE_ROW = 6, 3, 3
 
 
 @part
@@ -75,50 +78,65 @@ def write_balance(arms, loads, room, b, twist, factor, linear_shift, angular_shi
         factor: λ on all loads.
         linear_shift, angular_shift: on the diagonal of J in linear and in angular components, 0 for J itself.
     """
-    if arms.size == PLANE_SIZE and len(arms.unknown) == PLANE_COLUMNS:
-        _sweep(arms, loads, room, b, twist, factor, linear_shift, angular_shift, PLANE_SIZE, PLANE_COLUMNS)
+    shifts, first_row, columns = (linear_shift, angular_shift), first_loaded_row(arms, loads), len(arms.unknown)
+    if first_row == PLANE_ROW and columns == PLANE_COLUMNS:
+        _sweep(arms, loads, room, b, twist, factor, shifts, PLANE_SIZE, PLANE_COLUMNS, PLANE_ROW)
+    elif first_row == SPACE_ROW and columns == SPACE_COLUMNS:
+        _sweep(arms, loads, room, b, twist, factor, shifts, SPACE_SIZE, SPACE_COLUMNS, SPACE_ROW)
     else:
-        _sweep(arms, loads, room, b, twist, factor, linear_shift, angular_shift, arms.size, len(arms.unknown))
+        _sweep(arms, loads, room, b, twist, factor, shifts, arms.size, columns, first_row)
 
 
 @inlined_part
-def _sweep(arms, loads, room, b, twist, factor, linear_shift, angular_shift, size, columns):  # type: ignore[no-untyped-def]
-    """As `write_balance`, of twists of so many numbers, of which so many are unknown."""
-    first_row = first_loaded_row(arms, loads)
+def _sweep(arms, loads, room, b, twist, factor, shifts, size, columns, first_row):  # type: ignore[no-untyped-def]
+    """As `write_balance`, of twists of so many numbers, of which so many are unknown; S is 0 before its first row."""
+    beyond = room.beyond
+    wrench, spread = small_vector(), small_matrix()  # W at full load, and S
     room.pivots[0] = room.pivots[1] = 0
     for r in range(size):
-        room.wrench[r] = 0.0
+        wrench[r] = 0.0
         for c in range(size):
-            room.spread[r, c] = 0.0
+            spread[r, c] = 0.0
     q = len(loads.element) - 1
     for segment in range(len(arms.first_node) - 2, -1, -1):
         first, last = arms.first_node[segment], arms.first_node[segment + 1]
         share, weighs = 1.0 / (last - first), loads.weight[b, segment] != 0.0
         for i in range(last - 1, first - 1, -1):
             while q >= 0 and loads.element[q] == i and loads.fraction[q] >= 1.0:
-                clear_share(room.beyond)
+                clear_share(beyond)
                 if loads.before_link[q] and i == last - 1:
-                    add_load_at_end(arms, loads, room.spot, room.beyond, b, q, room.end, segment, factor)
+                    add_load_at_end(arms, loads, room.spot, beyond, b, q, room.end, segment, factor)
                 else:
-                    add_load_at_end(arms, loads, room.spot, room.beyond, b, q, room.node, i + 1, factor)
-                _take_share(room)
+                    add_load_at_end(arms, loads, room.spot, beyond, b, q, room.node, i + 1, factor)
+                _take_share(beyond, wrench, spread, size)
                 q -= 1
             inside = weighs or (q >= 0 and loads.element[q] == i)
             if inside:
-                clear_share(room.beyond)
+                clear_share(beyond)
                 clear_share(room.section)
             if weighs:
                 add_own_weight(arms, loads, room, b, segment, i, twist, share, factor)
             while q >= 0 and loads.element[q] == i:
                 add_load_inside(arms, loads, room, b, q, i, twist, share, factor)
                 q -= 1
-            _write_residual(room, i, factor, inside, size, columns)
-            _write_slopes(room, i, first_row, loads.middle, inside, size, columns)
-            _shift(arms, room, i, linear_shift, angular_shift)
-            _factor(room, i, columns)
-            _eliminate(room, i, first_row, size, columns)
+            turned, matrix, pull = small_matrix(), small_matrix(), small_matrix()
+            _write_residual(room, i, wrench, turned, factor, inside, size, columns)
+            _write_slopes(room, i, spread, turned, matrix, pull, first_row, loads.middle, inside, size, columns)
+            for c in range(columns):
+                matrix[c, c] -= shifts[0] if arms.unknown[c] < first_angular(arms) else shifts[1]
+            _factor(room.pivots, matrix, columns)
+            feed = small_matrix()
+            _write_feed(room, i, turned, matrix, feed, first_row, size, columns)
+            _eliminate(spread, pull, feed, first_row, size, columns)
+            for c in range(columns):
+                for e in range(columns):
+                    room.factor[i, c, e] = matrix[c, e]
+                for k in range(size):
+                    room.feed[i, c, k] = feed[c, k]
+                for r in range(first_row, size):
+                    room.pull[i, r, c] = pull[r, c]
             if inside:
-                _take_share(room)
+                _take_share(beyond, wrench, spread, size)
 
 
 @part
@@ -128,36 +146,34 @@ def first_angular(arms):  # type: ignore[no-untyped-def]
 
 
 @part
-def _shift(arms, room, i, linear_shift, angular_shift):  # type: ignore[no-untyped-def]
-    for c in range(len(arms.unknown)):
-        room.factor[i, c, c] -= linear_shift if arms.unknown[c] < first_angular(arms) else angular_shift
-
-
-@part
 def factor_section(arms, room, i, linear_shift, angular_shift):  # type: ignore[no-untyped-def]
     """Factor the slope of one section's reaction, less a shift on its diagonal: all there is of J without load."""
-    for c in range(len(arms.unknown)):
-        for e in range(len(arms.unknown)):
-            room.factor[i, c, e] = room.sections.slope[i, c, e]
-    _shift(arms, room, i, linear_shift, angular_shift)
-    _factor(room, i, len(arms.unknown))
-
-
-@part
-def _take_share(room):  # type: ignore[no-untyped-def]
-    """Add what loads add to the wrench and to S."""
-    for r in range(len(room.wrench)):
-        room.wrench[r] += room.beyond.wrench[r]
-        for c in range(len(room.wrench)):
-            room.spread[r, c] += room.beyond.by_start[r, c]
+    columns, matrix = len(arms.unknown), small_matrix()
+    for c in range(columns):
+        for e in range(columns):
+            matrix[c, e] = room.sections.slope[i, c, e]
+        matrix[c, c] -= linear_shift if arms.unknown[c] < first_angular(arms) else angular_shift
+    _factor(room.pivots, matrix, columns)
+    for c in range(columns):
+        for e in range(columns):
+            room.factor[i, c, e] = matrix[c, e]
 
 
 @inlined_part
-def _write_residual(room, i, factor, inside, size, columns):  # type: ignore[no-untyped-def]
-    """Write what a section carries, its residual, and K of the wrench that it carries."""
-    turned, total = room.turned, room.sum
+def _take_share(share, wrench, spread, size):  # type: ignore[no-untyped-def]
+    """Add what loads add to the wrench and to S."""
     for r in range(size):
-        total[r] = room.wrench[r]
+        wrench[r] += share.wrench[r]
+        for c in range(size):
+            spread[r, c] += share.by_start[r, c]
+
+
+@inlined_part
+def _write_residual(room, i, wrench, turned, factor, inside, size, columns):  # type: ignore[no-untyped-def]
+    """Write what a section carries, its residual, and K of the wrench that it carries in `turned`."""
+    total = small_vector()
+    for r in range(size):
+        total[r] = wrench[r]
         if inside:
             total[r] += room.section.wrench[r]
     for c in range(columns):
@@ -187,21 +203,20 @@ def _write_residual(room, i, factor, inside, size, columns):  # type: ignore[no-
 
 
 @inlined_part
-def _write_slopes(room, i, first_row, middle, inside, size, columns):  # type: ignore[no-untyped-def]
-    """Write L in `factor`, G in `feed`, and in `pull` how the element's own unknowns change the wrench before it."""
-    turned = room.turned
+def _write_slopes(room, i, spread, turned, matrix, pull, first_row, middle, inside, size, columns):  # type: ignore[no-untyped-def]
+    """Write L in `matrix`, in `pull` how the element's own unknowns change the wrench before it; S joins `turned`."""
     for r in range(first_row, size):
         for c in range(columns):
             total = 0.0
             for k in range(size):
-                total += room.spread[r, k] * room.move[i, k, c]
-            room.pull[i, r, c] = total
+                total += spread[r, k] * room.move[i, k, c]
+            pull[r, c] = total
     for e in range(columns):
         for c in range(columns):
             total = room.sections.slope[i, e, c]
             for r in range(first_row, size):
-                total += room.lever[i, r, e] * room.pull[i, r, c]
-            room.factor[i, e, c] = total
+                total += room.lever[i, r, e] * pull[r, c]
+            matrix[e, c] = total
     if middle:
         for r in range(size):
             for c in range(columns):
@@ -209,84 +224,87 @@ def _write_slopes(room, i, first_row, middle, inside, size, columns):  # type: i
                 for k in range(size):
                     total += turned[r, k] * room.half_move[i, k, c]
                 for e in range(columns):
-                    room.factor[i, e, c] += room.lever[i, r, e] * total
+                    matrix[e, c] += room.lever[i, r, e] * total
     for r in range(first_row, size):
         for k in range(size):
-            turned[r, k] += room.spread[r, k]
+            turned[r, k] += spread[r, k]
     if inside:
         for r in range(size):
             for k in range(size):
                 turned[r, k] += room.section.by_start[r, k]
             for c in range(columns):
                 for e in range(columns):
-                    room.factor[i, e, c] += room.lever[i, r, e] * room.section.by_own[r, c]
-                room.pull[i, r, c] += room.beyond.by_own[r, c]
-    for e in range(columns):
-        for k in range(size):
-            total = 0.0
-            for r in range(size):
-                total += room.lever[i, r, e] * turned[r, k]
-            room.feed[i, e, k] = total
+                    matrix[e, c] += room.lever[i, r, e] * room.section.by_own[r, c]
+                pull[r, c] += room.beyond.by_own[r, c]
 
 
 @inlined_part
-def _factor(room, i, columns):  # type: ignore[no-untyped-def]
+def _factor(pivots, matrix, columns):  # type: ignore[no-untyped-def]
     """Factor L in place, without pivoting; the diagonal takes the inverse pivots, 0 for those that are zero."""
-    matrix = room.factor
     for c in range(columns):
         largest = 0.0
         for k in range(columns):
-            largest = max(largest, abs(matrix[i, c, k]))
+            largest = max(largest, abs(matrix[c, k]))
         for k in range(c):  # the row by the pivots above it
-            lower = matrix[i, c, k] * matrix[i, k, k]
-            matrix[i, c, k] = lower
+            lower = matrix[c, k] * matrix[k, k]
+            matrix[c, k] = lower
             for e in range(k + 1, columns):
-                matrix[i, c, e] -= lower * matrix[i, k, e]
-        pivot = matrix[i, c, c]
+                matrix[c, e] -= lower * matrix[k, e]
+        pivot = matrix[c, c]
         if abs(pivot) <= SINGULAR * largest:
-            room.pivots[1] += 1
-            matrix[i, c, c] = 0.0
+            pivots[1] += 1
+            matrix[c, c] = 0.0
         else:
-            room.pivots[0] += pivot > 0.0
-            matrix[i, c, c] = 1.0 / pivot
+            pivots[0] += pivot > 0.0
+            matrix[c, c] = 1.0 / pivot
 
 
 @inlined_part
-def _eliminate(room, i, first_row, size, columns):  # type: ignore[no-untyped-def]
-    """Make `feed` of G the product L⁻¹ G, and take the element's own unknowns out of S."""
-    matrix, feed = room.factor, room.feed
+def _write_feed(room, i, turned, matrix, feed, first_row, size, columns):  # type: ignore[no-untyped-def]
+    """Write `L⁻¹ G` in `feed`."""
     for c in range(columns):
-        for e in range(c):
-            for k in range(size):
-                feed[i, c, k] -= matrix[i, c, e] * feed[i, e, k]
+        for k in range(size):
+            total = 0.0
+            for r in range(size):
+                total += room.lever[i, r, c] * turned[r, k]
+            for e in range(c):
+                total -= matrix[c, e] * feed[e, k]
+            feed[c, k] = total
     for c in range(columns - 1, -1, -1):
         for k in range(size):
-            total = feed[i, c, k]
+            total = feed[c, k]
             for e in range(c + 1, columns):
-                total -= matrix[i, c, e] * feed[i, e, k]
-            feed[i, c, k] = total * matrix[i, c, c]
+                total -= matrix[c, e] * feed[e, k]
+            feed[c, k] = total * matrix[c, c]
+
+
+@inlined_part
+def _eliminate(spread, pull, feed, first_row, size, columns):  # type: ignore[no-untyped-def]
+    """Take the element's own unknowns out of S."""
     for r in range(first_row, size):
         for k in range(size):
-            total = room.spread[r, k]
+            total = spread[r, k]
             for c in range(columns):
-                total -= room.pull[i, r, c] * feed[i, c, k]
-            room.spread[r, k] = total
+                total -= pull[r, c] * feed[c, k]
+            spread[r, k] = total
 
 
 @part
 def solve(arms, loads, room, change):  # type: ignore[no-untyped-def]
     """Replace a right-hand side (N, C) by `J⁻¹` times it; J as factored by `write_balance`."""
-    if arms.size == PLANE_SIZE and len(arms.unknown) == PLANE_COLUMNS:
-        _solve_sweep(arms, loads, room, change, PLANE_SIZE, PLANE_COLUMNS)
+    first_row, columns = first_loaded_row(arms, loads), len(arms.unknown)
+    if first_row == PLANE_ROW and columns == PLANE_COLUMNS:
+        _solve_sweep(room, change, PLANE_SIZE, PLANE_COLUMNS, PLANE_ROW)
+    elif first_row == SPACE_ROW and columns == SPACE_COLUMNS:
+        _solve_sweep(room, change, SPACE_SIZE, SPACE_COLUMNS, SPACE_ROW)
     else:
-        _solve_sweep(arms, loads, room, change, arms.size, len(arms.unknown))
+        _solve_sweep(room, change, arms.size, columns, first_row)
 
 
 @inlined_part
-def _solve_sweep(arms, loads, room, change, size, columns):  # type: ignore[no-untyped-def]
-    """As `solve`, of twists of so many numbers, of which so many are unknown."""
-    nodes = change.shape[0]
-    first_row, matrix, total = first_loaded_row(arms, loads), room.factor, room.sum
+def _solve_sweep(room, change, size, columns, first_row):  # type: ignore[no-untyped-def]
+    """As `solve`; sizes as of `_sweep`."""
+    nodes, own, total = change.shape[0], small_vector(), small_vector()
     for r in range(size):
         total[r] = 0.0
     for i in range(nodes - 1, -1, -1):
@@ -295,16 +313,16 @@ def _solve_sweep(arms, loads, room, change, size, columns):  # type: ignore[no-u
             for r in range(first_row, size):
                 right -= room.lever[i, r, c] * total[r]
             for e in range(c):
-                right -= matrix[i, c, e] * change[i, e]
-            change[i, c] = right
+                right -= room.factor[i, c, e] * own[e]
+            own[c] = right
         for c in range(columns - 1, -1, -1):
-            right = change[i, c]
+            right = own[c]
             for e in range(c + 1, columns):
-                right -= matrix[i, c, e] * change[i, e]
-            right *= matrix[i, c, c]
-            change[i, c] = right
+                right -= room.factor[i, c, e] * own[e]
+            own[c] = right * room.factor[i, c, c]
+            change[i, c] = own[c]
             for r in range(first_row, size):
-                total[r] += room.pull[i, r, c] * right
+                total[r] += room.pull[i, r, c] * own[c]
     for r in range(size):
         total[r] = 0.0
     for i in range(nodes):
@@ -312,9 +330,9 @@ def _solve_sweep(arms, loads, room, change, size, columns):  # type: ignore[no-u
             right = change[i, c]
             for k in range(size):
                 right -= room.feed[i, c, k] * total[k]
-            change[i, c] = right
+            own[c] = change[i, c] = right
         for k in range(size):
             moved = total[k]
             for c in range(columns):
-                moved += room.move[i, k, c] * change[i, c]
+                moved += room.move[i, k, c] * own[c]
             total[k] = moved

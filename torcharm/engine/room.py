@@ -26,15 +26,11 @@ class Room(NamedTuple):
         lever: (N, K, C) C.
         carried: (N, C) q at full load, which is ∂R/∂λ.
         residual: (N, C) R.
-        wrench: (K,) W at full load.
-        spread: (K, K) S.
-        turned: (K, K) K(W) and S, summed.
         factor: (N, C, C) L in triangular factors, with the inverse pivots on the diagonal.
         feed: (N, C, K) L⁻¹ G.
         pull: (N, K, C) how an element's own unknowns change the wrench before it.
         beyond, section: what loads inside of an element add, to what lies before it and to its own section.
         spot: for one load.
-        sum: (K,) for one right-hand side.
         pivots: (2,) numbers of positive pivots, and of those that are zero.
     """
 
@@ -48,16 +44,12 @@ class Room(NamedTuple):
     lever: Array
     carried: Array
     residual: Array
-    wrench: Array
-    spread: Array
-    turned: Array
     factor: Array
     feed: Array
     pull: Array
     beyond: Share
     section: Share
     spot: Spot
-    sum: Array
     pivots: Array
 
 
@@ -66,7 +58,6 @@ def make_room(arms: Arms) -> Room:
     nodes, size, columns, numbers = arms.first_node[-1], arms.size, len(arms.unknown), arms.link.shape[2]
     move, half_move, lever = np.zeros((3, nodes, size, columns))
     carried, residual = np.zeros((2, nodes, columns))
-    spread, turned = np.zeros((2, size, size))
     return Room(
         drive=make_drive(arms),
         sections=make_sections(arms),
@@ -78,15 +69,11 @@ def make_room(arms: Arms) -> Room:
         lever=lever,
         carried=carried,
         residual=residual,
-        wrench=np.zeros(size),
-        spread=spread,
-        turned=turned,
         factor=np.zeros((nodes, columns, columns)),
         feed=np.zeros((nodes, columns, size)),
         pull=np.zeros((nodes, size, columns)),
         beyond=make_share(arms),
         section=make_share(arms),
         spot=make_spot(arms),
-        sum=np.zeros(size),
         pivots=np.zeros(2, dtype=np.int64),
     )

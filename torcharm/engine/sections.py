@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torcharm.engine.arms import Arms
-from torcharm.engine.compilation import part
+from torcharm.engine.compilation import inlined_part, part
 from torcharm.engine.forces import _TRACE, MUSCLE, POLYNOMIAL, muscle
 from torcharm.engine.references import by_reference
 from torcharm.engine.tables import BENDING_CELLS, CURVIEST
@@ -33,6 +33,7 @@ class Drive(NamedTuple):
         row_slope: (M, I) the same, differentiated by pressure [N/kPa].
         pressure, log_pressure: (M,) of pressures [kPa].
         bending: (M,) bending stiffness [N·m²].
+        shrunk: (M,) the inverse of neutral lengths [1/m].
         level: (M, E, 4) of sampled models, at the strains of their grids: f, its slope by strain, and both by pressure.
     """
 
@@ -41,6 +42,7 @@ class Drive(NamedTuple):
     pressure: Array
     log_pressure: Array
     bending: Array
+    shrunk: Array
     level: Array
 
 
@@ -66,8 +68,8 @@ def make_drive(arms: Arms) -> Drive:
     count, powers = len(arms.models.kind), arms.models.table.shape[2]
     level = np.zeros((count if (arms.tables.force >= 0).any() else 0, arms.tables.strain.shape[1], 4))
     row, slope = np.zeros((2, count, powers))
-    pressure, logarithm, bending = np.zeros((3, count))
-    return Drive(row, slope, pressure, logarithm, bending, level)
+    pressure, logarithm, bending, shrunk = np.zeros((4, count))
+    return Drive(row, slope, pressure, logarithm, bending, shrunk, level)
 
 
 def make_sections(arms: Arms) -> Sections:
@@ -83,6 +85,7 @@ def set_pressure(arms, drive, pressures, b, factor):  # type: ignore[no-untyped-
     for a in range(len(drive.pressure)):
         p = pressures[b, a] * factor
         drive.pressure[a] = p
+        drive.shrunk[a] = 1.0 / arms.neutral[b, a]
         drive.bending[a] = arms.active[a] * p + arms.passive[a]
         if arms.models.kind[a] == POLYNOMIAL:
             for i in range(table.shape[2]):
@@ -161,7 +164,7 @@ def bending_moment(tables, a, curvature, rest, pressure):  # type: ignore[no-unt
     return _between(x, width, f0, d0, f1, d1)
 
 
-@part
+@inlined_part
 def axial_force(arms, drive, a, strain):  # type: ignore[no-untyped-def]
     """f and ∂f/∂ε of an actuator at its pressure."""
     if arms.models.kind[a] == POLYNOMIAL:
@@ -216,7 +219,7 @@ def _planar_section(arms, drive, sections, b, segment, i, twist):  # type: ignor
     for a in range(arms.first_actuator[segment], arms.first_actuator[segment + 1]):
         r, neutral = arms.y[b, a], arms.neutral[b, a]
         own = length - r * curvature
-        shrunk = 1.0 / neutral
+        shrunk = drive.shrunk[a]
         f, slope = axial_force(arms, drive, a, (own - neutral) * shrunk)
         stiff += abs(slope)
         stiff_moment += abs(r * slope)
@@ -227,9 +230,10 @@ def _planar_section(arms, drive, sections, b, segment, i, twist):  # type: ignor
         f_k -= r * slope
         m_k += r * r * slope
         safe, free = held(own, neutral)
-        bent = drive.bending[a] / safe
+        inverse = 1.0 / safe
+        bent = drive.bending[a] * inverse
         moment += bent * curvature
-        turned = free * bent * curvature / safe
+        turned = free * bent * curvature * inverse
         m_l -= turned
         m_k += bent + r * turned
         if arms.tables.bent[a] >= 0:
@@ -262,7 +266,7 @@ def _spatial_section(arms, drive, sections, b, segment, i, twist):  # type: igno
     for a in range(arms.first_actuator[segment], arms.first_actuator[segment + 1]):
         y, z, neutral = arms.y[b, a], arms.z[b, a], arms.neutral[b, a]
         own = length + z * k_y - y * k_z
-        shrunk = 1.0 / neutral
+        shrunk = drive.shrunk[a]
         f, slope = axial_force(arms, drive, a, (own - neutral) * shrunk)
         stiff += abs(slope)
         stiff_moment += (abs(y) + abs(z)) * abs(slope)
@@ -277,15 +281,16 @@ def _spatial_section(arms, drive, sections, b, segment, i, twist):  # type: igno
         yz -= y * z * slope
         zz += y * y * slope
         safe, free = held(own, neutral)
-        own_bent = drive.bending[a] / safe
+        inverse = 1.0 / safe
+        own_bent = drive.bending[a] * inverse
         bent += own_bent
-        turned = free * own_bent / safe
+        turned = free * own_bent * inverse
         by_l += turned
         by_y += z * turned
         by_z -= y * turned
-        square = (y * y + z * z) / safe
+        square = (y * y + z * z) * inverse
         tilt += f * square
-        change = square * (slope - free * f / safe)
+        change = square * (slope - free * f * inverse)
         tilt_l += change
         tilt_y += z * change
         tilt_z -= y * change

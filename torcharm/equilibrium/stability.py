@@ -8,7 +8,7 @@ from torch import Tensor
 from torcharm.engine.continuation import FAILED
 from torcharm.engine.path import Found
 from torcharm.equilibrium.problem import Packed, Problem
-from torcharm.geometry.rod import actuator_twists, strain
+from torcharm.geometry.rod import actuator_lengths, strain
 from torcharm.inputs import plain_number
 from torcharm.statics.balance import segments_of, tilt_stiffness
 from torcharm.statics.cross_section import RANGE_SLACK, cross_sections, per_actuator
@@ -56,7 +56,7 @@ def lengths_positive(problem: Problem, twists: Tensor) -> Tensor:
     found = (twists[..., 0] > 0).all(-1)
     for segment, shape in zip(segments_of(problem.arm)[0], twists.split(problem.nodes, -2), strict=True):
         across = segment.radii if segment.dimension == 2 else segment.offsets
-        found = found & (actuator_twists(shape, across)[..., 0] > 0).all(-1).all(-1)
+        found = found & (actuator_lengths(shape, across) > 0).all(-1).all(-1)
     return found
 
 
@@ -67,7 +67,7 @@ def strain_excess(problem: Problem, twists: Tensor) -> tuple[Tensor, Tensor]:
     within = torch.ones_like(excess, dtype=torch.bool)
     for segment, shape in zip(segments_of(problem.arm)[0], twists.split(problem.nodes, -2), strict=True):
         across = segment.radii if segment.dimension == 2 else segment.offsets
-        own = strain(actuator_twists(shape, across)[..., 0], segment.length.unsqueeze(-2))
+        own = strain(actuator_lengths(shape, across), segment.length.unsqueeze(-2))
         low, high = (per_actuator([model.strain_range[end] for model in segment.actuators], own) for end in (0, 1))
         beyond = torch.maximum(low - own, own - high).clamp(min=0).amax((-1, -2))
         excess = torch.maximum(excess, beyond)

@@ -199,15 +199,23 @@ def actuator_twists(twists: Float[Tensor, "*#batch N K"], radii: Tensor) -> Floa
         twists: (..., N, 3) or (..., N, 6).
         radii: (..., M) offsets r [m] in the plane, (..., M, 2) offsets (y, z) in space.
     """
+    own_length = actuator_lengths(twists, radii)
+    _, *shear, curvature = twists.unsqueeze(-2).unbind(-1)
     if twists.shape[-1] == 3:
-        length, shear, curvature = twists.unsqueeze(-2).unbind(-1)
-        own_length = offset_length(length, curvature, radii.unsqueeze(-2))
-        return torch.stack((own_length, shear.expand_as(own_length), curvature.expand_as(own_length)), -1)
-    length, shear_y, shear_z, *turn = twists.unsqueeze(-2).unbind(-1)
+        rows = [own_length, *shear, curvature]
+    else:
+        y, z = radii.unsqueeze(-3).unbind(-1)
+        shear_y, shear_z, twist, curvature_y = shear
+        rows = [own_length, shear_y - z * twist, shear_z + y * twist, twist, curvature_y, curvature]
+    return torch.stack([row.expand_as(own_length) for row in rows], -1)
+
+
+def actuator_lengths(twists: Float[Tensor, "*#batch N K"], radii: Tensor) -> Float[Tensor, "... N M"]:
+    """Each actuator's own length [m]; arguments as of `actuator_twists`."""
+    if twists.shape[-1] == 3:
+        return offset_length(twists[..., None, 0], twists[..., None, 2], radii.unsqueeze(-2))
     y, z = radii.unsqueeze(-3).unbind(-1)
-    own_length = offset_length(length, turn[2], y, turn[1], z)
-    rows = (own_length, shear_y - z * turn[0], shear_z + y * turn[0], *(k.expand_as(own_length) for k in turn))
-    return torch.stack(rows, -1)
+    return offset_length(twists[..., None, 0], twists[..., None, 5], y, twists[..., None, 4], z)
 
 
 def offset_length(
