@@ -12,11 +12,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq, root
+from scipy.optimize import brentq, minimize, root
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 Force = Callable[[float, float], float]
 STIFFNESS = -1.0 / 3.5
+TURN_WEIGHT = 0.05
+"""Of squared turns in the paper's cost [m²/rad²]."""
+NOTHING = 1e3
+"""A cost [m²] where no equilibrium is found."""
 
 
 def bellows(e: float, p: float) -> float:
@@ -118,9 +122,10 @@ def imbalance(unknowns: Array, arm: Arm, pressure: Array, load: Array, midpoint:
 def solve_all(arm: Arm, pressure: Array, load: Array, start: Array, method: str = "hybr") -> Array | None:
     """Unknowns (2N,) by `scipy.optimize.root` from a start, or None."""
     options = {"xtol": 1e-13} if method == "hybr" else {"xtol": 1e-13, "ftol": 1e-13}
-    found = root(imbalance, start, (arm, pressure, load), method=method, options=options)
-    small = np.abs(imbalance(found.x, arm, pressure, load)).max() < 1e-8
-    return np.asarray(found.x) if small else None
+    # its differences are relative to the unknowns, which a straight arm's curvatures of 1e-18 rad leave nothing of
+    found = root(lambda u: imbalance(u - 1.0, arm, pressure, load), start + 1.0, method=method, options=options)
+    unknowns = np.asarray(found.x) - 1.0
+    return unknowns if np.abs(imbalance(unknowns, arm, pressure, load)).max() < 1e-8 else None
 
 
 def continue_all(arm: Arm, pressure: Array, load: Array, nodes: int, steps: int = 8) -> Array | None:
@@ -171,3 +176,35 @@ def shoot(arm: Arm, pressure: Array, load: Array, near: Array) -> Array | None:
     except ArithmeticError:
         pass
     return None
+
+
+def pose_cost(unknowns: Array, wanted: Array) -> float:
+    """`Σ ω_i e_iᵀ K e_i` [m²] of the poses of nodes 1 to N, ω from 0 to 1; e_i is the wanted one seen from the pose."""
+    cost, nodes = 0.0, len(unknowns) // 2
+    for weight, pose, target in zip(np.linspace(0, 1, nodes), march(*np.split(unknowns, 2)), wanted, strict=False):
+        gap = target - pose
+        cost += weight * (gap[0] ** 2 + gap[1] ** 2 + TURN_WEIGHT * gap[2] ** 2)
+    return float(cost)
+
+
+def search(arm: Arm, wanted: Array, load: Array, limits: Array, nodes: int) -> tuple[Array, float]:
+    """The paper's search with scipy alone, from the middle of the box: pressures [kPa] and their cost [m²].
+
+    `scipy.optimize.minimize` with finite differences, each equilibrium by `root` from the last one or, where that
+    fails, in steps of the load.
+    """
+    warm: Array | None = None
+
+    def cost(place: Array) -> float:
+        nonlocal warm
+        pressure = np.clip(place, 0, 1) * limits
+        found = None if warm is None else solve_all(arm, pressure, load, warm)
+        if found is None:
+            found = continue_all(arm, pressure, load, nodes, 4)
+        if found is None:
+            return NOTHING
+        warm = found
+        return pose_cost(found, wanted)
+
+    answer = minimize(cost, np.full(len(limits), 0.5), method="L-BFGS-B", bounds=[(0.0, 1.0)] * len(limits))
+    return np.clip(answer.x, 0, 1) * limits, float(answer.fun)

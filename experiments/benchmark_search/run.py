@@ -4,6 +4,7 @@ Prints tables, writes results.csv (one row a measurement) and two figures beside
 """
 
 import argparse
+import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -37,6 +38,8 @@ PLANS_OF_SCIPY = (
     ("SLSQP", STARTS, 20),
 )
 """Methods, starts and tasks."""
+SAME_COST = 1e-6
+"""Difference of two costs [m²] of one equilibrium at most: those of two equilibria differ by more."""
 TURN = 10
 """Tasks of scipy's between two searches of all by ours: a machine that does other work is slower for minutes."""
 HARD = ((50.0, 0.0, 0.0, 0.0), (1.0, 1.0, 1.0, 1.0), (1.3, 2.65, 1.59, 4.59), (20.0, 50.0, 10.0, 5.0), (0.0,) * 4)
@@ -284,6 +287,32 @@ def searches(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
         yield Row(part, case, "time over ours, in turn", slow / quick_one, "times")
 
 
+def searches_of_scipy_alone(quick: bool, _: figures.Pictures) -> Iterator[Row]:
+    """The paper's way, in which scipy finds each equilibrium, too, beside the validation's searches of ours."""
+    part = "search with scipy alone: L-BFGS-B, one start, equilibria by root; the validation's tasks"
+    few, count = (1, 3) if quick else (20, 100)
+    for name in ARMS:
+        arm, task = validation(name, count)
+        load_code(arm)
+        length, _, curvature = SHAPE.numpy().T
+        wanted, limits = reference.march(length, curvature), np.asarray(arm.max_pressure)
+        slow, quick_one, gaps = [], [], []
+        for load in task.tip_load[:few]:
+            begun = time.perf_counter()
+            pressure, cost = reference.search(OTHERS[name], wanted, load.numpy(), limits, len(SHAPE))
+            slow.append(time.perf_counter() - begun)
+            quick_one.append(timed_search(arm, task, 1)[1])
+            loaded = paper_equilibrium(arm, torch.from_numpy(pressure), load)
+            gaps.append(abs(reference.pose_cost(loaded.twists[:, [0, 2]].T.flatten().numpy(), wanted) - cost))
+        case, reached = f"{name}, {few} tasks", [gap for gap in gaps if gap <= SAME_COST]
+        yield Row(part, case, "time a search", float(np.mean(slow)), "s")
+        yield Row(part, case, "time over ours, in turn", float(np.mean(slow) / np.median(quick_one)), "times")
+        yield Row(part, case, "ends that loading from rest reaches", len(reached), f"of {few}")
+        yield Row(
+            part, case, "of these, largest difference of its cost from ours", max(reached, default=math.nan), "m²"
+        )
+
+
 def load_code(arm: ta.ArmDesign) -> None:
     """Search once, so that what is timed next neither compiles nor loads machine code."""
     ta.search_pressure(arm, paper_task(SHAPE, ta.sample_loads(2)))
@@ -374,6 +403,7 @@ PARTS: tuple[Callable[[bool, figures.Pictures], Iterator[Row]], ...] = (
     speed,
     extremes,
     searches,
+    searches_of_scipy_alone,
     large,
     starts,
     correlations,

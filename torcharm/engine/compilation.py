@@ -42,8 +42,8 @@ def _compiled(function: F, compiler: str, **options: Any) -> F:
     config: Any = numba.config
     # numba takes code from disk unless the function's own file has changed; that of what it calls may have
     chosen, folder = config.CACHE_DIR, _folder()
-    # of floating-point rules only one is given up: a product and a sum may be rounded once, as the machine does it best
-    every: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}, **options}
+    # no fast mathematics, not even products and sums rounded once: a cross product of parallel vectors has to be 0
+    every: dict[str, Any] = {"nogil": True, "error_model": "numpy", **options}
     every["pipeline_class"] = getattr(code_parts, compiler)
     every["cache"] = every["cache"] and folder is not None
     try:
