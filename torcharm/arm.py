@@ -21,7 +21,6 @@ from torcharm.inputs import (
     check_count,
     check_finite,
     one_for_all,
-    shown,
 )
 
 Index = int | slice | EllipsisType | Tensor | None
@@ -216,14 +215,6 @@ def ring(radius: TensorLike, count: int, phase: TensorLike = 0.0) -> Tensor:
     broadcast_shapes(radius=size.shape, phase=first.shape)
     angle = first.unsqueeze(-1) + torch.arange(count, dtype=first.dtype, device=first.device) * (2 * math.pi / count)
     return size[..., None, None] * torch.stack((angle.cos(), angle.sin()), -1)
-
-
-def check_planar(arm: Any) -> None:
-    """Raise unless the arm is a planar design, for what is not written for space yet."""
-    if not isinstance(arm, ArmDesign):
-        raise ValueError(f"arm: must be of type ArmDesign, got {shown(arm)}")
-    if arm.dimension == 3:
-        raise ValueError("arm: must be a planar ArmDesign (radii, no offsets out of the plane), got a spatial one")
 
 
 def _models(actuators: Any, **across: Any) -> tuple[Actuator, ...]:

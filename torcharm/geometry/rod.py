@@ -189,29 +189,15 @@ def _chain_in_space(base: Tensor, step: Tensor) -> Tensor:
     return torch.stack(found, -3)
 
 
-def actuator_twists(twists: Float[Tensor, "*#batch N K"], radii: Tensor) -> Float[Tensor, "... N M K"]:
-    """Each actuator's own twists: `Ad⁻¹` of the centreline's for an offset across the arm.
+def actuator_lengths(twists: Float[Tensor, "*#batch N K"], radii: Tensor) -> Float[Tensor, "... N M"]:
+    """Each actuator's own length [m]: in the plane `l - r κ`, in space `l + z κ_y - y κ_z`.
 
-    In the plane `l_α = l - r κ`, γ and κ as they are; in space `l_α = l + z κ_y - y κ_z`, `γ_y - z κ_x`,
-    `γ_z + y κ_x` and the curvatures as they are.
+    It is the first component of `Ad⁻¹` of the centreline's twist for an offset across the arm.
 
     Args:
         twists: (..., N, 3) or (..., N, 6).
         radii: (..., M) offsets r [m] in the plane, (..., M, 2) offsets (y, z) in space.
     """
-    own_length = actuator_lengths(twists, radii)
-    _, *shear, curvature = twists.unsqueeze(-2).unbind(-1)
-    if twists.shape[-1] == 3:
-        rows = [own_length, *shear, curvature]
-    else:
-        y, z = radii.unsqueeze(-3).unbind(-1)
-        shear_y, shear_z, twist, curvature_y = shear
-        rows = [own_length, shear_y - z * twist, shear_z + y * twist, twist, curvature_y, curvature]
-    return torch.stack([row.expand_as(own_length) for row in rows], -1)
-
-
-def actuator_lengths(twists: Float[Tensor, "*#batch N K"], radii: Tensor) -> Float[Tensor, "... N M"]:
-    """Each actuator's own length [m]; arguments as of `actuator_twists`."""
     if twists.shape[-1] == 3:
         return offset_length(twists[..., None, 0], twists[..., None, 2], radii.unsqueeze(-2))
     y, z = radii.unsqueeze(-3).unbind(-1)
