@@ -53,8 +53,8 @@ class DesignSpace:
             given ones: what a pump cannot give is not asked of it.
         spacing: least distance between the centres of two actuators of a segment [m]; None takes what the arm's
             diameters need, or 5 mm where they are not known. In the plane actuators stay in their given order.
-        in_range: whether strains on all task shapes, with 3 % of it to spare, and limits stay in the models'
-            characterised range.
+        in_range: whether strains on all task shapes, and limits, stay in the models' characterised range; and whether
+            predicted strains beyond it count in an `Objective` of predicted errors.
 
     Raises:
         ValueError: an argument is none of those allowed.
