@@ -139,6 +139,51 @@ def test_diameters_keep_actuators_apart_and_none_share_a_place() -> None:
     assert "spacing of actuators 1 and 2 by 5 mm" in named
 
 
+def moulded(length: Any = 0.1, diameter: Any = None) -> ta.ArmDesign:
+    """Three chambers, an elastic core, and a muscle of its own length that is put through the body."""
+    models = [ta.chamber(8e-5)] * 3 + [ta.elastic_core(50.0, 4e-3), ta.McKibben()]
+    offsets = [*ta.ring(0.01, 3).tolist(), [0.0, 0.0], [0.0, 0.004]]
+    return ta.ArmDesign(offsets=offsets, length=length, actuators=models, diameter=diameter)
+
+
+BODY = ta.Task([[0.1, 0.0, 0.0, 0.0, 0.2, -0.3]] * 4)
+
+
+@pytest.mark.parametrize("tied", [None, "none", ((0, 1),)])
+@pytest.mark.parametrize("free", ["length", ("radii", "length", "max_pressure")])
+def test_one_moulded_body_has_one_length(free: Any, tied: Any) -> None:
+    arm = moulded()
+    designs = _designs(DesignSpace(free=free, tied=tied), arm, BODY)
+    assert float(designs.length.std(0).min()) > 1e-4, "they spread"
+    torch.testing.assert_close(designs.length[:, 1:4], designs.length[:, :1].expand(-1, 3))
+    assert float((designs.length[:, 4] - designs.length[:, 0]).abs().max()) > 1e-4
+    names = feasible_designs(DesignSpace(free="length", tied=tied), arm, [BODY]).free.names
+    assert sorted(names) == ["length of actuator 5", "length of actuators 1, 2, 3, 4"]
+    assert feasible_designs(DesignSpace(free="length", tied="equal"), arm, [BODY]).dimension == 1
+
+
+def test_bodies_in_series_have_a_length_each() -> None:
+    arm = ta.silicone_arm()
+    task = ta.Task([[0.125, 0.0, 0.0, 0.0, 0.1, 0.1]] * 4, segment_nodes=(2, 2))
+    names = feasible_designs(DesignSpace(free="length"), arm, [task]).free.names
+    assert names == ("length of actuators 1, 2, 3, 4", "length of actuators 5, 6, 7, 8")
+    apart = moulded(length=[0.1, 0.1, 0.11, 0.1, 0.1])
+    assert "ties" in feasible_designs(DesignSpace(free="length", in_range=False), apart, [BODY]).violated_by(apart)
+
+
+def test_what_is_never_under_pressure_takes_no_room_unless_it_has_a_diameter() -> None:
+    space = DesignSpace(free=("radii", "angles"), tied="none", spacing=0.005, in_range=False)
+    pairs = [name for name in feasible_designs(space, moulded(), [BODY]).names if "spacing" in name]
+    assert len(pairs) == 6
+    assert not any("4" in name for name in pairs)
+    wide = feasible_designs(space, moulded(diameter=0.002), [BODY]).names
+    assert any("spacing of actuators 4 and 5" in name for name in wide)
+    planar = ta.ArmDesign([-0.02, 0.0, 0.001], 0.1, [ta.chamber(8e-5), ta.elastic_core(50.0, 4e-3), ta.McKibben()])
+    straight = ta.Task([[0.1, 0.0, 0.0]] * 3)
+    names = feasible_designs(DesignSpace(free="radii", in_range=False), planar, [straight]).names
+    assert names == ["spacing of actuators 1 and 3"]
+
+
 def test_what_is_not_free_stays() -> None:
     arm = ta.mckibben_arm()
     designs = _designs(DesignSpace(free="length"), arm)

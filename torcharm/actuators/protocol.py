@@ -46,7 +46,8 @@ class Actuator(Protocol):
     `pressure_knots(strain)` returns pressures (k, *strain.shape) [kPa], in any order, at which the force has
     a kink. `pressure_degree = 3` says that between them it is a polynomial in pressure of that degree:
     up to 3 one cubic piece stands for the whole curve, and at degree 1 two samples. A text `name` is what tables and
-    legends call it, in place of its class.
+    legends call it, in place of its class. And `moulded = True` says that it is part of one body with the others of its
+    segment that say so: they have one length, which an optimiser changes for all of them.
     """
 
     @property
@@ -87,6 +88,11 @@ def model_name(actuator: Actuator) -> str:
     """What tables and legends call a force model: its own `name`, or its class's; else the class by its name."""
     name = {**vars(type(actuator)), **getattr(actuator, "__dict__", {})}.get("name")
     return name if isinstance(name, str) and name else type(actuator).__name__
+
+
+def is_moulded(actuator: Actuator) -> bool:
+    """Whether the model says that it is part of a moulded body, and so has no length of its own."""
+    return getattr(actuator, "moulded", False) is True
 
 
 def check_actuator(name: str, actuator: object) -> None:

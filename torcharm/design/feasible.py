@@ -276,7 +276,9 @@ def _constraints(space: DesignSpace, arm: Arm, tasks: Sequence[Task]) -> Constra
         if space.in_range:
             strains.append(_strain_rows(segment, _corners(tasks, number), before))
         if {"radii", "angles"} & set(space.free):
-            chosen = pairwise(_order(segment)) if arm.dimension == 2 else combinations(range(segment.actuator_count), 2)
+            apart = space.apart(segment)
+            ordered = [index for index in _order(segment) if index in apart]
+            chosen = pairwise(ordered) if arm.dimension == 2 else combinations(apart, 2)
             gap = space.spacing_of(segment)
             for a, b in chosen:
                 pairs.append((before + a, before + b))
