@@ -14,6 +14,7 @@ from torcharm.actuators.bending import (
     Number,
     active_moment,
     bending_model,
+    check_restoring,
     passive_moment,
 )
 from torcharm.actuators.inspection import follows, holds_numbers_only, written_out
@@ -52,7 +53,7 @@ class Actuator(Protocol):
 
     @property
     def bending_stiffness(self) -> Number | Bending:
-        """K [N·m²] of the bending moment `τ = K (p / max_pressure) κ/l`; negative resists bending.
+        """K [N·m²] of the bending moment `τ = K (p / max_pressure) κ/l`, at most 0: negative resists bending.
 
         Or a model of it: `LinearBending`, `ConstantBending`, `BendingFunction` or one's own.
         """
@@ -114,10 +115,11 @@ def check_numbers(actuator: Any, prefix: str = "") -> None:
         ("force_scale", -math.inf, "a finite number"),
     ):
         value = getattr(actuator, field, 1.0)
-        if field == "bending_stiffness" and bending_model(value) is not None and isinstance(value, Bending):
-            continue
-        if not low < _number(value) < math.inf:
+        modelled = field == "bending_stiffness" and bending_model(value) is not None and isinstance(value, Bending)
+        if not modelled and not low < _number(value) < math.inf:
             raise ValueError(f"{prefix}{field}: must be {allowed}, got {shown(value)}")
+        if field == "bending_stiffness":
+            check_restoring(f"{prefix}{field}", value)
     for field in ("strain_range", "pressure_range"):
         value = getattr(actuator, field)
         ends = [_number(end) for end in value] if isinstance(value, (tuple, list)) else []
