@@ -11,6 +11,8 @@ import torch
 from standard_error import without_notice
 
 import torcharm as ta
+from torcharm.design.objective import counted, shape_lengths, task_values
+from torcharm.pressure.followed import beyond_range
 from torcharm.study import parse_study
 
 STUDY = """
@@ -70,11 +72,11 @@ def test_optimise_shows_and_saves_a_better_arm(tmp_path: Path) -> None:
     study = parse_study(STUDY)
     models = study.arms[0].design.actuators
     best = ta.ArmDesign(torch.tensor(radii).double(), torch.tensor(length).double(), models)
-    errors = [
-        [ta.predict_error(arm, named.task).shape_error.flatten() for named in study.tasks]
+    values = [
+        [task_values(ta.Objective(), arm, named.task, in_range=True).flatten() for named in study.tasks]
         for arm in (study.arms[0].design, best)
     ]
-    given, value = (1e3 * float(torch.cat(each).mean()) for each in errors)
+    given, value = (1e3 * float(torch.cat(each).mean()) for each in values)
     assert value < given
     assert f"{given:.4g}" in answer.stdout
     assert f"{value:.4g}" in answer.stdout
@@ -108,13 +110,16 @@ def test_a_spacing_that_nobody_gave_is_said(tmp_path: Path) -> None:
 
 def test_numbers_of_a_search_are_named_and_are_its_own(tmp_path: Path) -> None:
     answer = _run(tmp_path, "optimise", "study.toml")
-    assert (
-        "Where a pressure search is named, its numbers are the mean shape error that it reaches [mm]." in answer.stdout
-    )
+    assert "Where a pressure search is named, its numbers are the mean value that it reaches [mm]." in answer.stdout
     study = parse_study(STUDY)
     tasks = [named.task for named in study.tasks]
-    found = [ta.search_pressure(study.arms[0].design, task) for task in tasks]
-    mean = 1e3 * float(torch.cat([one.shape_error.flatten() for one in found]).mean())
+    arm, values = study.arms[0].design, []
+    for task in tasks:
+        found = ta.search_pressure(arm, task)
+        parts = (found.shape_error, found.stable, beyond_range(arm, task, found.twists))
+        values.append(counted(*(part.flatten() for part in parts), shape_lengths(task)))
+    mean = 1e3 * float(torch.cat(values).mean())
+    assert "In the value, errors beyond the characterised range count the more, the farther beyond it." in answer.stdout
     assert f"confirms ({mean:.4g} → " in answer.stdout
 
 

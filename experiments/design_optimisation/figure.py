@@ -30,6 +30,7 @@ def draw(scenes: Sequence[Any], path: Path) -> None:
         axis.set(title=f"{arm} arm", xticks=range(len(shapes)), xticklabels=shapes)
     axes[0][0].set_ylabel("mean shape error that the search reaches [mm]")
     axes[0][0].legend(frameon=False)
+    axes[0][0].margins(y=0.35)  # room for the legend above the bars
     figure.suptitle("Optimised by the predicted error, every arm comes nearer to every shape")
     figure.savefig(path, dpi=130)
     plt.close(figure)

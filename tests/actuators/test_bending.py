@@ -1,6 +1,6 @@
 """Bending models against the oracle of plain sums, and against each other; hulls against sampled pressures."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -185,6 +185,63 @@ def test_a_function_of_curvature_alone_is_allowed():
 def test_functions_that_are_refused(function, message):
     with pytest.raises(ValueError, match=message):
         ta.BendingFunction(function, 50.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "field"),
+    [
+        (lambda: ta.Bellows(bending_stiffness=0.05), "bending_stiffness"),
+        (lambda: ta.McKibben(bending_stiffness=torch.tensor(0.05)), "bending_stiffness"),
+        (lambda: ta.PolynomialActuator(((0, 1, 0.9),), (-0.1, 0.4), (0.0, 60.0), 60.0, 0.05), "bending_stiffness"),
+        (lambda: ta.ArmDesign([0.0], 0.5, Driven(0.05)), r"actuators\.bending_stiffness"),
+        (lambda: ta.LinearBending(0.05), "stiffness"),
+        (lambda: ta.ConstantBending(0.05), "stiffness"),
+    ],
+)
+def test_a_stiffness_that_drives_an_arm_on_is_refused_with_the_likely_mistake(make, field):
+    message = rf"^{field}: must be at most 0 N·m², .* got 0\.05, which drives an arm on .* was -0\.05 meant\?$"
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+@pytest.mark.parametrize("function", [lambda k, p: 0.1 * k, lambda k, p: -0.1 * k + 0.3 * k * p / 50])
+def test_a_moment_that_drives_an_arm_on_is_refused(function):
+    with pytest.raises(
+        ValueError, match=r"^function: must resist bending, .* got a moment that grows by [36] N·m at 30"
+    ):
+        ta.BendingFunction(function, 50.0)
+
+    class Own:
+        reference_pressure = 50.0
+
+        def passive(self, curvature):
+            return function(curvature, torch.zeros_like(curvature))
+
+        def active(self, curvature):
+            return function(curvature, torch.full_like(curvature, 50.0)) - self.passive(curvature)
+
+    with pytest.raises(ValueError, match=r"^bending_stiffness: must resist bending"):
+        ta.Bellows(bending_stiffness=Own())
+
+
+def test_what_is_curled_or_snaps_over_is_not_refused():
+    """A moment at rest turns the straight body one way; one that grows at first and then turns is a snap."""
+    ta.BendingFunction(lambda k, p: 0.3 - 0.1 * k, 50.0)
+    ta.BendingFunction(lambda k, p: 0.1 * k - 0.001 * k**3 + 0 * p, 50.0)
+    ta.Bellows(bending_stiffness=0.0)
+
+
+@dataclass(frozen=True)
+class Driven:
+    """A force model of one's own."""
+
+    bending_stiffness: float
+    max_pressure: float = 60.0
+    strain_range: tuple = (-0.2, 0.4)
+    pressure_range: tuple = (0.0, 60.0)
+
+    def force(self, strain, pressure):
+        return 0.8 * pressure - 40.0 * strain
 
 
 def test_bad_numbers_are_refused():

@@ -165,6 +165,18 @@ def test_limits_in_other_units_are_asked_about(limit, unit):
     assert "max_pressure" not in fine.reason
 
 
+def test_a_limit_of_a_chamber_in_bar_is_asked_about():
+    """It is all that is characterised of a chamber. Without pressure it is passive, and nothing is asked."""
+    models = [*[ta.chamber(8e-5, max_pressure=0.8)] * 2, ta.elastic_core(40.0, 1e-3)]
+    offsets, task = [[0.01, 0.0], [-0.01, 0.0], [0.0, 0.0]], ta.Task([[0.12, 0.0, 0.0, 0.0, 0.0, 1.0]] * 4)
+    found = ta.evaluate(ta.ArmDesign(offsets=offsets, length=0.1, actuators=models), task)
+    assert found.verdict == "missed"
+    assert found.reason.endswith("max_pressure: 0.8 kPa: the unit is kilopascal, 0.8 bar is written '0.8 bar'")
+    for limits in ([0.0, 0.0, 0.0], [80.0, 2.0, 0.5]):
+        fine = ta.evaluate(ta.ArmDesign(offsets=offsets, length=0.1, actuators=models, max_pressure=limits), task)
+        assert "kilopascal" not in fine.reason
+
+
 def test_the_end_of_a_range_is_within_it():
     """In single precision a limit is not what it is in double, and an equilibrium has a residual."""
     model = ta.PolynomialActuator(((1, 0, -120.0), (0, 1, 0.9)), (-0.1, 0.1), (0.0, 70.3), 70.3, -0.05)

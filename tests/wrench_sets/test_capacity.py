@@ -158,7 +158,7 @@ def test_a_batch_is_a_loop_in_blocks_of_any_size():
     for design, shape, load in np.ndindex(3, 2, 3):
         one = ta.load_capacity(arm[design], ta.Task(shapes[shape, 0], task.tip_load[load]))
         for name, value in vars(one).items():
-            for other in (whole, small):
+            for other in (whole, small) if isinstance(value, torch.Tensor) else ():
                 torch.testing.assert_close(
                     getattr(other, name)[design, shape, load], value, equal_nan=True, rtol=1e-9, atol=1e-11
                 )
@@ -521,3 +521,37 @@ def test_gradients_where_nothing_is_driven():
     found = ta.load_capacity(arm, ta.Task([[0.051, 0.0, 0.0]] * 2, [0.0, -0.6, 0.0]))
     assert float(found.factor.detach()) == pytest.approx(45.0 * 0.02 / 0.6)
     assert float(torch.autograd.grad(found.factor, stiffness)[0]) == pytest.approx(0.02 / 0.6)
+
+
+def test_where_there_is_no_factor_the_reason_says_which_node_lacks_what():
+    """An arm in space that holds a shape within its tolerance, but not the very shape."""
+    arm = ta.ArmDesign(offsets=ta.ring(radius=0.05, count=3), length=0.4, actuators=ta.Bellows(), mass=0.3)
+    shape = torch.tensor([[0.455, 0, 0, 0, 0.1, 0.1]] * 10, dtype=torch.float64)
+    task = ta.Task(shape, load=ta.ExternalLoad(gravity=True, points=[ta.PointLoad(mass=0.1)]))
+    sets = ta.evaluate(arm, task)
+    found = ta.load_capacity(arm, task)
+    assert sets.verdict == "held"
+    assert bool(found.factor.isnan())
+    node, miss = int(sets.worst_node) + 1, float(sets.worst_miss)
+    assert found.reason.startswith("no pressures hold this very shape under any multiple of the payload")
+    assert f"node {node} lacks {miss:.3g} N (1 N·m as 1 N); evaluate tells" in found.reason
+
+
+@pytest.mark.parametrize("metric", ["absolute", "relative"])
+def test_reasons_are_given_where_factors_are_not(metric):
+    arms = ta.antagonistic_arm(outer_radius=double([0.05, 0.08]))
+    tasks = ta.Task(ta.affine_curvature(double([[1.0], [-3.0]]), double([[1.5], [3.0]])), 0.1 * ta.sample_loads(3))
+    found = ta.load_capacity(arms, tasks, metric)
+    assert found.reason.shape == tuple(found.factor.shape) == (2, 2, 3)
+    np.testing.assert_array_equal(found.reason != "", found.factor.isnan().numpy())
+    assert not bool(found.impossible.any())
+    assert "" not in found.reason if metric == "relative" else 0 < (found.reason != "").sum() < 12
+    miss = ta.evaluate(arms, tasks, metric).worst_miss
+    for index in np.argwhere(found.reason != ""):
+        change = " of change from the base" if metric == "relative" else ""
+        assert f"lacks {float(miss[tuple(index)]):.3g} N (1 N·m as 1 N){change};" in found.reason[tuple(index)]
+
+
+def test_the_reason_of_an_impossible_shape_is_that_it_is():
+    found = ta.load_capacity(ta.bellows_arm(), ta.Task([[-0.1, 0.0, 0.0]] * 3, [1.0, 0.0, 0.0]))
+    assert found.reason == "the shape leaves an actuator no length"

@@ -33,8 +33,8 @@ PAIRS = {
         oracle_polynomial(WAVY_TERMS, stiffness=0.0),
     ),
     "stiffening": (
-        polynomial(WAVY_TERMS, bending_stiffness=0.5),
-        oracle_polynomial(WAVY_TERMS, stiffness=0.5),
+        polynomial(WAVY_TERMS, bending_stiffness=-0.5),
+        oracle_polynomial(WAVY_TERMS, stiffness=-0.5),
     ),
     "spring": (polynomial(((1, 0, -200.0),)), oracle_polynomial(((1, 0, -200.0),))),
 }

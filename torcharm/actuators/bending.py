@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torcharm.actuators.inspection import follows
-from torcharm.inputs import HoldsTensors, check_number, refuse_graphs, shown
+from torcharm.inputs import HoldsTensors, check_number, plain_number, refuse_graphs, shown
 
 Number = float | Tensor
 """A tensor of one number makes results differentiable in it."""
@@ -50,11 +50,11 @@ class LinearBending(HoldsTensors):
     """The paper's `τ = K (p / p_ref) κ/l`; a plain number K as `bending_stiffness` is this, too.
 
     Attributes:
-        stiffness: K [N·m²]; negative resists bending.
+        stiffness: K [N·m²], at most 0: negative resists bending.
         reference_pressure: p_ref [kPa]; None stands for the actuator's `max_pressure`.
 
     Raises:
-        ValueError: K is not finite, or p_ref not above 0.
+        ValueError: K is not finite or above 0, or p_ref not above 0.
     """
 
     stiffness: Number
@@ -77,10 +77,10 @@ class ConstantBending(HoldsTensors):
     """`τ = K κ/l`, whatever the pressure.
 
     Attributes:
-        stiffness: K [N·m²]; negative resists bending.
+        stiffness: K [N·m²], at most 0: negative resists bending.
 
     Raises:
-        ValueError: K is not finite.
+        ValueError: K is not finite or above 0.
     """
 
     stiffness: Number
@@ -116,7 +116,8 @@ class BendingFunction:
         reference_pressure: p_ref [kPa], a pressure in the middle of what is used.
 
     Raises:
-        ValueError: p_ref is not above 0, or the function fails, is not finite or not affine in pressure.
+        ValueError: p_ref is not above 0, or the function fails, is not finite or not affine in pressure, or
+            drives on what is bent.
     """
 
     function: Callable[[Tensor, Tensor], Tensor]
@@ -128,6 +129,7 @@ class BendingFunction:
         if not callable(self.function):
             raise ValueError(f"function: must be a function of curvature and pressure, got {shown(self.function)}")
         self._check_function()
+        check_restoring("function", self)
 
     @torch.no_grad()
     def _check_function(self) -> None:
@@ -164,9 +166,42 @@ class BendingFunction:
         return self.function(curvature, torch.full_like(curvature, pressure)).expand_as(curvature)
 
 
+def check_restoring(name: str, stiffness: "Number | Bending") -> None:
+    """Raise a ValueError where a bending moment drives an arm on when it is bent: its sign was mistaken.
+
+    A body resists bending: with `τ = K κ/l`, K is negative. Of models in place of a number, the moment, less that of
+    the straight body, must not have the sign of curvature at all curvatures checked, at no pressure or at p_ref.
+    """
+    if bending_model(stiffness) is None or isinstance(stiffness, (LinearBending, ConstantBending)):
+        value = plain_number(getattr(stiffness, "stiffness", stiffness))
+        if value > 0:
+            raise ValueError(
+                f"{name}: must be at most 0 N·m², as K κ/l resists bending where K is negative, got {value:g}, which "
+                f"drives an arm on when it is bent; was {-value:g} meant?"
+            )
+        return
+    curvature = torch.tensor(CHECKED_CURVATURES, dtype=torch.float64)
+    try:
+        with torch.no_grad():
+            rest = stiffness.passive(curvature).expand_as(curvature)  # type: ignore[union-attr]
+            full = rest + stiffness.active(curvature)  # type: ignore[union-attr]
+    except (TypeError, ValueError, RuntimeError, AttributeError):
+        return  # what cannot be asked is said of where moments are needed
+    bent = curvature != 0
+    for moment in (rest, full):
+        driven = ((moment - moment[~bent]) * curvature)[bent]
+        if bool((driven > 0).all()):
+            worst = float((moment - moment[~bent])[-1])
+            raise ValueError(
+                f"{name}: must resist bending, with a sign opposite to curvature's, got a moment that grows by "
+                f"{worst:.3g} N·m at {CHECKED_CURVATURES[-1]:g} rad/m, which drives an arm on; was its negative meant?"
+            )
+
+
 def _check(model: Any) -> None:
     if hasattr(model, "stiffness"):
         check_number("stiffness", model.stiffness)
+        check_restoring("stiffness", model)
     if model.reference_pressure is not None:
         check_number("reference_pressure", model.reference_pressure, 0.0, strict=True, unit="kPa")
 

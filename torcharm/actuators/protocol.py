@@ -14,6 +14,7 @@ from torcharm.actuators.bending import (
     Number,
     active_moment,
     bending_model,
+    check_restoring,
     passive_moment,
 )
 from torcharm.actuators.inspection import follows, holds_numbers_only, written_out
@@ -46,12 +47,13 @@ class Actuator(Protocol):
     `pressure_knots(strain)` returns pressures (k, *strain.shape) [kPa], in any order, at which the force has
     a kink. `pressure_degree = 3` says that between them it is a polynomial in pressure of that degree:
     up to 3 one cubic piece stands for the whole curve, and at degree 1 two samples. A text `name` is what tables and
-    legends call it, in place of its class.
+    legends call it, in place of its class. And `moulded = True` says that it is part of one body with the others of its
+    segment that say so: they have one length, which an optimiser changes for all of them.
     """
 
     @property
     def bending_stiffness(self) -> Number | Bending:
-        """K [N·m²] of the bending moment `τ = K (p / max_pressure) κ/l`; negative resists bending.
+        """K [N·m²] of the bending moment `τ = K (p / max_pressure) κ/l`, at most 0: negative resists bending.
 
         Or a model of it: `LinearBending`, `ConstantBending`, `BendingFunction` or one's own.
         """
@@ -89,6 +91,11 @@ def model_name(actuator: Actuator) -> str:
     return name if isinstance(name, str) and name else type(actuator).__name__
 
 
+def is_moulded(actuator: Actuator) -> bool:
+    """Whether the model says that it is part of a moulded body, and so has no length of its own."""
+    return getattr(actuator, "moulded", False) is True
+
+
 def check_actuator(name: str, actuator: object) -> None:
     """Raise a ValueError unless the object has the five members of an actuator, with numbers in them."""
     missing = [member for member in MEMBERS if not hasattr(actuator, member)]
@@ -108,10 +115,11 @@ def check_numbers(actuator: Any, prefix: str = "") -> None:
         ("force_scale", -math.inf, "a finite number"),
     ):
         value = getattr(actuator, field, 1.0)
-        if field == "bending_stiffness" and bending_model(value) is not None and isinstance(value, Bending):
-            continue
-        if not low < _number(value) < math.inf:
+        modelled = field == "bending_stiffness" and bending_model(value) is not None and isinstance(value, Bending)
+        if not modelled and not low < _number(value) < math.inf:
             raise ValueError(f"{prefix}{field}: must be {allowed}, got {shown(value)}")
+        if field == "bending_stiffness":
+            check_restoring(f"{prefix}{field}", value)
     for field in ("strain_range", "pressure_range"):
         value = getattr(actuator, field)
         ends = [_number(end) for end in value] if isinstance(value, (tuple, list)) else []

@@ -22,6 +22,7 @@ class Chamber(PolynomialActuator):
     """What `chamber` makes."""
 
     name: ClassVar[str] = "chamber"
+    moulded: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,7 @@ class ElasticCore(PolynomialActuator):
     """What `elastic_core` makes."""
 
     name: ClassVar[str] = "elastic core"
+    moulded: ClassVar[bool] = True
 
 
 def chamber(

@@ -15,6 +15,9 @@ MOST_TURN = 4 * math.pi
 """A bend of a whole segment [rad], two turns, beyond which radians were hardly meant."""
 LEAST_LIMIT = 0.03
 """Of the highest pressure that was characterised, below which a limit was hardly meant in kilopascals."""
+LEAST_PRESSURE = 2.0
+"""A limit [kPa] below which air hardly drives anything, whatever was characterised: of a chamber that is the limit
+itself."""
 PER_ELEMENT = 0.3
 """By which share the length of a shape may differ from an element's of the arm to be taken for it."""
 
@@ -73,6 +76,10 @@ def question_about_limits(segments: Sequence[ArmDesign]) -> str | None:
                     f"max_pressure: {limit:g} kPa is {100 * limit / known:.2g} % of the {known:g} kPa that were "
                     f"characterised: is it in {unit}?"
                 )
+            low = own[(own > 0) & (own < LEAST_PRESSURE)]
+            if len(low) and not is_passive(model):
+                limit = float(low.min())
+                return f"max_pressure: {limit:g} kPa: the unit is kilopascal, {limit:g} bar is written '{limit:g} bar'"
     return None
 
 

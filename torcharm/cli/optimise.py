@@ -31,7 +31,6 @@ from torcharm.files import check_writable, plain_cell
 
 if TYPE_CHECKING:
     from torcharm.design import Objective, OptimisedDesign, Progress
-    from torcharm.design.space import Arm
     from torcharm.study import NamedArm, Study
 
 Found = Sequence[tuple["NamedArm", "OptimisedDesign"]]
@@ -78,7 +77,7 @@ def optimise(
         else:
             interrupted = any(result.stopped == "interrupted" for _, result in results)
         if results:
-            _tell(plan, results)
+            _tell(results)
         save_all(open_console(), _outputs(plan, results, out, numbered(figure, len(plan.arms))))
         finish(interrupted, results, refused)
 
@@ -96,6 +95,7 @@ def _optimise(
     with progress("optimising", how.starts * len(plan.arms)) as move, _warnings_in_a_line():
         for index, arm in enumerate(plan.arms):
             options: dict[str, Any] = {"starts": how.starts, "seed": how.seed, "iterations": how.iterations}
+            options["tolerance"] = plan.settings.tolerance
             options["checkpoint"] = checkpoints[index] if checkpoints else None
             options["callback"] = partial(_move, move, arm.name, index * how.starts, how.objective)
             try:
@@ -123,13 +123,13 @@ def _check_checkpoint(study: Path, out: Path | None, figure: Path | None, checkp
             raise ValueError(f"--checkpoint: {checkpoint}: is {what}, must be another file")
 
 
-def _tell(plan: "Study", results: Found) -> None:
+def _tell(results: Found) -> None:
     from torcharm.design.result import objective_words
     from torcharm.design.space import LEAST_SPACING
     from torcharm.statics.balance import segments_of
 
     console = open_console()
-    print_table(_errors(plan, results))
+    print_table(_errors(results))
     console.print()
     print_table(_designs(results), lead=2)
     console.print()
@@ -138,10 +138,12 @@ def _tell(plan: "Study", results: Found) -> None:
     unit = "mm" if first.objective.unit == "m" else "N"
     say(console, f"Value: {words} [{unit}], of {tasks}. Tip: mean predicted tip error [mm]. Held: by verdict.")
     if first.objective.metric == "predicted_error":
+        if first.space.in_range and not all(bool(result.before.in_range.all()) for _, result in results):
+            say(console, "In the value, errors beyond the characterised range count the more, the farther beyond it.")
         if not all(bool(side.stable.all()) for _, result in results for side in (result.before, result.after)):
             say(console, "A task without a stable equilibrium counts as its length in the value, and not in the tip's.")
         over = words.split()[0]
-        say(console, f"Where a pressure search is named, its numbers are the {over} shape error that it reaches [mm].")
+        say(console, f"Where a pressure search is named, its numbers are the {over} value that it reaches [mm].")
     space = first.space
     segments = [segment for _, result in results for segment in segments_of(result.best)[0]]
     if space.spacing is None and "radii" in space.free and any(segment.diameter is None for segment in segments):
@@ -223,19 +225,7 @@ def _values(result: "OptimisedDesign", results: Found) -> Iterator[tuple[list[fl
         yield [given[row] for row in rows], [best[row] for row in rows]
 
 
-def _held(plan: "Study", arm: "NamedArm", design: "Arm") -> str:
-    """How many of its tasks a design holds, as `torcharm evaluate` would say."""
-    import numpy as np
-
-    from torcharm.attainability import evaluate
-
-    tolerance = plan.settings.tolerance
-    found = [evaluate(design, named.task, ("predicted_error",), tolerance=tolerance) for named in plan.tasks_of(arm)]
-    verdicts = [word for one in found for word in np.ravel(np.array(one.verdict))]
-    return f"{verdicts.count('held')}/{len(verdicts)}"
-
-
-def _errors(plan: "Study", results: Found) -> list[Column]:
+def _errors(results: Found) -> list[Column]:
     columns = [Column("arm", [arm.name for arm, _ in results], LONGEST_WORD)]
     for name in ("given", "best"):
         values = [
@@ -247,8 +237,9 @@ def _errors(plan: "Study", results: Found) -> list[Column]:
         sides = [result.after if name == "best" else result.before for _, result in results]
         columns.append(Column(f"tip\n{name}", [f"{side.tip_mm:.4g}" for side in sides]))
     for name in ("given", "best"):
-        held = [_held(plan, arm, result.best if name == "best" else result.given) for arm, result in results]
-        columns.append(Column(f"held\n{name}", held))
+        held = [result.held if name == "best" else result.given_held for _, result in results]
+        tasks = [len(result.after.stable) for _, result in results]
+        columns.append(Column(f"held\n{name}", [f"{one}/{every}" for one, every in zip(held, tasks, strict=True)]))
     return columns
 
 

@@ -11,11 +11,12 @@ from typing import Any
 from torcharm.actuators import SHIPPED, Actuator
 from torcharm.arm import ArmDesign, find_model
 from torcharm.arm_series import ArmSeries
+from torcharm.attainability import PoseTolerance
 from torcharm.design.checkpoint import Checkpoint, describe
 from torcharm.design.descent import Callback, Progress, descend_all
 from torcharm.design.feasible import feasible_designs
 from torcharm.design.objective import Objective, Problem
-from torcharm.design.optimise import ITERATIONS, TOLERANCE, check_arguments, outcome, starting_points
+from torcharm.design.optimise import ITERATIONS, TOLERANCE, best_first, check_arguments, outcome, starting_points
 from torcharm.design.result import OptimisedDesign
 from torcharm.design.space import Arm, DesignSpace
 from torcharm.design.symmetry import symmetries
@@ -28,7 +29,7 @@ MOST_ARCHITECTURES = 4096
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Architectures(HoldsTensors):
-    """The best design of every architecture, the best architecture first.
+    """The best design of every architecture, the best architecture first: of comparable ones, that which holds most.
 
     Attributes:
         names: a letter for each position, as "BMMB"; digits where the models' first letters are alike.
@@ -62,6 +63,7 @@ def optimise_architectures(
     seed: int = 0,
     iterations: int = ITERATIONS,
     seconds: float | None = None,
+    tolerance: PoseTolerance | float | None = None,
     checkpoint: str | PathLike[str] | None = None,
     callback: Callback | None = None,
 ) -> Architectures:
@@ -115,12 +117,13 @@ def optimise_architectures(
             infeasible[name] = str(error)
             continue
         ends, stopped = descend_all(problem, points, iterations, TOLERANCE, progress, keeper, name)
-        found[name] = outcome(problem, own, space, points, ends, progress, stopped)
+        found[name] = outcome(problem, own, space, points, ends, progress, stopped, tolerance)
         if stopped != "finished":
             break
     if not found:
         raise ValueError(f"space: no architecture has a feasible design; {next(iter(infeasible.values()))}")
-    order = sorted(found, key=lambda name: found[name].value)
+    names = list(found)
+    order = [names[i] for i in best_first([one.value for one in found.values()], [one.held for one in found.values()])]
     return Architectures(tuple(order), tuple(found[name] for name in order), infeasible, len(orders) > 1, stopped)
 
 

@@ -9,7 +9,7 @@ Task shapes are given, so that in the plane every constraint is linear in the fr
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 from typing import Any
 
@@ -25,9 +25,6 @@ from torcharm.task import Task
 
 SLACK = 1e-7
 """By how much [m] constraints are to be kept, so that neither the descent's tolerance nor rounding breaks them."""
-RANGE_MARGIN = 0.03
-"""Of the strains that were characterised, kept free at either end: an arm does not reach a task's shape exactly, and
-beyond them its forces are a guess."""
 FEASIBLE = 2e-8
 """By how much [m] one may be broken by what counts as feasible: less than the slack, more than the tolerance."""
 ACTIVE = 1e-4
@@ -93,12 +90,14 @@ class FeasibleDesigns:
         free: what the free values are.
         constraints: on them, besides the bounds.
         kept: which of these the free values change, each once.
+        in_range: whether strains are to stay in their characterised range, those of the shapes reached, too.
     """
 
     arm: Arm
     free: FreeValues
     constraints: Constraints
     kept: Any
+    in_range: bool
 
     @property
     def dimension(self) -> int:
@@ -258,7 +257,7 @@ def feasible_designs(space: DesignSpace, arm: Arm, tasks: Sequence[Task]) -> Fea
     """
     free = free_values(space, arm)
     constraints = _constraints(space, arm, tasks)
-    probe = FeasibleDesigns(arm, free, constraints, np.arange(len(constraints.names)))
+    probe = FeasibleDesigns(arm, free, constraints, np.arange(len(constraints.names)), space.in_range)
     point = np.random.default_rng(0).random(probe.dimension)
     value, slope = probe.constraint_values(point)
     moved = np.abs(slope).max(-1, initial=0.0) > 1e-12
@@ -267,7 +266,7 @@ def feasible_designs(space: DesignSpace, arm: Arm, tasks: Sequence[Task]) -> Fea
         raise ValueError(f"space: the {names[index]} is out of bounds, and nothing that is free changes it")
     # Equal ones, as of tied actuators, are one.
     _, first = np.unique(np.round(np.column_stack((value, slope)), 12), axis=0, return_index=True)
-    return FeasibleDesigns(one_of_batch(arm, 0), free, constraints, np.sort(first[moved[first]]))
+    return replace(probe, arm=one_of_batch(arm, 0), kept=np.sort(first[moved[first]]))
 
 
 def _constraints(space: DesignSpace, arm: Arm, tasks: Sequence[Task]) -> Constraints:
@@ -277,7 +276,9 @@ def _constraints(space: DesignSpace, arm: Arm, tasks: Sequence[Task]) -> Constra
         if space.in_range:
             strains.append(_strain_rows(segment, _corners(tasks, number), before))
         if {"radii", "angles"} & set(space.free):
-            chosen = pairwise(_order(segment)) if arm.dimension == 2 else combinations(range(segment.actuator_count), 2)
+            apart = space.apart(segment)
+            ordered = [index for index in _order(segment) if index in apart]
+            chosen = pairwise(ordered) if arm.dimension == 2 else combinations(apart, 2)
             gap = space.spacing_of(segment)
             for a, b in chosen:
                 pairs.append((before + a, before + b))
@@ -299,9 +300,7 @@ def _strain_rows(segment: ArmDesign, corners: Array, before: int) -> Array:
     """Rows (actuator, sign, l, κ_y, κ_z, 1 + ε) of a segment."""
     rows = []
     for index, model in enumerate(segment.actuators):
-        low, high = (float(end) for end in model.strain_range)
-        kept = RANGE_MARGIN * (high - low) if np.isfinite(high - low) else 0.0
-        for sign, edge in ((1.0, low + kept), (-1.0, high - kept)):
+        for sign, edge in zip((1.0, -1.0), map(float, model.strain_range), strict=True):
             if np.isfinite(edge):
                 rows += [(before + index, sign, *corner, 1 + edge) for corner in corners]
     return np.array(rows, dtype=np.float64).reshape(-1, 6)

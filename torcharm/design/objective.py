@@ -11,12 +11,19 @@ from torcharm.attainability import check_power, evaluate, scale_of
 from torcharm.design.feasible import FeasibleDesigns
 from torcharm.design.space import Arm, Array
 from torcharm.inputs import check_choice, check_flag, check_number, shown
+from torcharm.pressure.followed import beyond_range, followed_twists
 from torcharm.pressure.pose_cost import PoseCost
-from torcharm.pressure.predicted_error import prediction
+from torcharm.pressure.predicted_error import PredictedError, prediction
 from torcharm.task import Task
 
 METRICS = ("predicted_error", "unattainability")
 AGGREGATES = ("mean", "worst")
+NEAR_EDGE = 0.01
+"""Of its characterised range, how close to an edge a strain may come at no price: so that a price that is not yet steep
+stops it within."""
+PRICE = 5.0
+"""How steep the price is at the edge: a strain that leaves its range by a fifth of it halves what its error tells. A
+gain on other tasks is seldom worth it."""
 SMOOTHING = 0.02
 """Of the worst task's value, by how much others may differ from it and steer the descent as much: the mere maximum has
 kinks at its minima, where a descent sticks."""
@@ -29,7 +36,9 @@ class Objective:
     Attributes:
         metric: "predicted_error", the predicted shape error [m], or "unattainability", the paper's distances [N].
             A predicted error that is not converged counts as what its pressures reach; where no stable equilibrium is
-            predicted, or an actuator has no length, the error counts as the length of the task's shape.
+            predicted, or an actuator has no length, the error counts as the length of the task's shape. Where a space
+            asks for designs in range, it counts ever more like that length the farther the strains of the shape that is
+            predicted leave their characterised range, as it is ever more of a guess: see `counted`.
         over: "mean" over the tasks, or "worst", the largest.
         task_weights: in the mean, one number for each task, in the order of the results; None weighs all alike.
         pose_cost: what predicted errors measure; None is `PoseCost()`.
@@ -107,14 +116,41 @@ def shape_lengths(task: Task) -> Tensor:
     return torch.stack([part.mean(-1) for part in parts]).sum(0).reshape(-1)
 
 
-def task_values(objective: Objective, arm: Arm, task: Task) -> Tensor:
-    """(*design batch, T) of the T tasks of a batch, with a graph: predicted errors, or unattainabilities, which are
-    infinite where an actuator has no length and NaN where a distance is not known."""
+def counted(error: Tensor, stable: Tensor, beyond: Tensor | None, length: Tensor) -> Tensor:
+    """What shape errors (..., T) [m] count as.
+
+    Where an equilibrium is stable an error e counts as `e + (L - e) h / (1 + h)`, with L the length of the task's
+    shape and h the price of a strain that leaves its range by a share x of it: 0 until `-d`, then a parabola that
+    reaches slope s at the edge, then straight, with `d = NEAR_EDGE` and `s = PRICE`. Elsewhere it counts as L.
+
+    Args:
+        error: (..., T); those that are not stable may be anything.
+        stable: (..., T).
+        beyond: (..., T) the share x of the strain that leaves its range farthest; None sets no price.
+        length: (T,) L.
+    """
+    length = length.to(error)
+    if beyond is not None:
+        near = (1 + beyond.clamp(max=0) / NEAR_EDGE).clamp(min=0)
+        price = PRICE * (NEAR_EDGE / 2 * near.square() + beyond.clamp(min=0))
+        error = error + (length - error).clamp(min=0) * price / (1 + price)
+    return torch.where(stable, error, length)
+
+
+def task_values(objective: Objective, arm: Arm, task: Task, *, in_range: bool) -> Tensor:
+    """(*design batch, T) of the T tasks of a batch, with a graph: predicted errors as `counted`, or unattainabilities,
+    which are infinite where an actuator has no length and NaN where a distance is not known.
+
+    Args:
+        objective, arm, task: what and by what.
+        in_range: whether strains that are predicted beyond their range have a price.
+    """
     lead = len(arm.batch_shape)
     if objective.metric == "predicted_error":
         found = prediction(arm, task, objective.pose_cost, held=True)
+        beyond = _beyond(objective, arm, task, found) if in_range else None
         error, known = flat_tasks(found.shape_error, lead), flat_tasks(found.stable, lead)
-        return torch.where(known, error, shape_lengths(task).to(error))
+        return counted(error, known, None if beyond is None else flat_tasks(beyond, lead), shape_lengths(task))
     options: dict[str, Any] = {"weights": objective.weights, "power": objective.power, "signed": objective.margin}
     result = evaluate(arm, task, objective.metrics, **options)
     total = result.absolute
@@ -123,6 +159,14 @@ def task_values(objective: Objective, arm: Arm, task: Task) -> Tensor:
         assert result.relative is not None
         total = total + objective.relative_weight * result.relative
     return flat_tasks(torch.where(result.converged | result.impossible, total, torch.nan), lead)
+
+
+def _beyond(objective: Objective, arm: Arm, task: Task, found: PredictedError) -> Tensor:
+    """By which share of its range a strain that is predicted leaves it, with a graph where it has a price."""
+    beyond = beyond_range(arm, task, found.twists)
+    if found.shape_error.requires_grad and bool((found.stable & (beyond > -NEAR_EDGE)).any()):
+        return beyond_range(arm, task, followed_twists(arm, task, objective.pose_cost, found))
+    return beyond.detach()
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +179,9 @@ class Problem:
 
     def values(self, arm: Arm) -> Tensor:
         """(*design batch, T) of all T tasks, with a graph."""
-        return torch.cat([task_values(self.objective, arm, task) for task in self.tasks], -1)
+        return torch.cat(
+            [task_values(self.objective, arm, task, in_range=self.designs.in_range) for task in self.tasks], -1
+        )
 
     def value(self, arm: Arm) -> Tensor:
         """(*design batch) the objective of designs, which need not be feasible; infinite where it is no number."""

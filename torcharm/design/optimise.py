@@ -11,13 +11,14 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
+from torcharm.attainability import PoseTolerance
 from torcharm.design.checkpoint import Checkpoint, describe
 from torcharm.design.descent import Callback, End, Progress, descend_all
 from torcharm.design.feasible import feasible_designs
-from torcharm.design.objective import Objective, Problem, shape_lengths
+from torcharm.design.objective import Objective, Problem, counted, shape_lengths
 from torcharm.design.result import OptimisedDesign
 from torcharm.design.space import Arm, Array, DesignSpace, given_values, one_of_batch
-from torcharm.design.task_errors import predicted, searched
+from torcharm.design.task_errors import held_tasks, predicted, searched
 from torcharm.inputs import check_count, check_number, shown
 from torcharm.task import Task, for_each_task, task_list
 from torcharm.wrench_sets.design_task_grid import fitted
@@ -29,6 +30,8 @@ CANDIDATES = 3
 """Ends that are compared with the given design by a pressure search, the best first, until one is better."""
 AGREEMENT = (0.2, 0.01)
 """Share of the searched error, and length [m], within which the predicted one counts as confirmed."""
+COMPARABLE = 0.1
+"""Share by which the value of a design that holds more tasks may be larger, and it is preferred all the same."""
 NOISE = 1e-6
 """By which share a value must be below another to be better: searches end at their tolerance."""
 
@@ -43,16 +46,20 @@ def optimise_design(
     seed: int = 0,
     iterations: int = ITERATIONS,
     seconds: float | None = None,
+    tolerance: PoseTolerance | float | None = None,
     checkpoint: str | PathLike[str] | None = None,
     callback: Callback | None = None,
 ) -> OptimisedDesign:
     """The best design found from a given one, within constraints, on all tasks.
 
     Sequential least squares (SLSQP) descend with exact gradients from several feasible designs: the nearest to the
-    given, then random ones. By default they minimise the mean shape error that is predicted, each led first by the
-    unattainability. The end that is best is compared with the given design by a pressure search, which the prediction
-    is an approximation of; where the search does better with the given one, so with the next two. If none is better,
-    the given design is kept, within the constraints or not, and `status` says why.
+    given, then random ones. By default they minimise the mean shape error that is predicted, in which a task counts
+    ever more like one that cannot be held the farther its strains leave their characterised range; every other descent
+    is led first by the unattainability. Ends count that are better by that value and hold no fewer tasks than the
+    given design; of those within 10 % of the least value, the one that holds most tasks is best. It is compared with
+    the given design by a pressure search, which the prediction is an approximation of; where the search does better
+    with the given one, so with the next two. If none is better, the given design is kept, within the constraints or
+    not, and `status` says why.
 
     Ctrl-C ends the optimisation and returns what was found until then.
 
@@ -65,6 +72,7 @@ def optimise_design(
         seed: of the random starts.
         iterations: of a start, at most.
         seconds: after which to stop, counted from the call; None sets no limit.
+        tolerance: how far off a pose may be and still counts as held, as for `torcharm.evaluate`.
         checkpoint: a file in which finished starts are kept, and taken up if it is there. It must be of this very
             problem: arm, tasks, space, objective, seed, iterations, and force models, of which classes, forces and
             moments on a grid are compared.
@@ -85,7 +93,7 @@ def optimise_design(
     problem = Problem(feasible_designs(space, arm, tasks), tasks, objective)
     points = starting_points(problem, arm, starts, seed)
     ends, stopped = descend_all(problem, points, iterations, TOLERANCE, progress, keeper)
-    return outcome(problem, arm, space, points, ends, progress, stopped)
+    return outcome(problem, arm, space, points, ends, progress, stopped, tolerance)
 
 
 def check_arguments(
@@ -135,12 +143,13 @@ def outcome(
     ends: Sequence[End],
     progress: Progress,
     stopped: str,
+    tolerance: PoseTolerance | float | None,
 ) -> OptimisedDesign:
     """Put together what is known of the starts of one architecture."""
     designs, objective = problem.designs, problem.objective
     given, given_value = _best_given(arm, problem)
-    better = [end for end in ends if end.value < given_value * (1 - NOISE) or given_value == np.inf > end.value]
-    better = sorted(better, key=lambda end: end.value)[:CANDIDATES]
+    given_held, ranked = _ranked(problem, given, given_value, ends, tolerance)
+    better = [end for held, end in ranked if held >= given_held][:CANDIDATES]
     violated = designs.violated_by(given)
     chosen, status = (better[0] if better else None), "better"
     if better and objective.metric == "predicted_error":
@@ -151,6 +160,9 @@ def outcome(
     elif not better:
         early = " before it was interrupted" if stopped == "interrupted" else ""
         status = f"given design kept: no better one was found within the constraints{early}"
+        if ranked:
+            tasks, most = f"{given_held} task{'s' * (given_held != 1)}", max(held for held, _ in ranked)
+            status = f"given design kept: it holds {tasks}, and those of less value hold {most} at most{early}"
     best = given if chosen is None else designs.design(chosen.point)
     before, after = (predicted(one, problem.tasks, objective.pose_cost) for one in (given, best))
     if chosen is None and violated:
@@ -167,6 +179,8 @@ def outcome(
         best=best,
         given_value=given_value,
         value=given_value if chosen is None else chosen.value,
+        given_held=given_held,
+        held=given_held if chosen is None else next(held for held, end in ranked if end is chosen),
         before=before,
         after=after,
         status=status,
@@ -182,6 +196,31 @@ def outcome(
         space=space,
         objective=objective,
     )
+
+
+def _ranked(
+    problem: Problem, given: Arm, given_value: float, ends: Sequence[End], tolerance: PoseTolerance | float | None
+) -> tuple[int, list[tuple[int, End]]]:
+    """How many tasks the given design holds; and of the ends of less value how many each holds, the best first."""
+
+    def held(arm: Arm) -> int:
+        return held_tasks(arm, problem.tasks, problem.objective.pose_cost, tolerance)
+
+    lower = [end for end in ends if end.value < given_value * (1 - NOISE) or given_value == np.inf > end.value]
+    counts = [held(problem.designs.design(end.point)) for end in lower]
+    order = best_first([end.value for end in lower], counts)
+    return held(given), [(counts[index], lower[index]) for index in order]
+
+
+def best_first(values: Sequence[float], held: Sequence[int]) -> list[int]:
+    """Indices of designs by their values and how many tasks they hold: again and again, of those whose value is
+    comparable with the least that is left, the one that holds most."""
+    left, order = sorted(range(len(values)), key=lambda index: values[index]), list[int]()
+    while left:
+        near = [index for index in left if not values[index] > values[left[0]] + COMPARABLE * abs(values[left[0]])]
+        order.append(max(near, key=lambda index: held[index]))
+        left.remove(order[-1])
+    return order
 
 
 def _on_tasks(marked: Tensor) -> str:
@@ -211,7 +250,8 @@ def _search_value(problem: Problem, arm: Arm) -> float:
     found = searched(arm, problem.tasks, objective.pose_cost)
     with torch.no_grad():
         lengths = torch.cat([shape_lengths(task) for task in problem.tasks])
-        return float(objective.total(torch.where(found.stable, found.shape_error, lengths.to(found.shape_error))))
+        beyond = found.beyond if problem.designs.in_range else None
+        return float(objective.total(counted(found.shape_error, found.stable, beyond, lengths)))
 
 
 def _best_given(arm: Arm, problem: Problem) -> tuple[Arm, float]:

@@ -18,6 +18,7 @@ class OptimisedDesign(HoldsTensors):
         given: the design to improve on (of a batch, the one of the best value).
         best: the best design found; the given one where no better was found.
         given_value, value: the objective of the two.
+        given_held, held: of how many tasks the verdict on the two is "held".
         before, after: what is predicted of the two on every task: errors of tip and shape [m].
         status: what to think of it, in words: "better", or that and what is doubtful, or why the given design was kept.
         active: the bounds and constraints that hold the best design back, in words.
@@ -35,6 +36,8 @@ class OptimisedDesign(HoldsTensors):
     best: Arm
     given_value: float
     value: float
+    given_held: int
+    held: int
     before: TaskErrors
     after: TaskErrors
     status: str
@@ -56,7 +59,8 @@ class OptimisedDesign(HoldsTensors):
         return (
             f"OptimisedDesign({self.best!r}, {objective_words(self.objective)} of {count} task{'s' * (count != 1)} "
             f"{_shown(self.given_value, self.objective)} → {_shown(self.value, self.objective)}, tip error "
-            f"{self.before.tip_mm:.3g} → {self.after.tip_mm:.3g} mm predicted, {self.status}; {self.stopped})"
+            f"{self.before.tip_mm:.3g} → {self.after.tip_mm:.3g} mm predicted, held {self.given_held} → {self.held}, "
+            f"{self.status}; {self.stopped})"
         )
 
 

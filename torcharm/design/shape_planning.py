@@ -215,7 +215,8 @@ def _best_held(
 
     def cost(z: Tensor) -> Tensor:
         shaped = problem.task(problem.twists(z).to(like), load)
-        return judge.total(task_values(judge, problem.arm, shaped)).double()
+        values = task_values(judge, problem.arm, shaped, in_range=problem.strains is not None)
+        return judge.total(values).double()
 
     random = np.random.default_rng(seed)
     plans: list[tuple[Array, Cost]] = []

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import torch
 
 from torcharm.actuators.inspection import same_model
+from torcharm.actuators.protocol import is_moulded
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.inputs import check_choice, check_flag, check_number, shown
@@ -46,15 +47,17 @@ class DesignSpace:
             and turns all angles together. "none" ties nothing. Groups such as ((0, 3), (1, 2)) have radii of equal
             size, whose signs are the given arm's, equal lengths and limits, and turn together. A mapping ties each
             field in its own way: {"radii": "mirror", "length": "equal"}. None, and fields that a mapping leaves out:
-            "ring" in space, "none" in the plane.
+            "ring" in space, "none" in the plane. Whatever the ties, those that are moulded in one body, as chambers and
+            their elastic core, have one length.
         bounds: for each free field (lowest, highest), as numbers or one number for each actuator [m, rad, m, kPa].
             Without them: radii within ±0.1 m, in space up to 0.1 m (or what the given arm has), angles within half a
             turn of the given ones, lengths from half to one and a half times the given ones, limits from 0 to the
             given ones: what a pump cannot give is not asked of it.
         spacing: least distance between the centres of two actuators of a segment [m]; None takes what the arm's
-            diameters need, or 5 mm where they are not known. In the plane actuators stay in their given order.
-        in_range: whether strains on all task shapes, with 3 % of it to spare, and limits stay in the models'
-            characterised range.
+            diameters need, or 5 mm where they are not known. In the plane actuators stay in their given order. What is
+            never under pressure and has no diameter, such as an elastic core, takes no room.
+        in_range: whether strains on all task shapes, and limits, stay in the models' characterised range; and whether
+            predicted strains beyond it count in an `Objective` of predicted errors.
 
     Raises:
         ValueError: an argument is none of those allowed.
@@ -81,6 +84,14 @@ class DesignSpace:
         if self.spacing is not None:
             check_number("spacing", self.spacing, 0.0, strict=True, unit="m")
         object.__setattr__(self, "free", tuple(name for name in FIELDS if name in free))
+
+    def apart(self, segment: ArmDesign) -> list[int]:
+        """The actuators of a segment that keep their distance."""
+        if segment.diameter is None:
+            wide = segment.max_pressure
+        else:
+            wide = torch.maximum(segment.max_pressure, segment.diameter)
+        return torch.nonzero((wide > 0).reshape(-1, segment.actuator_count).any(0)).flatten().tolist()
 
     def spacing_of(self, segment: ArmDesign) -> Array:
         """(M, M) least distances between the centres of actuators [m]."""
@@ -222,6 +233,15 @@ def _bounds(space: DesignSpace, name: str, segment: ArmDesign, values: Array) ->
 
 def tied_groups(space: DesignSpace, name: str, given: Array, segment: ArmDesign) -> list[tuple[list[int], Array]]:
     """Actuators of a segment of values (4, M) that share one free value of a field, and with which sign."""
+    groups = _tied_as_asked(space, name, given, segment)
+    body = {index for index, model in enumerate(segment.actuators) if name == "length" and is_moulded(model)}
+    joined = sorted({index for members, _ in groups if body & set(members) for index in members})
+    apart = [group for group in groups if not body & set(group[0])]
+    return [*apart, (joined, np.ones(len(joined)))] if joined else apart
+
+
+def _tied_as_asked(space: DesignSpace, name: str, given: Array, segment: ArmDesign) -> list[tuple[list[int], Array]]:
+    """The same, by a space's ties alone."""
     tie, planar = space.tied.get(name) if isinstance(space.tied, Mapping) else space.tied, segment.dimension == 2
     if tie is None:
         tie = "none" if planar else "ring"

@@ -2,12 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from torcharm.attainability import PREDICTED, PoseTolerance, evaluate
 from torcharm.design.space import Arm
 from torcharm.inputs import HoldsTensors
+from torcharm.pressure.followed import beyond_range
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.pressure.predicted_error import PredictedError, predict_error
 from torcharm.pressure.search import PressureSearch, search_pressure
@@ -24,6 +28,7 @@ class TaskErrors(HoldsTensors):
         converged: (T,) whether no pressure nearby is known to do better; where not, errors are reached all the same.
         stable: (T,) whether an equilibrium was found at which the arm stays.
         in_range: (T,) whether its strains and pressures are in the characterised range.
+        beyond: (T,) by which share of its range's width a strain leaves it, the largest; negative within.
     """
 
     tip_error: Tensor
@@ -32,10 +37,11 @@ class TaskErrors(HoldsTensors):
     converged: Tensor
     stable: Tensor
     in_range: Tensor
+    beyond: Tensor
 
     @classmethod
-    def of(cls, found: Sequence[PredictedError | PressureSearch]) -> "TaskErrors":
-        """From what was found for each batch of tasks, all together."""
+    def of(cls, arm: Arm, tasks: Sequence[Task], found: Sequence[PredictedError | PressureSearch]) -> "TaskErrors":
+        """From what was found of a design for each batch of tasks, all together."""
 
         def whole(name: str) -> Tensor:
             return torch.cat([getattr(one, name).detach().reshape(-1) for one in found])
@@ -43,7 +49,8 @@ class TaskErrors(HoldsTensors):
         pressure = torch.cat([one.pressure.detach().reshape(-1, one.pressure.shape[-1]) for one in found])
         errors = whole("tip_error"), whole("shape_error")
         ended = "at_minimum" if isinstance(found[0], PredictedError) else "converged"
-        return cls(*errors, pressure, whole(ended), whole("stable"), whole("in_range"))
+        beyond = [beyond_range(arm, task, one.twists).reshape(-1) for task, one in zip(tasks, found, strict=True)]
+        return cls(*errors, pressure, whole(ended), whole("stable"), whole("in_range"), torch.cat(beyond))
 
     @property
     def tip_mm(self) -> float:
@@ -54,7 +61,7 @@ class TaskErrors(HoldsTensors):
 def predicted(arm: Arm, tasks: Sequence[Task], cost: PoseCost | None) -> TaskErrors:
     """What is predicted of one design on all tasks."""
     with torch.no_grad():
-        return TaskErrors.of([predict_error(arm, task, cost) for task in tasks])
+        return TaskErrors.of(arm, tasks, [predict_error(arm, task, cost) for task in tasks])
 
 
 def searched(
@@ -62,4 +69,12 @@ def searched(
 ) -> TaskErrors:
     """What the search, which raises the loads from zero, reaches with one design on all tasks."""
     with torch.no_grad():
-        return TaskErrors.of([search_pressure(arm, task, starts=starts, pose_cost=cost, seed=seed) for task in tasks])
+        options: dict[str, Any] = {"starts": starts, "pose_cost": cost, "seed": seed}
+        return TaskErrors.of(arm, tasks, [search_pressure(arm, task, **options) for task in tasks])
+
+
+def held_tasks(arm: Arm, tasks: Sequence[Task], cost: PoseCost | None, tolerance: PoseTolerance | float | None) -> int:
+    """How many tasks one design holds, by the verdict of `torcharm.evaluate`."""
+    with torch.no_grad():
+        found = [evaluate(arm, task, PREDICTED, tolerance=tolerance, pose_cost=cost) for task in tasks]
+    return sum(int(np.sum(np.array(one.verdict) == "held")) for one in found)

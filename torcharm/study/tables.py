@@ -105,7 +105,8 @@ class OptimiseTable(Table):
     free: Annotated[list[Annotated[str, one_of(FIELDS)]], filled(f"a list of fields, such as {json.dumps(FIELDS)}")] = (
         Field(
             default=["radii", "length"],
-            description="What may change; angles are of arms in space alone.",
+            description="What may change; angles are of arms in space alone. Chambers and the elastic core of one body "
+            "share one length.",
             examples=[["radii", "length", "max_pressure"]],
         )
     )
@@ -119,11 +120,15 @@ class OptimiseTable(Table):
     spacing: PositiveLength | None = Field(
         default=None,
         description="Least distance between the centres of actuators: their width. Without it, what diameters of the "
-        "arm need; without these, 5 mm, which suits only the thinnest that can be bought.",
+        "arm need; without these, 5 mm, which suits only the thinnest that can be bought. What is never under pressure "
+        "and has no diameter, as an elastic core, takes no room.",
         examples=["20 mm"],
     )
     in_range: bool = Field(
-        default=True, description="Whether strains and limits stay in the characterised range.", examples=[False]
+        default=True,
+        description="Whether limits, and strains on the tasks' shapes, stay in the characterised range, and strains of "
+        "the shapes that are predicted count beyond it.",
+        examples=[False],
     )
     metric: Annotated[str, one_of(OBJECTIVES)] = Field(
         default=Objective.metric,

@@ -6,8 +6,12 @@ line. An arm bears the factors that lie in the intervals of all its nodes.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
@@ -27,13 +31,22 @@ from torcharm.wrench_sets.design_task_grid import (
 )
 from torcharm.wrench_sets.node_distances import (
     METRICS,
+    SetOptions,
     any_sampled,
     default_chunk,
+    node_distances,
     possible_sections,
     strain_excess,
     wants_gradient,
 )
 from torcharm.wrench_sets.rays import evaluate_ends, find_ends, meet_points
+
+INEXACT = (
+    "no pressures hold this very shape under any multiple of the payload, so that it cannot be scaled: as it is, "
+    "{}; evaluate tells what is held within a tolerance"
+)
+IMPOSSIBLE = "the shape leaves an actuator no length"
+"""Why there is no factor."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -41,7 +54,7 @@ class LoadCapacity(HoldsTensors):
     """What `load_capacity` found. Shapes are (*design batch, *task batch), with N nodes added per node.
 
     Factors multiply the task's payload: its tip load and its point loads, wrenches and masses. Where no factor serves,
-    they are NaN; a bound that there is not is infinite.
+    they are NaN, and `reason` says why; a bound that there is not is infinite.
 
     Attributes:
         factor: the largest factor of at least 0 that the sets of all nodes allow.
@@ -55,6 +68,7 @@ class LoadCapacity(HoldsTensors):
         in_range: whether every strain and every pressure limit lies in the range of its force model.
         impossible: whether the shape leaves an actuator no length, or less, at some node; no factor serves there.
         converged: whether every node's answer is known to rounding.
+        arm, task, metric: what was asked.
     """
 
     factor: Tensor
@@ -69,6 +83,9 @@ class LoadCapacity(HoldsTensors):
     in_range: Tensor
     impossible: Tensor
     converged: Tensor
+    arm: ArmDesign | ArmSeries
+    task: Task
+    metric: str
 
     def __repr__(self) -> str:
         """Shapes, no numbers."""
@@ -78,6 +95,27 @@ class LoadCapacity(HoldsTensors):
     def factor_per_node(self) -> Tensor:
         """(..., N) the largest factor of at least 0 that each node's set allows; NaN where there is none."""
         return torch.where(self.t_max_per_node >= 0, self.t_max_per_node, torch.nan)
+
+    @cached_property
+    def reason(self) -> str | NDArray[Any]:
+        """Why there is no factor, in a sentence for each; else empty.
+
+        It tells the node, counted from 1 at the base, that lacks most of what the payload as it is requires, with 1 N·m
+        as 1 N.
+        """
+        batch = self.attainable.shape
+        found = np.full(tuple(batch), "", dtype=object)
+        if not bool(self.attainable.all()):
+            grid = design_task_grid(*fitted(self.arm, self.task))
+            with torch.no_grad():
+                miss = node_distances(grid, SetOptions((self.metric,), (1.0, 1.0))).distance[..., 0, :]
+            most, node = (value.expand(batch).numpy(force=True) for value in grid.unflatten(miss).max(-1))
+            lost = self.impossible.numpy(force=True)
+            for index in map(tuple, np.argwhere(~self.attainable.numpy(force=True))):
+                change = " of change from the base" if self.metric == "relative" else ""
+                lacking = f"node {node[index] + 1} lacks {most[index]:.3g} N (1 N·m as 1 N){change}"
+                found[index] = IMPOSSIBLE if lost[index] else INEXACT.format(lacking)
+        return str(found[()]) if not batch else found.astype(str)
 
 
 def load_capacity(
@@ -100,7 +138,8 @@ def load_capacity(
     As all that sets say, the factor is an upper bound: every node's requirement can be met below it, each by a
     pressure of its own. Verdicts of `evaluate` are another question: the factor is of the very shape, without any
     tolerance. So a task may be held within its tolerance where the factor is below 1 or NaN, and missed where it is
-    above, as one pressure must then serve all nodes.
+    above, as one pressure must then serve all nodes. Where it is NaN, `reason` says why: mostly an arm comes close to
+    the shape, but not to the very shape, as every node of a curve asks for a wrench of its own.
 
     Args:
         arm: designs, of any batch shape; or segments in series.
@@ -124,11 +163,19 @@ def load_capacity(
     direction = design_task_grid(without_link_masses(arm), task).required.external
     ends = _per_node(grid, direction, metric == "relative", chunk_size)
     low, high, slack, converged, excess, impossible = (grid.unflatten(part) for part in ends)
-    return _over_nodes(low, high, slack, converged, excess, impossible, limits_in_range(grid))
+    asked = {"arm": arm, "task": task, "metric": metric}
+    return _over_nodes(low, high, slack, converged, excess, impossible, limits_in_range(grid), asked)
 
 
 def _over_nodes(
-    low: Tensor, high: Tensor, slack: Tensor, converged: Tensor, excess: Tensor, impossible: Tensor, limits: Tensor
+    low: Tensor,
+    high: Tensor,
+    slack: Tensor,
+    converged: Tensor,
+    excess: Tensor,
+    impossible: Tensor,
+    limits: Tensor,
+    asked: dict[str, Any],
 ) -> LoadCapacity:
     """Intersect the nodes' intervals (..., N), known to within `slack`; one that is empty has `low > high`.
 
@@ -158,6 +205,7 @@ def _over_nodes(
         in_range=(excess <= 16 * torch.finfo(excess.dtype).eps) & limits & ~impossible,
         impossible=impossible,
         converged=converged.all(-1) & ~impossible,
+        **asked,
     )
 
 

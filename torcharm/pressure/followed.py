@@ -1,0 +1,95 @@
+"""Shapes that are predicted, while designs and tasks change: with pressures that stay at their minimum.
+
+At a minimum of the cost C(p, u) over the pressures that their limits leave free, `∂C/∂p = 0` for all u, so that
+
+    dp = -H⁻¹ d(∂C/∂p),   H = ∂²C/∂p².
+
+Of errors that are minimised the envelope theorem spares this; strains follow it, and are far off without. Derivatives
+by pressure of the cost's gradient, which is exact, are central differences along the tangent of the equilibria.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torcharm.arm import ArmDesign
+from torcharm.arm_series import ArmSeries
+from torcharm.engine.arms import numbers
+from torcharm.equilibrium.gradient import with_gradients
+from torcharm.equilibrium.stability import share_beyond_range
+from torcharm.pressure.errors import errors_at
+from torcharm.pressure.pose_cost import PoseCost
+from torcharm.pressure.predicted_error import PredictedError
+from torcharm.pressure.prepared import Prepared, detached, prepare
+from torcharm.task import Task
+
+STEP = 1e-4
+"""Of normalised pressures either way: what it leaves out, and rounding, are some 1e-7 of a derivative. A pressure that
+is as close to a limit counts as held there."""
+LEAST_CURVATURE = 1e-9
+"""Of the largest: along pressures that change the cost less, as those that balance each other, none is preferred."""
+
+
+def followed_twists(
+    arm: ArmDesign | ArmSeries, task: Task, pose_cost: PoseCost | None, found: PredictedError
+) -> Tensor:
+    """The shapes (*batch, N, K) of a prediction, with the gradients of the minimum's, where it is one and smooth.
+
+    Args:
+        arm, task, pose_cost: of the prediction.
+        found: the prediction.
+    """
+    prepared = prepare(arm, task, pose_cost)
+    limit = prepared.problem.pressure
+    with torch.no_grad():
+        place = torch.where(limit > 0, found.pressure.to(limit) / limit.clamp(min=1e-300), 0.0).clamp(0, 1)
+    twists = found.twists.detach().to(limit)
+    pressure = torch.where(place >= 1, limit, _followed(prepared, place, twists) * limit.detach())
+    known = found.stable.cpu()
+    return prepared.given_back(with_gradients(replace(prepared.problem, pressure=pressure), twists, known))
+
+
+def beyond_range(arm: ArmDesign | ArmSeries, task: Task, twists: Tensor) -> Tensor:
+    """(*batch) by which share of its characterised range's width a strain of shapes (*batch, N, K) leaves it, the
+    largest; negative within."""
+    prepared = prepare(arm, task, None)
+    found = share_beyond_range(prepared.problem, twists.to(prepared.problem.pressure))
+    return prepared.given_back(found.expand(prepared.batch))
+
+
+def _followed(prepared: Prepared, place: Tensor, twists: Tensor) -> Tensor:
+    """Normalised pressures (*batch, M) at minima, as functions of what the problems depend on."""
+    count = place.shape[-1]
+    ahead = STEP * torch.eye(count, dtype=place.dtype).reshape(count, *(1 for _ in prepared.batch), count)
+    along = _rates(detached(prepared), place, twists, ahead)
+    ways = torch.tensor([1.0, -1.0], dtype=place.dtype).reshape(2, *(1 for _ in ahead.shape))
+    at = (place + ways * ahead).requires_grad_()
+    wide = replace(prepared, problem=replace(prepared.problem, batch=(2, count, *prepared.batch)))
+    every = torch.ones(wide.batch, dtype=torch.bool)
+    cost = errors_at(wide, at, twists + ways.unsqueeze(-1) * along, every, every).cost
+    (slope,) = torch.autograd.grad(cost.sum(), at, retain_graph=True)
+    free = (place > STEP) & (place < 1 - STEP)
+    curvature = ((slope[0] - slope[1]) / (2 * STEP)).movedim(0, -2) * (free.unsqueeze(-1) & free.unsqueeze(-2))
+    rise = ((cost[0] - cost[1]) / (2 * STEP)).movedim(0, -1)
+    inverse = torch.linalg.pinv(((curvature + curvature.mT) / 2).nan_to_num(), rtol=LEAST_CURVATURE, hermitian=True)
+    moved = (inverse @ rise.unsqueeze(-1)).squeeze(-1)
+    return place - moved + moved.detach()
+
+
+def _rates(plain: Prepared, place: Tensor, twists: Tensor, ahead: Tensor) -> Tensor:
+    """(M, *batch, N, K) how equilibria move with steps of pressures (M, 1, ..., M)."""
+    with torch.no_grad():
+        change = plain.at(place + ahead).residual(twists) - plain.at(place - ahead).residual(twists)
+    change = change.expand(len(ahead), *plain.batch, *change.shape[-2:]).reshape(
+        len(ahead), plain.problem.count, *change.shape[-2:]
+    )
+    right = np.ascontiguousarray(-0.5 * change.movedim(0, 1).numpy())
+    flat = numbers(twists.expand(*plain.batch, *twists.shape[-2:]).reshape(plain.problem.count, *twists.shape[-2:]))
+    replace(plain.problem.packed, pressure=plain.flat(plain.at(place).pressure, 1)).solve(
+        flat, np.arange(plain.problem.count), right
+    )
+    moved = torch.zeros(len(ahead), *twists.expand(*plain.batch, *twists.shape[-2:]).shape, dtype=twists.dtype)
+    moved[..., plain.problem.unknown] = plain.shaped(right).movedim(len(plain.batch), 0)
+    return moved
