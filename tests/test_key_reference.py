@@ -207,5 +207,5 @@ def test_tables_that_are_left_out_may_be_used(tmp_path):
 
 def test_init_all_writes_it(tmp_path):
     path = tmp_path / "all.toml"
-    assert f"Wrote {path}. Evaluate it with: torcharm evaluate {path}" in invoke("init", "--all", path)
+    assert f"Wrote {path}. Evaluate it with: torcharm evaluate {path}" in invoke("init", "--all", "--out", path)
     assert path.read_text(encoding="utf-8") == TEXT
