@@ -42,8 +42,8 @@ COMMANDS = {
     "fit": ("[N·m²]", "[default: 40.0]", "[required]"),
     "init": ("--all",),
     "optimise": ("its table [optimise]", "tables [[arm]] to paste", ".toml", ".csv"),
-    "plan": ("begin with [[plan]]", "to a file .csv"),
-    "search": ("to a file .csv", "--figure"),
+    "plan": ("begin with [[plan]]", "to a file .csv or .json"),
+    "search": ("to a file .csv or .json", "--figure"),
     "shape": ("force y [N], moment [N·m]",),
 }
 
@@ -121,9 +121,9 @@ def test_tables_fit_80_columns_and_cut_no_number(study_file, command):
     ("command", "out", "allowed"),
     [
         ("evaluate", "a.txt", ".csv or .json, got .txt"),
-        ("search", "a.json", ".csv, got .json"),
-        ("plan", "a", ".csv, got no ending"),
-        ("optimise", "a.json", ".csv or .toml, got .json"),
+        ("search", "a.txt", ".csv or .json, got .txt"),
+        ("plan", "a", ".csv or .json, got no ending"),
+        ("optimise", "a.txt", "one of .csv, .json, .toml, got .txt"),
     ],
 )
 def test_outputs_of_other_endings_are_refused(monkeypatch, capsys, study_file, command, out, allowed):
