@@ -10,6 +10,7 @@ from torch import Tensor
 from torcharm.arm import ArmDesign
 from torcharm.statics.cross_section import RANGE_SLACK, cross_sections, per_actuator
 
+NO_CENTRELINE = "the centreline of the shape would have no length"
 NOTHING = 1e-6
 """A miss [N] that explains nothing: of the size of rounding."""
 SHARE = 0.005

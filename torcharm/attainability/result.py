@@ -14,7 +14,7 @@ from torch import Tensor
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.attainability.questions import question
-from torcharm.attainability.reasons import at_limits, differences, missing, one_design, out_of_range
+from torcharm.attainability.reasons import NO_CENTRELINE, at_limits, differences, missing, one_design, out_of_range
 from torcharm.attainability.verdict import VERDICTS, PoseTolerance, judge, over_tolerance
 from torcharm.inputs import HoldsTensors
 from torcharm.task import Task
@@ -140,7 +140,7 @@ class Attainability(HoldsTensors):
         if verdict == "held":
             return ""
         if verdict == "impossible" and not bool(self.impossible[index]):
-            return "the centreline of the shape would have no length"
+            return NO_CENTRELINE
         lead, task, batch = len(self.arm.batch_shape), self.task, self.arm.batch_shape
         segments = [one_design(segment, batch, index[:lead]) for segment in segments_of(self.arm)]
         twists = task.twists.detach().expand(*task.batch_shape, *task.twists.shape[-2:])[index[lead:]]

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torcharm.cli.report import number
 from torcharm.cli.tables import Column, print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
@@ -164,6 +163,7 @@ def _draw(path: Path, found: Sequence[Found]) -> None:
 
 
 def _columns(found: Sequence[Found]) -> list[Column]:
+    from torcharm.inputs import three_digits
     from torcharm.study.results import MM
 
     titles = ("cost", "tip off\n[mm]", "absolute\nrelative", *LENGTHS, *BENDS)
@@ -174,7 +174,7 @@ def _columns(found: Sequence[Found]) -> list[Column]:
             rows.append((*["-"] * 7, "no shape" if shape.status.startswith("no") else "refused"))
             continue
         sums = ["-" if value is None else f"{float(value):.4g}" for value in (result.absolute, result.relative)]
-        off = "-" if result.tip_error is None else number(MM * float(result.tip_error))
+        off = "-" if result.tip_error is None else three_digits(MM * float(result.tip_error))
         spans = [cell for values in _elements(result) for cell in (f"{sum(values):.4g}", _span(values))]
         rows.append((f"{shape.cost:.4g}", off, "\n".join(sums), *spans, str(result.verdict)))
     *numbers, verdicts = zip(*rows, strict=True)

@@ -33,12 +33,14 @@ def summary_columns(rows: Sequence[tuple["StudyResult", "Summary"]], sums: bool 
 
 def _cells(summary: "Summary", sums: bool) -> dict[str, str]:
     """The cells of a row by their titles; medians over loads."""
+    from torcharm.inputs import three_digits
+
     median, cells = summary.median, {}
     if summary.verdicts is not None:
         cells["held"] = f"{summary.held} of {summary.loads}"
-        cells["tip off\n[mm]"] = number(1e3 * median["tip_error"])
-        cells["turned\n[°]"] = number(math.degrees(median["tip_rotation_error"]))
-        cells["shape\n[mm]"] = number(1e3 * median["shape_error"])
+        cells["tip off\n[mm]"] = three_digits(1e3 * median["tip_error"])
+        cells["turned\n[°]"] = three_digits(math.degrees(median["tip_rotation_error"]))
+        cells["shape\n[mm]"] = three_digits(1e3 * median["shape_error"])
     elif summary.not_excluded is not None:
         cells["not\nexcluded"] = f"{summary.not_excluded} of {summary.loads}"
     if summary.not_excluded is not None:
@@ -47,17 +49,8 @@ def _cells(summary: "Summary", sums: bool) -> dict[str, str]:
     if summary.verdicts is not None:
         cells["not held"] = _not_held(summary.verdicts)
     if sums or summary.verdicts is None:
-        cells |= {f"{name}\nsum [N]": number(median[name]) for name in ("absolute", "relative") if name in median}
+        cells |= {f"{name}\nsum [N]": three_digits(median[name]) for name in ("absolute", "relative") if name in median}
     return cells
-
-
-def number(value: float) -> str:
-    """Three digits, and no exponent where none is needed; what is not finite is none."""
-    if not math.isfinite(value):
-        return "-"
-    if 0 < value < 1e-3:
-        return "<0.001"
-    return f"{value:.0f}" if 100 <= value < 1e5 else f"{value:.3g}"
 
 
 def _not_held(verdicts: Mapping[str, int]) -> str:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torcharm.cli.report import heading, number, summary_columns, verdict_legend
+from torcharm.cli.report import heading, summary_columns, verdict_legend
 from torcharm.cli.tables import LONGEST_WORD, Column, print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
@@ -204,6 +204,8 @@ def _told(result: "StudyResult") -> list[int]:
 
 def _columns(told: Sequence[dict[str, Any]]) -> list[Column]:
     """A row for each arm and load that is told: the verdict, the errors and the pressure of each actuator."""
+    from torcharm.inputs import three_digits
+
     columns = [
         Column("arm", [str(row["arm"]) for row in told], LONGEST_WORD),
         Column("load", [str(row["load"]) for row in told]),
@@ -216,7 +218,7 @@ def _columns(told: Sequence[dict[str, Any]]) -> list[Column]:
         values = [row.get(name) for row in told]
         if name in pressures and not any(value is not None for value in values):
             continue
-        columns.append(Column(title, ["-" if value is None else number(value) for value in values]))
+        columns.append(Column(title, ["-" if value is None else three_digits(value) for value in values]))
     return columns
 
 

@@ -20,7 +20,7 @@ from torcharm.cli.terminal import (
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from torcharm.load import ExternalLoad
+    from torcharm.equilibrium import Equilibrium
     from torcharm.study import NamedArm
 
 
@@ -93,7 +93,7 @@ def shape(
             excess = float(found.strain_excess)
             what = f"Strains are up to {excess:.2g} out of range" if excess > 1e-9 else "Pressures are out of range"
             say(console, f"{what}: there the force models are extrapolated.")
-        save_all(console, [(picture, lambda path: _draw(path, chosen, found.twists, whole, nodes), ".")])
+        save_all(console, [(picture, lambda path: _draw(path, chosen, found), ".")])
 
 
 def _place(pose: "Tensor") -> str:
@@ -142,15 +142,12 @@ def _numbers(option: str, text: str, units: Sequence[dict[str, float]]) -> list[
         raise ValueError(f"{option}: {error}") from None
 
 
-def _draw(path: Path, arm: "NamedArm", twists: "Tensor", load: "ExternalLoad", nodes: int) -> None:
+def _draw(path: Path, arm: "NamedArm", found: "Equilibrium") -> None:
     from matplotlib.figure import Figure
 
     from torcharm.plot import arm_shape
-    from torcharm.statics.balance import segments_of
-    from torcharm.task import Task
 
     figure = Figure(figsize=(6, 6), layout="constrained", dpi=150)
-    task = Task(twists, load=load, segment_nodes=[nodes] * len(segments_of(arm.design)[0]))
     projection = "3d" if arm.design.dimension == 3 else "rectilinear"
-    arm_shape(arm.design, task, ax=figure.add_subplot(projection=projection)).set_title(arm.name)
+    arm_shape(arm.design, found, ax=figure.add_subplot(projection=projection)).set_title(arm.name)
     figure.savefig(path)
