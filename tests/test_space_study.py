@@ -182,6 +182,9 @@ def test_its_commented_lines_may_be_used():
     study = parse_study(own.replace("\n# base_pose = ", "\nbase_pose = ").replace("\n# tolerance", "\ntolerance"))
     assert study.arms[1].design.offsets.tolist() == [[0.05, 0.0], [0.0, 0.05]]
     assert study.tasks[2].task.load.points[0].frame == "body"
+    head, plan = text.split("# [[plan]]")
+    (planned,) = parse_study(f"{head}[[plan]]{plan.replace('# ', '')}").plans
+    assert [row[3] for row in planned.tip_pose[:3]] == [0.1, -0.46, 0.05]
 
 
 # Commands
@@ -405,7 +408,7 @@ BAD = {
             RING,
             f'shape = [{HELIX}, {{ kind = "constant", curvature = 1 }}]\nloads = [[0, 0, 0]]',
         ),
-        "shape[2].direction: must be given for all segments, or for none",
+        "shape[2].direction: must be given for all segments that bend, or for none",
     ),
     "scale of loads": (
         study_text(RING, BEND.split("\n")[0] + "\nloads = { count = 2 }"),
@@ -419,7 +422,7 @@ BAD = {
     ),
     "pose of the plane": (
         study_text(RING, f"{BEND}\nbase_pose = [0, 0, 0]"),
-        "base_pose: must be hanging, upright, horizontal or four rows",
+        "base_pose: must be hanging, upright, horizontal or a table of position",
         "got [0",
     ),
     "pose of space": (
@@ -491,7 +494,8 @@ BAD = {
     ),
     "plan's base of the plane": (
         study_text(RING, f'{BEND}\n[[plan]]\nname = "p"\ntip_pose = {MATRIX}\nbase_pose = [0, 0, 0]'),
-        "plan[1].base_pose: must be hanging, upright, horizontal or four rows of a homogeneous matrix in space, as",
+        "plan[1].base_pose: must be hanging, upright, horizontal or a table of position, direction and turn, or the "
+        "four rows of a homogeneous matrix [m] in space, as",
     ),
     "wrench of the plane": (
         study_text(RING, f"{BEND}\npoints = [{{ wrench = [0, 0, 0] }}]"),
@@ -530,11 +534,11 @@ BAD = {
     ),
     "no pose": (
         study_text(RING, f"{BEND}\nbase_pose = 5"),
-        "task[1].base_pose: must be hanging, upright, horizontal, a list [x, y, θ], or in space the four rows of a",
+        "task[1].base_pose: must be hanging, upright, horizontal, a list [x, y, θ], or in space a table of position",
     ),
     "no tip pose": (
         study_text(RING, f'{BEND}\n[[plan]]\nname = "p"\ntip_pose = "x"\ntip_load = [0, 0, 0, 0, 0, 0]'),
-        "plan[1].tip_pose: must be a list [x, y, θ], or in space the four rows of a homogeneous matrix, got",
+        "plan[1].tip_pose: must be a list [x, y, θ], or in space a table of position, direction and turn, or the four",
     ),
     "no segment nodes": (TWO.replace("@", "segment_nodes = []"), "task[1].segment_nodes: must be a list of numbers"),
     "no such arm": (study_text(RING, f'{BEND}\narms = ["b"]'), "task[1].arms[1]: must be one of a, got"),
