@@ -19,6 +19,7 @@ from torcharm.cli import terminal
 from torcharm.cli.app import app
 from torcharm.cli.tables import Column, print_table
 from torcharm.design import shape_planning
+from torcharm.inputs import three_digits
 from torcharm.study import example_text
 
 FAR = """
@@ -67,6 +68,17 @@ def test_every_bracket_of_the_source_is_in_the_help():
         if written:
             shown = " ".join(invoke(path.stem, "--help").replace("│", " ").split())
             assert [part for part in written if part not in shown] == []
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        *((0.0, "0"), (3e-12, "<0.001"), (0.00123, "0.00123"), (12.345, "12.3"), (1034.6, "1035"), (2.5e6, "2.5e+06")),
+        *((float("inf"), "-"), (float("nan"), "-"), (-45.678, "-45.7")),
+    ],
+)
+def test_numbers_have_three_digits_and_no_exponent_where_none_is_needed(value, shown):
+    assert three_digits(value) == shown
 
 
 WIDE = (

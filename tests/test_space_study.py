@@ -246,7 +246,7 @@ def test_shape_says_where_the_tip_is(small, tmp_path):
 
 def test_optimise_tells_and_writes_arms_in_space(small, tmp_path):
     small.write_text(f'{SMALL}\n[optimise]\nmetric = "unattainability"\nstarts = 1\niterations = 2\n')
-    for name in ("best.toml", "best.csv"):
+    for name in ("best.toml", "best.csv", "best.json"):
         text = invoke("optimise", small, "--out", tmp_path / name)
         assert max(len(line) for line in text.splitlines() if line.startswith(("arm", "a ", "─"))) <= 80
     best = parse_study(
@@ -256,6 +256,9 @@ def test_optimise_tells_and_writes_arms_in_space(small, tmp_path):
     rows = list(csv.DictReader((tmp_path / "best.csv").open(encoding="utf-8")))
     assert [float(row["given_radius_mm"]) for row in rows] == pytest.approx([50.0] * 3)
     assert float(rows[1]["given_angle_deg"]) == pytest.approx(120.0)
+    same = json.loads((tmp_path / "best.json").read_text(encoding="utf-8"))
+    assert [list(row) for row in same] == [list(rows[0])] * 3
+    assert [row["radius_mm"] for row in same] == [float(row["radius_mm"]) for row in rows]
     found = best.arms[0].design.offsets
     assert [float(row["radius_mm"]) for row in rows] == pytest.approx((1e3 * found.norm(dim=-1)).tolist())
 
