@@ -153,16 +153,17 @@ class Attainability(HoldsTensors):
         self, verdict: str, index: tuple[int, ...], segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[int]
     ) -> Sequence[str]:
         """Parts of a reason, some of them empty; all are where nothing is known to be amiss."""
+        found, status = self.prediction, _word(self.status, index)
         if not bool(self.shape_in_range[index]):
-            return (out_of_range(segments, twists, nodes),)
-        found = self.prediction
+            snap = found.DOUBTS[status] if found is not None and status == "snapped" else ""
+            return out_of_range(segments, twists, nodes), snap
         reached = None if found is None else found.twists[index].detach()
         if verdict == "excluded by range" and found is not None and reached is not None:
-            doubt = found.DOUBTS.get(_word(self.status, index), "")
+            doubt = found.DOUBTS.get(status, "")
             return f"at the shape found: {out_of_range(segments, reached, nodes)}", doubt
         if verdict == "undecided":
             assert found is not None
-            return (found.DOUBTS[_word(self.status, index)],)
+            return (found.DOUBTS[status],)
         absolute, relative = (
             None if value is None else value[index] for value in (self.absolute_per_node, self.relative_per_node)
         )

@@ -40,7 +40,7 @@ BLOCKS = {"multistart": 100, "scipy": 1}
 PAUSE = 2.0
 """Seconds, at least, between two savings of what was found until then."""
 MOST = 5
-"""Loads of a task that are told one by one; of more, those of least, median and largest error."""
+"""Loads of a task that are told one by one; of more, those of least, median and largest tip error."""
 
 
 def search(
@@ -170,7 +170,7 @@ def _report(task: "NamedTask", found: "Found") -> None:
     if loads > MOST:
         print_table(list(summary_columns([(result, summarise(result)) for result in found])))
         console.print()
-        say(console, "Loads of least, median and largest error:")
+        say(console, "Loads of least, median and largest tip error:")
         console.print()
     every = [list(result_rows(result)) for result in found]
     rows = [own[load] for result, own in zip(found, every, strict=True) for load in _told(result)]
@@ -193,13 +193,15 @@ def _reasons(rows: Sequence[dict[str, Any]], loads: int) -> Iterator[str]:
 
 
 def _told(result: "StudyResult") -> list[int]:
-    """The loads, from 0, that are told one by one; where nothing was found the error is the largest of all."""
-    over = result.attainability.over_tolerance
-    assert over is not None
+    """The loads, from 0, that are told one by one: as in the picture, and the first without an equilibrium."""
     if result.loads <= MOST:
         return list(range(result.loads))
-    order = over.flatten().argsort(stable=True).tolist()
-    return [order[0], order[(len(order) - 1) // 2], order[-1]]
+    error = result.attainability.tip_error
+    assert error is not None
+    known = error.isfinite().flatten()
+    order = error.flatten().argsort(stable=True)[: int(known.sum())].tolist()
+    ranks = [order[0], order[(len(order) - 1) // 2], order[-1]] if order else []
+    return list(dict.fromkeys([*ranks, *(~known).nonzero().flatten().tolist()[:1]]))
 
 
 def _columns(told: Sequence[dict[str, Any]]) -> list[Column]:
