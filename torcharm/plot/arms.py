@@ -145,9 +145,7 @@ def draw_wanted(axes: Any, arm: Arm, task: Task, words: str) -> None:
     _draw_line(axes, wanted.points, ATTAINABLE, "-", "full", ("task", "its tip"))
     _limit(axes, wanted.points, PLATE)
     place = axes.text2D if axes.name == "3d" else axes.text
-    place(
-        0.5, 0.97, textwrap.fill(words, 44), transform=axes.transAxes, color=UNATTAINABLE, ha="center", va="top", **SEEN
-    )
+    place(0.5, 0.97, textwrap.fill(words, 44), transform=axes.transAxes, **SEEN)
 
 
 def _draw_line(axes: Any, points: Array, ink: str, dashes: str, fill: str, labels: tuple[str, str]) -> None:
