@@ -119,6 +119,7 @@ CASES = {
     "ta.series([arm, ArmDesign(offsets=ta.ring(0.05, 3), length=0.4, actuators=Bellows())])": ("segments[1]", "3"),
     "ta.series([arm, ta.RigidLink(pose=torch.eye(4)), arm])": ("links[0].pose", "(..., 3)"),
     "ta.PointLoad()": ("wrench", "None"),
+    "ta.PointLoad(mass=-1)": ("mass", "-1"),
     "ta.PointLoad([1.0, 2.0])": ("wrench", "(2,)"),
     "ta.PointLoad([1.0, 2.0, 0.0], at=1.5)": ("at", "1.5"),
     "ta.PointLoad([1.0, 2.0, 0.0], at=-0.1)": ("at", "-0.1"),

@@ -1,6 +1,8 @@
 """The commands `torcharm optimise` and `torcharm plan`, run as a person runs them."""
 
 import csv
+import math
+import re
 import subprocess
 import sys
 from itertools import pairwise
@@ -11,6 +13,7 @@ import torch
 from standard_error import without_notice
 
 import torcharm as ta
+from torcharm.cli.plan import TWISTS
 from torcharm.design.objective import counted, shape_lengths, task_values
 from torcharm.pressure.followed import beyond_range
 from torcharm.study import parse_study
@@ -59,6 +62,13 @@ def _run(folder: Path, *arguments: str, text: str = STUDY) -> subprocess.Complet
     return done
 
 
+def twists_of(rows: list[dict[str, str]]) -> torch.Tensor:
+    """The shape in the rows that torcharm plan writes [m, rad]."""
+    names = TWISTS[3] if rows[0].get("twist_shear_mm") else TWISTS[6]
+    scale = torch.tensor([1e-3 if name.endswith("_mm") else math.pi / 180 for name in names]).double()
+    return scale * torch.tensor([[float(row[name]) for name in names] for row in rows]).double()
+
+
 def test_optimise_shows_and_saves_a_better_arm(tmp_path: Path) -> None:
     answer = _run(tmp_path, "optimise", "study.toml", "--out", "best.csv", "--figure", "best.png")
     assert answer.returncode == 0, answer.stderr
@@ -67,8 +77,8 @@ def test_optimise_shows_and_saves_a_better_arm(tmp_path: Path) -> None:
     with (tmp_path / "best.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [row["model"] for row in rows] == ["bellows", "mckibben", "mckibben", "bellows"]
-    assert [float(row["given_radius_m"]) for row in rows] == [-0.04, -0.01, 0.01, 0.04]
-    radii, length = ([float(row[name]) for row in rows] for name in ("radius_m", "length_m"))
+    assert [float(row["given_radius_mm"]) for row in rows] == pytest.approx([-40.0, -10.0, 10.0, 40.0])
+    radii, length = ([float(row[name]) / 1e3 for row in rows] for name in ("radius_mm", "length_mm"))
     study = parse_study(STUDY)
     models = study.arms[0].design.actuators
     best = ta.ArmDesign(torch.tensor(radii).double(), torch.tensor(length).double(), models)
@@ -153,12 +163,12 @@ def test_plan_writes_the_paper_s_shape(tmp_path: Path) -> None:
     assert answer.returncode == 0, answer.stderr
     with (tmp_path / "shapes.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    twists = torch.tensor([[float(row[name]) for name in ("length_m", "shear_m", "curvature_rad")] for row in rows])
+    twists = twists_of(rows)
     arm = ta.antagonistic_arm(0.04, 0.01, 0.51)
-    task = ta.Task(twists.double(), (6.0, 0.0, 0.0), wrench_at="start")
+    task = ta.Task(twists, (6.0, 0.0, 0.0), wrench_at="start")
     found = ta.evaluate(arm, task, ("absolute", "relative"), hull="edges", power=2)
     assert float(found.absolute) == pytest.approx(0.2343, abs=5e-5)  # type: ignore[arg-type]
-    assert answer.stdout.count("0.500") == 2, "the shortest and the longest segment"
+    assert re.search(r"500\s+50 to\n", answer.stdout), "the length of all, and of each of ten elements [mm]"
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from torcharm.cli import terminal
 from torcharm.cli.app import app
 from torcharm.cli.tables import Column, print_table
 from torcharm.design import shape_planning
+from torcharm.inputs import three_digits
 from torcharm.study import example_text
 
 FAR = """
@@ -42,8 +43,8 @@ COMMANDS = {
     "fit": ("[N·m²]", "[default: 40.0]", "[required]"),
     "init": ("--all",),
     "optimise": ("its table [optimise]", "tables [[arm]] to paste", ".toml", ".csv"),
-    "plan": ("begin with [[plan]]", "to a file .csv"),
-    "search": ("to a file .csv", "--figure"),
+    "plan": ("begin with [[plan]]", "to a file .csv or .json"),
+    "search": ("to a file .csv or .json", "--figure"),
     "shape": ("force y [N], moment [N·m]",),
 }
 
@@ -67,6 +68,17 @@ def test_every_bracket_of_the_source_is_in_the_help():
         if written:
             shown = " ".join(invoke(path.stem, "--help").replace("│", " ").split())
             assert [part for part in written if part not in shown] == []
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        *((0.0, "0"), (3e-12, "<0.001"), (0.00123, "0.00123"), (12.345, "12.3"), (1034.6, "1035"), (2.5e6, "2.5e+06")),
+        *((float("inf"), "-"), (float("nan"), "-"), (-45.678, "-45.7")),
+    ],
+)
+def test_numbers_have_three_digits_and_no_exponent_where_none_is_needed(value, shown):
+    assert three_digits(value) == shown
 
 
 WIDE = (
@@ -121,9 +133,9 @@ def test_tables_fit_80_columns_and_cut_no_number(study_file, command):
     ("command", "out", "allowed"),
     [
         ("evaluate", "a.txt", ".csv or .json, got .txt"),
-        ("search", "a.json", ".csv, got .json"),
-        ("plan", "a", ".csv, got no ending"),
-        ("optimise", "a.json", ".csv or .toml, got .json"),
+        ("search", "a.txt", ".csv or .json, got .txt"),
+        ("plan", "a", ".csv or .json, got no ending"),
+        ("optimise", "a.txt", "one of .csv, .json, .toml, got .txt"),
     ],
 )
 def test_outputs_of_other_endings_are_refused(monkeypatch, capsys, study_file, command, out, allowed):

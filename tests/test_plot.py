@@ -114,14 +114,56 @@ class TestArmShape:
         arm = mixed_arm()
         axes = plot.arm_shape(arm, BARE)
         node = ta.poses(TWISTS)
-        kinds = ["bellows", "muscle", "polynomial", "muscle", "bellows"]
+        kinds = ["bellows", "mckibben", "polynomial", "mckibben", "bellows"]
         curves = [line for line in axes.lines if line.get_gid() in kinds]
         assert [line.get_gid() for line in curves] == kinds
         for line, radius in zip(curves, arm.radii, strict=True):
             offset = torch.stack((0 * radius, radius, 0 * radius)).expand(len(node), 3)
             expected = se2.compose(node, offset)[:, :2].numpy()
             np.testing.assert_allclose(line.get_xydata()[:: plot.SMOOTHING], expected, atol=1e-12)
-            assert line.get_color() == plot.KIND_STYLES.get(line.get_gid(), plot.KIND_STYLES["other"])[0]
+            assert line.get_color() == plot.KIND_STYLES.get(line.get_gid(), plot.OTHER_STYLES[0])[0]
+
+    def test_numbers_are_places_in_the_arm_and_lie_on_the_actuators(self):
+        arm = mixed_arm()
+        axes = plot.arm_shape(arm, BARE)
+        numbers = [text for text in axes.texts if text.get_gid() == "number"]
+        assert [text.get_text() for text in numbers] == ["1", "2", "3", "4", "5"]
+        kinds = {"bellows", "mckibben", "polynomial"}
+        for text, line in zip(numbers, (one for one in axes.lines if one.get_gid() in kinds), strict=True):
+            assert np.linalg.norm(line.get_xydata() - text.get_position(), axis=1).min() < 1e-12
+
+    @pytest.mark.parametrize("how", ["equilibrium", "search", "prediction", "evaluation", "twists"])
+    def test_what_was_found_is_drawn_at_its_shape(self, how):
+        task = ta.Task(TWISTS, [1.0, -2.0, 0.1])
+        found = {
+            "equilibrium": lambda: ta.solve_equilibrium(ARM, [20.0, 30.0, 20.0, 25.0], task.tip_load, nodes=8),
+            "search": lambda: ta.search_pressure(ARM, task, starts=1),
+            "prediction": lambda: ta.predict_error(ARM, task),
+            "evaluation": lambda: ta.evaluate(ARM, task),
+            "twists": lambda: TWISTS,
+        }[how]()
+        axes = plot.arm_shape(ARM, found)
+        twists = {"evaluation": lambda: found.prediction.twists, "twists": lambda: found}
+        shape = twists.get(how, lambda: found.twists)()
+        name = "reached" if how == "evaluation" else "centreline"
+        (line,) = (one for one in axes.lines if one.get_label() == name)
+        np.testing.assert_allclose(line.get_xydata()[:: plot.SMOOTHING], ta.poses(shape)[:, :2], atol=1e-12)
+        assert ("tip load" in legend_text(axes)) == (how in ("equilibrium", "evaluation"))
+        both = plot.arm_shape(ARM, task, reached=found)
+        (line,) = (one for one in both.lines if one.get_label() == "reached")
+        np.testing.assert_allclose(line.get_xydata()[:: plot.SMOOTHING], ta.poses(shape)[:, :2], atol=1e-12)
+
+    def test_the_equilibrium_of_segments_keeps_its_base_and_their_nodes(self):
+        arm = ta.series([ARM, ta.RigidLink(length=0.05), ARM])
+        found = ta.solve_equilibrium(arm, [10.0] * 8, [0.0, -1.0, 0.0], nodes=[3, 5], base_pose="upright")
+        axes = plot.arm_shape(arm, found)
+        (line,) = (one for one in axes.lines if one.get_label() == "centreline")
+        np.testing.assert_allclose(line.get_xydata()[-1], found.poses[-1, :2], atol=1e-12)
+        assert [text.get_text() for text in axes.texts if text.get_gid() == "number"] == [str(k) for k in range(1, 9)]
+
+    def test_a_payload_of_nothing_has_no_arrow(self):
+        load = ta.ExternalLoad(gravity=True, points=ta.PointLoad(mass=0.0))
+        assert "payload" not in legend_text(plot.arm_shape(ARM, ta.Task(TWISTS, load=load)))
 
     def test_centreline_passes_through_the_nodes(self):
         base = (0.1, 0.2, 0.3)
@@ -152,7 +194,7 @@ class TestArmShape:
         assert not arrows(ax)
         assert (ax.get_xlabel(), ax.get_ylabel()) == ("x [m]", "y [m]")
         assert ax.get_aspect() == 1.0
-        for text in ("bellows (2)", "muscle (2)", "polynomial (1)", "base", "centreline"):
+        for text in ("bellows (2)", "mckibben (2)", "polynomial (1)", "base", "centreline"):
             assert text in legend_text(ax)
 
     def test_makes_axes(self):
@@ -169,6 +211,8 @@ class TestArmShape:
             ("arm", {"arm": ta.antagonistic_arm(torch.tensor([0.05, 0.08]))}),
             ("arm", {"arm": ta.antagonistic_ring()}),
             ("reached", {"reached": TWISTS[:2]}),
+            ("reached", {"reached": TWISTS * float("nan")}),
+            ("task", {"arm": ta.series([ARM, ARM, ARM]), "task": TWISTS}),
             ("ax", {"ax": deep_axes()}),
         ],
     )
@@ -479,6 +523,52 @@ class TestStudyFigure:
         result = ta.evaluate(self.ARMS[0][1], TASK, ("absolute",))
         lost = dataclasses.replace(result, absolute=torch.full_like(result.absolute, float("nan")))
         plot.study_figure(self.ARMS[:1], "a task", TASK, [lost]).savefig(tmp_path / "study.png", dpi=30)
+
+    @pytest.mark.parametrize("dimension", [2, 3])
+    def test_an_impossible_task_has_no_bar_and_says_why(self, dimension, tmp_path):
+        arm, flat = (ARM if dimension == 2 else ta.antagonistic_ring()), dimension == 2
+        shape = ta.constant_curvature(7.0, 0.5, 4, **({} if flat else {"direction": 0.0}))
+        task = ta.Task(shape, torch.zeros(3, 3 * dimension - 3, dtype=torch.float64))
+        found = ta.evaluate(arm, task)
+        figure = plot.study_figure([("coiled", arm)], "a task", task, [found])
+        errors, shown = figure.axes
+        assert not [line for line in errors.lines if line.get_linewidth() == 2], "no bar"
+        assert not errors.texts[0].get_text().startswith("2")
+        for text in (errors.texts[0], shown.texts[0]):
+            words = " ".join(text.get_text().split())
+            assert words == f"impossible: {found.reason[0]}"
+        low, high = errors.get_xlim()
+        assert 0.01 < low < 1 < high < 10
+        assert not [line for line in shown.lines if line.get_gid() == "bellows"]
+        figure.savefig(tmp_path / "study.png", dpi=30)
+
+    def test_an_arm_that_is_impossible_does_not_stretch_the_sets_of_others(self):
+        arms = [("short", ta.antagonistic_arm(length=0.05)), ("long", ta.antagonistic_arm())]
+        shape = ta.constant_curvature(3.0, 0.5, 4)
+        task = ta.Task(shape, [0.0, -1.0, 0.0])
+        results = [ta.evaluate(arm, task) for _, arm in arms]
+        other = dataclasses.replace(results[0], impossible=torch.tensor(True))
+        both = plot.study_figure(arms, "t", task, [other, results[1]])
+        alone = plot.study_figure(arms[1:], "t", task, results[1:])
+        limits = [
+            {axes.get_xlim() for axes in page.axes if axes.get_xlabel().startswith("force")} for page in (both, alone)
+        ]
+        assert limits[0] == limits[1] != set()
+
+    def test_most_tasks_without_a_stable_shape_have_no_median(self):
+        result = ta.evaluate(ARM, TASK)
+        lost = torch.arange(30) < 20
+        prediction = dataclasses.replace(
+            result.prediction,
+            stable=result.prediction.stable & ~lost,
+            **{
+                name: torch.where(lost, torch.inf, getattr(result.prediction, name))
+                for name in ("tip_error", "tip_rotation_error", "shape_error")
+            },
+        )
+        figure = plot.study_figure([("a", ARM)], "t", TASK, [dataclasses.replace(result, prediction=prediction)])
+        assert figure.axes[0].texts[0].get_text() == "no median: of 20 of 30 no stable shape was found"
+        assert "inf" not in " ".join(text.get_text() for axes in figure.axes for text in axes.texts)
 
     def test_errors_name_the_field(self):
         arm = ta.antagonistic_arm()

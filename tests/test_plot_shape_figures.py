@@ -51,7 +51,7 @@ def test_search_shows_the_least_the_median_and_the_largest_error(found):
     assert len({axes.get_xlim() for axes in figure.axes}) == 1
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == [
-        *("base", "bellows", "muscle", "task", "its tip", "reached", "tip reached", "tip load")
+        *("base", "bellows", "mckibben", "task", "its tip", "reached", "tip reached", "tip load")
     ]
     figure.savefig(io.BytesIO())
 
@@ -65,6 +65,21 @@ def test_search_leaves_out_what_was_not_found(found, lost, titles):
     assert [axes.get_title().split()[1] for axes in figure.axes] == titles
     whole = figure.axes[0].get_title()
     assert f"{lost} not found" in whole or whole == "soft: no equilibrium was found"
+    figure.savefig(io.BytesIO())
+
+
+@pytest.mark.parametrize(("possible", "words"), [(True, "no equilibrium was found"), (False, "impossible")])
+def test_a_search_that_found_nothing_shows_the_task_and_says_why(found, possible, words):
+    task = TASK if possible else ta.Task(ta.constant_curvature(7.0, 0.5, 4), TASK.tip_load)
+    nothing = torch.full((5,), torch.inf)
+    some = dataclasses.replace(found, tip_error=nothing, possible=torch.full((5,), possible))
+    figure = plot.search_figure([("soft", ta.antagonistic_arm(), some)], "bent", task)
+    (axes,) = figure.axes
+    assert axes.get_title() == f"soft: {words}"
+    assert axes.texts[0].get_text().startswith(words)
+    assert possible or "actuator 4 would have no length at node 1" in " ".join(axes.texts[0].get_text().split())
+    (target,) = lines(axes, "task")
+    np.testing.assert_allclose(target.get_xydata()[:: plot.SMOOTHING], ta.poses(task.twists)[:, :2], atol=1e-12)
     figure.savefig(io.BytesIO())
 
 

@@ -6,6 +6,7 @@ import matplotlib
 import numpy as np
 import pytest
 import torch
+from matplotlib.patches import FancyArrowPatch
 
 import torcharm as ta
 from torcharm import plot
@@ -41,10 +42,29 @@ def test_tubes_have_their_kinds_diameters_and_places(axes):
     plot.arm_shape(arm, task, ax=axes)
     tubes = [tube._faces.reshape(-1, 3) for tube in axes.collections[1:7]]  # after the base plate
     assert len(tubes) == 6
-    assert {"bellows (3)", "muscle (3)", "centreline", "tip load, 2.69 N"} <= set(labels(axes))
+    assert {"bellows (3)", "mckibben (3)", "centreline", "tip load, 2.69 N"} <= set(labels(axes))
     for tube, (y, z) in zip(tubes, arm.offsets.tolist(), strict=True):
         rim = tube[np.abs(tube[:, 2]) < 1e-12]  # in the base's plane, whose x is the body's y, and z the body's z
         assert np.allclose(np.hypot(rim[:, 0] - y, rim[:, 1] - z), 0.015)
+
+
+@pytest.mark.parametrize("force", [3.0, 0.003])
+def test_arrows_have_heads_however_short_they_are(axes, force):
+    """Beside a weight that sets the scale."""
+    arm = ring_arm(mass=0.5)
+    load = ta.ExternalLoad([force, 0.0, 0.0, 0.0, 0.0, 0.0], gravity=True)
+    plot.arm_shape(arm, ta.Task(one_task().twists, load=load), ax=axes)
+    axes.figure.canvas.draw()
+    arrows = [one for one in axes.patches + axes.artists if isinstance(one, FancyArrowPatch)]
+    assert len(arrows) == 2
+    heads = []
+    for arrow in arrows:
+        head = arrow._get_path_in_displaycoord()[0][-1]
+        heads.append(np.ptp(head.vertices, axis=0).max())
+    assert min(heads) > 0.6 * max(heads)
+    tip, size = ta.poses(one_task().twists)[-1, :3, 3].numpy(), force / (9.81 * 0.5) * plot.LONGEST_ARROW * 0.42
+    (short,) = (one for one in arrows if np.allclose(one.ends[0], tip[[0, 2, 1]]))
+    np.testing.assert_allclose(np.linalg.norm(short.ends[1] - short.ends[0]), size, rtol=0.05)
 
 
 def test_the_shape_that_is_reached_says_how_far_off_it_is(axes):

@@ -1,4 +1,8 @@
 import csv
+import json
+import math
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -6,6 +10,7 @@ import torch
 from test_cli import invoke, mistake
 
 import torcharm as ta
+from torcharm.attainability import evaluate_search
 
 STUDY = """
 name = "search"
@@ -32,6 +37,7 @@ def study_file(tmp_path: Path) -> Path:
 def test_search_writes_the_pressures_that_reach_the_costs_it_names(study_file, tmp_path):
     out = tmp_path / "found.csv"
     output = invoke("search", study_file, "--out", out, "--starts", 2, "--weights", "uniform")
+    invoke("search", study_file, "--out", out.with_suffix(".json"), "--starts", 2, "--weights", "uniform")
     rows = list(csv.DictReader(out.open(encoding="utf-8")))
     assert [(row["arm"], row["load"]) for row in rows] == [(a, n) for a in ("soft", "antagonist") for n in "123"]
     assert "6 rows" in output
@@ -42,12 +48,83 @@ def test_search_writes_the_pressures_that_reach_the_costs_it_names(study_file, t
         pressure = [float(row[f"pressure_{index}_kPa"]) for index in range(1, 5)]
         reached = ta.solve_equilibrium(arms[row["arm"]], pressure, load, 4).poses
         gap = (target - reached).square() @ torch.tensor([1.0, 1.0, 0.05], dtype=torch.float64)
-        assert float(row["cost_m2"]) == pytest.approx(float(gap[:4].sum()), rel=1e-6, abs=1e-12)
-        assert float(row["tip_error_m"]) == pytest.approx(float((target - reached)[-1, :2].norm()), rel=1e-6)
-    for name in arms:
-        (line,) = (line for line in output.splitlines() if line.startswith(name))
-        costs = sorted(float(row["cost_m2"]) for row in rows if row["arm"] == name)
-        assert float(line.split()[1]) == pytest.approx(costs[1], rel=1e-3)
+        assert float(row["shape_error_mm"]) == pytest.approx(1e3 * float(gap[:4].mean().sqrt()), rel=1e-6, abs=1e-3)
+        assert float(row["tip_error_mm"]) == pytest.approx(1e3 * float((target - reached)[-1, :2].norm()), rel=1e-6)
+    told = [line.split() for line in output.splitlines() if line.startswith(tuple(arms)) and "," not in line]
+    for row, line, more in zip(rows, told[:6], told[6:], strict=True):
+        assert line[:2] == more[:2] == [row["arm"], row["load"]]
+        assert " ".join(line[2:-4]) == row["verdict"]
+        numbers = [row[f"{name}_{unit}"] for name, unit in ERRORS] + [row[f"pressure_{k}_kPa"] for k in range(1, 5)]
+        assert [float(one) for one in line[-4:] + more[2:]] == pytest.approx([float(one) for one in numbers], rel=6e-3)
+    same = json.loads(out.with_suffix(".json").read_text(encoding="utf-8"))
+    assert [row["pressure_4_kPa"] for row in same] == [float(row["pressure_4_kPa"]) for row in rows]
+
+
+ERRORS = (("tip_error", "mm"), ("tip_rotation_error", "deg"), ("shape_error", "mm"))
+
+
+def test_search_and_evaluate_name_the_same_columns(study_file, tmp_path):
+    """Of the same units; both give a verdict, and a reason unless it is held."""
+    columns = {}
+    for command in ("evaluate", "search"):
+        out = tmp_path / f"{command}.json"
+        invoke(command, study_file, "--out", out)
+        rows = json.loads(out.read_text(encoding="utf-8"))
+        columns[command] = [list(row) for row in rows]
+        assert all((row["verdict"] == "held") == (row["reason"] == "") for row in rows)
+    assert columns["search"] == columns["evaluate"]
+
+
+def test_what_is_impossible_is_called_so_by_evaluate_and_search(tmp_path):
+    study = tmp_path / "coiled.toml"
+    study.write_text(STUDY.replace("slope = -1, intercept = 1", "slope = 0, intercept = 7"), encoding="utf-8")
+    for command in ("evaluate", "search"):
+        output = invoke(command, study, "--out", tmp_path / "out.csv")
+        rows = list(csv.DictReader((tmp_path / "out.csv").open(encoding="utf-8")))
+        assert {(row["verdict"], row["status"]) for row in rows} == {("impossible", "impossible")}
+        assert {row["tip_error_mm"] for row in rows} == {row["pressure_1_kPa"] for row in rows} == {""}
+        for row in rows:
+            assert "actuator 4 would have no length at node 1" in row["reason"]
+        assert "impossible: an actuator would have no length." in output
+        assert "inf" not in output
+
+
+def test_a_search_of_many_loads_tells_three_of_them(study_file, tmp_path):
+    """Those of least, median and largest tip error of each arm, as in the picture."""
+    study_file.write_text(STUDY.replace("count = 3", "count = 7"), encoding="utf-8")
+    output = invoke("search", study_file, "--starts", 2, "--out", tmp_path / "out.csv")
+    assert "Loads of least, median and largest tip error:" in output
+    rows = [row for row in csv.DictReader((tmp_path / "out.csv").open(encoding="utf-8")) if row["arm"] == "antagonist"]
+    order = sorted(range(7), key=lambda load: float(rows[load]["tip_error_mm"]))
+    told = [line.split() for line in output.splitlines() if re.match(r"antagonist +\d+ +[a-z]", line)]
+    assert [int(line[1]) - 1 for line in told if line[2] != "of"] == [order[0], order[3], order[6]]
+
+
+def test_the_reason_of_a_snap_says_what_to_try(study_file, tmp_path):
+    """A word for every status that leaves a task undecided."""
+    task = ta.Task(ta.affine_curvature(-1.0, 1.0, nodes=4), ta.sample_loads(3))
+    found = ta.search_pressure(ta.bellows_arm(), task, starts=2)
+    lost = torch.zeros(3, dtype=torch.bool)
+    far = found.tip_error + 1.0
+    for status, change in (
+        ("snapped", {"continued": lost}),
+        ("not converged", {"converged": lost, "tip_error": far}),
+        ("not found", {"stable": lost, "tip_error": far}),
+    ):
+        other = replace(found, **{"continued": ~lost, "stable": ~lost, "in_range": ~lost, **change})
+        judged = evaluate_search(ta.bellows_arm(), task, other)
+        assert set(other.status) == {status}
+        assert set(judged.verdict) == {"undecided"}
+        for reason in judged.reason:
+            assert "try" in reason
+            assert "a lower load, a stiffer arm, or antagonists" in reason
+    beyond = ta.Task(ta.affine_curvature(-3.0, 3.0, nodes=4), ta.sample_loads(3))
+    snapped = replace(ta.search_pressure(ta.bellows_arm(), beyond, starts=2), continued=lost, stable=~lost)
+    for reason in evaluate_search(ta.bellows_arm(), beyond, snapped).reason:
+        assert reason.startswith("actuator 4 is strained to -0.4")
+        assert "the arm gets there by a snap" in reason
+    with pytest.raises(ValueError, match=r"^found: must have the batch shape \(2,\), got \(3,\)"):
+        evaluate_search(ta.bellows_arm(), ta.Task(task.twists, ta.sample_loads(2)), found)
 
 
 @pytest.mark.parametrize(
@@ -67,8 +144,10 @@ def test_shape_prints_the_tip_and_draws_the_arm(tmp_path):
     output = invoke("shape", "--pressure", "20,30,20,25", "--load", "2,-3,0.1", "--figure", figure, "--nodes", 5)
     found = ta.solve_equilibrium(ta.antagonistic_arm(), [20.0, 30.0, 20.0, 25.0], [2.0, -3.0, 0.1], 5)
     words = output.replace(",", "").split()
-    values = [float(words[words.index(name) + 1]) for name in ("x", "y", "heading")]
-    assert values == pytest.approx(found.poses[-1].tolist(), rel=1e-5)
+    values = [float(words[words.index(name) + 1].rstrip("°")) for name in ("x", "y", "heading")]
+    x, y, heading = found.poses[-1].tolist()
+    assert values == pytest.approx([1e3 * x, 1e3 * y, math.degrees(heading)], rel=1e-5)
+    assert words.count("mm") == 2
     assert figure.read_bytes().startswith(b"\x89PNG")
 
 
@@ -144,13 +223,11 @@ def test_searches_that_find_no_equilibrium_count_as_failed(tmp_path):
     )
     output = invoke("search", study, "--starts", 2, "--out", tmp_path / "found.csv")
     heavy, light = csv.DictReader((tmp_path / "found.csv").open(encoding="utf-8"))
-    assert (heavy["cost_m2"], heavy["tip_error_m"]) == ("inf", "inf")
-    (line,) = (line for line in output.splitlines() if line.startswith("antagonist "))
-    cost, largest, tip, *counts = line.split()[1:]
-    assert "antagonist: no equilibrium was found under 1 load" in output
-    assert float(cost) == float(largest) == pytest.approx(float(light["cost_m2"]), rel=1e-3)
-    assert float(tip) == pytest.approx(1e3 * float(light["tip_error_m"]), rel=1e-3)
-    assert counts == ["1", "of", "2", "0", "0"]
+    assert (heavy["verdict"], heavy["status"], heavy["tip_error_mm"]) == ("undecided", "not found", "")
+    assert "antagonist, load 1: no start led to a stable equilibrium: try more starts" in output
+    lost, found = (line.split() for line in output.splitlines() if re.match(r"antagonist +\d +[a-z]", line))
+    assert lost[1:6] == ["1", "undecided", "-", "-", "-"]
+    assert float(found[-4]) == pytest.approx(float(light["tip_error_mm"]), rel=6e-3)
 
 
 @pytest.mark.parametrize(

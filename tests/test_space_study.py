@@ -11,9 +11,11 @@ from types import SimpleNamespace
 import pytest
 import torch
 from test_cli import invoke, mistake
+from test_cli_optimise import twists_of
 
 import torcharm as ta
 from torcharm.cli import optimise
+from torcharm.pressure.search import WORDS
 from torcharm.study import evaluate_study, example_text, parse_study, result_rows, summarise
 
 D = torch.float64
@@ -180,6 +182,9 @@ def test_its_commented_lines_may_be_used():
     study = parse_study(own.replace("\n# base_pose = ", "\nbase_pose = ").replace("\n# tolerance", "\ntolerance"))
     assert study.arms[1].design.offsets.tolist() == [[0.05, 0.0], [0.0, 0.05]]
     assert study.tasks[2].task.load.points[0].frame == "body"
+    head, plan = text.split("# [[plan]]")
+    (planned,) = parse_study(f"{head}[[plan]]{plan.replace('# ', '')}").plans
+    assert [row[3] for row in planned.tip_pose[:3]] == [0.1, -0.46, 0.05]
 
 
 # Commands
@@ -219,27 +224,29 @@ def test_search_finds_what_evaluate_predicts(small, tmp_path):
     assert max(len(line) for line in text.splitlines() if line.startswith(("arm", "a ", "two"))) <= 80
     rows = list(csv.DictReader(out.open(encoding="utf-8")))
     assert [row["arm"] for row in rows] == ["a", "a", "two", "two"]
-    assert {row["converged"] for row in rows} <= {"true", "false"}
+    assert {row["status"] for row in rows} <= set(WORDS)
     assert (rows[0]["pressure_3_kPa"] == "", rows[2]["pressure_3_kPa"]) == (False, "")
-    predicted = next(evaluate_study(parse_study(SMALL))).attainability.tip_error
-    assert [float(row["tip_error_m"]) for row in rows[:2]] == pytest.approx(predicted.tolist(), rel=1e-3, abs=1e-6)
+    evaluated = next(evaluate_study(parse_study(SMALL)))
+    assert [row["verdict"] for row in rows[:2]] == evaluated.verdicts
+    predicted = 1e3 * evaluated.attainability.tip_error
+    assert [float(row["tip_error_mm"]) for row in rows[:2]] == pytest.approx(predicted.tolist(), rel=1e-3, abs=1e-3)
 
 
 def test_shape_says_where_the_tip_is(small, tmp_path):
     options = ("--study", small, "--pressure", "5,5,5", "--figure", tmp_path / "p.png")
     weighing = invoke("shape", "--gravity", *options)
-    x, y, z = (float(number) for number in re.findall(r"[xyz] (\S+) m", weighing)[:3])
+    x, y, z = (float(number) for number in re.findall(r"[xyz] (\S+) mm", weighing)[:3])
     arm = ta.ArmDesign(offsets=ta.ring(0.05, 3), length=0.3, actuators="bellows", mass=0.1)
     load = ta.ExternalLoad(torch.zeros(6, dtype=D), gravity=True)
     expected = ta.solve_equilibrium(arm, [5.0, 5.0, 5.0], load).poses[-1, :3, 3].tolist()
-    assert [x, y, z] == pytest.approx(expected, rel=1e-5, abs=1e-9)
+    assert [x, y, z] == pytest.approx([1e3 * one for one in expected], rel=1e-5, abs=1e-6)
     assert "pointing to (" in weighing
     assert invoke("shape", *options, "--load", "0,0,0,0,0,0") != weighing
 
 
 def test_optimise_tells_and_writes_arms_in_space(small, tmp_path):
     small.write_text(f'{SMALL}\n[optimise]\nmetric = "unattainability"\nstarts = 1\niterations = 2\n')
-    for name in ("best.toml", "best.csv"):
+    for name in ("best.toml", "best.csv", "best.json"):
         text = invoke("optimise", small, "--out", tmp_path / name)
         assert max(len(line) for line in text.splitlines() if line.startswith(("arm", "a ", "─"))) <= 80
     best = parse_study(
@@ -247,10 +254,13 @@ def test_optimise_tells_and_writes_arms_in_space(small, tmp_path):
     )
     assert best.arms[0].design.mass.item() == 0.1
     rows = list(csv.DictReader((tmp_path / "best.csv").open(encoding="utf-8")))
-    assert [float(row["given_radius_m"]) for row in rows] == pytest.approx([0.05] * 3)
-    assert float(rows[1]["given_angle_rad"]) == pytest.approx(2 * math.pi / 3)
+    assert [float(row["given_radius_mm"]) for row in rows] == pytest.approx([50.0] * 3)
+    assert float(rows[1]["given_angle_deg"]) == pytest.approx(120.0)
+    same = json.loads((tmp_path / "best.json").read_text(encoding="utf-8"))
+    assert [list(row) for row in same] == [list(rows[0])] * 3
+    assert [row["radius_mm"] for row in same] == [float(row["radius_mm"]) for row in rows]
     found = best.arms[0].design.offsets
-    assert [float(row["radius_m"]) for row in rows] == pytest.approx(found.norm(dim=-1).tolist())
+    assert [float(row["radius_mm"]) for row in rows] == pytest.approx((1e3 * found.norm(dim=-1)).tolist())
 
 
 def test_plan_finds_a_shape_in_space(small, tmp_path):
@@ -260,9 +270,7 @@ def test_plan_finds_a_shape_in_space(small, tmp_path):
     out = tmp_path / "plan.csv"
     invoke("plan", small, "--out", out, "--figure", tmp_path / "p.png")
     rows = list(csv.DictReader(out.open(encoding="utf-8")))
-    names = ("length_m", "shear_y_m", "shear_z_m", "torsion_rad", "curvature_y_rad", "curvature_z_rad")
-    twists = torch.tensor([[float(row[name]) for name in names] for row in rows], dtype=D)
-    torch.testing.assert_close(ta.poses(twists)[-1], pose, atol=1e-7, rtol=0)
+    torch.testing.assert_close(ta.poses(twists_of(rows))[-1], pose, atol=1e-7, rtol=0)
 
 
 SERIES = "[[arm.segment]]\nradii = [-0.05, 0.05]\nlength = 0.3\nactuators = 'bellows'\n"
@@ -295,10 +303,9 @@ def test_files_of_studies_in_the_plane_and_in_space_name_every_column(tmp_path):
     invoke("plan", path, "--out", out)
     rows = list(csv.DictReader(out.open(encoding="utf-8")))
     assert [(one["plan"], one["arm"]) for one in rows] == [("q", "flat")] * 3 + [("q", "row")] * 6 + [("p", "a")] * 4
-    assert (rows[0]["curvature_rad"] != "", rows[0]["curvature_z_rad"]) == (True, "")
-    twists = torch.tensor([[float(one[name]) for name in ("length_m", "shear_m", "curvature_rad")] for one in rows[:3]])
-    assert ta.poses(twists.double())[-1].tolist() == pytest.approx([0.0, -0.5, -math.pi / 2], abs=1e-7)
-    assert (rows[-1]["curvature_rad"], rows[-1]["curvature_z_rad"] != "") == ("", True)
+    assert (rows[0]["twist_curvature_deg"] != "", rows[0]["twist_curvature_z_deg"]) == (True, "")
+    assert ta.poses(twists_of(rows[:3]))[-1].tolist() == pytest.approx([0.0, -0.5, -math.pi / 2], abs=1e-7)
+    assert (rows[-1]["twist_curvature_deg"], rows[-1]["twist_curvature_z_deg"] != "") == ("", True)
 
 
 def test_angles_of_arms_in_space_are_told_beside_arms_in_the_plane(tmp_path):
@@ -308,9 +315,9 @@ def test_angles_of_arms_in_space_are_told_beside_arms_in_the_plane(tmp_path):
     optimise._write(out, results, ".csv")
     text = " ".join(cell for column in optimise._designs(results) for cell in column.cells)
     rows = list(csv.DictReader(out.open(encoding="utf-8")))
-    angles = {name: [one["given_angle_rad"] for one in rows if one["arm"] == name] for name in ("flat", "a")}
+    angles = {name: [one["given_angle_deg"] for one in rows if one["arm"] == name] for name in ("flat", "a")}
     assert angles["flat"] == [""] * 4
-    assert float(angles["a"][1]) == pytest.approx(2 * math.pi / 3)
+    assert float(angles["a"][1]) == pytest.approx(120.0)
     assert "120 → 120" in text
 
 
@@ -364,7 +371,7 @@ def test_shape_of_heavy_segments_in_the_plane_is_drawn(tmp_path, monkeypatch):
     )
     arm = ta.series([ta.ArmDesign([-0.05, 0.05], 0.3, "bellows")] * 2)
     x, y, _ = ta.solve_equilibrium(arm, [5.0, 6.0, 5.0, 6.0], (0.0, 0.0, 0.0), 3).poses[-1].tolist()
-    assert text.startswith(f"row: tip at x {x:.6g} m, y {y:.6g} m")
+    assert text.startswith(f"row: tip at x {1e3 * x:.6g} mm, y {1e3 * y:.6g} mm")
     assert text.endswith("Wrote p.png.\n")
     assert (tmp_path / "p.png").stat().st_size > 10_000
 
@@ -404,7 +411,7 @@ BAD = {
             RING,
             f'shape = [{HELIX}, {{ kind = "constant", curvature = 1 }}]\nloads = [[0, 0, 0]]',
         ),
-        "shape[2].direction: must be given for all segments, or for none",
+        "shape[2].direction: must be given for all segments that bend, or for none",
     ),
     "scale of loads": (
         study_text(RING, BEND.split("\n")[0] + "\nloads = { count = 2 }"),
@@ -418,7 +425,7 @@ BAD = {
     ),
     "pose of the plane": (
         study_text(RING, f"{BEND}\nbase_pose = [0, 0, 0]"),
-        "base_pose: must be hanging, upright, horizontal or four rows",
+        "base_pose: must be hanging, upright, horizontal or a table of position",
         "got [0",
     ),
     "pose of space": (
@@ -490,7 +497,8 @@ BAD = {
     ),
     "plan's base of the plane": (
         study_text(RING, f'{BEND}\n[[plan]]\nname = "p"\ntip_pose = {MATRIX}\nbase_pose = [0, 0, 0]'),
-        "plan[1].base_pose: must be hanging, upright, horizontal or four rows of a homogeneous matrix in space, as",
+        "plan[1].base_pose: must be hanging, upright, horizontal or a table of position, direction and turn, or the "
+        "four rows of a homogeneous matrix [m] in space, as",
     ),
     "wrench of the plane": (
         study_text(RING, f"{BEND}\npoints = [{{ wrench = [0, 0, 0] }}]"),
@@ -529,11 +537,11 @@ BAD = {
     ),
     "no pose": (
         study_text(RING, f"{BEND}\nbase_pose = 5"),
-        "task[1].base_pose: must be hanging, upright, horizontal, a list [x, y, θ], or in space the four rows of a",
+        "task[1].base_pose: must be hanging, upright, horizontal, a list [x, y, θ], or in space a table of position",
     ),
     "no tip pose": (
         study_text(RING, f'{BEND}\n[[plan]]\nname = "p"\ntip_pose = "x"\ntip_load = [0, 0, 0, 0, 0, 0]'),
-        "plan[1].tip_pose: must be a list [x, y, θ], or in space the four rows of a homogeneous matrix, got",
+        "plan[1].tip_pose: must be a list [x, y, θ], or in space a table of position, direction and turn, or the four",
     ),
     "no segment nodes": (TWO.replace("@", "segment_nodes = []"), "task[1].segment_nodes: must be a list of numbers"),
     "no such arm": (study_text(RING, f'{BEND}\narms = ["b"]'), "task[1].arms[1]: must be one of a, got"),

@@ -30,6 +30,18 @@ def test_loads_fill_the_box_and_stay_within():
     assert (loads.abs().amax(0) > torch.tensor([1.98, -1.0, 0.495])).all()
 
 
+@pytest.mark.parametrize("mass", [0.0, [0.0, 0.1]])
+def test_a_payload_may_begin_at_nothing(mass):
+    """As one that a slider sets, alone and in a batch: it asks for as much as none."""
+    shape = affine_curvature(0.5, 0.5, nodes=3)
+    points = torcharm.PointLoad(mass=mass, at=0.5)
+    none, some = (torcharm.ExternalLoad(gravity=True, points=given) for given in ((), points))
+    arm = torcharm.ArmDesign([-0.03, 0.03], 0.5, "bellows", mass=0.2)
+    errors = [torcharm.predict_error(arm, Task(shape, load=load)).tip_error for load in (none, some)]
+    assert torch.equal(errors[0], errors[1].reshape(-1)[0])
+    assert len(set(errors[1].reshape(-1).tolist())) == errors[1].numel()
+
+
 def test_seeds_differ_and_repeat():
     assert torch.equal(sample_loads(5, seed=1), sample_loads(5, seed=1))
     assert not torch.equal(sample_loads(5, seed=1), sample_loads(5, seed=2))

@@ -77,6 +77,15 @@ def shown(value: object) -> str:
     return f"{' '.join(repr(value).split()):.60}"
 
 
+def three_digits(value: float) -> str:
+    """A number as tables and pictures show it: no exponent where none is needed, and "-" for what is not finite."""
+    if not math.isfinite(value):
+        return "-"
+    if 0 < value < 1e-3:
+        return "<0.001"
+    return f"{value:.0f}" if 100 <= value < 1e5 else f"{value:.3g}"
+
+
 def shapes_only(value: Any) -> str:
     """A dataclass by the shapes of its tensors, and how many of its flags are set."""
     parts = []

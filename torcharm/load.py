@@ -52,14 +52,17 @@ class PointLoad(HoldsTensors):
         segment: int = -1,
         at: float = 1.0,
         frame: str = "world",
-        mass: TensorLike = 0.0,
+        mass: TensorLike | None = None,
     ) -> None:
         """Check.
 
         Raises:
-            ValueError: a value makes no sense, or there is neither a wrench nor a mass.
+            ValueError: a value makes no sense, or there is neither a wrench nor a mass, which may be 0.
         """
-        given = {"mass": mass} if wrench is None else {"wrench": wrench, "mass": mass}
+        if wrench is None and mass is None:
+            raise ValueError("wrench: must be given for a point load without a mass, got None")
+        own = 0.0 if mass is None else mass
+        given = {"mass": own} if wrench is None else {"wrench": wrench, "mass": own}
         values = dict(zip(given, as_floating(**given), strict=True))
         for name, value in values.items():
             check_finite(name, value)
@@ -67,8 +70,6 @@ class PointLoad(HoldsTensors):
             shape = tuple(values["wrench"].shape)
             raise ValueError(f"wrench: must have shape (..., 3) in the plane or (..., 6) in space, got {shape}")
         check_at_least("mass", values["mass"], 0.0, unit="kg")
-        if wrench is None and not bool((values["mass"] > 0).any()):
-            raise ValueError("wrench: must be given for a point load without a mass, got None")
         check_choice("frame", frame, FRAMES)
         place = check_number("at", at, 0.0)
         if place > 1:

@@ -30,6 +30,19 @@ def test_what_is_found_is_what_loading_reaches(name):
     assert set(found.status) <= {"converged", "snapped", "not converged"}
 
 
+@pytest.mark.parametrize("method", ["multistart", "scipy"])
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_what_leaves_an_actuator_no_length_is_impossible_as_predicted(dimension, method):
+    """As far as the prediction says it: errors are infinite, though pressures may bring the tip somewhere near."""
+    arm, towards = (ta.bellows_arm(), {}) if dimension == 2 else (ta.antagonistic_ring(), {"direction": 0.3})
+    coiled = torch.stack([ta.constant_curvature(bend, 0.5, 3, **towards) for bend in (0.3, 7.0)])
+    task = ta.Task(coiled, torch.zeros(3 * dimension - 3, dtype=torch.float64))
+    found = ta.search_pressure(arm, task, method, starts=1, progress=False)
+    assert found.possible.tolist() == ta.predict_error(arm, task).possible.tolist() == [True, False]
+    assert (found.status[1], bool(found.stable[1]), bool(found.converged[1])) == ("impossible", False, False)
+    assert found.tip_error.isfinite().tolist() == found.shape_error.isfinite().tolist() == [True, False]
+
+
 @pytest.mark.parametrize("name", ARMS)
 def test_scipy_finds_nothing_better_where_it_converges(name):
     arm, task = ARMS[name](), planar_task(6)

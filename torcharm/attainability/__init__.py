@@ -6,6 +6,7 @@ from torcharm.attainability.evaluation import (
     check_measure,
     check_power,
     evaluate,
+    evaluate_search,
     over_nodes,
     scale_of,
 )
@@ -21,6 +22,7 @@ __all__ = [
     "check_measure",
     "check_power",
     "evaluate",
+    "evaluate_search",
     "over_nodes",
     "scale_of",
 ]

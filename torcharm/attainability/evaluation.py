@@ -1,6 +1,7 @@
 """Can these designs hold these shapes under these loads, and by how much do they miss?"""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, overload
 
 import torch
@@ -20,6 +21,7 @@ from torcharm.wrench_sets.vertex_sets import DistanceFunction, VertexSets, check
 
 if TYPE_CHECKING:
     from torcharm.pressure.predicted_error import PredictedError
+    from torcharm.pressure.search import PressureSearch
 
 PREDICTED = "predicted_error"
 CHOICES = (*METRICS, PREDICTED)
@@ -125,28 +127,91 @@ def evaluate(
     Raises:
         ValueError: an argument is none of those allowed, or arm and task do not fit.
     """
-    check_flag("signed", signed)
-    check_power(power)
-    if chunk_size is not None:
-        check_count("chunk_size", chunk_size, 1)
-    asked, scale, allowed = _metrics(metrics), scale_of(weights), _tolerance(tolerance)
-    measured = tuple(name for name in asked if name in METRICS)
+    asked = _metrics(metrics)
+    how = _Measure.of(asked, tolerance, hull, samples, distance, weights, power, signed, chunk_size)
 
     def evaluate_one(own: Task) -> Attainability:
-        grid = design_task_grid(arm, own)
-        options = SetOptions(measured, scale, signed, _by_vertices(arm, hull, samples, distance, signed))
         prediction = _predict(arm, own, pose_cost) if PREDICTED in asked else None
-        return Attainability(
-            **_by_sets(grid, node_distances(grid, options, chunk_size), options, power),
-            prediction=prediction,
-            signed=signed,
-            weights=(float(weights[0]), float(weights[1])),
-            tolerance=allowed,
-            arm=arm,
-            task=own,
-        )
+        return how.attainability(arm, own, prediction)
 
     return for_each_task(task, evaluate_one)
+
+
+def evaluate_search(
+    arm: ArmDesign | ArmSeries,
+    task: Task,
+    found: "PressureSearch",
+    metrics: Sequence[str] = METRICS,
+    *,
+    tolerance: PoseTolerance | float | None = None,
+    hull: str = "exact",
+    samples: int | None = None,
+    distance: str | DistanceFunction = "gjk",
+    weights: tuple[float, float] = (1.0, 1.0),
+    power: int = 1,
+    signed: bool = False,
+) -> Attainability:
+    """What a pressure search means, in the words of `evaluate`: a verdict and a reason for each design and task.
+
+    Args:
+        arm, task: designs and tasks that were searched.
+        found: what `search_pressure` found of them; it takes the place of a prediction.
+        metrics: which sets say what nodes lack; "predicted_error" is passed over.
+        tolerance, hull, samples, distance, weights, power, signed: as for `evaluate`.
+
+    Raises:
+        ValueError: an argument is none of those allowed, or arm, task and what was found do not fit.
+    """
+    shape = (*arm.batch_shape, *task.batch_shape)
+    if found.tip_error.shape != shape:
+        raise ValueError(f"found: must have the batch shape {shape}, got {tuple(found.tip_error.shape)}")
+    asked = _metrics(metrics)
+    how = _Measure.of(asked, tolerance, hull, samples, distance, weights, power, signed, None)
+    return how.attainability(arm, task, found)
+
+
+@dataclass(frozen=True)
+class _Measure:
+    """How sets are measured, and what counts as held."""
+
+    metrics: tuple[str, ...]
+    tolerance: PoseTolerance
+    hull: str
+    samples: int | None
+    distance: str | DistanceFunction
+    weights: tuple[float, float]
+    power: int
+    signed: bool
+    chunk_size: int | None
+
+    @classmethod
+    def of(cls, metrics: Sequence[str], tolerance: PoseTolerance | float | None, *options: Any) -> "_Measure":
+        """Of the arguments of `evaluate`, checked as far as they need no arm."""
+        measured = tuple(name for name in metrics if name in METRICS)
+        found = cls(measured, _tolerance(tolerance), *options)
+        check_flag("signed", found.signed)
+        check_power(found.power)
+        if found.chunk_size is not None:
+            check_count("chunk_size", found.chunk_size, 1)
+        scale_of(found.weights)
+        return found
+
+    def attainability(
+        self, arm: ArmDesign | ArmSeries, task: Task, prediction: "PredictedError | PressureSearch | None"
+    ) -> Attainability:
+        """What sets and a prediction say of one task."""
+        grid = design_task_grid(arm, task)
+        vertices = _by_vertices(arm, self.hull, self.samples, self.distance, self.signed)
+        options = SetOptions(self.metrics, scale_of(self.weights), self.signed, vertices)
+        return Attainability(
+            **_by_sets(grid, node_distances(grid, options, self.chunk_size), options, self.power),
+            prediction=prediction,
+            signed=self.signed,
+            weights=(float(self.weights[0]), float(self.weights[1])),
+            tolerance=self.tolerance,
+            arm=arm,
+            task=task,
+        )
 
 
 def _by_sets(grid: DesignTaskGrid, nodes: NodeDistances, options: SetOptions, power: int) -> dict[str, Any]:

@@ -10,13 +10,7 @@ from torch import Tensor
 from torcharm.arm import ArmDesign
 from torcharm.statics.cross_section import RANGE_SLACK, cross_sections, per_actuator
 
-UNDECIDED = {
-    "not converged": "a stable shape, but perhaps not the best pressure: search_pressure may find a better one",
-    "unstable": "no stable equilibrium near the task's shape was found: search_pressure follows the arm from rest",
-    "not reached": "stable there, but loading from rest leads to another shape, which solve_equilibrium tells of this "
-    "pressure; search_pressure looks for the closest that loading reaches",
-}
-
+NO_CENTRELINE = "the centreline of the shape would have no length"
 NOTHING = 1e-6
 """A miss [N] that explains nothing: of the size of rounding."""
 SHARE = 0.005

@@ -14,7 +14,7 @@ from torch import Tensor
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.attainability.questions import question
-from torcharm.attainability.reasons import UNDECIDED, at_limits, differences, missing, one_design, out_of_range
+from torcharm.attainability.reasons import NO_CENTRELINE, at_limits, differences, missing, one_design, out_of_range
 from torcharm.attainability.verdict import VERDICTS, PoseTolerance, judge, over_tolerance
 from torcharm.inputs import HoldsTensors
 from torcharm.task import Task
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from torcharm.pressure.predicted_error import PredictedError
+    from torcharm.pressure.search import PressureSearch
 
 
 COLUMNS = (
@@ -46,7 +47,8 @@ class Attainability(HoldsTensors):
             paper does.
         absolute_per_node, relative_per_node: (..., N) each node's distance to its set, in the same unit, not raised to
             a power.
-        prediction: all that is known of the predicted error, with what it takes to trust it.
+        prediction: all that is known of the predicted error, with what it takes to trust it; of `evaluate_search` what
+            the search found, in its place.
         strain_excess: largest strain of the task's shape beyond its actuator's characterised range, 0 if none is.
         shape_in_range: whether every strain of the task's shape, and every pressure limit, lies in the characterised
             range.
@@ -64,7 +66,7 @@ class Attainability(HoldsTensors):
     relative: Tensor | None
     absolute_per_node: Tensor | None
     relative_per_node: Tensor | None
-    prediction: "PredictedError | None"
+    prediction: "PredictedError | PressureSearch | None"
     strain_excess: Tensor
     shape_in_range: Tensor
     impossible: Tensor
@@ -138,7 +140,7 @@ class Attainability(HoldsTensors):
         if verdict == "held":
             return ""
         if verdict == "impossible" and not bool(self.impossible[index]):
-            return "the centreline of the shape would have no length"
+            return NO_CENTRELINE
         lead, task, batch = len(self.arm.batch_shape), self.task, self.arm.batch_shape
         segments = [one_design(segment, batch, index[:lead]) for segment in segments_of(self.arm)]
         twists = task.twists.detach().expand(*task.batch_shape, *task.twists.shape[-2:])[index[lead:]]
@@ -151,14 +153,17 @@ class Attainability(HoldsTensors):
         self, verdict: str, index: tuple[int, ...], segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[int]
     ) -> Sequence[str]:
         """Parts of a reason, some of them empty; all are where nothing is known to be amiss."""
+        found, status = self.prediction, _word(self.status, index)
         if not bool(self.shape_in_range[index]):
-            return (out_of_range(segments, twists, nodes),)
-        found = self.prediction
+            snap = found.DOUBTS[status] if found is not None and status == "snapped" else ""
+            return out_of_range(segments, twists, nodes), snap
         reached = None if found is None else found.twists[index].detach()
-        if verdict == "excluded by range" and reached is not None:
-            return (f"predicted: {out_of_range(segments, reached, nodes)}",)
+        if verdict == "excluded by range" and found is not None and reached is not None:
+            doubt = found.DOUBTS.get(status, "")
+            return f"at the shape found: {out_of_range(segments, reached, nodes)}", doubt
         if verdict == "undecided":
-            return (UNDECIDED[_word(self.status, index)],)
+            assert found is not None
+            return (found.DOUBTS[status],)
         absolute, relative = (
             None if value is None else value[index] for value in (self.absolute_per_node, self.relative_per_node)
         )

@@ -13,6 +13,7 @@ from torcharm.inputs import check_number
 
 if TYPE_CHECKING:
     from torcharm.pressure.predicted_error import PredictedError
+    from torcharm.pressure.search import PressureSearch
 
 VERDICTS = ("held", "missed", "excluded by range", "undecided", "impossible")
 """Held: a shape within the tolerance was found, a stable equilibrium that loading leads to, with strains and pressures
@@ -71,7 +72,9 @@ class PoseTolerance:
         return tip, tip if self.shape is None else torch.full_like(own, self.shape)
 
 
-def over_tolerance(arm: ArmDesign | ArmSeries, prediction: "PredictedError", tolerance: PoseTolerance) -> Tensor:
+def over_tolerance(
+    arm: ArmDesign | ArmSeries, prediction: "PredictedError | PressureSearch", tolerance: PoseTolerance
+) -> Tensor:
     """(3, *design batch, *task batch) errors of the tip's place, its turn and the shape, each over its tolerance."""
     tasks = prediction.tip_error.ndim - len(arm.batch_shape)
     tip, shape = (value.reshape(value.shape + (1,) * tasks) for value in tolerance.lengths(arm))
@@ -85,7 +88,7 @@ def over_tolerance(arm: ArmDesign | ArmSeries, prediction: "PredictedError", tol
 
 def judge(
     arm: ArmDesign | ArmSeries,
-    prediction: "PredictedError",
+    prediction: "PredictedError | PressureSearch",
     tolerance: PoseTolerance,
     in_range: Tensor,
     impossible: Tensor,
@@ -94,7 +97,7 @@ def judge(
 
     Args:
         arm: the designs.
-        prediction: of all of them on all tasks.
+        prediction: of all of them on all tasks, or what a search found.
         tolerance: what counts as held.
         in_range: whether the task's shape, the limits and the shape predicted lie in the characterised range.
         impossible: whether an actuator would have no length at the task's shape.

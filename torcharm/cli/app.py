@@ -81,7 +81,7 @@ def _without_markup(text: str | None) -> str | None:
 
 
 for _function, _example in (
-    (init.init, "torcharm init arms.toml"),
+    (init.init, "torcharm init --out arms.toml"),
     (evaluate.evaluate, "torcharm evaluate study.toml --out results.csv --figure picture.png"),
     (fit.fit, "torcharm fit --instron run.csv --pressure run.txt --actuators 4 --out my_bellows.toml"),
     (search.search, "torcharm search study.toml --out pressures.csv --figure reached.png"),

@@ -1,16 +1,16 @@
 """`torcharm evaluate`: a study evaluated, as tables, a file and pictures."""
 
 import json
-import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from torcharm.cli.tables import LONGEST_WORD, Column, print_table
+from torcharm.cli.report import heading, summary_columns, verdict_legend, why_not
+from torcharm.cli.tables import print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
     asked_about,
@@ -30,7 +30,7 @@ from torcharm.files import check_writable
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from torcharm.study import NamedTask, Study, StudyResult, Summary
+    from torcharm.study import NamedTask, Study, StudyResult
 
 
 def evaluate(
@@ -130,14 +130,13 @@ def _report(console: "Console", plan: "Study", results: Sequence["StudyResult"],
         chosen = [(result, summarise(result)) for result in results if result.task is task]
         if not chosen:
             continue
-        nodes, loads = count(task.task.nodes, "node"), count(chosen[0][1].loads, "load")
         console.print()
-        console.print(Text("Task ").append(task.name, style="bold").append(f", {nodes}, {loads}"))
+        console.print(heading(task, chosen[0][1].loads))
         console.print()
-        print_table(list(_columns(chosen, sums)))
+        print_table(list(summary_columns(chosen, sums)))
         for result, summary in chosen:
             if summary.example is not None:
-                console.print(f"{result.arm.name}{_why(summary, *summary.example)}")
+                console.print(f"{result.arm.name}{why_not(summary, *summary.example)}")
     console.print()
     for line in _legend(plan, results, sums):
         console.print(line)
@@ -147,82 +146,20 @@ def _report(console: "Console", plan: "Study", results: Sequence["StudyResult"],
     console.print(f"{arms} on {tasks}: {evaluations} in {taken} s.")
 
 
-def _why(summary: "Summary", load: int, verdict: str, why: str) -> str:
-    """The sentence on the load that stands for those not held, after the arm's name."""
-    alike = 0 if summary.verdicts is None else summary.verdicts[verdict]
-    which = f", the furthest off of {alike} {verdict}" if alike > 1 else ""
-    about = f", load {load} of {summary.loads}{which}" if summary.loads > 1 else ""
-    return f"{about}: {why}{'' if why.endswith('?') else '.'}"
-
-
-def _columns(rows: Sequence[tuple["StudyResult", "Summary"]], sums: bool) -> Iterator[Column]:
-    yield Column("arm", [result.arm.name for result, _ in rows], LONGEST_WORD)
-    found = [_cells(summary, sums) for _, summary in rows]
-    for title in found[0]:
-        if title == "not held" and all(cells[title] == "-" for cells in found):
-            continue
-        yield Column(title, [cells[title] for cells in found], LONGEST_WORD if title == "not held" else 0)
-
-
-def _cells(summary: "Summary", sums: bool) -> dict[str, str]:
-    """The cells of a row by their titles; medians over loads."""
-    median, cells = summary.median, {}
-    if summary.verdicts is not None:
-        cells["held"] = f"{summary.held} of {summary.loads}"
-        cells["tip off\n[mm]"] = _number(1e3 * median["tip_error"])
-        cells["turned\n[°]"] = _number(math.degrees(median["tip_rotation_error"]))
-        cells["shape\n[mm]"] = _number(1e3 * median["shape_error"])
-    elif summary.not_excluded is not None:
-        cells["not\nexcluded"] = f"{summary.not_excluded} of {summary.loads}"
-    if summary.not_excluded is not None:
-        worst = "-" if summary.worst_node is None else f"{summary.worst_node}: {summary.worst_miss:.2g}"
-        cells["worst node:\nlacks [N]"] = worst
-    if summary.verdicts is not None:
-        cells["not held"] = _not_held(summary.verdicts)
-    if sums or summary.verdicts is None:
-        cells |= {f"{name}\nsum [N]": _number(median[name]) for name in ("absolute", "relative") if name in median}
-    return cells
-
-
-def _number(value: float) -> str:
-    """Three digits, and no exponent where none is needed."""
-    if 0 < value < 1e-3:
-        return "<0.001"
-    return f"{value:.0f}" if 100 <= value < 1e5 else f"{value:.3g}"
-
-
-def _not_held(verdicts: Mapping[str, int]) -> str:
-    return ",\n".join(f"{number} {word}" for word, number in verdicts.items() if word != "held") or "-"
-
-
 def _legend(plan: "Study", results: Sequence["StudyResult"], sums: bool) -> Iterator[str]:
     """What the columns mean, in a line each."""
     if not results:
         return
     found = results[0].attainability
     if found.prediction is not None:
-        tip = plan.settings.tolerance.tip
-        near = "2 % of the length" if tip is None else f"{1e3 * tip:g} mm"
-        turn = math.degrees(plan.settings.tolerance.rotation)
-        yield f"held: tip and shape within {near}, turned within {turn:.3g}°; medians over loads."
-        words = {word for result in results for word in result.verdicts or ()}
-        for word, meaning in _MEANINGS.items():
-            if word in words:
-                yield f"{word}: {meaning}."
+        yield from verdict_legend(plan.settings, results)
+        yield "tip off, turned, shape: medians over loads."
     else:
         yield "not excluded: no node lacks a wrench, which is necessary but not sufficient."
     if found.node_miss is not None:
         yield f"worst node: lacks most, on average, of the wrench that it needs, {_counted(plan)}; 1 is the base."
     if sums or found.prediction is None:
         yield f"sums over nodes: {_sums(plan)}."
-
-
-_MEANINGS = {
-    "missed": "the least error that was found is beyond that",
-    "excluded by range": "beyond characterised strains or pressures: figures extrapolate",
-    "undecided": "a better pressure may exist, or no stable shape that loading leads to",
-    "impossible": "an actuator would have no length",
-}
 
 
 def _sums(plan: "Study") -> str:

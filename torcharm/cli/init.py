@@ -9,10 +9,10 @@ from torcharm.cli.terminal import mistakes, open_console, say
 
 
 def init(
-    path: Annotated[
-        Path | None, typer.Argument(help="Where to write it.", show_default="study.toml, space.toml, all_keys.toml")
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Where to write it.", show_default="study.toml, space.toml, all_keys.toml"),
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="The same, as other commands have it.")] = None,
     every: Annotated[
         bool, typer.Option("--all", help="Write every key that a study may have, what it may be, and its default.")
     ] = False,
@@ -23,12 +23,10 @@ def init(
     with mistakes():
         if every and space:
             raise ValueError("--space: must not stand beside --all, which has the keys of space too")
-        if path is not None and out is not None:
-            raise ValueError(f"--out: must not stand beside the path {path}, which says the same, got {out}")
         from torcharm.files import atomic_write
         from torcharm.study import example_text, key_reference
 
-        path = path or out or Path("all_keys.toml" if every else "space.toml" if space else "study.toml")
+        path = out or Path("all_keys.toml" if every else "space.toml" if space else "study.toml")
         if path.exists() and not force:
             raise ValueError(f"{path}: is there already; --force overwrites it")
         with atomic_write(path) as partial:

@@ -1,6 +1,5 @@
 """`torcharm optimise`: every arm of a study made better on all its tasks together."""
 
-import csv
 import math
 import sys
 import warnings
@@ -27,7 +26,7 @@ from torcharm.cli.terminal import (
     save_all,
     say,
 )
-from torcharm.files import check_writable, plain_cell
+from torcharm.files import check_writable
 
 if TYPE_CHECKING:
     from torcharm.design import Objective, OptimisedDesign, Progress
@@ -42,8 +41,8 @@ def optimise(
         Path | None,
         typer.Option(
             "--out",
-            help="Write the best arms: to a file .toml as tables [[arm]] to paste into a study, or to a file .csv as "
-            "a row for every arm and actuator, given and best.",
+            help="Write the best arms: to a file .toml as tables [[arm]] to paste into a study, or to a file .csv or "
+            ".json as a row for every arm and actuator, given and best.",
         ),
     ] = None,
     figure: Annotated[
@@ -60,9 +59,10 @@ def optimise(
     """
     with mistakes():
         check_outputs(study, out, figure)
-        check_ending("--out", out, ("csv", "toml"))
         _check_checkpoint(study, out, figure, checkpoint)
-        from torcharm.study import load_study
+        from torcharm.study import RESULT_FORMATS, load_study
+
+        check_ending("--out", out, (*RESULT_FORMATS, "toml"))
 
         plan = asked_about(load_study(study))
         for option, path in (("--figure", figure), ("--checkpoint", checkpoint)):
@@ -161,7 +161,10 @@ def _outputs(
     plan: "Study", results: Found, out: Path | None, figures: Sequence[Path]
 ) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
     if out is not None and results:
-        yield out, lambda path: _write(path, results, out.suffix.lower()), "."
+        from torcharm.study import check_format
+
+        ending = ".toml" if out.suffix.lower() == ".toml" else f".{check_format(out)}"
+        yield out, lambda path: _write(path, results, ending), "."
     places = dict(zip((arm.name for arm in plan.arms), figures, strict=False))
     for arm, result in results if figures else ():
         from torcharm.plot import optimisation_figure
@@ -183,7 +186,9 @@ def _write(path: Path, results: Found, ending: str) -> None:
     if ending == ".toml":
         path.write_text(_toml(results), encoding="utf-8", newline="\n")
     else:
-        _write_rows(path, results)
+        from torcharm.study import write_rows
+
+        write_rows(path, list(_rows(results)), ending)
 
 
 def _toml(results: Found) -> str:
@@ -195,34 +200,38 @@ def _toml(results: Found) -> str:
     return "\n".join(tables)
 
 
-def _write_rows(path: Path, results: Found) -> None:
+def _rows(results: Found) -> Iterator[dict[str, Any]]:
+    """A row for each arm and actuator, given and best."""
     from torcharm.actuators import model_name
 
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        columns = [f"{name}_{unit}" for name, unit, _ in _fields(results)]
-        writer.writerow(("arm", "actuator", "model", *(f"given_{name}" for name in columns), *columns))
-        for arm, result in results:
-            for index, (given, best) in enumerate(_values(result, results)):
-                model = model_name(result.best.actuators[index])
-                writer.writerow((plain_cell(arm.name), index + 1, plain_cell(model), *given, *best))
+    fields = _fields(results)
+    for arm, result in results:
+        for index, (given, best) in enumerate(_values(result, results)):
+            row = {"arm": arm.name, "actuator": index + 1, "model": model_name(result.best.actuators[index])}
+            for prefix, values in (("given_", given), ("", best)):
+                row |= {f"{prefix}{name}_{unit}": one for (name, unit, _), one in zip(fields, values, strict=True)}
+            yield row
 
 
 def _fields(results: Found) -> list[tuple[str, str, int]]:
     """Of each field that is told its name, its unit and its row of `given_values`; angles if an arm is in space."""
-    fields = [("radius", "m", 0), ("angle", "rad", 1), ("length", "m", 2), ("max_pressure", "kPa", 3)]
+    fields = [("radius", "mm", 0), ("angle", "deg", 1), ("length", "mm", 2), ("max_pressure", "kPa", 3)]
     return fields if any(result.best.dimension == 3 for _, result in results) else [fields[0], *fields[2:]]
 
 
 def _values(result: "OptimisedDesign", results: Found) -> Iterator[tuple[list[float | None], list[float | None]]]:
     """For each actuator the fields that are told, given and best; in the plane the angle is None."""
     from torcharm.design.space import given_values
+    from torcharm.study.results import DEG, MM
 
-    flat, rows = result.best.dimension == 2, [row for *_, row in _fields(results)]
+    flat, scales = result.best.dimension == 2, {"mm": MM, "deg": DEG, "kPa": 1.0}
+    rows = [(row, scales[unit]) for _, unit, row in _fields(results)]
+
+    def told(values: list[float]) -> list[float | None]:
+        return [None if flat and row == 1 else scale * values[row] for row, scale in rows]
+
     for given, best in zip(*(given_values(arm)[0].T.tolist() for arm in (result.given, result.best)), strict=True):
-        if flat:
-            given[1] = best[1] = None
-        yield [given[row] for row in rows], [best[row] for row in rows]
+        yield told(given), told(best)
 
 
 def _errors(results: Found) -> list[Column]:
@@ -247,19 +256,18 @@ def _designs(results: Found) -> list[Column]:
     """A row for each actuator: what it was and is."""
     from torcharm.actuators import model_name
 
-    shown = {"m": (1e3, "mm"), "rad": (180 / math.pi, "°"), "kPa": (1.0, "kPa")}
     fields = _fields(results)
     in_space = len(fields) > 3
     rows = []
     for arm, result in results:
         for index, pair in enumerate(_values(result, results)):
             cells = []
-            for old, new, (_, unit, _) in zip(*pair, fields, strict=True):
-                ends = [f"{shown[unit][0] * one:.{1 - in_space}f}" for one in (old, new) if one is not None]
+            for old, new in zip(*pair, strict=True):
+                ends = [f"{one:.{1 - in_space}f}" for one in (old, new) if one is not None]
                 cells.append(" → ".join(ends) or "-")
             model = model_name(result.best.actuators[index])
             rows.append(("" if index else arm.name, f"{index + 1} {model}", *cells))
     names, models, *numbers = zip(*rows, strict=True)
     gap = "\n" if in_space else " "  # so that four columns fit
-    titles = [f"{name.replace('max_pressure', 'limit')}{gap}[{shown[unit][1]}]" for name, unit, _ in fields]
+    titles = [f"{name.replace('max_pressure', 'limit')}{gap}[{unit.replace('deg', '°')}]" for name, unit, _ in fields]
     return [Column("arm", names, 20), Column("actuator", models, 16), *map(Column, titles, numbers)]

@@ -1,11 +1,10 @@
 """`torcharm plan`: shapes through the tip poses of a study."""
 
-import csv
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -24,9 +23,10 @@ from torcharm.cli.terminal import (
     save_all,
     say,
 )
-from torcharm.files import check_writable, plain_cell
+from torcharm.files import check_writable
 
 if TYPE_CHECKING:
+    from torcharm.attainability import Attainability
     from torcharm.design.shape_planning import PlannedShape
     from torcharm.study import NamedArm, Study
     from torcharm.study.data import NamedPlan
@@ -37,7 +37,11 @@ Found = tuple["NamedPlan", "NamedArm", "PlannedShape"]
 def plan(
     study: Annotated[Path, typer.Argument(help="A study, as TOML, with tables that begin with [[plan]].")],
     out: Annotated[
-        Path | None, typer.Option("--out", help="Write a row for every plan, arm and node, to a file .csv.")
+        Path | None,
+        typer.Option(
+            "--out",
+            help="Write a row for every plan, arm and node, to a file .csv or .json: the twists of a task of a study.",
+        ),
     ] = None,
     figure: Annotated[
         Path | None,
@@ -50,8 +54,9 @@ def plan(
     """
     with mistakes():
         check_outputs(study, out, figure)
-        check_ending("--out", out, ("csv",))
-        from torcharm.study import load_study
+        from torcharm.study import RESULT_FORMATS, load_study
+
+        check_ending("--out", out, RESULT_FORMATS)
 
         read = asked_about(load_study(study))
         if not read.plans:
@@ -97,10 +102,16 @@ def _find(read: "Study", found: list[Found]) -> None:
 
 
 TWISTS = {
-    3: ("length_m", "shear_m", "curvature_rad"),
-    6: ("length_m", "shear_y_m", "shear_z_m", "torsion_rad", "curvature_y_rad", "curvature_z_rad"),
+    3: ("twist_length_mm", "twist_shear_mm", "twist_curvature_deg"),
+    6: (
+        *("twist_length_mm", "twist_shear_y_mm", "twist_shear_z_mm"),
+        *("twist_torsion_deg", "twist_curvature_y_deg", "twist_curvature_z_deg"),
+    ),
 }
-"""Columns of a shape, by its number of components."""
+"""Columns of a shape, by its number of components: each element's as if its segment were like it, as in a study."""
+LENGTHS = ("length [mm]\nin all", "length [mm]\nof each element")
+BENDS = ("bend [°]\nin all", "bend [°]\nof each element")
+"""Titles of what stands in the table of a shape, its sum first."""
 
 
 def _whose(one: Found) -> str:
@@ -117,12 +128,13 @@ def _tell(found: Sequence[Found]) -> None:
         if not one[-1].found:
             say(console, f"{_whose(one)}: {one[-1].status}.")
     for line in LEGEND:
-        say(console, line)
+        console.print(line)
 
 
 LEGEND = (
     "cost: what was minimised; tip off: how far from the planned tip the arm is predicted to be",
-    "absolute, relative: what nodes lack in sum; lengths and bends: least and largest of the elements",
+    "absolute, relative: what nodes lack in sum",
+    "of each element: its own length and bend, the least and the largest; in all: the sum over the elements",
 )
 
 
@@ -131,7 +143,10 @@ def _outputs(
 ) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
     if out is not None and found:
         rows = sum(len(shape.twists) for *_, shape in found if shape.found)
-        yield out, lambda path: _write(path, found), f" ({count(rows, 'row')})."
+        from torcharm.study import check_format, write_rows
+
+        ending = f".{check_format(out)}"
+        yield out, lambda path: write_rows(path, list(_rows(found)), ending), f" ({count(rows, 'row')})."
     for place, wanted in zip(numbered(figure, len(read.plans)), read.plans, strict=False):
         shown = [one for one in found if one[0] is wanted and not one[-1].status.startswith(REFUSED)]
         if shown:
@@ -148,30 +163,49 @@ def _draw(path: Path, found: Sequence[Found]) -> None:
 
 
 def _columns(found: Sequence[Found]) -> list[Column]:
-    titles = ("cost", "tip off\n[mm]", "absolute\nrelative", "lengths\n[m]", "bends\n[rad]")
+    from torcharm.inputs import three_digits
+    from torcharm.study.results import MM
+
+    titles = ("cost", "tip off\n[mm]", "absolute\nrelative", *LENGTHS, *BENDS)
     rows = []
     for *_, shape in found:
         result = shape.attainability
         if result is None:
-            rows.append((*["-"] * 5, "no shape" if shape.status.startswith("no") else "refused"))
+            rows.append((*["-"] * 7, "no shape" if shape.status.startswith("no") else "refused"))
             continue
         sums = ["-" if value is None else f"{float(value):.4g}" for value in (result.absolute, result.relative)]
-        twists = shape.twists
-        bends = twists[:, 2] if twists.shape[-1] == 3 else twists[:, 4:].norm(dim=-1)
-        spans = [f"{float(column.min()):.3f}\n{float(column.max()):.3f}" for column in (twists[:, 0], bends)]
-        off = "-" if result.tip_error is None else f"{1e3 * float(result.tip_error):.3g}"
+        off = "-" if result.tip_error is None else three_digits(MM * float(result.tip_error))
+        spans = [cell for values in _elements(result) for cell in (f"{sum(values):.4g}", _span(values))]
         rows.append((f"{shape.cost:.4g}", off, "\n".join(sums), *spans, str(result.verdict)))
     *numbers, verdicts = zip(*rows, strict=True)
     names = Column("plan,\narm", [f"{wanted.name},\n{arm.name}" for wanted, arm, _ in found], 30)
     return [names, *map(Column, titles, numbers), Column("verdict", verdicts, 12)]
 
 
-def _write(path: Path, found: Sequence[Found]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        columns = dict.fromkeys(name for *_, shape in found for name in TWISTS[shape.twists.shape[-1]])
-        writer = csv.DictWriter(file, ("plan", "arm", "node", *columns), lineterminator="\n")
-        writer.writeheader()
-        for wanted, arm, shape in (one for one in found if one[-1].found):
-            names = {"plan": plain_cell(wanted.name), "arm": plain_cell(arm.name)}
-            for node, twist in enumerate(shape.twists.tolist(), 1):
-                writer.writerow(names | {"node": node} | dict(zip(TWISTS[len(twist)], twist, strict=True)))
+def _elements(result: "Attainability") -> tuple[list[float], list[float]]:
+    """The length [mm] and the bend [°] of each element itself; bends in space are amounts."""
+    import torch
+
+    from torcharm.study.results import MM
+
+    task = result.task
+    counts = torch.tensor(task.segment_nodes or (task.nodes,))
+    own = task.twists / counts.repeat_interleave(counts).unsqueeze(-1)  # twists are those of a segment of such elements
+    bends = own[:, 2] if own.shape[-1] == 3 else own[:, 4:].norm(dim=-1)
+    return (MM * own[:, 0]).tolist(), bends.rad2deg().tolist()
+
+
+def _span(values: Sequence[float]) -> str:
+    """The least and the largest, in two lines."""
+    return f"{min(values):.4g} to\n{max(values):.4g}"
+
+
+def _rows(found: Sequence[Found]) -> Iterator[dict[str, Any]]:
+    """A row for each plan, arm and node, of the shapes that were found."""
+    from torcharm.study.results import DEG, MM
+
+    for wanted, arm, shape in found:
+        for node, twist in enumerate(shape.twists.tolist() if shape.found else (), 1):
+            columns = TWISTS[len(twist)]
+            cells = [(MM if name.endswith("mm") else DEG) * one for name, one in zip(columns, twist, strict=True)]
+            yield {"plan": wanted.name, "arm": arm.name, "node": node, **dict(zip(columns, cells, strict=True))}

@@ -1,17 +1,17 @@
 """`torcharm search`: for every arm of a study and each of its tasks, the pressure that comes closest."""
 
-import csv
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from torcharm.cli.report import heading, summary_columns, verdict_legend
 from torcharm.cli.tables import LONGEST_WORD, Column, print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
@@ -27,17 +27,20 @@ from torcharm.cli.terminal import (
     save_all,
     say,
 )
-from torcharm.files import atomic_write, check_writable, is_stream, plain_cell
+from torcharm.files import atomic_write, check_writable, is_stream
 
 if TYPE_CHECKING:
     from torcharm.pressure.search import PressureSearch
-    from torcharm.study import NamedArm, NamedTask
+    from torcharm.study import NamedArm, NamedTask, Settings, StudyResult
+    from torcharm.task import Task
 
-Found = Sequence[tuple["NamedArm", "PressureSearch"]]
+Found = Sequence["StudyResult"]
 BLOCKS = {"multistart": 100, "scipy": 1}
 """Loads searched at once: what an interruption may lose."""
 PAUSE = 2.0
 """Seconds, at least, between two savings of what was found until then."""
+MOST = 5
+"""Loads of a task that are told one by one; of more, those of least, median and largest tip error."""
 
 
 def search(
@@ -46,7 +49,9 @@ def search(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", help="Write a row for every arm, task and load, as it is found, to a file .csv."),
+        typer.Option(
+            "--out", help="Write a row for every arm, task and load, as it is found, to a file .csv or .json."
+        ),
     ] = None,
     figure: Annotated[
         Path | None,
@@ -64,16 +69,17 @@ def search(
 ) -> None:
     """Search the pressure that brings every arm closest to each of its tasks, through its forward mechanics.
 
+    Files have the columns of torcharm evaluate: verdict, reason, errors, and the pressure of every actuator.
     Ctrl-C ends the search and shows what was found until then.
     """
     with mistakes():
         check_outputs(study, out, figure)
-        check_ending("--out", out, ("csv",))
         from torcharm.inputs import check_choice
         from torcharm.pressure.pose_cost import NODE_WEIGHTS
         from torcharm.pressure.search import METHODS
-        from torcharm.study import load_study, paper_study
+        from torcharm.study import RESULT_FORMATS, load_study, paper_study
 
+        check_ending("--out", out, RESULT_FORMATS)
         check_choice("--method", method, METHODS)
         check_choice("--weights", weights, NODE_WEIGHTS)
         if starts is not None and starts < 1:
@@ -87,15 +93,18 @@ def search(
         interrupted = False
         with kept:
             for task in plan.tasks:
-                found, interrupted = _search(plan.arms_of(task), task, kept, method, starts, weights, refused)
+                how = partial(_blocks, settings=plan.settings, method=method, starts=starts, weights=weights)
+                found, interrupted = _search(
+                    plan.arms_of(task), task, kept, how, _starts_of_blocks(task, method), refused
+                )
                 if found:
                     results.append((task, found))
                     _report(task, found)
                 if interrupted:
                     break
         console = open_console()
-        for line in LEGEND if results else ():
-            say(console, line)
+        for line in _legend(plan.settings, results):
+            console.print(line)
         save_all(console, _outputs(kept, results, numbered(figure, len(plan.tasks))))
         finish(interrupted, results, refused)
 
@@ -104,51 +113,130 @@ def _search(
     arms: "Sequence[NamedArm]",
     task: "NamedTask",
     kept: "_Rows",
-    method: str,
-    starts: int | None,
-    weights: str,
+    blocks: "Callable[[NamedArm, NamedTask], Iterator[tuple[int, StudyResult]]]",
+    starts: Sequence[int],
     refused: dict[str, list[str]],
 ) -> "tuple[Found, bool]":
     """What is found of all arms on one task, and whether Ctrl-C came between; arms are refused by why they are."""
-    import torch
+    from torcharm.study.results import result_rows
 
-    from torcharm.pressure.search import PressureSearch
-
-    blocks: dict[str, list[PressureSearch]] = {arm.name: [] for arm in arms}
+    parts: dict[str, list[StudyResult]] = {arm.name: [] for arm in arms}
     interrupted = False
-    with progress(task.name, len(arms) * len(_starts_of_blocks(task, method))) as advance:
+    with progress(task.name, len(arms) * len(starts)) as advance:
         try:
             for arm in arms:
                 try:
-                    for first, block in _blocks(arm, task, method, starts, weights):
-                        blocks[arm.name].append(block)
-                        kept.add(_rows(arm, task, first, block))
+                    for first, part in blocks(arm, task):
+                        parts[arm.name].append(part)
+                        kept.add(result_rows(part, first))
                         advance()
                 except ValueError as error:  # costs this arm alone
                     refused.setdefault(str(error), []).append(arm.name)
         except KeyboardInterrupt:  # what is finished is shown and written all the same
             interrupted = True
-    names = [field.name for field in fields(PressureSearch)]
-    found = []
-    for arm in arms:
-        if own := blocks[arm.name]:
-            columns = (torch.cat([getattr(block, name) for block in own]) for name in names)
-            found.append((arm, PressureSearch(*columns)))
-    return found, interrupted
+    return [_whole(task, own) for own in parts.values() if own], interrupted
+
+
+def _whole(task: "NamedTask", parts: "Sequence[StudyResult]") -> "StudyResult":
+    """What was found of one arm under all loads, or under the first if the search was interrupted."""
+    import torch
+
+    from torcharm.pressure.search import PressureSearch
+
+    searches = [part.attainability.prediction for part in parts]
+    columns = (torch.cat([getattr(one, field.name) for one in searches]) for field in fields(PressureSearch))
+    found = PressureSearch(*columns)
+    return _judged(parts[0].arm, task, 0, found, parts[0].settings)
+
+
+def _judged(
+    arm: "NamedArm", task: "NamedTask", first: int, found: "PressureSearch", settings: "Settings"
+) -> "StudyResult":
+    """A search under the loads from the first on, in the words of `torcharm evaluate`."""
+    from torcharm.attainability import evaluate_search
+    from torcharm.study import StudyResult
+
+    part = replace(task, task=_part(task, first, first + found.tip_error.numel()))
+    return StudyResult(arm, part, settings, evaluate_search(arm.design, part.task, found, **vars(settings)))
 
 
 def _report(task: "NamedTask", found: "Found") -> None:
-    console = open_console()
-    loads = count(math.prod(task.task.batch_shape), "load")
-    say(console, f"Task {task.name}, {count(task.task.nodes, 'node')}, {loads}")
+    from torcharm.study import summarise
+    from torcharm.study.results import result_rows
+
+    console, loads = open_console(), math.prod(task.task.batch_shape)
+    console.print(heading(task, loads))
     console.print()
-    print_table(_columns(found))
+    if loads > MOST:
+        print_table(list(summary_columns([(result, summarise(result)) for result in found])))
+        console.print()
+        say(console, "Loads of least, median and largest tip error:")
+        console.print()
+    every = [list(result_rows(result)) for result in found]
+    rows = [own[load] for result, own in zip(found, every, strict=True) for load in _told(result)]
+    print_table(_columns(rows), lead=2)
     console.print()
-    for arm, result in found:
-        failed = int(result.cost.isinf().sum())
-        if failed:
-            loads = count(failed, "load")
-            say(console, f"{arm.name}: no equilibrium was found under {loads}, left out of all but `converged`.")
+    for line in _reasons(rows, loads):
+        console.print(line)
+    console.print()
+
+
+def _reasons(rows: Sequence[dict[str, Any]], loads: int) -> Iterator[str]:
+    """Why loads are not held, once for all of an arm that share a reason."""
+    shared: dict[tuple[str, str], list[str]] = {}
+    for row in rows:
+        if row["reason"]:
+            shared.setdefault((row["arm"], row["reason"]), []).append(str(row["load"]))
+    for (arm, reason), own in shared.items():
+        which = f", load{'s' * (len(own) > 1)} {', '.join(own)}" if loads > 1 else ""
+        yield f"{arm}{which}: {reason}{'' if reason.endswith('?') else '.'}"
+
+
+def _told(result: "StudyResult") -> list[int]:
+    """The loads, from 0, that are told one by one: as in the picture, and the first without an equilibrium."""
+    if result.loads <= MOST:
+        return list(range(result.loads))
+    error = result.attainability.tip_error
+    assert error is not None
+    known = error.isfinite().flatten()
+    order = error.flatten().argsort(stable=True)[: int(known.sum())].tolist()
+    ranks = [order[0], order[(len(order) - 1) // 2], order[-1]] if order else []
+    return list(dict.fromkeys([*ranks, *(~known).nonzero().flatten().tolist()[:1]]))
+
+
+def _columns(told: Sequence[dict[str, Any]]) -> list[Column]:
+    """A row for each arm and load that is told: the verdict, the errors and the pressure of each actuator."""
+    from torcharm.inputs import three_digits
+
+    columns = [
+        Column("arm", [str(row["arm"]) for row in told], LONGEST_WORD),
+        Column("load", [str(row["load"]) for row in told]),
+        Column("verdict", [str(row["verdict"]) for row in told], LONGEST_WORD),
+    ]
+    shown = {"tip off\n[mm]": "tip_error_mm", "turned\n[°]": "tip_rotation_error_deg", "shape\n[mm]": "shape_error_mm"}
+    pressures = sorted({name for row in told for name in row if name.startswith("pressure_")}, key=_actuator)
+    shown |= {f"actuator {_actuator(name)}\n[kPa]": name for name in pressures}
+    for title, name in shown.items():
+        values = [row.get(name) for row in told]
+        if name in pressures and not any(value is not None for value in values):
+            continue
+        columns.append(Column(title, ["-" if value is None else three_digits(value) for value in values]))
+    return columns
+
+
+def _actuator(column: str) -> int:
+    """The number of the actuator whose pressures are in a column."""
+    return int(column.split("_")[1])
+
+
+def _legend(settings: "Settings", results: "Sequence[tuple[NamedTask, Found]]") -> Iterator[str]:
+    """What the tables mean, in a line each."""
+    found = [result for _, one in results for result in one]
+    if not found:
+        return
+    yield from verdict_legend(settings, found)
+    yield "tip off, turned: from the task's tip, at the best pressure found; shape: the mean along the arm."
+    yield "actuator: its pressure; numbers count all actuators of the arm, passive ones too, from 1."
 
 
 def _outputs(
@@ -162,13 +250,15 @@ def _outputs(
 
 def _draw(path: Path, task: "NamedTask", found: "Found") -> None:
     from torcharm.plot import search_figure
+    from torcharm.pressure.search import PressureSearch
 
-    shown = [(arm.name, arm.design, result) for arm, result in found]
+    searches = [(result, result.attainability.prediction) for result in found]
+    shown = [(one.arm.name, one.arm.design, search) for one, search in searches if isinstance(search, PressureSearch)]
     search_figure(shown, task.name, task.task).savefig(path)
 
 
 class _Rows:
-    """The rows of a CSV file, which is written whole again as they are found; an interruption leaves those found.
+    """The rows of a file, which is written whole again as they are found; an interruption leaves those found.
 
     A failure to write on the way is passed over: the rows are kept, and written once more at the end.
     """
@@ -186,7 +276,7 @@ class _Rows:
         if kind is not None and self.rows:
             self._save()
 
-    def add(self, rows: Iterator[dict[str, Any]]) -> None:
+    def add(self, rows: Iterable[dict[str, Any]]) -> None:
         if self.path is not None:
             self.rows += rows
             started = time.monotonic()
@@ -202,19 +292,10 @@ class _Rows:
                 self.write(partial)
 
     def write(self, path: Path) -> None:
-        with path.open("w", encoding="utf-8", newline="") as file:
-            # Tasks in the plane and in space have other loads, and arms other numbers of actuators.
-            header = dict.fromkeys(name for row in self.rows for name in row)
-            writer = csv.DictWriter(file, header, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(self.rows)
+        from torcharm.study.results import check_format, write_rows
 
-
-LEGEND = (
-    "cost [m²]: Σ ω (x² + y² + 0.05 θ²) of the pose errors along the arm, at the best pressure found",
-    "tip [mm]: how far the tip is then from the task's",
-    "converged: equilibria to which the descent came to its end; snapped: not along the branch from zero load",
-)
+        assert self.path is not None
+        write_rows(path, self.rows, f".{check_format(self.path)}")
 
 
 def _starts_of_blocks(task: "NamedTask", method: str) -> range:
@@ -223,61 +304,30 @@ def _starts_of_blocks(task: "NamedTask", method: str) -> range:
 
 
 def _blocks(
-    arm: "NamedArm", task: "NamedTask", method: str, starts: int | None, weights: str
-) -> "Iterator[tuple[int, PressureSearch]]":
+    arm: "NamedArm", task: "NamedTask", settings: "Settings", method: str, starts: int | None, weights: str
+) -> "Iterator[tuple[int, StudyResult]]":
     """The searches of one arm on one task, some loads at a time, with the number of the first load."""
     from torcharm.pressure.pose_cost import PoseCost
     from torcharm.pressure.search import search_pressure
+
+    for first in _starts_of_blocks(task, method):
+        part = _part(task, first, first + BLOCKS[method])
+        found = search_pressure(arm.design, part, method, starts=starts, pose_cost=PoseCost(weights), progress=False)
+        yield first + 1, _judged(arm, task, first, found, settings)
+
+
+def _part(task: "NamedTask", first: int, last: int) -> "Task":
+    """The task under some of its loads, which are along one dimension then."""
     from torcharm.task import Task
 
-    whole = task.task
+    whole, here = task.task, slice(first, last)
     loads = whole.tip_load.expand(*whole.batch_shape, -1).reshape(-1, whole.twists.shape[-1])
     shapes = whole.twists.expand(*whole.batch_shape, *whole.twists.shape[-2:]).reshape(-1, *whole.twists.shape[-2:])
-    for first in _starts_of_blocks(task, method):
-        here = slice(first, first + BLOCKS[method])
-        part = Task(
-            shapes[here],
-            loads[here],
-            whole.base_pose,
-            load=whole.load.with_tip(None),
-            wrench_at=whole.wrench_at,
-            segment_nodes=whole.segment_nodes,
-        )
-        found = search_pressure(arm.design, part, method, starts=starts, pose_cost=PoseCost(weights), progress=False)
-        yield first + 1, found
-
-
-def _rows(arm: "NamedArm", task: "NamedTask", first: int, found: "PressureSearch") -> Iterator[dict[str, Any]]:
-    """A row for each load."""
-    from torcharm.study.results import LOADS, pressure_columns
-
-    whole = task.task
-    loads = whole.tip_load.expand(*whole.batch_shape, -1).reshape(-1, whole.twists.shape[-1])[first - 1 :]
-    columns = dict(zip(LOADS[loads.shape[-1]], loads[: len(found.cost)].mT, strict=True))
-    columns |= {"cost_m2": found.cost, "tip_error_m": found.tip_error}
-    columns |= {"tip_rotation_error_rad": found.tip_rotation_error, "shape_error_m": found.shape_error}
-    columns |= {"converged": found.converged, "continued": found.continued, "in_range": found.in_range}
-    columns |= {"optimality": found.optimality, "spread_m2": found.spread}
-    columns |= pressure_columns(arm, found.pressure)
-    names = {"arm": plain_cell(arm.name), "task": plain_cell(task.name)}
-    for load, values in enumerate(zip(*(column.tolist() for column in columns.values()), strict=True), start=first):
-        cells = (str(value).lower() if isinstance(value, bool) else value for value in values)
-        yield names | {"load": load} | dict(zip(columns, cells, strict=True))
-
-
-def _columns(found: "Found") -> list[Column]:
-    titles = ("cost\nmedian", "cost\nlargest", "tip [mm]\nmedian", "converged", "snapped", "out of\nrange")
-    rows = []
-    for _, result in found:
-        cost, known = result.cost, result.cost.isfinite()
-        best, near = cost[known], result.tip_error[known]
-        measured = (best.quantile(0.5), best.max(), 1e3 * near.quantile(0.5)) if len(best) else ()
-        cells = (
-            *([f"{value:.4g}" for value in measured] or ["-"] * 3),
-            f"{int(result.converged.sum())} of {len(cost)}",
-            str(int((known & ~result.continued).sum())),
-            str(int((known & ~result.in_range).sum())),
-        )
-        rows.append(cells)
-    names = Column("arm", [arm.name for arm, _ in found], LONGEST_WORD)
-    return [names, *map(Column, titles, zip(*rows, strict=True))]
+    return Task(
+        shapes[here],
+        loads[here],
+        whole.base_pose,
+        load=whole.load.with_tip(None),
+        wrench_at=whole.wrench_at,
+        segment_nodes=whole.segment_nodes,
+    )

@@ -20,7 +20,7 @@ from torcharm.cli.terminal import (
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from torcharm.load import ExternalLoad
+    from torcharm.equilibrium import Equilibrium
     from torcharm.study import NamedArm
 
 
@@ -60,6 +60,7 @@ def shape(
         check_outputs(study, None, picture)
         from torcharm.equilibrium import solve_equilibrium
         from torcharm.load import ExternalLoad
+        from torcharm.pressure.search import LESS_COMPRESSION
         from torcharm.study import load_study, paper_study
         from torcharm.study.units import FORCE, MOMENT
 
@@ -82,6 +83,7 @@ def shape(
         say(console, f"{chosen.name}: tip at {_place(found.poses[-1])}")
         if not bool(found.continued):
             say(console, "The arm snapped on the way to the full load: other shapes are possible.")
+            say(console, f"To keep it from snapping, try {LESS_COMPRESSION}.")
         if not bool(found.stable):
             say(console, "The arm would not stay there: this equilibrium is not stable.")
         above = [f"{given:g} of {limit:g}" for given, limit in zip(pressures, limits, strict=True) if given > limit]
@@ -91,16 +93,19 @@ def shape(
             excess = float(found.strain_excess)
             what = f"Strains are up to {excess:.2g} out of range" if excess > 1e-9 else "Pressures are out of range"
             say(console, f"{what}: there the force models are extrapolated.")
-        save_all(console, [(picture, lambda path: _draw(path, chosen, found.twists, whole, nodes), ".")])
+        save_all(console, [(picture, lambda path: _draw(path, chosen, found), ".")])
 
 
 def _place(pose: "Tensor") -> str:
     """Where a tip is, and where it points."""
+    from torcharm.study.results import DEG, MM
+
     if pose.shape == (3,):
         x, y, angle = pose.tolist()
-        return f"x {x:.6g} m, y {y:.6g} m, heading {angle:.6g} rad"
+        return f"x {MM * x:.6g} mm, y {MM * y:.6g} mm, heading {DEG * angle:.6g}°"
     x, y, z = pose[:3, 3].tolist()
-    return f"x {x:.6g} m, y {y:.6g} m, z {z:.6g} m, pointing to ({', '.join(f'{one:.4g}' for one in pose[:3, 0])})"
+    direction = ", ".join(f"{one:.4g}" for one in pose[:3, 0])
+    return f"x {MM * x:.6g} mm, y {MM * y:.6g} mm, z {MM * z:.6g} mm, pointing to ({direction})"
 
 
 def _arm(arms: "tuple[NamedArm, ...]", name: str | None) -> "NamedArm":
@@ -137,15 +142,12 @@ def _numbers(option: str, text: str, units: Sequence[dict[str, float]]) -> list[
         raise ValueError(f"{option}: {error}") from None
 
 
-def _draw(path: Path, arm: "NamedArm", twists: "Tensor", load: "ExternalLoad", nodes: int) -> None:
+def _draw(path: Path, arm: "NamedArm", found: "Equilibrium") -> None:
     from matplotlib.figure import Figure
 
     from torcharm.plot import arm_shape
-    from torcharm.statics.balance import segments_of
-    from torcharm.task import Task
 
     figure = Figure(figsize=(6, 6), layout="constrained", dpi=150)
-    task = Task(twists, load=load, segment_nodes=[nodes] * len(segments_of(arm.design)[0]))
     projection = "3d" if arm.design.dimension == 3 else "rectilinear"
-    arm_shape(arm.design, task, ax=figure.add_subplot(projection=projection)).set_title(arm.name)
+    arm_shape(arm.design, found, ax=figure.add_subplot(projection=projection)).set_title(arm.name)
     figure.savefig(path)

@@ -108,6 +108,16 @@ class Equilibrium(HoldsTensors):
         return WORDS[int(code)] if code.ndim == 0 else np.array(WORDS)[code]
 
     @property
+    def load(self) -> ExternalLoad:
+        """What loads the arm."""
+        return self._problem.load
+
+    @property
+    def segment_nodes(self) -> tuple[int, ...]:
+        """How many elements each segment has."""
+        return self._problem.nodes
+
+    @property
     def poses(self) -> Tensor:
         """(*batch, N+1, 3) or (*batch, N+1, 4, 4) poses of the nodes and the tip [m, m, rad]."""
         problem = self._problem

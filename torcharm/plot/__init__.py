@@ -11,6 +11,7 @@ from torcharm.plot._common import (
     ATTAINABLE,
     KIND_STYLES,
     LONGEST_ARROW,
+    OTHER_STYLES,
     SMOOTHING,
     UNATTAINABLE,
 )
@@ -35,6 +36,7 @@ __all__ = [
     "ATTAINABLE",
     "KIND_STYLES",
     "LONGEST_ARROW",
+    "OTHER_STYLES",
     "SMOOTHING",
     "UNATTAINABLE",
     "arm_shape",

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm.actuators import Actuator, Bellows, McKibben, model_name
+from torcharm.actuators import Actuator, model_name
 from torcharm.design.space import Arm, one_of_batch
 from torcharm.inputs import check_count
 from torcharm.load import ExternalLoad, PointLoad
@@ -33,11 +33,13 @@ VERDICT_STYLES = {  # colour, marker, and whether that is filled
 }
 KIND_STYLES = {  # colour, width
     "bellows": ("#56B4E9", 4.5),
-    "muscle": ("#882255", 2.5),
+    "mckibben": ("#882255", 2.5),
     "chamber": ("#009E73", 3.5),
     "elastic core": ("#E69F00", 5.5),
-    "other": ("#999999", 3.5),
 }
+"""Of the models that torcharm has, by the words that tables and studies have for them."""
+OTHER_STYLES = (("#999999", 3.5), ("#CC79A7", 3.5), ("#0072B2", 3.5), ("#F0E442", 3.5))
+"""Of other models, in the order in which an arm has them."""
 SMOOTHING = 8  # points drawn on each element, so that one of constant curvature is seen to be an arc
 LONGEST_ARROW = 0.3  # of the largest force, as a share of the centreline's length
 
@@ -47,14 +49,12 @@ def array(value: Tensor) -> Array:
     return np.asarray(value.detach().double().cpu())
 
 
-def kind_of(model: Actuator) -> str:
-    """What a legend calls a force model; `style_of` is how it is drawn."""
-    return "bellows" if isinstance(model, Bellows) else "muscle" if isinstance(model, McKibben) else model_name(model)
-
-
-def style_of(kind: str) -> tuple[str, float]:
-    """Colour and width of a kind of force model."""
-    return KIND_STYLES.get(kind, KIND_STYLES["other"])
+def kind_styles(models: Sequence[Actuator]) -> dict[str, tuple[str, float]]:
+    """Colour and width of each kind of force model among some, by the word for it in legends, tables and studies."""
+    kinds = dict.fromkeys(map(model_name, models))
+    others = [kind for kind in kinds if kind not in KIND_STYLES]
+    own = {kind: OTHER_STYLES[index % len(OTHER_STYLES)] for index, kind in enumerate(others)}
+    return {kind: own[kind] if kind in own else KIND_STYLES[kind] for kind in kinds}
 
 
 def one_design(field: str, arm: Any, task: Task) -> Arm:
@@ -76,9 +76,8 @@ def pick(task: Task, index: int | Sequence[int]) -> Task:
 
     points = []
     for point in task.load.points:
-        wrench, mass = None if point.wrench is None else own(point.wrench, 1), own(point.mass, 0)
-        if wrench is not None or bool((mass > 0).any()):
-            points.append(PointLoad(wrench, point.segment, point.at, point.frame, mass))
+        wrench = None if point.wrench is None else own(point.wrench, 1)
+        points.append(PointLoad(wrench, point.segment, point.at, point.frame, own(point.mass, 0)))
     load = ExternalLoad(None if task.load.tip is None else own(task.load.tip, 1), task.load.gravity, points)
     twists = own(task.twists, 2)
     first = twists if twists.ndim == 2 else twists[0]

@@ -1,36 +1,39 @@
 """Arms at their shapes, with the loads on them, in the plane and in space."""
 
+import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.patches import FancyArrowPatch
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d import proj3d  # type: ignore[import-untyped]
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 from torch import Tensor
 
+from torcharm.actuators import model_name
 from torcharm.arm import ArmDesign
 from torcharm.attainability import Attainability
 from torcharm.design.space import Arm
-from torcharm.geometry import rod
+from torcharm.inputs import three_digits
 from torcharm.load import GRAVITY, ExternalLoad
 from torcharm.plot._common import (
     ATTAINABLE,
     LONGEST_ARROW,
-    SMOOTHING,
     UNATTAINABLE,
     Array,
     array,
     axes_or_new,
-    kind_of,
+    kind_styles,
     legend_below,
     median_place,
     one_design,
     one_shape,
     projection_of,
-    style_of,
 )
+from torcharm.plot._shapes import Centreline, Shape, centreline, task_of, twists_of
 from torcharm.statics.balance import segments_of
 from torcharm.task import Task
 
@@ -39,76 +42,58 @@ AROUND = 12
 SLIM = 0.35
 """A tube's radius over the least distance of two actuators, where no diameter is known."""
 TIP_WANTED = "tip pose wanted"
+PLATE = 0.04
+"""Half the width, at least, of the plate that stands for a pose, and how long the stem is on which it sits [m]."""
+NUMBERED = (0.35, 0.65)
+"""Where along a segment the numbers of its first and its last actuator stand, as shares of its arc."""
+NUMBER: dict[str, Any] = {"fontsize": 7, "ha": "center", "va": "center", "zorder": 6, "clip_on": True}
+NUMBER["path_effects"] = [withStroke(linewidth=2, foreground="white")]
+"""How they look."""
+SEEN: dict[str, Any] = {
+    "color": UNATTAINABLE,
+    "ha": "center",
+    "va": "top",
+    "zorder": 6,
+    "bbox": {"facecolor": "white", "edgecolor": "none", "alpha": 0.8},
+}
+"""How words look that may lie over a shape."""
+LEAST_SIDE = 0.5
+"""Of the longest side of a box in space, the shortest that has room for its numbers."""
 LINK = "#555555"
 """Colour of rigid links and of the base."""
 
 
-def arm_shape(arm: Arm, task: Task, *, reached: Tensor | None = None, ax: Axes | None = None) -> Axes:
+def arm_shape(arm: Arm, task: Task | Shape, *, reached: Shape | None = None, ax: Axes | None = None) -> Axes:
     """One arm at a shape: base plate, each actuator where it lies, rigid links, and loads and weights as arrows.
 
-    Actuators are lines in the plane, and tubes in space, where y points up.
+    Actuators are lines in the plane, and tubes in space, where y points up. Their numbers are those of tables and
+    reasons: their places in the arm, from 1, passive ones included.
 
     Args:
         arm: one design, or segments in series.
-        task: one shape, under any number of loads.
-        reached: (N, 3 or 6) twists of another shape, as of `found.prediction.twists`: the arm is drawn there, around a
-            dashed centreline, and the task's is solid.
+        task: one shape, under any number of loads; or what `evaluate` found, which is drawn with the shape predicted;
+            or what `solve_equilibrium`, `search_pressure` or `predict_error` found, or the twists (N, 3 or 6) of a
+            shape. Of an equilibrium loads and base are known; the rest hangs without loads.
+        reached: another shape, as twists or as what was found: the arm is drawn there, around a dashed centreline, and
+            the task's is solid.
         ax: 2-D axes to draw in, of an arm in space 3-D ones; None makes some.
 
     Raises:
-        ValueError: there are several designs or shapes, arm and task do not fit, or the axes are others.
+        ValueError: there are several designs or shapes, no shape was found, arm and task do not fit, or the axes are
+            others.
     """
-    task = one_shape(task)
-    arm = one_design("arm", arm, task)
-    if reached is not None and reached.numel() != task.twists.numel():
-        shape = tuple(task.twists.shape)
-        raise ValueError(f"reached: must have shape {shape}, as the task's twists, got {tuple(reached.shape)}")
-    axes = axes_or_new(ax, projection_of(task))
-    draw_arm(axes, arm, task, reached)
+    if isinstance(task, Attainability) and reached is None:
+        reached = task
+    drawn = one_shape(task_of(arm, task))
+    arm = one_design("arm", arm, drawn)
+    twists = None if reached is None else twists_of("reached", reached)
+    if twists is not None and twists.numel() != drawn.twists.numel():
+        shape = tuple(drawn.twists.shape)
+        raise ValueError(f"reached: must have shape {shape}, as the task's twists, got {tuple(twists.shape)}")
+    axes = axes_or_new(ax, projection_of(drawn))
+    draw_arm(axes, arm, drawn, twists)
     legend_below(axes)
     return axes
-
-
-@dataclass(frozen=True)
-class Centreline:
-    """Poses (P, 4, 4) along each segment, SMOOTHING to an element, and that of the tip."""
-
-    segments: list[Array]
-    tip: Array
-
-    @property
-    def points(self) -> Array:
-        """(Q, 3) places from the base to the tip, links included."""
-        return np.concatenate((*self.segments, self.tip[None]))[:, :3, 3]
-
-    @property
-    def gaps(self) -> list[Array]:
-        """(2, 3) where what follows each segment begins and ends."""
-        ends = [*(line[0] for line in self.segments[1:]), self.tip]
-        return [np.stack((line[-1], end))[:, :3, 3] for line, end in zip(self.segments, ends, strict=True)]
-
-
-def centreline(arm: Arm, twists: Tensor, task: Task) -> Centreline:
-    """Where an arm's centreline lies at twists, from a task's base."""
-    found, start = [], task.base_pose
-    parts = twists.detach().to(start).split(task.segment_nodes or (task.nodes,))
-    for own, link in zip(parts, segments_of(arm)[1], strict=True):
-        poses = rod.poses(own.repeat_interleave(SMOOTHING, 0), start)
-        found.append(in_space(array(poses)))
-        group, start = rod.group_of(twists.shape[-1]), poses[-1]
-        if link is not None:
-            start = group.compose(start, link.end(arm.dimension).detach().reshape(start.shape).to(start))
-    return Centreline(found, in_space(array(start)))
-
-
-def in_space(poses: Array) -> Array:
-    """Poses as homogeneous matrices (..., 4, 4), those of the plane (..., 3) at z = 0."""
-    if poses.shape[-2:] == (4, 4):
-        return poses
-    x, y, heading = np.moveaxis(poses, -1, 0)
-    none, one, cos, sin = 0 * x, 1 + 0 * x, np.cos(heading), np.sin(heading)
-    rows = ((cos, -sin, none, x), (sin, cos, none, y), (none, none, one, none), (none, none, none, one))
-    return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
 def seen(axes: Any, points: Array) -> tuple[Array, ...]:
@@ -132,22 +117,35 @@ def draw_arm(axes: Any, arm: Arm, task: Task, reached: Tensor | None = None, sca
     if axes.name == "3d":
         axes.computed_zorder = False  # else what lies within an arm would be hidden
     wide = max(float(np.linalg.norm(array(segment.offsets), axis=-1).max()) for segment in segments)
-    draw_plate(axes, at.segments[0][0], 1.25 * max(wide, 0.01), "base")
-    kinds = [kind_of(model) for model in arm.actuators]
+    half = 1.25 * max(wide, 0.01)
+    draw_plate(axes, at.segments[0][0], half, "base")
+    styles, first = kind_styles(arm.actuators), 1
     for segment, line in zip(segments, at.segments, strict=True):
-        _draw_actuators(axes, segment, line, 0.8 if reached is None else 0.3)
-    for kind in dict.fromkeys(kinds):
-        colour, width = style_of(kind)
+        _draw_actuators(axes, segment, line, styles, 0.8 if reached is None else 0.3)
+        _number_actuators(axes, segment, line, first)
+        first += segment.actuator_count
+    kinds = list(map(model_name, arm.actuators))
+    for kind, (colour, width) in styles.items():
         axes.plot([], [], color=colour, linewidth=1.3 * width, label=f"{kind} ({kinds.count(kind)})")
     _draw_links(axes, arm, at)
     if reached is None:
         axes.plot(*seen(axes, at.points), color=ATTAINABLE, linewidth=1, linestyle="-.", zorder=4, label="centreline")
     else:
         _draw_line(axes, wanted.points, ATTAINABLE, "-", "full", ("task", "its tip"))
-        off = f"tip reached, {1e3 * float(np.linalg.norm((wanted.tip - at.tip)[:3, 3])):.3g} mm off"
+        off = f"tip reached, {three_digits(1e3 * float(np.linalg.norm((wanted.tip - at.tip)[:3, 3])))} mm off"
         _draw_line(axes, at.points, UNATTAINABLE, "--", "none", ("reached", off))
     ends = _draw_loads(axes, arm, task.load, at, scale or arrow_scale(arm, task))
-    _limit(axes, np.concatenate((at.points, wanted.points, ends)))
+    _limit(axes, np.concatenate((at.points, wanted.points, ends)), half)
+
+
+def draw_wanted(axes: Any, arm: Arm, task: Task, words: str) -> None:
+    """The centreline of a task of one shape that no arm is drawn at, and why none is."""
+    wanted = centreline(arm, task.twists, task)
+    draw_plate(axes, wanted.segments[0][0], PLATE, "base")
+    _draw_line(axes, wanted.points, ATTAINABLE, "-", "full", ("task", "its tip"))
+    _limit(axes, wanted.points, PLATE)
+    place = axes.text2D if axes.name == "3d" else axes.text
+    place(0.5, 0.97, textwrap.fill(words, 44), transform=axes.transAxes, **SEEN)
 
 
 def _draw_line(axes: Any, points: Array, ink: str, dashes: str, fill: str, labels: tuple[str, str]) -> None:
@@ -170,15 +168,17 @@ def draw_plate(axes: Any, pose: Array, half: float, label: str) -> None:
         axes.plot(*seen(axes, rim[[0, len(rim) // 2]]), color=LINK, linewidth=7, solid_capstyle="butt", label=label)
 
 
-def _draw_actuators(axes: Any, segment: ArmDesign, line: Array, alpha: float) -> None:
+def _draw_actuators(
+    axes: Any, segment: ArmDesign, line: Array, styles: dict[str, tuple[str, float]], alpha: float
+) -> None:
     """Every actuator of one segment, in the colour of its kind: a line in the plane, a tube in space."""
     offsets, turn = array(segment.offsets), np.linspace(0, 2 * np.pi, AROUND + 1)
     apart = [np.linalg.norm(a - b) for i, a in enumerate(offsets) for b in offsets[:i]]
     slim = SLIM * min([float(one) for one in apart if one > 0] or [0.03])
     radii = [slim] * len(offsets) if segment.diameter is None else (0.5 * array(segment.diameter)).tolist()
     for (y, z), model, radius in zip(offsets, segment.actuators, radii, strict=True):
-        kind = kind_of(model)
-        colour, width = style_of(kind)
+        kind = model_name(model)
+        colour, width = styles[kind]
         if axes.name == "3d":
             own = np.stack((0 * turn, y + radius * np.cos(turn), z + radius * np.sin(turn), 1 + 0 * turn))
             skin = np.moveaxis((line @ own)[:, :3], 1, -1)
@@ -186,6 +186,15 @@ def _draw_actuators(axes: Any, segment: ArmDesign, line: Array, alpha: float) ->
         else:
             points = (line @ np.array((0.0, y, z, 1.0)))[:, :3]
             axes.plot(*seen(axes, points), color=colour, linewidth=width, solid_capstyle="butt", gid=kind)
+
+
+def _number_actuators(axes: Any, segment: ArmDesign, line: Array, first: int) -> None:
+    """The number of each actuator of one segment on it, at a place of its own, so that neighbours' are apart."""
+    offsets = array(segment.offsets)
+    places = np.linspace(*NUMBERED, len(offsets)) if len(offsets) > 1 else [np.mean(NUMBERED)]
+    for index, ((y, z), share) in enumerate(zip(offsets, places, strict=True)):
+        point = (line[round(share * (len(line) - 1))] @ np.array((0.0, y, z, 1.0)))[None, :3]
+        axes.text(*(float(part[0]) for part in seen(axes, point)), str(first + index), gid="number", **NUMBER)
 
 
 def _draw_links(axes: Any, arm: Arm, at: Centreline) -> None:
@@ -203,7 +212,8 @@ def _draw_loads(axes: Any, arm: Arm, load: ExternalLoad, at: Centreline, scale: 
         size = np.linalg.norm(force, axis=-1)
         start = seen(axes, np.broadcast_to(place, force.shape))
         if axes.name == "3d":
-            axes.quiver(*start, *seen(axes, force / scale), color=ATTAINABLE, arrow_length_ratio=0.2, zorder=4.5)
+            for own in force[size > 0]:
+                axes.add_artist(Arrow(np.stack(seen(axes, np.stack((place, place + own / scale))), -1)))
         else:
             how: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": scale, "zorder": 4.5}
             axes.quiver(*start, *seen(axes, force), color=ATTAINABLE, width=0.006 if len(size) == 1 else 0.003, **how)
@@ -224,6 +234,8 @@ def _loads(arm: Arm, load: ExternalLoad, at: Centreline) -> Any:
         pose = line[round(point.at * (len(line) - 1))]
         turn = pose[:3, :3] if point.frame == "body" else np.eye(3)
         mass = array(point.mass).reshape(-1, 1) * load.gravity
+        if point.wrench is None and not mass.any():
+            continue
         force, moment = (np.zeros((1, 3)),) * 2 if point.wrench is None else _in_world(point.wrench, turn)
         force, moment = np.broadcast_arrays(force - mass * [0.0, GRAVITY, 0.0], moment)
         yield "payload" if point.wrench is None else "point load", pose[:3, 3], force, moment
@@ -268,11 +280,27 @@ def draw_poses(axes: Any, base: Array, tip: Array, half: float) -> None:
     """Where an arm begins and is to end, by poses (4, 4)."""
     draw_plate(axes, base, half, "base")
     draw_plate(axes, tip, half, TIP_WANTED)
-    _limit(axes, np.concatenate([pose[:3, 3] + half * np.array([[-1.0] * 3, [1.0] * 3]) for pose in (base, tip)]))
+    _limit(axes, np.stack([pose[:3, 3] for pose in (base, tip)]), half)
 
 
-def _limit(axes: Any, points: Array) -> None:
-    """One scale along all axes; of space, z towards the viewer."""
+class Arrow(FancyArrowPatch):
+    """An arrow in space between two points (2, 3) of 3-D axes, whose head is as large however short it is."""
+
+    def __init__(self, ends: Array) -> None:
+        how: dict[str, Any] = {"arrowstyle": "-|>", "mutation_scale": 10, "shrinkA": 0, "shrinkB": 0, "linewidth": 1.5}
+        super().__init__((0.0, 0.0), (1.0, 1.0), color=ATTAINABLE, zorder=4.5, **how)
+        self.ends = ends
+
+    def do_3d_projection(self, renderer: object = None) -> float:
+        """Put it where its ends are seen; how deep the nearer is."""
+        axes: Any = self.axes
+        x, y, depth = proj3d.proj_transform(*self.ends.T, axes.M)
+        self.set_positions((x[0], y[0]), (x[1], y[1]))
+        return float(min(depth))
+
+
+def _limit(axes: Any, points: Array, wide: float) -> None:
+    """One scale along all axes, around points and, in space, what is so wide around them; z is towards the viewer."""
     if axes.name != "3d":
         axes.update_datalim(points[:, :2])
         axes.set(xlabel="x [m]", ylabel="y [m]")
@@ -280,7 +308,10 @@ def _limit(axes: Any, points: Array) -> None:
         axes.margins(0.08)
         axes.autoscale_view()
         return
-    low, high = points.min(0) - 0.06, points.max(0) + 0.06
+    room = wide + 0.03 * float(np.ptp(points, 0).max())
+    low, high = points.min(0) - room, points.max(0) + room
+    lack = np.maximum(LEAST_SIDE * (high - low).max() - (high - low), 0.0) / 2
+    low, high = low - lack, high + lack
     axes.set(xlim=(low[0], high[0]), ylim=(high[2], low[2]), zlim=(low[1], high[1]))
     axes.set(xlabel="x [m]", ylabel="z [m]", zlabel="y [m]")
     spans: Sequence[float] = (high - low)[[0, 2, 1]]
@@ -288,4 +319,5 @@ def _limit(axes: Any, points: Array) -> None:
     for axis, span in zip((axes.xaxis, axes.yaxis, axes.zaxis), spans, strict=True):
         # A short axis has no room for as many numbers as a long one, and its name lies beyond them.
         axis.set_major_locator(MaxNLocator(max(1, round(5 * span / max(spans)) - 1), steps=(1, 2, 5, 10)))
-        axis.labelpad = 8
+        axis.labelpad = 12 if axis is axes.zaxis else 8  # its numbers lie beside each other
+    axes.tick_params(labelsize="small")

@@ -1,54 +1,95 @@
 """A picture of an optimisation: errors on every task, and the arm's section, before and after."""
 
+from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from torcharm.actuators import model_name
 from torcharm.arm import ArmDesign
 from torcharm.design.result import OptimisedDesign
-from torcharm.plot._common import ARM_COLOURS, ATTAINABLE, UNATTAINABLE, mark_inks
+from torcharm.design.task_errors import TaskErrors
+from torcharm.inputs import three_digits
+from torcharm.plot._common import ATTAINABLE, UNATTAINABLE, array, kind_styles, mark_inks
 from torcharm.statics.balance import segments_of
+
+FEW = 12
+"""Tasks that are drawn one by one; more are a line each, in ascending order."""
 
 
 def optimisation_figure(result: OptimisedDesign, title: str = "") -> Figure:
-    """Tip errors predicted on every task, in ascending order, and where actuators sit, of the given and best design.
+    """Tip errors predicted on every task, and where actuators sit, of the given and best design.
 
-    The section shows radii against lengths of an arm in the plane, and offsets in space.
+    Of few tasks the errors of each are a pair of marks, of many a line in ascending order. The section shows radii
+    against lengths of an arm in the plane, and offsets in space; numbers are those of the actuators, from 1, passive
+    ones included.
     """
-    figure = Figure(figsize=(10, 4), layout="constrained")
+    figure = Figure(figsize=(10, 4.4), layout="constrained")
     errors, section = figure.subplots(1, 2)
-    for side, name, colour, dash in (
-        (result.before, "given", UNATTAINABLE, "--"),
-        (result.after, "best", ATTAINABLE, "-"),
-    ):
-        found = side.tip_error[side.stable]
-        values = (1e3 * found.sort().values).tolist()
-        left = (
-            f", {len(side.stable) - len(values)} without a stable equilibrium" if len(values) < len(side.stable) else ""
-        )
-        label = f"{name}: mean {side.tip_mm:.3g} mm{left}"
-        dots = {"marker": "o", "markersize": 3} if len(values) == 1 else {}  # a line of one point is none
-        errors.step(range(1, len(values) + 1), values, where="mid", color=colour, linestyle=dash, label=label, **dots)
-    errors.set(xlabel="tasks, the nearest first", ylabel="predicted tip error [mm]", title=title, ylim=(0, None))
-    errors.legend(frameon=False)
+    _draw_errors(errors, result.before, result.after)
+    errors.set_title(title)
     planar = result.best.dimension == 2
     names = ("radius [mm]", "neutral length [mm]") if planar else ("offset y [mm]", "offset z [mm]")
-    kinds = list(dict.fromkeys(map(model_name, result.best.actuators)))
+    styles = kind_styles(result.best.actuators)
     for arm, filled in ((result.given, False), (result.best, True)):
+        first = 1
         for segment in segments_of(arm)[0]:
-            _draw_section(section, segment, kinds, filled)
-    section.set(xlabel=names[0], ylabel=names[1], title="open: given; filled: best")
+            _draw_section(section, segment, styles, filled, first)
+            first += segment.actuator_count
+    section.set(xlabel=names[0], ylabel=names[1], title="open: given; filled: best, with numbers of actuators")
+    if not planar:
+        section.set_aspect("equal", adjustable="datalim")
+    section.margins(0.12)
     labels: dict[str, Any] = dict(zip(*reversed(section.get_legend_handles_labels()), strict=True))
-    section.legend(labels.values(), labels.keys(), frameon=False)
+    below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.14), "ncols": 4, "frameon": False}
+    section.legend(labels.values(), labels.keys(), **below)
     return figure
 
 
-def _draw_section(axes: Axes, arm: ArmDesign, kinds: list[str], filled: bool) -> None:
-    for index, kind in enumerate(kinds):
-        own = [place for place, model in enumerate(arm.actuators) if model_name(model) == kind]
-        colour = ARM_COLOURS[index % len(ARM_COLOURS)]
-        other = arm.length if arm.out_of_plane is None else arm.out_of_plane
-        across, along = (1e3 * value.detach()[own].numpy(force=True) for value in (arm.radii, other))
-        axes.scatter(across, along, s=80, label=kind if filled else None, **mark_inks(colour, filled))
+def _draw_errors(axes: Axes, before: TaskErrors, after: TaskErrors) -> None:
+    """The errors of both designs on each task, or sorted of many; those without a stable equilibrium are counted."""
+    tasks = len(before.stable)
+    for side, name, colour, dash, filled in (
+        (before, "given", UNATTAINABLE, "--", False),
+        (after, "best", ATTAINABLE, "-", True),
+    ):
+        stable = side.stable.numpy(force=True)
+        lost = f", {tasks - stable.sum()} without a stable equilibrium" if not stable.all() else ""
+        label = f"{name}: mean {three_digits(side.tip_mm)} mm{lost}"
+        error = 1e3 * array(side.tip_error)
+        if tasks <= FEW:
+            axes.scatter(np.flatnonzero(stable) + 1, error[stable], 50, label=label, **mark_inks(colour, filled))
+        else:
+            values = np.sort(error[stable])
+            axes.step(range(1, len(values) + 1), values, where="mid", color=colour, linestyle=dash, label=label)
+    if tasks <= FEW:
+        both = np.flatnonzero((before.stable & after.stable).numpy(force=True))
+        old, new = (1e3 * array(side.tip_error)[both] for side in (before, after))
+        axes.vlines(both + 1, old, new, color="#999999", linewidth=1, zorder=0)
+        axes.set(xlim=(0.5, tasks + 0.5), xticks=range(1, tasks + 1))
+    else:
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set(xlabel="task" if tasks <= FEW else "tasks, the nearest first", ylabel="predicted tip error [mm]")
+    axes.margins(y=0.12)
+    axes.set_ylim(0, None)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, frameon=False)
+
+
+def _draw_section(
+    axes: Axes, arm: ArmDesign, styles: Mapping[str, tuple[str, float]], filled: bool, first: int
+) -> None:
+    """Where the actuators of a segment sit; those of the best design with their numbers, from the first on."""
+    names = list(map(model_name, arm.actuators))
+    other = arm.length if arm.out_of_plane is None else arm.out_of_plane
+    across, along = (1e3 * array(value) for value in (arm.radii, other))
+    for kind, (colour, _) in styles.items():
+        own = [place for place, name in enumerate(names) if name == kind]
+        label = kind if filled else None
+        axes.scatter(across[own], along[own], s=80, label=label, **mark_inks(colour, filled))
+    if filled:
+        for index, place in enumerate(zip(across, along, strict=True)):
+            shift: Any = {"xytext": (0, 7), "textcoords": "offset points", "ha": "center", "fontsize": 8}
+            axes.annotate(str(first + index), place, **shift)

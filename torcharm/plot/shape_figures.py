@@ -12,10 +12,20 @@ from matplotlib.transforms import Bbox
 
 from torcharm.design.shape_planning import PlannedShape
 from torcharm.design.space import Arm
-from torcharm.inputs import TensorLike
+from torcharm.inputs import TensorLike, three_digits
 from torcharm.load import ExternalLoad
 from torcharm.plot._common import Array, array, median_place, one_design, pick, projection_of, ranked_places
-from torcharm.plot.arms import TIP_WANTED, arrow_scale, draw_arm, draw_plate, draw_poses, in_space, median_case
+from torcharm.plot._shapes import in_space, why_impossible
+from torcharm.plot.arms import (
+    PLATE,
+    TIP_WANTED,
+    arrow_scale,
+    draw_arm,
+    draw_plate,
+    draw_poses,
+    draw_wanted,
+    median_case,
+)
 from torcharm.pressure.search import PressureSearch
 from torcharm.task import Task
 
@@ -27,15 +37,14 @@ PANEL = 4.4
 """Width of a panel [inch],"""
 MARGIN = 0.9
 """of which so much is for the labels of its axis."""
-PLATE = 0.04
-"""Half the width, at least, of the plate that stands for a pose, and how long the stem is on which it sits [m]."""
 
 
 def search_figure(results: Sequence[tuple[str, Arm, PressureSearch]], task_name: str, task: Task) -> Figure:
     """One page that shows how near a pressure search brings arms to a task, for `figure.savefig(path)`.
 
     A row for each arm; in it the arm where it gets to, and the task's centreline, under the loads of least, median and
-    largest tip error. Loads under which no equilibrium was found are left out, and counted.
+    largest tip error. Loads under which no equilibrium was found are left out, and counted; of an arm for which none
+    was found, or an impossible task, the centreline wanted is drawn, and why.
 
     Args:
         results: names, designs, and what `search_pressure` found of each for all of the task.
@@ -64,11 +73,15 @@ def search_figure(results: Sequence[tuple[str, Arm, PressureSearch]], task_name:
         for axes, (rank, load) in zip(row, chosen.items(), strict=False):
             at = pick(task, load)
             draw_arm(axes, arm, at, twists[load], scale)
-            off = f"tip off by {1e3 * error[load]:.3g} mm, turned by {turned[load]:.3g}°"
+            off = f"tip off by {three_digits(1e3 * error[load])} mm, turned by {three_digits(turned[load])}°"
             which = _which(rank, len(error) - lost, lost)
             axes.set_title(f"{name}: {which}\n{off}\n{_load(at, load)}", fontsize="medium")
         if not chosen:
-            row[0].set_title(f"{name}: no equilibrium was found", fontsize="medium")
+            row[0].set_axis_on()
+            possible, wanted = bool(found.possible.any()), pick(task, 0)
+            words = "no equilibrium was found" if possible else "impossible"
+            draw_wanted(row[0], arm, wanted, words if possible else f"impossible: {why_impossible(arm, wanted)}")
+            row[0].set_title(f"{name}: {words}", fontsize="medium")
     _share(figure, grid)
     return figure
 
@@ -142,7 +155,7 @@ def plan_figure(
         draw_plate(axes, tip, half, TIP_WANTED)
         words = "planned" if result.verdict is None else str(np.ravel(result.verdict)[index])
         if reached is not None and result.tip_error is not None:
-            words += f"\npredicted tip off by {1e3 * float(result.tip_error.reshape(-1)[index]):.3g} mm"
+            words += f"\npredicted tip off by {three_digits(1e3 * float(result.tip_error.reshape(-1)[index]))} mm"
         axes.set_title(f"{name}: {words}", fontsize="medium")
     _share(figure, grid)
     return figure

@@ -12,8 +12,20 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from torcharm.attainability import VERDICTS, Attainability
 from torcharm.design.space import Arm
-from torcharm.plot._common import ARM_COLOURS, VERDICT_STYLES, Array, array, like_shape, mark_inks, pick, projection_of
-from torcharm.plot.arms import draw_arm, median_case
+from torcharm.inputs import three_digits
+from torcharm.plot._common import (
+    ARM_COLOURS,
+    VERDICT_STYLES,
+    Array,
+    array,
+    like_shape,
+    mark_inks,
+    one_design,
+    pick,
+    projection_of,
+)
+from torcharm.plot._shapes import why_impossible
+from torcharm.plot.arms import draw_arm, draw_wanted, median_case
 from torcharm.plot.hulls import SIDES, Scene, draw_node, make_scene
 from torcharm.task import Task
 
@@ -30,7 +42,8 @@ def study_figure(
     mark for each task by its verdict; where no error was predicted, what the nodes lack in sum. Below a column for each
     arm: the arm where it is predicted to be under the load of the median error, beside the shape of that task, or at
     that shape under all loads where nothing is predicted; and what pressures provide and all loads on that shape
-    require: in the plane at the base and at the node that lacks most, in space at the latter, seen along each axis.
+    require: in the plane at the base and at the node that lacks most, in space at the latter, seen along each axis. Of
+    an impossible task the centreline alone is drawn, with the reason: there are no forces of actuators without length.
 
     Args:
         results: names and designs.
@@ -43,32 +56,48 @@ def study_figure(
     _check(results, evaluated, prod(task.batch_shape))
     columns, flat = len(results), task.dimension == 2
     figure = Figure(figsize=(max(9.0, 5.5 * columns), 11.0 + 0.3 * columns), layout="constrained")
-    rows: Any = figure.subfigures(3, 1, height_ratios=(1.2 + 0.4 * columns, 5.0 if flat else 6.0, 3.2))
+    lost = [_is_lost(found, median_case(found)[0]) for found in evaluated]
+    heights = (1.2 + 0.4 * columns, 5.0 if flat else 6.0, *([] if all(lost) else [3.2]))
+    rows: Any = figure.subfigures(len(heights), 1, height_ratios=heights)
     figure.suptitle(task_name, fontsize="large", fontweight="bold")
     _draw_errors(rows[0].add_subplot(), [name for name, _ in results], evaluated)
-    cells = rows[2].subplots(1, columns * (2 if flat else 3), squeeze=False)[0].reshape(columns, -1)
+    panels = columns * (2 if flat else 3)
+    cells = None if all(lost) else rows[2].subplots(1, panels, squeeze=False)[0].reshape(columns, -1)
     scenes, views = [], []
     for column, ((name, arm), found) in enumerate(zip(results, evaluated, strict=True)):
         index, reached = median_case(found)
         axes = rows[1].add_subplot(1, columns, column + 1, projection=projection_of(task))
-        shared = np.flatnonzero(like_shape(task, index)).tolist()
-        scenes.append(make_scene(f"results[{column}]", arm, pick(task, shared)))
-        draw_arm(axes, arm, pick(task, shared if reached is None else index), reached)
         drawn = "" if reached is None else f"\ndrawn: load {index + 1} of {prod(task.batch_shape)}"
+        shared = np.flatnonzero(like_shape(task, index)).tolist()
+        if lost[column]:
+            arm = one_design(f"results[{column}]", arm, task)
+            draw_wanted(axes, arm, pick(task, index), f"impossible: {why_impossible(arm, pick(task, index))}")
+        else:
+            scenes.append(make_scene(f"results[{column}]", arm, pick(task, shared)))
+            draw_arm(axes, arm, pick(task, shared if reached is None else index), reached)
         axes.set_title(f"{textwrap.fill(f'{name}: {_counts(found)}', 60)}{drawn}", fontsize="medium")
         below = -0.12 if flat else 0.0
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, below), ncols=2, fontsize="small", frameon=False)
-        for panel, (node, sides) in zip(cells[column], _views(found, task), strict=True):
+        for panel, (node, sides) in zip([] if cells is None else cells[column], _views(found, task), strict=False):
+            if lost[column]:
+                panel.set_axis_off()
+                continue
             draw_node(panel, scenes[-1], node, sides, ARM_COLOURS[column % len(ARM_COLOURS)])
             inside = scenes[-1].inside[:, node]
             counted = f"node {node + 1} of {task.nodes}\n{inside.sum()} of {len(inside)} inside"
             panel.set_title(f"{textwrap.fill(name, 26)}\n{counted}", fontsize="small")
             views.append((panel, sides))
-    _limit(views, scenes)
-    handles, labels = cells[0, 0].get_legend_handles_labels()
-    labels = [label.split(":")[0] for label in labels]  # how many is in the titles
-    rows[2].legend(handles, labels, loc="outside lower center", ncols=3, fontsize="small", frameon=False)
+    if views:
+        _limit(views, scenes)
+        handles, labels = views[0][0].get_legend_handles_labels()
+        labels = [label.split(":")[0] for label in labels]  # how many is in the titles
+        rows[2].legend(handles, labels, loc="outside lower center", ncols=3, fontsize="small", frameon=False)
     return figure
+
+
+def _is_lost(found: Attainability, index: int) -> bool:
+    """Whether a task leaves the arm's centreline or an actuator no length."""
+    return bool(_words(found)[index] == "impossible") or bool(found.impossible.reshape(-1)[index])
 
 
 def _limit(views: Sequence[tuple[Axes, tuple[int, int]]], scenes: Sequence[Scene]) -> None:
@@ -115,10 +144,16 @@ def _draw_errors(axes: Any, names: Sequence[str], evaluated: Sequence[Attainabil
                 inks = mark_inks(colour, filled, marker)
                 axes.scatter(place[chosen], spread[chosen], 28, label=label, gid=word, **inks)
                 drawn.add(word)
-        middle = float(np.clip(np.median(place), LEAST, most))
+        middle = float(np.median(np.where(np.isnan(value), np.inf, value)))
+        if not np.isfinite(middle):
+            note = {"fontsize": "small", "va": "bottom", "ha": "left", "transform": axes.get_yaxis_transform()}
+            axes.text(0.01, row - 0.1, _why_none(found, words), **note)
+            continue
+        middle = max(middle, LEAST)
         axes.plot([middle] * 2, [row - 0.38, row + 0.38], color="black", linewidth=2)
-        tip = f" (tip: {np.median(_off(found)):.3g} mm)" if predicted else ""
-        axes.annotate(f" {middle:.3g}{tip}", (middle, row - 0.4), fontsize="small", va="bottom", ha="left")
+        tip = f" (tip: {three_digits(float(np.median(_off(found))))} mm)" if predicted else ""
+        side = "left" if middle < most / 4 else "right"
+        axes.annotate(f" {middle:.3g}{tip} ", (middle, row - 0.4), fontsize="small", va="bottom", ha=side)
     if predicted:
         axes.axvline(1.0, color="black", linestyle=":", linewidth=1, label=_tolerances(evaluated))
     axes.set_xscale("log")
@@ -130,8 +165,20 @@ def _draw_errors(axes: Any, names: Sequence[str], evaluated: Sequence[Attainabil
     axes.set_yticklabels(names)
     errors = "predicted error over its tolerance, the largest of tip, turn and shape"
     what = errors if predicted else "absolute unattainability [N]"
-    axes.set_xlabel(f"{what}\nbars are medians; at the right edge, none was found")
+    edge = "" if len(finite) == sum(map(len, values)) else "; at the right edge, none was found"
+    axes.set_xlabel(f"{what}\nbars are medians{edge}")
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small", frameon=False)
+
+
+def _why_none(found: Attainability, words: Any) -> str:
+    """Why there is no median: the verdict on most of the tasks without an error, and of impossible ones why."""
+    lost = [index for index, value in enumerate(_over(found)) if not np.isfinite(value)] if found.prediction else []
+    if not lost:
+        return "no median: most have no number"
+    if all(words[index] == "impossible" for index in lost):
+        reason = textwrap.shorten(str(np.ravel(np.asarray(found.reason))[lost[0]]), 90)
+        return f"impossible: {reason}"
+    return f"no median: of {len(lost)} of {len(words)} no stable shape was found"
 
 
 def _tolerances(evaluated: Sequence[Attainability]) -> str:

@@ -6,9 +6,9 @@ No load is raised from zero, as the search does. In return a shape that is predi
 reaches when it is loaded: under compression there are several.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, overload
+from typing import Any, ClassVar, overload
 
 import numpy as np
 import torch
@@ -81,6 +81,14 @@ class PredictedError(HoldsTensors):
     strain_excess: Tensor
     in_range: Tensor
     possible: Tensor
+
+    DOUBTS: ClassVar[Mapping[str, str]] = {
+        "not converged": "a stable shape, but perhaps not the best pressure: search_pressure may find a better one",
+        "unstable": "no stable equilibrium near the task's shape was found: search_pressure follows the arm from rest",
+        "not reached": "stable there, but loading from rest leads to another shape, which solve_equilibrium tells of "
+        "this pressure; search_pressure looks for the closest that loading reaches",
+    }
+    """Why a task is left undecided, by the status, and what to try."""
 
     def __repr__(self) -> str:
         """Shapes, no numbers."""

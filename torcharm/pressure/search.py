@@ -1,8 +1,8 @@
 """Pressure search: the pressure that brings an arm closest to a task, through its forward mechanics."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, overload
+from typing import Any, ClassVar, overload
 
 import numpy as np
 import torch
@@ -18,7 +18,7 @@ from torcharm.engine.searches import LOT, Searches, search_all
 from torcharm.engine.threads import spread
 from torcharm.engine.wrench_fit import make_fit
 from torcharm.equilibrium.solve import TOLERANCE, NotConvergedError
-from torcharm.equilibrium.stability import strain_excess
+from torcharm.equilibrium.stability import lengths_positive, strain_excess
 from torcharm.inputs import HoldsTensors, check_choice, check_count, check_flag, shapes_only
 from torcharm.pressure.errors import errors_at
 from torcharm.pressure.outcome import nothing_found
@@ -31,11 +31,14 @@ METHODS = ("multistart", "scipy")
 STARTS = {"multistart": 8, "scipy": 1}
 ROUNDS = 4
 """Ends of descents that continuation does not reach, from which a search goes on along a boundary."""
-WORDS = ("converged", "snapped", "not converged", "not found")
+WORDS = ("converged", "snapped", "not converged", "not found", "impossible")
 """What may be said of a search. Snapped: the arm gets there by a snap, not along one branch from zero load. Not
 converged: an equilibrium
 that is reached, but the descent did not come to its end, or leads on to where continuation does not follow: the
-pressure then is next to a jump. Not found: no start led to a stable equilibrium."""
+pressure then is next to a jump. Not found: no start led to a stable equilibrium. Impossible: the task's shape leaves an
+actuator no length."""
+LESS_COMPRESSION = "a lower load, a stiffer arm, or antagonists that push and pull against each other"
+"""What keeps an arm from buckling, for a person who may change it."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,7 +59,8 @@ class PressureSearch(HoldsTensors):
         converged: (*batch) whether it is a stable equilibrium along one branch from zero load, the descent to it came
             to its end, and none led to a better one that continuation does not reach.
         continued: (*batch) whether continuation from zero load reaches it along one branch.
-        stable: (*batch) whether the arm stays there.
+        stable: (*batch) whether the task is possible, and the arm stays there.
+        possible: (*batch) whether every length of the task's shape is above 0.
         strain_excess: (*batch) largest strain beyond its actuator's characterised range, 0 if none is.
         in_range: (*batch) whether every strain and pressure lies in the characterised range.
         start_cost: (*batch, S) what each start came to by itself, before it was given up or at its end; infinite where
@@ -75,9 +79,19 @@ class PressureSearch(HoldsTensors):
     converged: Tensor
     continued: Tensor
     stable: Tensor
+    possible: Tensor
     strain_excess: Tensor
     in_range: Tensor
     start_cost: Tensor
+
+    DOUBTS: ClassVar[Mapping[str, str]] = {
+        "snapped": "the arm gets there by a snap, so that it may end elsewhere: try to raise the pressures before the "
+        f"load, {LESS_COMPRESSION}",
+        "not converged": "a stable shape that loading reaches, next to a jump to another: more starts may find a "
+        f"better pressure; else try {LESS_COMPRESSION}",
+        "not found": f"no start led to a stable equilibrium: try more starts, {LESS_COMPRESSION}",
+    }
+    """Why a task is left undecided, by the status, and what to try."""
 
     def __repr__(self) -> str:
         """Shapes, no numbers."""
@@ -90,11 +104,22 @@ class PressureSearch(HoldsTensors):
         return known.nanmedian(-1).values - self.cost
 
     @property
+    def at_minimum(self) -> Tensor:
+        """(*batch) whether it is known to be the best nearby, as a prediction says it: the same as `converged`."""
+        return self.converged
+
+    @property
+    def reached(self) -> Tensor:
+        """(*batch) whether loading from rest leads there, as a prediction says it: the same as `continued`."""
+        return self.continued
+
+    @property
     def status(self) -> str | NDArray[Any]:
         """What to think of it, in a word of `WORDS`: one, or an array of them."""
         code = np.where(self.converged.numpy(force=True), 0, 2)
         code = np.where(self.continued.numpy(force=True), code, 1)
         code = np.where(self.stable.numpy(force=True), code, 3)
+        code = np.where(self.possible.numpy(force=True), code, 4)
         return WORDS[int(code)] if code.ndim == 0 else np.array(WORDS)[code]
 
 
@@ -214,7 +239,9 @@ def search_pressure(
 def _result(prepared: Prepared, plain: Prepared, found: Searches) -> PressureSearch:
     """What is said of what was found."""
     place, twists = plain.shaped(found.place), plain.shaped(found.twists)
-    stable = plain.shaped(stays_at(plain, found.place, found.twists, found.how != FAILED))
+    with torch.no_grad():
+        possible = lengths_positive(plain.problem, plain.twists).expand(plain.batch)
+    stable = plain.shaped(stays_at(plain, found.place, found.twists, found.how != FAILED)) & possible
     continued = plain.shaped(found.how == CONTINUED) & stable
     converged = plain.shaped(found.at_end) & continued
     errors = errors_at(prepared, place, twists, converged, stable)
@@ -233,6 +260,7 @@ def _result(prepared: Prepared, plain: Prepared, found: Searches) -> PressureSea
         converged,
         continued,
         stable,
+        possible,
         excess,
         within,
         plain.shaped(found.start_cost),

@@ -22,6 +22,7 @@ from torcharm.study.results import (
     result_rows,
     summarise,
     write_results,
+    write_rows,
 )
 from torcharm.study.writing import arm_to_toml
 
@@ -45,4 +46,5 @@ __all__ = [
     "result_rows",
     "summarise",
     "write_results",
+    "write_rows",
 ]

@@ -23,12 +23,14 @@ from torcharm.study.data import NamedArm, NamedPlan, NamedTask, Optimisation, Se
 from torcharm.study.fields import field_path, first_mistake, one_line, shown_value, within
 from torcharm.study.tables import EvaluateTable, OptimiseTable, PlanTable, StudyTable
 from torcharm.study.task_reading import (
-    check_base,
     check_columns,
     check_fit,
     check_values,
+    columns_of,
     make_task,
+    read_base,
     read_points,
+    read_pose,
     shape_field,
 )
 from torcharm.study.task_tables import ShapedTask, TwistTask
@@ -109,7 +111,8 @@ def _study(table: StudyTable, folder: Path) -> Study:
             arms.append(make_arm(entry, folder))
     for index, job in enumerate(table.task):
         with within(field_path(["task", index]), job.name):
-            tasks.append(make_task(job))
+            its_arms = [arm.design for arm in arms if not job.arms or arm.name in job.arms]
+            tasks.append(make_task(job, 3 if its_arms and all(arm.dimension == 3 for arm in its_arms) else 2))
             _check_arms(job, tasks[-1], arms)
     with within("evaluate", ""):
         settings = _settings(table.evaluate)
@@ -178,14 +181,15 @@ def _plan(table: PlanTable, arms: Sequence[NamedArm]) -> NamedPlan:
         missing = "length_weight" if weight is None else "reference_length"
         raise ValueError(f"{missing}: must be given too, as the other is; without both, unattainability is minimised")
     smoothness = None if weight is None or reference is None else Smoothness(weight, reference)
-    columns = 3 if len(table.tip_pose) == 3 else 6
+    columns = columns_of(table.tip_pose)
     load = [0.0] * columns if table.tip_load is None else table.tip_load
     check_columns("tip_load", len(load), columns, POSE_IS)
-    check_base(table.base_pose, columns, POSE_IS)
+    base = read_base(table.base_pose, columns, POSE_IS)
+    tip = read_pose("tip_pose", table.tip_pose, base)
     chosen = _planned(table, arms, columns)
     points = read_points(table, columns, min(len(segments_of(arm.design)[0]) for arm in chosen))
     whole, names = ExternalLoad(load, table.gravity, points), tuple(arm.name for arm in chosen)
-    return NamedPlan(table.name, table.tip_pose, whole, smoothness, table.nodes, table.base_pose, table.in_range, names)
+    return NamedPlan(table.name, tip, whole, smoothness, table.nodes, base, table.in_range, names)
 
 
 POSE_IS = {3: "in the plane, as tip_pose is", 6: "in space, as tip_pose is"}

@@ -20,12 +20,15 @@ from torcharm.study.data import NamedArm, NamedTask, Settings, Study
 from torcharm.wrench_sets.node_distances import METRICS
 
 RESULT_FORMATS = ("csv", "json")
-_MM, _DEG = 1e3, 180.0 / np.pi
+MM, DEG = 1e3, 180.0 / np.pi
+"""In a metre, and in a radian: files and tables hold lengths in millimetres, and angles in degrees."""
 
 
 @dataclass(frozen=True)
 class StudyResult(HoldsTensors):
-    """What `torcharm.evaluate` found for one arm on one task; a load has the task's batch shape.
+    """What `torcharm.evaluate` found for one arm on one task, or a pressure search in its words.
+
+    A load has the task's batch shape.
 
     Attributes:
         arm, task: what was evaluated.
@@ -136,11 +139,7 @@ def _example(result: StudyResult) -> tuple[int, str, str] | None:
 
 
 def write_results(path: str | PathLike[str], results: Sequence[StudyResult], ending: str | None = None) -> int:
-    """Write a file with a row for every arm, task and load, as CSV or JSON by its ending; returns the number of rows.
-
-    The file appears whole, and what was there stays if it cannot be written. In CSV, names that a spreadsheet would
-    take for formulas, with =, +, - or @ first, get an apostrophe before them, truths are true and false, and what does
-    not apply is empty.
+    """Write a row for every arm, task and load by `write_rows`; returns their number.
 
     Columns: arm; task; load, counted from 1; force_x_N, force_y_N and moment_Nm at the tip (in space six); verdict and
     reason; tip_error_mm, tip_rotation_error_deg and shape_error_mm; worst_node, counted from 1, and worst_miss_N;
@@ -152,12 +151,33 @@ def write_results(path: str | PathLike[str], results: Sequence[StudyResult], end
         ValueError: the ending is none of `RESULT_FORMATS`.
         OSError: the file cannot be written.
     """
+    return write_rows(path, [row for result in results for row in result_rows(result)], ending)
+
+
+def write_rows(path: str | PathLike[str], rows: Sequence[Mapping[str, Any]], ending: str | None = None) -> int:
+    """Write the rows of a table, as CSV or JSON by its ending; returns their number. All commands write by it.
+
+    The file appears whole, and what was there stays if it cannot be written. In CSV, texts that a spreadsheet would
+    take for formulas, with =, +, - or @ first, get an apostrophe before them, truths are true and false, and what does
+    not apply is empty; in JSON it is null, or left out of rows to which the column does not belong.
+
+    Columns end in the unit of their numbers, the same in all commands: lengths in mm, angles in deg, pressures in kPa,
+    forces in N and moments in Nm.
+
+    Args:
+        path: of the file.
+        rows: cells by the names of their columns, which need not be the same in all rows.
+        ending: by which the format is chosen; None takes that of the path.
+
+    Raises:
+        ValueError: the ending is none of `RESULT_FORMATS`.
+        OSError: the file cannot be written.
+    """
     json_wanted = check_format(path if ending is None else f"results{ending}") == "json"
-    rows = [row for result in results for row in result_rows(result)]
     header = list(dict.fromkeys(name for row in rows for name in row))
     with atomic_write(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
         if json_wanted:
-            json.dump(rows, file, indent=1)
+            json.dump(list(rows), file, indent=1)
             file.write("\n")
             return len(rows)
         writer = csv.writer(file, lineterminator="\n")
@@ -180,18 +200,23 @@ def check_format(path: str | PathLike[str]) -> str:
     return ending
 
 
-def result_rows(result: StudyResult) -> Iterator[dict[str, Any]]:
-    """A row for each load, with the columns of `write_results`; None where there is no value."""
+def result_rows(result: StudyResult, first: int = 1) -> Iterator[dict[str, Any]]:
+    """A row for each load, with the columns of `write_results`; None where there is no value.
+
+    Args:
+        result: of one arm on one task.
+        first: the number of the first load, where the task is a part of another.
+    """
     found, task = result.attainability, result.task.task
-    columns: dict[str, Sequence[Any]] = {"load": range(1, result.loads + 1)}
+    columns: dict[str, Sequence[Any]] = {"load": range(first, first + result.loads)}
     tip = task.tip_load.detach().expand(*task.batch_shape, -1).reshape(result.loads, -1)
     columns |= dict(zip(LOADS[tip.shape[-1]], tip.mT.tolist(), strict=True))
     words = result.verdicts
     if words is not None:
         columns |= {"verdict": words}
     columns |= {"reason": result.reasons}
-    scaled = (("tip_error", "tip_error_mm", _MM), ("tip_rotation_error", "tip_rotation_error_deg", _DEG))
-    for name, title, scale in (*scaled, ("shape_error", "shape_error_mm", _MM)):
+    scaled = (("tip_error", "tip_error_mm", MM), ("tip_rotation_error", "tip_rotation_error_deg", DEG))
+    for name, title, scale in (*scaled, ("shape_error", "shape_error_mm", MM)):
         value = getattr(found, name)
         if value is not None:
             columns |= {title: _numbers(scale * value)}

@@ -154,7 +154,14 @@ class PlanTable(WeighedTable):
     """A tip pose for which torcharm plan finds a shape of each arm."""
 
     name: Name = Field(description="What tables and files call the plan.", examples=["drawer"])
-    tip_pose: TipPose = Field(description="Place and heading of the tip.", examples=[[0.35, -0.3, 0.0]])
+    tip_pose: TipPose = Field(
+        description="Place and heading of the tip, in the plane as a list [x, y, θ], in space as a table, or as the "
+        "four rows of a homogeneous matrix.",
+        examples=[
+            [0.35, -0.3, 0.0],
+            {"position": ["100 mm", "-400 mm", "50 mm"], "direction": [0.5, -1.0, 0.2], "turn": "0 deg"},
+        ],
+    )
     tip_load: Load | None = Field(
         default=None,
         description="Force and moment at the tip under which the shape is to be held. Without it, none.",

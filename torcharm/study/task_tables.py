@@ -23,14 +23,15 @@ from torcharm.study.fields import (
     refuse,
     shown_value,
 )
-from torcharm.study.units import Angle, Load, Mass, Pose, PositiveLength, Twist
+from torcharm.study.units import Angle, Load, Mass, Pose, Position, PositiveLength, Twist
 from torcharm.task import WRENCH_PLACES
 
 _length: Any = Field(default=0.5, description="Length of the centreline.", examples=["490 mm"])
 _nodes: Any = Field(default=10, description="Elements into which the arm, or its segment, is divided.")
 _direction: Any = Field(
     default=None,
-    description="Direction across the arm to which it bends, from its left (y) towards z; for a shape in space.",
+    description="Direction across the arm to which it bends, from its left (y) towards z; for a shape in space that is "
+    "not straight.",
     examples=["90 deg"],
 )
 Nodes = Annotated[int, Field(ge=1, le=10_000)]
@@ -159,7 +160,26 @@ class PointTable(Table):
     )
 
 
+class PoseTable(Table):
+    """A pose in space in words: where it is, where it points, and how far it is turned about that."""
+
+    stands_alone: ClassVar[bool] = False
+    position: Position = Field(description="Its place in the world.", examples=[["100 mm", "-300 mm", "50 mm"]])
+    direction: Annotated[list[float], entries("x", "y", "z")] = Field(
+        description="Where the arm's centreline points there, in the world: a vector of any length.",
+        examples=[[0.5, -1.0, 0.2]],
+    )
+    turn: Angle = Field(
+        default=0.0,
+        description="Angle about that direction. At 0 a tip is turned as an arm has it that bends in one plane from "
+        "its base, and a base as one that hangs and is tilted to the direction.",
+        examples=["30 deg"],
+    )
+
+
 def _by_form(value: Any) -> str:
+    if isinstance(value, dict):
+        return "<table>"
     return "<matrix>" if isinstance(value, list) and any(isinstance(row, list) for row in value) else "<pose>"
 
 
@@ -167,24 +187,29 @@ _Matrix = Annotated[
     list[Annotated[list[float], entries("x axis", "y axis", "z axis", "position")]],
     entries("row 1", "row 2", "row 3", "row 4"),
 ]
-_POSE = "a list [x, y, θ], or in space the four rows of a homogeneous matrix"
+IN_SPACE = "a table of position, direction and turn, or the four rows of a homogeneous matrix [m]"
+_POSE = f"a list [x, y, θ], or in space {IN_SPACE}"
 TipPose = Annotated[
-    Annotated[_Matrix, Tag("<matrix>")] | Annotated[Pose, Tag("<pose>")], Discriminator(_by_form), either(_POSE, list)
+    Annotated[PoseTable, Tag("<table>")] | Annotated[_Matrix, Tag("<matrix>")] | Annotated[Pose, Tag("<pose>")],
+    Discriminator(_by_form),
+    either(_POSE, list, dict),
 ]
 BasePose = Annotated[
     Annotated[str, one_of(tuple(HEADINGS)), Tag("<name>")]
+    | Annotated[PoseTable, Tag("<table>")]
     | Annotated[_Matrix, Tag("<matrix>")]
     | Annotated[Pose, Tag("<pose>")],
     Discriminator(lambda value: "<name>" if isinstance(value, str) else _by_form(value)),
-    either(f"{', '.join(HEADINGS)}, {_POSE}", str, list),
+    either(f"{', '.join(HEADINGS)}, {_POSE}", str, list, dict),
 ]
 base_pose: Any = Field(
     default=HANGING,
     description="Where the arm's base is: hanging, upright or horizontal at the origin; in the plane a list [x, y, θ] "
-    "of its place and heading, in space the four rows of a homogeneous matrix.",
+    "of its place and heading, in space a table, or the four rows of a homogeneous matrix.",
     examples=[
         "upright",
         [0.0, 0.0, "-90 deg"],
+        {"position": [0.0, "20 mm", 0.0], "direction": [1.0, -1.0, 0.0]},
         [[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]],
     ],
 )

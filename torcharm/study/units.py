@@ -102,6 +102,7 @@ Load = each_in(
     {"f_x": FORCE, "f_y": FORCE, "f_z": FORCE, "m_x": MOMENT, "m_y": MOMENT, "m_z": MOMENT},
 )
 Pose = each_in({"x": LENGTH, "y": LENGTH, "θ": ANGLE})
+Position = each_in({"x": LENGTH, "y": LENGTH, "z": LENGTH})
 Twist = each_in(
     {"l": LENGTH, "γ": LENGTH, "κ": ANGLE},
     {"l": LENGTH, "γ_y": LENGTH, "γ_z": LENGTH, "κ_x": ANGLE, "κ_y": ANGLE, "κ_z": ANGLE},
