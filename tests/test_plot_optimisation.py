@@ -21,7 +21,7 @@ def errors(count: int, seed: int) -> TaskErrors:
     yes = torch.ones(count, dtype=torch.bool)
     stable = yes.clone()
     stable[count // 2 + 1 :] = False  # of one or two tasks none
-    return TaskErrors(found, found, torch.zeros(count, 4), yes, stable, yes)
+    return TaskErrors(found, found, torch.zeros(count, 4), yes, stable, yes, -torch.ones(count))
 
 
 @cache
