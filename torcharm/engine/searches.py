@@ -57,6 +57,12 @@ that is known, but where the arm moves on, or is about to lose its stability; or
 SAME_PLACE = 1e-4
 """Difference of two places that counts as none: the costs of minima differ by a 1e-8th then."""
 
+FAR_BELOW = 0.5
+"""Of the best cost: a lost end below that is worth loading the arm around it."""
+NEARBY, NEARER, CLOSER = 0.02, 0.75, 40
+"""How far around it, in normalised pressures, by which factor each place is nearer than the last, and how many places
+are between the best of these and the end."""
+
 
 @by_reference
 class Searches(NamedTuple):
@@ -237,6 +243,31 @@ def _try_other_ends(problem, work, search, b, at_end, start, tolerance):  # type
 
 
 @part
+def _load_nearby(problem, work, search, b, j, pool, start, tolerance):  # type: ignore[no-untyped-def]
+    """Load the arm at places ever closer around a lost end, and between it and the best of them: beside it the arm may
+    be led there."""
+    points, reach_out, found, step = work.points, NEARBY, False, 0.5
+    for q in range(len(pool) + CLOSER):
+        around = q < len(pool)
+        reach_out *= NEARER
+        for m in range(pool.shape[1]):
+            place = points.place[j, m]
+            if around:
+                place += reach_out * (2.0 * pool[q, m] - 1.0)
+            else:
+                place = points.place[BEST, m] + step * (place - points.place[BEST, m])
+            points.place[AIM, m] = min(max(place, 0.0), 1.0)
+        if not around and not found:
+            break
+        reach_and_keep(problem, work, search, b, AIM, TRIED, start, tolerance)
+        if improves(work, TRIED, BEST):
+            keep_point(work, search, BEST, TRIED)
+            found, step = True, 0.5
+        elif not around:
+            step *= 0.7
+
+
+@part
 def _search(problem, work, search, fit, b, shape, pool, spread, rounds, start, tolerance):  # type: ignore[no-untyped-def]
     """Write the best point; whether it is the end of a descent, and none led to a better one."""
     points = work.points
@@ -251,7 +282,8 @@ def _search(problem, work, search, fit, b, shape, pool, spread, rounds, start, t
     work.path.stays[0] = False
     if rounds > 0 and not at_end and math.isfinite(points.known[BEST, HALF_COST]):
         at_end = release(problem, work, search, b, BEST, start, tolerance)
-    lost = points.known[_best_of(points.known[:, HALF_COST], FIRST_LOST, FIRST_LOST + LOST), HALF_COST]
+    first_lost = _best_of(points.known[:, HALF_COST], FIRST_LOST, FIRST_LOST + LOST)
+    lost = points.known[first_lost, HALF_COST]
     for _ in range(rounds):
         before, j = points.known[BEST, HALF_COST], _best_of(points.known[:, HALF_COST], FIRST_LOST, FIRST_LOST + LOST)
         if not points.known[j, HALF_COST] < (1.0 - WORTH) * before:
@@ -260,6 +292,10 @@ def _search(problem, work, search, fit, b, shape, pool, spread, rounds, start, t
         points.known[j, HALF_COST] = math.inf
         if points.known[BEST, HALF_COST] < before:
             at_end = ended
+    if rounds > 0 and lost < FAR_BELOW * points.known[BEST, HALF_COST]:
+        before = points.known[BEST, HALF_COST]
+        _load_nearby(problem, work, search, b, first_lost, pool, start, tolerance)
+        at_end = at_end and not points.known[BEST, HALF_COST] < before
     return at_end and not lost < (1.0 - WORTH) * points.known[BEST, HALF_COST]
 
 
