@@ -149,9 +149,11 @@ def test_the_best_arms_are_a_study_to_evaluate(tmp_path: Path) -> None:
     assert best.optimisation == given.optimisation
     for old, new in zip(given.tasks, best.tasks, strict=False):
         torch.testing.assert_close(new.task.load.tip, old.task.load.tip)
-    arm = best.arms[0].design
-    assert arm.actuators == given.arms[0].design.actuators
-    assert arm.radii.tolist() != given.arms[0].design.radii.tolist()
+    arm, old_arm = best.arms[0].design, given.arms[0].design
+    assert isinstance(arm, ta.ArmDesign)
+    assert isinstance(old_arm, ta.ArmDesign)
+    assert arm.actuators == old_arm.actuators
+    assert arm.radii.tolist() != old_arm.radii.tolist()
     for values in (arm.radii, arm.length):
         assert all(f"{1e3 * value:.1f}" in answer.stdout for value in values.tolist())
         assert values.tolist() == [round(value, 5) for value in values.tolist()]
