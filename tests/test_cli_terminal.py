@@ -42,7 +42,7 @@ COMMANDS = {
     "evaluate": (".csv or .json",),
     "fit": ("[N·m²]", "[default: 40.0]", "[required]"),
     "init": ("--all",),
-    "optimise": ("its table [optimise]", "tables [[arm]] to paste", ".toml", ".csv"),
+    "optimise": ("its table [optimise]", "as a study on the same tasks", ".toml", ".csv"),
     "plan": ("begin with [[plan]]", "to a file .csv or .json"),
     "search": ("to a file .csv or .json", "--figure"),
     "shape": ("force y [N], moment [N·m]",),

@@ -12,6 +12,7 @@ import torch
 import torcharm as ta
 from torcharm import plot
 from torcharm.design.task_errors import TaskErrors
+from torcharm.inputs import three_digits
 
 matplotlib.use("Agg")
 
@@ -21,7 +22,7 @@ def errors(count: int, seed: int) -> TaskErrors:
     yes = torch.ones(count, dtype=torch.bool)
     stable = yes.clone()
     stable[count // 2 + 1 :] = False  # of one or two tasks none
-    return TaskErrors(found, found, torch.zeros(count, 4), yes, stable, yes, -torch.ones(count))
+    return TaskErrors(found, 2 * found, torch.zeros(count, 4), yes, stable, yes, -torch.ones(count))
 
 
 @cache
@@ -49,6 +50,15 @@ def test_few_tasks_are_pairs_of_marks(count):
     low, high = axes.get_ylim()
     assert low == 0.0 < max(given[:, 1].max(), best[:, 1].max()) < high
     figure.savefig(io.BytesIO())
+
+
+def test_errors_are_of_the_shape_where_these_were_minimised():
+    found = dataclasses.replace(result(3), objective=ta.Objective())
+    axes = plot.optimisation_figure(found).axes[0]
+    for mark, side in zip(axes.collections[:2], (found.before, found.after), strict=True):
+        np.testing.assert_allclose(mark.get_offsets()[:, 1], 1e3 * side.shape_error.numpy()[side.stable.numpy()])
+    assert axes.get_ylabel() == "predicted shape error [mm]"
+    assert f"mean {three_digits(found.after.shape_mm())} mm" in axes.get_legend_handles_labels()[1][1]
 
 
 def test_many_tasks_are_two_lines_in_ascending_order():

@@ -547,7 +547,7 @@ BAD = {
     "no such arm": (study_text(RING, f'{BEND}\narms = ["b"]'), "task[1].arms[1]: must be one of a, got"),
     "an arm without tasks": (
         SMALL.replace('name = "t"', 'name = "t"\narms = ["a"]') + f'[[arm]]\nname = "b"\n{RING}',
-        "arm[2]: must have a task, but all are for other arms",
+        'arm[2]: must have a task, but all are for other arms: add "b" to the list task[1].arms, or to another task\'s',
     ),
     "unknown frame": (
         study_text(RING, f'{BEND}\npoints = [{{ wrench = [0, 0, 0, 0, 0, 0], frame = "tip" }}]'),

@@ -291,3 +291,21 @@ def test_corners_bound_all_points(columns: int, points: list[tuple[int, int, int
     for normal in np.random.default_rng(0).normal(size=(50, columns)):
         assert (cloud @ normal).max() <= (corners @ normal).max() + 1e-9
     assert {tuple(corner) for corner in corners} <= {tuple(point) for point in cloud}
+
+
+@pytest.mark.parametrize(
+    ("space", "named", "other"),
+    [
+        (DesignSpace(spacing=0.08, bounds={"radii": (-0.06, 0.06)}), "spacing of actuators 1 and 2", "strain"),
+        (DesignSpace(bounds={"length": (0.1, 0.2)}), "largest strain of actuator", "spacing"),
+    ],
+)
+def test_what_cannot_be_kept_is_named_and_no_more(space: DesignSpace, named: str, other: str) -> None:
+    arm = ta.ArmDesign([-0.05, 0.0, 0.05], 0.5, "bellows")
+    straight = ta.Task(ta.affine_curvature(0.0, 0.0, length=0.5, nodes=2))
+    feasible = feasible_designs(space, arm, [straight])
+    with pytest.raises(ValueError, match=f"among them {named}") as caught:
+        feasible.project(feasible.free.inverse(given_values(arm))[0])
+    assert f"{other} of" not in str(caught.value)
+    assert ("optimise.spacing" in str(caught.value)) == ("spacing" in named)
+    assert ("in_range = false" in str(caught.value)) == ("strain" in named)

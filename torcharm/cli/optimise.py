@@ -1,6 +1,7 @@
 """`torcharm optimise`: every arm of a study made better on all its tasks together."""
 
 import math
+import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -17,7 +18,6 @@ from torcharm.cli.terminal import (
     asked_about,
     check_ending,
     check_outputs,
-    count,
     finish,
     mistakes,
     numbered,
@@ -26,12 +26,14 @@ from torcharm.cli.terminal import (
     save_all,
     say,
 )
-from torcharm.files import check_writable
+from torcharm.files import check_writable, is_stream
 
 if TYPE_CHECKING:
     from torcharm.design import Objective, OptimisedDesign, Progress
     from torcharm.study import NamedArm, Study
 
+OPTIMISED = ", optimised"
+"""What the names of the best arms, and of their study, end in."""
 Found = Sequence[tuple["NamedArm", "OptimisedDesign"]]
 
 
@@ -41,8 +43,8 @@ def optimise(
         Path | None,
         typer.Option(
             "--out",
-            help="Write the best arms: to a file .toml as tables [[arm]] to paste into a study, or to a file .csv or "
-            ".json as a row for every arm and actuator, given and best.",
+            help="Write the best arms: to a file .toml as a study on the same tasks, or to a file .csv or .json as a "
+            "row for every arm and actuator, given and best.",
         ),
     ] = None,
     figure: Annotated[
@@ -78,7 +80,9 @@ def optimise(
             interrupted = any(result.stopped == "interrupted" for _, result in results)
         if results:
             _tell(results)
-        save_all(open_console(), _outputs(plan, results, out, numbered(figure, len(plan.arms))))
+        save_all(open_console(), _outputs(study, plan, results, out, numbered(figure, len(plan.arms))))
+        if results:
+            say(open_console(), _next_step(study, out))
         finish(interrupted, results, refused)
 
 
@@ -124,7 +128,7 @@ def _check_checkpoint(study: Path, out: Path | None, figure: Path | None, checkp
 
 
 def _tell(results: Found) -> None:
-    from torcharm.design.result import objective_words
+    from torcharm.design.rest import rest_words
     from torcharm.design.space import LEAST_SPACING
     from torcharm.statics.balance import segments_of
 
@@ -133,18 +137,9 @@ def _tell(results: Found) -> None:
     console.print()
     print_table(_designs(results), lead=2)
     console.print()
-    first = results[0][1]
-    words, tasks = objective_words(first.objective), count(len(first.after.stable), "task")
-    unit = "mm" if first.objective.unit == "m" else "N"
-    say(console, f"Value: {words} [{unit}], of {tasks}. Tip: mean predicted tip error [mm]. Held: by verdict.")
-    if first.objective.metric == "predicted_error":
-        if first.space.in_range and not all(bool(result.before.in_range.all()) for _, result in results):
-            say(console, "In the value, errors beyond the characterised range count the more, the farther beyond it.")
-        if not all(bool(side.stable.all()) for _, result in results for side in (result.before, result.after)):
-            say(console, "A task without a stable equilibrium counts as its length in the value, and not in the tip's.")
-        over = words.split()[0]
-        say(console, f"Where a pressure search is named, its numbers are the {over} value that it reaches [mm].")
-    space = first.space
+    for line in _legend(results):
+        say(console, line)
+    space = results[0][1].space
     segments = [segment for _, result in results for segment in segments_of(result.best)[0]]
     if space.spacing is None and "radii" in space.free and any(segment.diameter is None for segment in segments):
         near = f"as close as {1e3 * LEAST_SPACING:g} mm, axis to axis"
@@ -152,19 +147,48 @@ def _tell(results: Found) -> None:
     for arm, result in results:
         say(console, f"{arm.name}: {result.status}.")
         if result.violated and result.best is not result.given:
-            say(console, f"{arm.name}: the given arm breaks: {'; '.join(result.violated)}.")
+            say(console, f"{arm.name}: the given arm is outside these constraints: {'; '.join(result.violated)}.")
+        if rest := rest_words(result.best):
+            say(console, f"{arm.name}: the best arm: {rest}.")
         if result.active:
             say(console, f"{arm.name}: the best arm is held back by: {'; '.join(result.active)}.")
 
 
+def _legend(results: Found) -> Iterator[str]:
+    """What the table of errors shows, and what was made small, in a line each."""
+    from torcharm.design.result import objective_words
+
+    first = results[0][1]
+    words = objective_words(first.objective)
+    errors = first.objective.metric == "predicted_error"
+    over = "largest" if first.objective.over == "worst" else "mean"
+    shape = f"Shape: {over} predicted shape error. " if errors else ""
+    yield f"{shape}Tip: mean predicted tip error. Held: by verdict. Out of range: strained beyond what was measured."
+    if not errors:
+        yield f"Minimised is the {words} [N]."
+        return
+    price = ", in which a task counts the more, up to its arm's length, the farther it strains beyond the range"
+    yield f"Minimised is the {words}{price if first.space.in_range else ''}."
+    if any(side.lost for _, result in results for side in (result.before, result.after)):
+        yield "A task without a stable equilibrium counts as its arm's length there, and not in shape and tip."
+
+
+def _next_step(study: Path, out: Path | None) -> str:
+    """What a person may try now."""
+    if out is not None and out.suffix.lower() == ".toml" and not is_stream(out):
+        return f"Next: torcharm evaluate {out} says which loads the best arms hold, and why not the others."
+    best = study.with_name("best.toml")
+    return f"Next: torcharm optimise {study} --out {best} writes the best arms as a study to evaluate."
+
+
 def _outputs(
-    plan: "Study", results: Found, out: Path | None, figures: Sequence[Path]
+    study: Path, plan: "Study", results: Found, out: Path | None, figures: Sequence[Path]
 ) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
     if out is not None and results:
         from torcharm.study import check_format
 
         ending = ".toml" if out.suffix.lower() == ".toml" else f".{check_format(out)}"
-        yield out, lambda path: _write(path, results, ending), "."
+        yield out, lambda path: _write(path, study, out, plan, results, ending), "."
     places = dict(zip((arm.name for arm in plan.arms), figures, strict=False))
     for arm, result in results if figures else ():
         from torcharm.plot import optimisation_figure
@@ -182,22 +206,41 @@ def _warnings_in_a_line() -> Iterator[None]:
         yield
 
 
-def _write(path: Path, results: Found, ending: str) -> None:
+def _write(path: Path, study: Path, out: Path, plan: "Study", results: Found, ending: str) -> None:
+    """The file of --out, written where it is to be moved from."""
     if ending == ".toml":
-        path.write_text(_toml(results), encoding="utf-8", newline="\n")
+        path.write_text(_toml(study, out, plan, results), encoding="utf-8", newline="\n")
     else:
         from torcharm.study import write_rows
 
         write_rows(path, list(_rows(results)), ending)
 
 
-def _toml(results: Found) -> str:
-    from torcharm.study import arm_to_toml
+def _toml(study: Path, out: Path, plan: "Study", results: Found) -> str:
+    """The best arms as a study: rounded as one builds, on the same tasks."""
+    from torcharm.study import NamedArm, study_to_toml
 
-    tables = ["# To append to a study.\n"]
-    for arm, result in results:
-        tables.append(f"# {result.status}\n" + arm_to_toml(result.best, f"{arm.name}, optimised", arm.files))
-    return "\n".join(tables)
+    ends = "" if all(arm.name.endswith(OPTIMISED) for arm, _ in results) else OPTIMISED
+    arms = {
+        arm.name: NamedArm(f"{arm.name}{ends}", result.buildable, _moved(arm.files, study, out))
+        for arm, result in results
+    }
+    name = plan.name if plan.name.endswith(OPTIMISED) else f"{plan.name}{OPTIMISED}"
+    return study_to_toml(plan, name, arms, {arm.name: result.status for arm, result in results})
+
+
+def _moved(files: Sequence[str | None], study: Path, out: Path) -> tuple[str | None, ...]:
+    """Paths of force models, which start at the study's folder, from the folder of the file of --out."""
+    if study.parent.resolve() == out.parent.resolve() or is_stream(out):
+        return tuple(files)
+
+    def moved(name: str) -> str:
+        try:
+            return Path(os.path.relpath(study.parent / name, out.parent)).as_posix()
+        except ValueError:  # on another drive
+            return (study.parent / name).resolve().as_posix()
+
+    return tuple(name if name is None or Path(name).is_absolute() else moved(name) for name in files)
 
 
 def _rows(results: Found) -> Iterator[dict[str, Any]]:
@@ -235,21 +278,35 @@ def _values(result: "OptimisedDesign", results: Found) -> Iterator[tuple[list[fl
 
 
 def _errors(results: Found) -> list[Column]:
+    """A row for each arm: plain errors and counts of tasks, given and best."""
+    from torcharm.inputs import three_digits
+
+    objective = results[0][1].objective
     columns = [Column("arm", [arm.name for arm, _ in results], LONGEST_WORD)]
-    for name in ("given", "best"):
-        values = [
-            (1e3 if result.objective.unit == "m" else 1.0) * (result.value if name == "best" else result.given_value)
-            for _, result in results
-        ]
-        columns.append(Column(f"value\n{name}", [f"{value:.4g}" for value in values]))
-    for name in ("given", "best"):
-        sides = [result.after if name == "best" else result.before for _, result in results]
-        columns.append(Column(f"tip\n{name}", [f"{side.tip_mm:.4g}" for side in sides]))
-    for name in ("given", "best"):
-        held = [result.held if name == "best" else result.given_held for _, result in results]
-        tasks = [len(result.after.stable) for _, result in results]
-        columns.append(Column(f"held\n{name}", [f"{one}/{every}" for one, every in zip(held, tasks, strict=True)]))
+
+    def add(title: str, cells: Iterator[tuple[str, str]]) -> None:
+        columns.append(Column(f"{title}\ngiven → best", [" → ".join(pair) for pair in cells]))
+
+    every = [result for _, result in results]
+    if objective.unit == "m":
+        add(
+            "shape [mm]",
+            (_pair(three_digits, r.before.shape_mm(objective.over), r.after.shape_mm(objective.over)) for r in every),
+        )
+    else:
+        add("value [N]", (_pair("{:.4g}".format, r.given_value, r.value) for r in every))
+    add("tip [mm]", (_pair(three_digits, r.before.tip_mm, r.after.tip_mm) for r in every))
+    tasks = [len(result.after.stable) for result in every]
+    add("held", ((f"{r.given_held}", f"{r.held} of {n}") for r, n in zip(every, tasks, strict=True)))
+    add(
+        "out of range",
+        ((f"{r.before.out_of_range}", f"{r.after.out_of_range} of {n}") for r, n in zip(every, tasks, strict=True)),
+    )
     return columns
+
+
+def _pair(told: Callable[[float], str], given: float, best: float) -> tuple[str, str]:
+    return told(given), told(best)
 
 
 def _designs(results: Found) -> list[Column]:

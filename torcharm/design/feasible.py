@@ -31,6 +31,9 @@ ACTIVE = 1e-4
 """Constraints with less room [m], and bounds with less of their range, count as met with equality."""
 STIFF = 1e4
 """Price of breaking a constraint by a metre, in squared distances of points: above what any constraint is worth."""
+SPACING_ADVICE = "lessen the spacing (optimise.spacing) or diameters, or widen the bounds (optimise.bounds)"
+STRAIN_ADVICE = "widen the bounds (optimise.bounds) or the models' strain_range, or set in_range = false"
+"""What may be changed where actuators find no room, or are strained too far; in brackets what a study calls it."""
 Function = Callable[[Array], tuple[float, Array]]
 
 
@@ -177,6 +180,13 @@ class FeasibleDesigns:
         Raises:
             ValueError: none was found; the message says what cannot be had.
         """
+        near = self._nearest(point)
+        if self.violation(near) <= FEASIBLE:
+            return near
+        raise ValueError(self._conflict(point))
+
+    def _nearest(self, point: Array) -> Array:
+        """The feasible point nearest to a point (F,), or one where constraints are broken least."""
         inside = np.clip(point, 0, 1)
         if self.violation(inside) <= 0:
             return inside
@@ -192,12 +202,26 @@ class FeasibleDesigns:
             if self.violation(near) <= FEASIBLE:
                 return near
             widened = near if elastic else widened
-        value, names = self.constraint_values(widened)[0], self.names
-        worst = dict.fromkeys(names[index] for index in np.argsort(value) if value[index] < -FEASIBLE)
-        raise ValueError(
-            "space: no design within the bounds keeps all constraints on all task shapes; at best, they are broken by "
-            f"{-value.min():.2g} m: {', '.join(list(worst)[:3])}; widen the bounds or the models' strain_range, or "
-            "give in_range=False"
+        return widened
+
+    def _conflict(self, point: Array) -> str:
+        """Which constraints cannot be kept, near a point (F,): of one kind if that alone cannot be kept."""
+        strains = len(self.constraints.actuator)
+        kinds = {
+            SPACING_ADVICE: replace(self, kept=self.kept[self.kept >= strains]),
+            STRAIN_ADVICE: replace(self, kept=self.kept[self.kept < strains]),
+        }
+        broken = {advice: one for advice, one in kinds.items() if one.violation(one._nearest(point)) > FEASIBLE}
+        words = []
+        for one in broken.values() or (self,):
+            value = one.constraint_values(one._nearest(point))[0]
+            worst = dict.fromkeys(
+                one.names[index] for index in np.argsort(value.round(6), kind="stable") if value[index] < -FEASIBLE
+            )
+            words.append(f"{', '.join(list(worst)[:3])} (broken by {-1e3 * value.min():.2g} mm at best)")
+        return (
+            "space: no design within the bounds keeps all constraints on all task shapes, among them "
+            f"{', '.join(words)}; {'; '.join(broken or kinds)}"
         )
 
     def random(self, count: int, seed: int) -> list[Array]:

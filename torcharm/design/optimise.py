@@ -16,9 +16,9 @@ from torcharm.design.checkpoint import Checkpoint, describe
 from torcharm.design.descent import Callback, End, Progress, descend_all
 from torcharm.design.feasible import feasible_designs
 from torcharm.design.objective import Objective, Problem, counted, shape_lengths
-from torcharm.design.result import OptimisedDesign
+from torcharm.design.result import OptimisedDesign, compared_words, reached_words
 from torcharm.design.space import Arm, Array, DesignSpace, given_values, one_of_batch
-from torcharm.design.task_errors import held_tasks, predicted, searched
+from torcharm.design.task_errors import TaskErrors, held_tasks, predicted, searched
 from torcharm.inputs import check_count, check_number, shown
 from torcharm.task import Task, for_each_task, task_list
 from torcharm.wrench_sets.design_task_grid import fitted
@@ -166,7 +166,7 @@ def outcome(
     best = given if chosen is None else designs.design(chosen.point)
     before, after = (predicted(one, problem.tasks, objective.pose_cost) for one in (given, best))
     if chosen is None and violated:
-        status += f", which it breaks ({'; '.join(violated)})"
+        status += f", which it is outside of ({'; '.join(violated)})"
     if not bool(after.stable.all()):
         status += f"; no stable equilibrium is predicted {_on_tasks(~after.stable)}"
     elif not bool(after.converged.all()):
@@ -230,28 +230,33 @@ def _on_tasks(marked: Tensor) -> str:
 
 def _confirmed(problem: Problem, given: Arm, better: Sequence[End]) -> tuple[End | None, str]:
     """The first of some ends with which a pressure search does better than with the given design."""
-    before, found = _search_value(problem, given), []
+    over = problem.objective.over
+    (before, old), found = _by_search(problem, given), list[tuple[float, TaskErrors]]()
     for end in better:
-        found.append(_search_value(problem, problem.designs.design(end.point)))
-        if found[-1] < before * (1 - NOISE):
-            numbers = f"{1e3 * before:.4g} → {1e3 * found[-1]:.4g} mm"
-            if abs(end.value - found[-1]) <= AGREEMENT[0] * found[-1] + AGREEMENT[1]:
-                return end, f"better, as a pressure search confirms ({numbers})"
-            return end, f"better, but a pressure search reaches {numbers} where {1e3 * end.value:.4g} mm is predicted"
+        arm = problem.designs.design(end.point)
+        value, new = _by_search(problem, arm)
+        found.append((value, new))
+        if value < before * (1 - NOISE):
+            words = compared_words(old, new, over)
+            if abs(end.value - value) <= AGREEMENT[0] * value + AGREEMENT[1]:
+                return end, f"better, as a pressure search confirms ({words})"
+            expected = reached_words(predicted(arm, problem.tasks, problem.objective.pose_cost), over)
+            return end, f"better, but a pressure search finds the {words}, where {expected} is predicted"
+    least = min(found, key=lambda one: one[0])[1]
     return None, (
-        f"given design kept: a pressure search reaches {1e3 * before:.4g} mm with it, and {1e3 * min(found):.4g} mm "
-        "with the best found within the constraints"
+        f"given design kept: a pressure search reaches {reached_words(old, over)} with it, and "
+        f"{reached_words(least, over)} with the best found within the constraints"
     )
 
 
-def _search_value(problem: Problem, arm: Arm) -> float:
-    """The objective of a design by what a pressure search reaches."""
+def _by_search(problem: Problem, arm: Arm) -> tuple[float, TaskErrors]:
+    """The objective of a design by what a pressure search reaches, and that."""
     objective = problem.objective
     found = searched(arm, problem.tasks, objective.pose_cost)
     with torch.no_grad():
         lengths = torch.cat([shape_lengths(task) for task in problem.tasks])
         beyond = found.beyond if problem.designs.in_range else None
-        return float(objective.total(counted(found.shape_error, found.stable, beyond, lengths)))
+        return float(objective.total(counted(found.shape_error, found.stable, beyond, lengths))), found
 
 
 def _best_given(arm: Arm, problem: Problem) -> tuple[Arm, float]:

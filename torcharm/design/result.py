@@ -1,13 +1,18 @@
 """What an optimisation found."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
+from torcharm.arm import ArmDesign
+from torcharm.arm_series import ArmSeries
 from torcharm.design.objective import Objective
 from torcharm.design.space import Arm, DesignSpace
 from torcharm.design.task_errors import TaskErrors
-from torcharm.inputs import HoldsTensors
+from torcharm.inputs import HoldsTensors, three_digits
+from torcharm.statics.balance import segments_of
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -17,7 +22,8 @@ class OptimisedDesign(HoldsTensors):
     Attributes:
         given: the design to improve on (of a batch, the one of the best value).
         best: the best design found; the given one where no better was found.
-        given_value, value: the objective of the two.
+        given_value, value: the objective of the two, which they were compared by: of predicted errors with what they
+            count more beyond the characterised range (see `Objective`); plain errors are those of before and after.
         given_held, held: of how many tasks the verdict on the two is "held".
         before, after: what is predicted of the two on every task: errors of tip and shape [m].
         status: what to think of it, in words: "better", or that and what is doubtful, or why the given design was kept.
@@ -57,11 +63,42 @@ class OptimisedDesign(HoldsTensors):
         """Values, no tensors."""
         count = len(self.after.stable)
         return (
-            f"OptimisedDesign({self.best!r}, {objective_words(self.objective)} of {count} task{'s' * (count != 1)} "
-            f"{_shown(self.given_value, self.objective)} → {_shown(self.value, self.objective)}, tip error "
+            f"OptimisedDesign({self.best!r}, of {count} task{'s' * (count != 1)} {self._values()}tip error "
             f"{self.before.tip_mm:.3g} → {self.after.tip_mm:.3g} mm predicted, held {self.given_held} → {self.held}, "
             f"{self.status}; {self.stopped})"
         )
+
+    @property
+    def buildable(self) -> Arm:
+        """The best design with what was free rounded: places and lengths to 0.01 mm, limits down to 0.01 kPa.
+
+        The given design stays as it is where it was kept.
+        """
+        if self.best is self.given:
+            return self.best
+        segments, links = segments_of(self.best)
+        rounded = tuple(_rounded(segment, self.space.free) for segment in segments)
+        return rounded[0] if isinstance(self.best, ArmDesign) else ArmSeries(rounded, links)
+
+    def _values(self) -> str:
+        """What was made small, plain: without what errors count more beyond the range."""
+        words, over = objective_words(self.objective), self.objective.over
+        if self.objective.metric == "predicted_error":
+            shape = " → ".join(three_digits(side.shape_mm(over)) for side in (self.before, self.after))
+            return f"{words} {shape} mm, "
+        return f"{words} {self.given_value:.4g} → {self.value:.4g} N, "
+
+
+def _rounded(arm: ArmDesign, free: Sequence[str]) -> ArmDesign:
+    """A segment with its free values rounded."""
+    places = arm.radii, arm.out_of_plane
+    if {"radii", "angles"} & set(free):
+        places = arm.radii.round(decimals=5), None if arm.out_of_plane is None else arm.out_of_plane.round(decimals=5)
+    length = arm.length.round(decimals=5) if "length" in free else arm.length
+    limit = arm.max_pressure
+    if "max_pressure" in free:
+        limit = torch.floor(100 * limit + 1e-6) / 100
+    return arm.with_values(places[0], length, limit, places[1])
 
 
 def objective_words(objective: Objective) -> str:
@@ -73,5 +110,27 @@ def objective_words(objective: Objective) -> str:
     return f"{over} absolute{relative} unattainability"
 
 
-def _shown(value: float, objective: Objective) -> str:
-    return f"{1e3 * value:.4g} mm" if objective.metric == "predicted_error" else f"{value:.4g} N"
+def compared_words(before: TaskErrors, after: TaskErrors, over: str) -> str:
+    """How plain shape errors, and the tasks that are none, went from one design to another."""
+    tasks = len(before.stable)
+    many = f"{tasks} task{'s' * (tasks != 1)}"
+    old, new = (side.shape_mm(over) for side in (before, after))
+    words = f"shape off by {'' if over == 'mean' else 'at most '}{three_digits(old)} → {three_digits(new)} mm"
+    apart = ", "
+    if new > old:
+        gains = after.out_of_range < before.out_of_range or after.lost < before.lost
+        words += ", which is more" if gains else ", which is more, but less far beyond the range"
+        apart = ", but " if gains else ", "
+    if before.out_of_range or after.out_of_range:
+        words += f"{apart}out of range on {before.out_of_range} → {after.out_of_range} of {many}"
+        apart = ", "
+    if before.lost or after.lost:
+        words += f"{apart}without a stable equilibrium on {before.lost} → {after.lost} of {many}"
+    return words
+
+
+def reached_words(side: TaskErrors, over: str) -> str:
+    """The plain shape errors of one design, and on how many tasks they are a guess or none."""
+    words = f"{'' if over == 'mean' else 'at most '}{three_digits(side.shape_mm(over))} mm"
+    words += f", out of range on {side.out_of_range}" if side.out_of_range else ""
+    return words + (f", without a stable equilibrium on {side.lost}" if side.lost else "")

@@ -57,6 +57,21 @@ class TaskErrors(HoldsTensors):
         """The mean tip error [mm] of the tasks that have a stable equilibrium; NaN if none has."""
         return 1e3 * float(self.tip_error[self.stable].mean())
 
+    def shape_mm(self, over: str = "mean") -> float:
+        """The mean shape error [mm] of the tasks that have a stable equilibrium, or the "worst"; NaN if none has."""
+        error = 1e3 * self.shape_error[self.stable]
+        return float(error.amax() if over == "worst" and len(error) else error.mean())
+
+    @property
+    def out_of_range(self) -> int:
+        """On how many tasks the stable equilibrium has strains or pressures beyond their range."""
+        return int((self.stable & ~self.in_range).sum())
+
+    @property
+    def lost(self) -> int:
+        """How many tasks have no stable equilibrium."""
+        return int((~self.stable).sum())
+
 
 def predicted(arm: Arm, tasks: Sequence[Task], cost: PoseCost | None) -> TaskErrors:
     """What is predicted of one design on all tasks."""

@@ -21,7 +21,10 @@ FEW = 12
 
 
 def optimisation_figure(result: OptimisedDesign, title: str = "") -> Figure:
-    """Tip errors predicted on every task, and where actuators sit, of the given and best design.
+    """Errors predicted on every task, and where actuators sit, of the given and best design.
+
+    The errors are of the shape where these were minimised, and else of the tip: distances, without what counts more
+    beyond the characterised range.
 
     Of few tasks the errors of each are a pair of marks, of many a line in ascending order. The section shows radii
     against lengths of an arm in the plane, and offsets in space; numbers are those of the actuators, from 1, passive
@@ -29,7 +32,7 @@ def optimisation_figure(result: OptimisedDesign, title: str = "") -> Figure:
     """
     figure = Figure(figsize=(10, 4.4), layout="constrained")
     errors, section = figure.subplots(1, 2)
-    _draw_errors(errors, result.before, result.after)
+    _draw_errors(errors, result.before, result.after, "shape" if result.objective.unit == "m" else "tip")
     errors.set_title(title)
     planar = result.best.dimension == 2
     names = ("radius [mm]", "neutral length [mm]") if planar else ("offset y [mm]", "offset z [mm]")
@@ -49,8 +52,11 @@ def optimisation_figure(result: OptimisedDesign, title: str = "") -> Figure:
     return figure
 
 
-def _draw_errors(axes: Axes, before: TaskErrors, after: TaskErrors) -> None:
-    """The errors of both designs on each task, or sorted of many; those without a stable equilibrium are counted."""
+def _draw_errors(axes: Axes, before: TaskErrors, after: TaskErrors, what: str) -> None:
+    """The errors of shape or tip of both designs on each task, or sorted of many.
+
+    Tasks without a stable equilibrium are counted.
+    """
     tasks = len(before.stable)
     for side, name, colour, dash, filled in (
         (before, "given", UNATTAINABLE, "--", False),
@@ -58,8 +64,9 @@ def _draw_errors(axes: Axes, before: TaskErrors, after: TaskErrors) -> None:
     ):
         stable = side.stable.numpy(force=True)
         lost = f", {tasks - stable.sum()} without a stable equilibrium" if not stable.all() else ""
-        label = f"{name}: mean {three_digits(side.tip_mm)} mm{lost}"
-        error = 1e3 * array(side.tip_error)
+        mean = side.tip_mm if what == "tip" else side.shape_mm()
+        label = f"{name}: mean {three_digits(mean)} mm{lost}"
+        error = _millimetres(side, what)
         if tasks <= FEW:
             axes.scatter(np.flatnonzero(stable) + 1, error[stable], 50, label=label, **mark_inks(colour, filled))
         else:
@@ -67,15 +74,19 @@ def _draw_errors(axes: Axes, before: TaskErrors, after: TaskErrors) -> None:
             axes.step(range(1, len(values) + 1), values, where="mid", color=colour, linestyle=dash, label=label)
     if tasks <= FEW:
         both = np.flatnonzero((before.stable & after.stable).numpy(force=True))
-        old, new = (1e3 * array(side.tip_error)[both] for side in (before, after))
+        old, new = (_millimetres(side, what)[both] for side in (before, after))
         axes.vlines(both + 1, old, new, color="#999999", linewidth=1, zorder=0)
         axes.set(xlim=(0.5, tasks + 0.5), xticks=range(1, tasks + 1))
     else:
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set(xlabel="task" if tasks <= FEW else "tasks, the nearest first", ylabel="predicted tip error [mm]")
+    axes.set(xlabel="task" if tasks <= FEW else "tasks, the nearest first", ylabel=f"predicted {what} error [mm]")
     axes.margins(y=0.12)
     axes.set_ylim(0, None)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, frameon=False)
+
+
+def _millimetres(side: TaskErrors, what: str) -> Any:
+    return 1e3 * array(side.tip_error if what == "tip" else side.shape_error)
 
 
 def _draw_section(

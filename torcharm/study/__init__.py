@@ -5,7 +5,8 @@
     write_results("results.csv", results)
 
 `example_text()` is a commented study that shows every section, `key_reference()` one of every key,
-and `arm_to_toml` writes a design as a table of a study. Lengths are in metres, angles in radians,
+`arm_to_toml` writes a design as a table of a study, and `study_to_toml` a study of other arms.
+Lengths are in metres, angles in radians,
 forces in newtons, moments in newton-metres, pressures in kilopascals. Entries of lists (arms, tasks,
 loads, nodes) are counted from 1, in tables and in error messages.
 """
@@ -24,7 +25,7 @@ from torcharm.study.results import (
     write_results,
     write_rows,
 )
-from torcharm.study.writing import arm_to_toml
+from torcharm.study.writing import arm_to_toml, study_to_toml
 
 __all__ = [
     "RESULT_FORMATS",
@@ -44,6 +45,7 @@ __all__ = [
     "paper_study",
     "parse_study",
     "result_rows",
+    "study_to_toml",
     "summarise",
     "write_results",
     "write_rows",

@@ -1,7 +1,8 @@
 """What a study holds: named arms and tasks, and how to evaluate them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
@@ -106,7 +107,11 @@ class NamedPlan:
 
 @dataclass(frozen=True)
 class Study(HoldsTensors):
-    """Arms, tasks, how every arm is to be evaluated on its tasks, and how it may be made better."""
+    """Arms, tasks, how every arm is to be evaluated on its tasks, and how it may be made better.
+
+    Attributes:
+        tables: the file's, from which all else was read, as TOML has them; empty of a study that is from no file.
+    """
 
     name: str
     description: str
@@ -115,6 +120,7 @@ class Study(HoldsTensors):
     settings: Settings
     optimisation: Optimisation = field(default_factory=Optimisation)
     plans: tuple[NamedPlan, ...] = ()
+    tables: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def arms_of(self, task: NamedTask | NamedPlan) -> tuple[NamedArm, ...]:
         """The arms that are to hold a task, or for which to plan a shape, in the study's order."""

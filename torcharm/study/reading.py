@@ -78,7 +78,7 @@ def parse_study(text: str, source: str = "study", folder: str | PathLike[str] = 
     except ValidationError as error:
         raise ValueError(one_line(f"{source}: {first_mistake(error, raw)}")) from None
     try:
-        return _study(table, Path(folder))
+        return replace(_study(table, Path(folder)), tables=raw)
     except ValueError as error:
         raise ValueError(one_line(f"{source}: {error}")) from None
 
@@ -119,7 +119,10 @@ def _study(table: StudyTable, folder: Path) -> Study:
     plain = Study(table.name, table.description, tuple(arms), tuple(tasks), settings)
     for index, arm in enumerate(arms):
         if not plain.tasks_of(arm):
-            raise ValueError(f"{field_path(['arm', index])}: must have a task, but all are for other arms")
+            raise ValueError(
+                f"{field_path(['arm', index])}: must have a task, but all are for other arms: "
+                f"add {shown_value(arm.name)} to the list {field_path(['task', 0, 'arms'])}, or to another task's"
+            )
         for task in plain.tasks_of(arm):
             with within("evaluate", arm.name):
                 _check_size(arm, task, settings)

@@ -1,7 +1,7 @@
 """From designs to the text of a study file."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -27,6 +27,7 @@ from torcharm.inputs import plain_number, shown
 from torcharm.statics.balance import segments_of
 from torcharm.study.arm_reading import make_actuator
 from torcharm.study.arm_tables import ActuatorTable, NamedTable, SegmentTable
+from torcharm.study.data import NamedArm, Study
 from torcharm.study.fields import Table, field_path, first_mistake, one_line, within
 
 Read = TypeVar("Read", bound=Table)
@@ -75,7 +76,34 @@ def arm_to_toml(arm: ArmDesign | ArmSeries, name: str, files: Sequence[str | Non
     return "\n".join(texts)
 
 
-def _text(heading: str, table: dict[str, Any]) -> str:
+def study_to_toml(study: Study, name: str, arms: Mapping[str, NamedArm], notes: Mapping[str, str] | None = None) -> str:
+    """A study of other arms on the tasks of one that was read from a file, with its tables [evaluate] and [optimise].
+
+    Args:
+        study: with the tables of its file.
+        name: of the new study.
+        arms: what takes the place of each arm, by that arm's name. Arms that are left out are not in the study, nor
+            are tasks for these alone; plans are none.
+        notes: comments of one line above arms, by the same names.
+
+    Raises:
+        ValueError: the study is from no file; or as for `arm_to_toml`.
+    """
+    if not study.tables:
+        raise ValueError("study: must be one that was read from a file, got none of its tables")
+    texts = [_text("", {"name": name} | {key: study.tables[key] for key in ("description",) if key in study.tables})]
+    for old, arm in arms.items():
+        note = f"# {notes[old]}\n" if notes and old in notes else ""
+        texts.append(note + arm_to_toml(arm.design, arm.name, arm.files))
+    for table in study.tables["task"]:
+        named = [arms[old].name for old in table.get("arms", arms) if old in arms]
+        if named:
+            texts.append(_text("[[task]]", {**table, "arms": named} if "arms" in table else table))
+    texts += [_text(f"[{key}]", study.tables[key]) for key in ("evaluate", "optimise") if study.tables.get(key)]
+    return "\n".join(texts).lstrip()
+
+
+def _text(heading: str, table: Mapping[str, Any]) -> str:
     return "\n".join([heading, *(toml_entry(key, _rounded(value)) for key, value in table.items()), ""])
 
 
