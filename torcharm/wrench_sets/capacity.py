@@ -88,8 +88,12 @@ class LoadCapacity(HoldsTensors):
     metric: str
 
     def __repr__(self) -> str:
-        """Shapes, no numbers."""
-        return shapes_only(self)
+        """Of one task the factor, or why there is none; of several the shapes."""
+        if self.factor.ndim:
+            return shapes_only(self)
+        why = str(self.reason)
+        node = f", limited by node {int(self.limiting_node) + 1} from the base" if not why else f", {why}"
+        return f"LoadCapacity(factor {float(self.factor):.4g}{node})"
 
     @property
     def factor_per_node(self) -> Tensor:
