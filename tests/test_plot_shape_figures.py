@@ -10,6 +10,7 @@ from matplotlib.quiver import Quiver
 
 import torcharm as ta
 from torcharm import plot
+from torcharm.attainability.verdict import over_tolerance
 from torcharm.design.shape_planning import PlannedShape
 from torcharm.geometry import se2
 
@@ -27,7 +28,7 @@ def lines(axes, name):
 
 def test_search_shows_the_least_the_median_and_the_largest_error(found):
     figure = plot.search_figure([("soft", ta.antagonistic_arm(), found)], "bent", TASK)
-    order = found.tip_error.argsort()
+    order = over_tolerance(ta.antagonistic_arm(), found, ta.PoseTolerance()).amax(0).argsort()
     for axes, rank, load in zip(figure.axes, ("least", "median", "largest"), order[[0, 2, 4]], strict=True):
         which, off, load_shown = axes.get_title().splitlines()
         assert which == f"soft: {rank} error of 5 loads"

@@ -50,8 +50,8 @@ def search_figure(
     """One page that shows how near a pressure search brings arms to a task, for `figure.savefig(path)`.
 
     A row for each arm; in it the arm where it gets to, and the task's centreline, under the loads of least, median and
-    largest error, of tip, turn or shape, over its tolerance. Loads under which no equilibrium was found are left out, and counted; of an arm for which none
-    was found, or an impossible task, the centreline wanted is drawn, and why.
+    largest error, of tip, turn or shape, over its tolerance. Loads under which no equilibrium was found are left out,
+    and counted; of an arm for which none was found, or an impossible task, the centreline wanted is drawn, and why.
 
     Args:
         results: names, designs, and what `search_pressure` found of each for all of the task.

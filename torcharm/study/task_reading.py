@@ -163,8 +163,8 @@ def read_pose(field: str, pose: Pose | PoseTable, start: Pose | str | None) -> P
         start: from which a direction is reached by bending in one plane, which a turn of 0 stands for; None hangs.
 
     Raises:
-        ValueError: the direction is none, or straight back, so that no plane is known in which to bend; or the place is in
-            other units.
+        ValueError: the direction is none, or straight back, so that no plane is known in which to bend; or
+            the place is in other units.
     """
     place = pose.position if isinstance(pose, PoseTable) else [row[3] for row in pose[:3]] if len(pose) == 4 else ()
     question = question_about_pose(place)

@@ -91,9 +91,10 @@ class LoadCapacity(HoldsTensors):
         """Of one task the factor, or why there is none; of several the shapes."""
         if self.factor.ndim:
             return shapes_only(self)
-        why = str(self.reason)
-        node = f", limited by node {int(self.limiting_node) + 1} from the base" if not why else f", {why}"
-        return f"LoadCapacity(factor {float(self.factor):.4g}{node})"
+        factor, why = float(self.factor), str(self.reason)
+        if not why:
+            why = f"limited by node {int(self.limiting_node) + 1} from the base" if factor < torch.inf else "no limit"
+        return f"LoadCapacity(factor {factor:.4g}, {why})"
 
     @property
     def factor_per_node(self) -> Tensor:
