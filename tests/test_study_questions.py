@@ -90,7 +90,7 @@ def test_a_core_may_be_where_a_chamber_is():
 
 @pytest.mark.parametrize("make", [lambda: ta.ArmDesign(["-30 mm", 0.03], 0.3, "bellows"), lambda: ta.Task("5 m")])
 def test_texts_with_units_are_for_studies(make):
-    with pytest.raises(ValueError, match="must be numbers in metres, .*; texts with units are for study files only"):
+    with pytest.raises(ValueError, match=r"must be numbers in metres, .*; texts with units are for study files only"):
         make()
 
 
