@@ -64,7 +64,9 @@ def error_columns(rows: Sequence[Mapping[str, Any]], sums: bool = False) -> Iter
     if any(row.get("verdict") is not None for row in rows):
         yield Column("verdict", [str(row.get("verdict") or "-") for row in rows], LONGEST_WORD)
     shown = {"tip off\n[mm]": "tip_error_mm", "turned\n[°]": "tip_rotation_error_deg", "shape\n[mm]": "shape_error_mm"}
-    for title, name in shown.items() if any(name in row for row in rows for name in shown.values()) else ():
+    for title, name in shown.items():
+        if not any(name in row for row in rows):
+            continue
         yield Column(title, _numbers(rows, name, three_digits))
     for name in ("absolute", "relative") if sums else ():
         if any(f"{name}_N" in row for row in rows):

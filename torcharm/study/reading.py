@@ -170,9 +170,12 @@ def _settings(table: EvaluateTable) -> Settings:
 
 
 def _optimisation(table: OptimiseTable) -> Optimisation:
-    lengths = {"bounds.radii": table.bounds.radii, "bounds.length": table.bounds.length}
-    for field, values in (lengths | {"spacing": table.spacing and [table.spacing]}).items():
-        most = LONGEST if field == "bounds.length" else WIDEST
+    spacing = [] if table.spacing is None else [table.spacing]
+    for field, values, most in (
+        ("bounds.radii", table.bounds.radii, WIDEST),
+        ("bounds.length", table.bounds.length, LONGEST),
+        ("spacing", spacing, WIDEST),
+    ):
         question = question_about_lengths(values, most) if values else None
         if question is not None:
             raise ValueError(f"{field}: {question}")

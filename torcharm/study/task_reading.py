@@ -166,7 +166,11 @@ def read_pose(field: str, pose: Pose | PoseTable, start: Pose | str | None) -> P
         ValueError: the direction is none, or straight back, so that no plane is known in which to bend; or
             the place is in other units.
     """
-    place = pose.position if isinstance(pose, PoseTable) else [row[3] for row in pose[:3]] if len(pose) == 4 else ()
+    place: Sequence[float] = ()
+    if isinstance(pose, PoseTable):
+        place = pose.position
+    elif len(pose) == 4:
+        place = [row[3] for row in pose[:3]]  # type: ignore[index]
     question = question_about_pose(place)
     if question is not None:
         raise ValueError(f"{field}: {question}")
