@@ -114,10 +114,11 @@ def test_loads_and_shapes_are_those_of_the_task_that_is_drawn(found):
     columns = {
         name: value.repeat_interleave(2, 0) for name, value in vars(found).items() if isinstance(value, torch.Tensor)
     }
-    columns["tip_error"] = columns["tip_error"] * torch.tensor([1.0, 0.5] * 5)
+    for name in ("tip_error", "tip_rotation_error", "shape_error"):
+        columns[name] = columns[name] * torch.tensor([1.0, 0.5] * 5)
     both = dataclasses.replace(found, **columns)
     figure = plot.search_figure([("soft", ta.antagonistic_arm(), both)], "two", task)
-    order = columns["tip_error"].argsort()
+    order = over_tolerance(ta.antagonistic_arm(), both, ta.PoseTolerance()).amax(0).argsort()
     for axes, load in zip(figure.axes, order[[0, 4, 9]].tolist(), strict=True):
         x, y, moment = TASK.tip_load[load // 2].tolist()
         words = f"load {load + 1}: {np.hypot(x, y):.3g} N, {moment:.3g} N·m"
