@@ -45,10 +45,10 @@ def study_file(tmp_path: Path) -> Path:
     return path
 
 
-def invoke(*args: object) -> str:
-    """Standard output of a command that succeeds, run in this process."""
+def invoke(*args: object, code: int = 0) -> str:
+    """Standard output of a command that ends with a code, run in this process."""
     result = CliRunner().invoke(app, [str(arg) for arg in args], env={"COLUMNS": "80"})
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == code, result.output
     return result.stdout
 
 

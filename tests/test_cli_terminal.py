@@ -134,7 +134,7 @@ def test_tables_fit_80_columns_and_cut_no_number(study_file, command):
     [
         ("evaluate", "a.txt", ".csv or .json, got .txt"),
         ("search", "a.txt", ".csv or .json, got .txt"),
-        ("plan", "a", ".csv or .json, got no ending"),
+        ("plan", "a", "one of .csv, .json, .toml, got no ending"),
         ("optimise", "a.txt", "one of .csv, .json, .toml, got .txt"),
     ],
 )

@@ -10,6 +10,7 @@ from matplotlib.quiver import Quiver
 
 import torcharm as ta
 from torcharm import plot
+from torcharm.attainability.verdict import over_tolerance
 from torcharm.design.shape_planning import PlannedShape
 from torcharm.geometry import se2
 
@@ -27,7 +28,7 @@ def lines(axes, name):
 
 def test_search_shows_the_least_the_median_and_the_largest_error(found):
     figure = plot.search_figure([("soft", ta.antagonistic_arm(), found)], "bent", TASK)
-    order = found.tip_error.argsort()
+    order = over_tolerance(ta.antagonistic_arm(), found, ta.PoseTolerance()).amax(0).argsort()
     for axes, rank, load in zip(figure.axes, ("least", "median", "largest"), order[[0, 2, 4]], strict=True):
         which, off, load_shown = axes.get_title().splitlines()
         assert which == f"soft: {rank} error of 5 loads"
@@ -113,10 +114,11 @@ def test_loads_and_shapes_are_those_of_the_task_that_is_drawn(found):
     columns = {
         name: value.repeat_interleave(2, 0) for name, value in vars(found).items() if isinstance(value, torch.Tensor)
     }
-    columns["tip_error"] = columns["tip_error"] * torch.tensor([1.0, 0.5] * 5)
+    for name in ("tip_error", "tip_rotation_error", "shape_error"):
+        columns[name] = columns[name] * torch.tensor([1.0, 0.5] * 5)
     both = dataclasses.replace(found, **columns)
     figure = plot.search_figure([("soft", ta.antagonistic_arm(), both)], "two", task)
-    order = columns["tip_error"].argsort()
+    order = over_tolerance(ta.antagonistic_arm(), both, ta.PoseTolerance()).amax(0).argsort()
     for axes, load in zip(figure.axes, order[[0, 4, 9]].tolist(), strict=True):
         x, y, moment = TASK.tip_load[load // 2].tolist()
         words = f"load {load + 1}: {np.hypot(x, y):.3g} N, {moment:.3g} N·m"

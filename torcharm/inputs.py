@@ -58,9 +58,19 @@ def _tensor(name: str, value: Any, dtype: torch.dtype | None = None) -> Tensor:
             return torch.stack([_tensor(name, item, dtype or own) for item in value])
         return torch.as_tensor(value.copy() if isinstance(value, np.ndarray) else value, dtype=dtype)
     except (TypeError, ValueError, RuntimeError, OverflowError) as error:
+        if _has_text(value):
+            raise ValueError(
+                f"{name}: must be numbers in metres, radians, kilograms, newtons or kilopascals; texts with units are "
+                f"for study files only, got {shown(value)}"
+            ) from None
         raise ValueError(
             f"{name}: must be numbers in a regular array, got {shown(value)} ({' '.join(str(error).split())})"
         ) from None
+
+
+def _has_text(value: Any) -> bool:
+    """Whether it is a text, or holds one in nested lists."""
+    return isinstance(value, str) or (isinstance(value, (list, tuple)) and any(map(_has_text, value)))
 
 
 def _leaves(value: Any) -> Iterator[Tensor]:

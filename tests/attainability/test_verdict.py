@@ -119,6 +119,16 @@ def test_what_was_not_characterised_is_excluded():
     assert driven.reason == "actuator 1 is driven to 95 kPa, characterised to 92 kPa"
 
 
+def test_what_nodes_lack_besides_is_told_with_strains_out_of_range():
+    """Where it is much: a load that no pressure holds is a larger cause than a strain."""
+    squeezed = ta.affine_curvature(0.0, 1.0, length=0.44)
+    found = ta.evaluate(ARM, ta.Task(squeezed, [-100.0, 0.0, 0.0]))
+    assert found.verdict == "excluded by range"
+    node, lacks = int(found.worst_node) + 1, float(found.worst_miss)
+    assert found.reason.startswith("actuator 4 is strained to -0.22 at node 1")
+    assert found.reason.endswith(f"; node {node} lacks {lacks:.3g} N (1 N·m as 1 N) besides")
+
+
 def test_what_is_not_found_is_undecided():
     """A single muscle under compression: no stable equilibrium near the shape."""
     arm = ta.ArmDesign([-0.052], 0.5, [ta.McKibben()])
@@ -252,7 +262,7 @@ def test_segments_in_series_are_judged_as_one_arm():
     twists = torch.tensor([[0.3, 0.0, 0.0]] * 3 + [[0.15, 0.0, 0.0]] * 3, dtype=D)
     found = ta.evaluate(arm, ta.Task(twists, [0.0, 0.0, 0.0], segment_nodes=(3, 3)))
     assert found.verdict == "excluded by range"
-    assert found.reason == "actuator 3 is strained to -0.25 at node 4, characterised from -0.17 to +0.67"
+    assert found.reason.startswith("actuator 3 is strained to -0.25 at node 4, characterised from -0.17 to +0.67; node")
 
 
 def test_a_table_of_all_that_was_found(found):

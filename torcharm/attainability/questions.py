@@ -18,6 +18,14 @@ LEAST_LIMIT = 0.03
 LEAST_PRESSURE = 2.0
 """A limit [kPa] below which air hardly drives anything, whatever was characterised: of a chamber that is the limit
 itself."""
+WIDEST = 1.0
+"""An offset across an arm [m] beyond which metres were hardly meant."""
+HEAVIEST = 20.0
+"""A mass [kg] beyond which kilograms were hardly meant."""
+MOST_HEADING = 2 * math.pi
+"""A heading [rad], a turn, beyond which radians were hardly meant."""
+SAME_PLACE = 1e-6
+"""A distance [m] within which two actuators are at one place."""
 PER_ELEMENT = 0.3
 """By which share the length of a shape may differ from an element's of the arm to be taken for it."""
 
@@ -59,6 +67,58 @@ def question_about_arm(segments: Sequence[ArmDesign]) -> str | None:
         if bool(beyond.any()):
             name = "radii" if segment.dimension == 2 else "offsets"
             return f"{name}: {offset[beyond].max():g} m, more than the arm is long: are they in millimetres?"
+        heavy = question_about_mass(float(segment.mass.detach().max()))
+        if heavy is not None:
+            return f"mass: {heavy}"
+    return None
+
+
+def question_about_mass(mass: float) -> str | None:
+    """Whether a mass [kg] is in other units; None: it makes sense."""
+    if mass <= HEAVIEST:
+        return None
+    return f"{mass:g} kg: the unit is kilogram, {mass:g} g is written '{mass:g} g'; is it in grams?"
+
+
+def question_about_lengths(lengths: Sequence[float], most: float = LONGEST) -> str | None:
+    """Whether lengths [m] beyond so many metres are in other units; None: they make sense."""
+    longest = max(lengths, key=abs)
+    if abs(longest) <= most:
+        return None
+    return f"{longest:g} m, beyond {most:g} m: is it in millimetres? {longest:g} mm is written '{longest:g} mm'."
+
+
+def question_about_pose(place: Sequence[float], heading: float | None = None) -> str | None:
+    """Whether a pose, of a place [m] and perhaps a heading [rad], is in other units; None: it makes sense."""
+    away = math.hypot(*place)
+    far = f"{away:.3g} m from the origin" if away > LONGEST else ""
+    turned = f"a heading of {heading:g} rad" if heading is not None and abs(heading) > MOST_HEADING else ""
+    if not far and not turned:
+        return None
+    units = " and ".join(filter(None, (far and "millimetres", turned and "degrees")))
+    place_text = f"'{place[0]:g} mm'" if far else ""
+    heading_text = f"'{heading:g} deg'" if turned else ""
+    written = " and ".join(filter(None, (place_text, heading_text)))
+    asked = "are they" if far and turned else "is it"
+    return f"{' and '.join(filter(None, (far, turned)))}: {asked} in {units}? Write {written} then."
+
+
+def question_about_places(segments: Sequence[ArmDesign]) -> str | None:
+    """Whether two driven actuators are at one place of a single design, by mistake; None: they are not."""
+    first = 1
+    for segment in segments:
+        driven = [index for index, model in enumerate(segment.actuators) if not is_passive(model)]
+        places = segment.offsets.detach()
+        for one, index in enumerate(driven):
+            for other in driven[one + 1 :]:
+                if float((places[index] - places[other]).norm()) < SAME_PLACE:
+                    y, z = (1e3 * places[index]).tolist()
+                    where = f"{y:g} mm" if segment.dimension == 2 else f"({y:g}, {z:g}) mm"
+                    return (
+                        f"actuators {first + index} and {first + other} are both at {where} from the centreline: "
+                        "was a sign or another place meant?"
+                    )
+        first += segment.actuator_count
     return None
 
 

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from torcharm.pressure.search import PressureSearch
 
 
+MUCH = 1.0
+"""A lack of a node [N] beyond which it is told beside strains out of range, as a further cause."""
+
 COLUMNS = (
     *("verdict", "tip_error", "tip_rotation_error", "shape_error", "worst_node", "worst_miss", "absolute", "relative"),
     *("capacity_margin", "in_range", "strain_excess", "impossible", "status", "reason"),
@@ -154,26 +157,34 @@ class Attainability(HoldsTensors):
     ) -> Sequence[str]:
         """Parts of a reason, some of them empty; all are where nothing is known to be amiss."""
         found, status = self.prediction, _word(self.status, index)
+        lacking, besides = self._lacking(index), ""
+        if verdict == "excluded by range" and lacking[0] > MUCH:
+            besides = f"{lacking[1]} besides"
         if not bool(self.shape_in_range[index]):
             snap = found.DOUBTS[status] if found is not None and status == "snapped" else ""
-            return out_of_range(segments, twists, nodes), snap
+            return out_of_range(segments, twists, nodes), snap, besides
         reached = None if found is None else found.twists[index].detach()
         if verdict == "excluded by range" and found is not None and reached is not None:
             doubt = found.DOUBTS.get(status, "")
-            return f"at the shape found: {out_of_range(segments, reached, nodes)}", doubt
+            return f"at the shape found: {out_of_range(segments, reached, nodes)}", doubt, besides
         if verdict == "undecided":
             assert found is not None
             return (found.DOUBTS[status],)
-        absolute, relative = (
-            None if value is None else value[index] for value in (self.absolute_per_node, self.relative_per_node)
-        )
-        lacking = missing(absolute, relative, self.weights)
         if found is None or reached is None:
-            return (lacking,)
+            return (lacking[1],)
         limits = at_limits(found.pressure[index].detach(), torch.cat([segment.max_pressure for segment in segments]))
         wrong = differences(twists, reached.to(twists), nodes)
-        cause = lacking or "no pressure comes close enough, though sets do not exclude it"
+        cause = lacking[1] or "no pressure comes close enough, though sets do not exclude it"
         return ": ".join(filter(None, (self._beyond_tolerance(index), wrong))), limits, cause
+
+    def _lacking(self, index: tuple[int, ...]) -> tuple[float, str]:
+        """How much the worst node lacks, and which it is in words."""
+        absolute, relative = (
+            None if value is None else value[index].detach()
+            for value in (self.absolute_per_node, self.relative_per_node)
+        )
+        most = max((float(value.max()) for value in (absolute, relative) if value is not None), default=0.0)
+        return most, missing(absolute, relative, self.weights)
 
     def _beyond_tolerance(self, index: tuple[int, ...]) -> str:
         """Which error of a prediction is furthest beyond what is tolerated."""

@@ -1,14 +1,18 @@
 """`torcharm plan`: shapes through the tip poses of a study."""
 
+import itertools
 import math
+import sys
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torcharm.cli.tables import Column, print_table
+from torcharm.cli.report import error_columns, verdict_legend
+from torcharm.cli.tables import LONGEST_WORD, Column, print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
     asked_about,
@@ -26,12 +30,27 @@ from torcharm.cli.terminal import (
 from torcharm.files import check_writable
 
 if TYPE_CHECKING:
-    from torcharm.attainability import Attainability
-    from torcharm.design.shape_planning import PlannedShape
-    from torcharm.study import NamedArm, Study
-    from torcharm.study.data import NamedPlan
+    from rich.console import Console
 
-Found = tuple["NamedPlan", "NamedArm", "PlannedShape"]
+    from torcharm.design.shape_planning import PlannedShape
+    from torcharm.study import NamedArm, NamedTask, Study, StudyResult
+    from torcharm.study.data import NamedPlan
+    from torcharm.task import Task
+
+
+@dataclass(frozen=True)
+class Found:
+    """What is found of one plan by one arm; without a shape there is no result, which is as of torcharm evaluate."""
+
+    wanted: "NamedPlan"
+    arm: "NamedArm"
+    shape: "PlannedShape"
+    result: "StudyResult | None"
+
+    @property
+    def refused(self) -> bool:
+        """Whether it cannot be planned at all."""
+        return self.shape.status.startswith(REFUSED)
 
 
 def plan(
@@ -40,23 +59,26 @@ def plan(
         Path | None,
         typer.Option(
             "--out",
-            help="Write a row for every plan, arm and node, to a file .csv or .json: the twists of a task of a study.",
+            help="Write the shapes, to a file .toml of [[task]] tables for a study, or a row for every plan, arm and "
+            "node to a file .csv or .json.",
         ),
     ] = None,
     figure: Annotated[
         Path | None,
         typer.Option("--figure", help=f"Draw the shapes, to a file ending in {', '.join(FIGURE_FORMATS)}."),
     ] = None,
+    sums: Annotated[bool, typer.Option("--sums", help="Show the paper's sums over the nodes, too.")] = False,
 ) -> None:
     """Find shapes through the tip poses of a study, for each arm that they name or fit.
 
-    Each element's wrench is taken at its middle. Ctrl-C ends the work and shows what was found until then.
+    Verdicts are those of torcharm evaluate on the shape found. Each element's wrench is taken at its middle. Where no
+    shape is found for any plan, the command exits with 1. Ctrl-C ends the work and shows what was found until then.
     """
     with mistakes():
         check_outputs(study, out, figure)
         from torcharm.study import RESULT_FORMATS, load_study
 
-        check_ending("--out", out, RESULT_FORMATS)
+        check_ending("--out", out, (*RESULT_FORMATS, "toml"))
 
         read = asked_about(load_study(study))
         if not read.plans:
@@ -69,16 +91,22 @@ def plan(
             _find(read, found)
         except KeyboardInterrupt:  # what is finished is shown and written all the same
             interrupted = True
-        _tell(found)
+        _tell(read, found, sums)
+        for line in _next_steps(study, out, found):
+            say(open_console(), line)
         save_all(open_console(), _outputs(read, found, out, figure))
         finish(interrupted, found, {})
-        refused = [f"{_whose(one)}: {one[-1].status}" for one in found if one[-1].status.startswith(REFUSED)]
+        refused = [f"{one.wanted.name}, {one.arm.name}: {one.shape.status}" for one in found if one.refused]
         if refused:
             raise ValueError(f"{study}: {'; '.join(refused)}")
+        if not any(one.result for one in found):
+            sys.exit(NONE_FOUND)
 
 
 REFUSED = "refused: "
 """How the status begins of a plan that is none, as `plan_shape` says by an error."""
+NONE_FOUND = 1
+"""How the command exits where no plan has a shape: the study is right, the arms are not."""
 
 
 def _find(read: "Study", found: list[Found]) -> None:
@@ -97,8 +125,20 @@ def _find(read: "Study", found: list[Found]) -> None:
                 except ValueError as error:  # costs this plan alone
                     none = torch.full((wanted.nodes, 3 * arm.design.dimension - 3), math.nan)
                     shape = PlannedShape(f"{REFUSED}{error}", none, math.nan, math.nan, None)
-                found.append((wanted, arm, shape))
+                found.append(Found(wanted, arm, shape, _judged(read, wanted, arm, shape)))
                 advance()
+
+
+def _judged(read: "Study", wanted: "NamedPlan", arm: "NamedArm", shape: "PlannedShape") -> "StudyResult | None":
+    """The shape as a task, evaluated as the study's tasks are."""
+    from torcharm.attainability import evaluate
+    from torcharm.study import NamedTask, StudyResult
+
+    if shape.attainability is None:
+        return None
+    task = shape.attainability.task
+    judged = evaluate(arm.design, task, **vars(read.settings))
+    return StudyResult(arm, NamedTask(wanted.name, task, (arm.name,)), read.settings, judged)
 
 
 TWISTS = {
@@ -109,46 +149,81 @@ TWISTS = {
     ),
 }
 """Columns of a shape, by its number of components: each element's as if its segment were like it, as in a study."""
-LENGTHS = ("length [mm]\nin all", "length [mm]\nof each element")
-BENDS = ("bend [°]\nin all", "bend [°]\nof each element")
-"""Titles of what stands in the table of a shape, its sum first."""
 
 
-def _whose(one: Found) -> str:
-    return f"{one[0].name}, {one[1].name}"
-
-
-def _tell(found: Sequence[Found]) -> None:
+def _tell(read: "Study", found: Sequence[Found], sums: bool) -> None:
     console = open_console()
-    if not found:
+    for wanted in read.plans:
+        shown = [one for one in found if one.wanted is wanted]
+        if shown:
+            _report(console, wanted, shown, sums)
+    results = [one.result for one in found if one.result is not None]
+    if not results:
         return
-    print_table(_columns(found))
-    console.print()
-    for one in found:
-        if not one[-1].found:
-            say(console, f"{_whose(one)}: {one[-1].status}.")
-    for line in LEGEND:
+    lines = [*verdict_legend(read.settings, results)] if results[0].verdicts is not None else []
+    for line in [*lines, *LEGEND]:
         console.print(line)
 
 
+def _report(console: "Console", wanted: "NamedPlan", found: Sequence[Found], sums: bool) -> None:
+    """The tables of one plan, and in words what the arms do not hold."""
+    from rich.text import Text
+
+    from torcharm.study import result_rows
+
+    console.print(Text("Plan ").append(wanted.name, style="bold").append(f", {count(wanted.nodes, 'node')} a segment"))
+    console.print()
+    rows = [_no_row(one) if one.result is None else next(iter(result_rows(one.result))) for one in found]
+    arms = Column("arm", [one.arm.name for one in found], LONGEST_WORD)
+    print_table([arms, *error_columns(rows, sums)])
+    if any(one.result for one in found):
+        console.print()
+        print_table([arms, *_shape_columns(found)])
+    console.print()
+    for one, row in zip(found, rows, strict=True):
+        if row["reason"]:
+            say(console, f"{one.arm.name}: {row['reason']}{'' if row['reason'].endswith('?') else '.'}")
+    if any(row["reason"] for row in rows):
+        console.print()
+
+
+def _no_row(one: Found) -> dict[str, Any]:
+    """What stands in a table for a plan without a shape."""
+    return {"verdict": "refused" if one.refused else "no shape", "reason": one.shape.status}
+
+
 LEGEND = (
-    "cost: what was minimised; tip off: how far from the planned tip the arm is predicted to be",
-    "absolute, relative: what nodes lack in sum",
-    "of each element: its own length and bend, the least and the largest; in all: the sum over the elements",
+    "tip off, turned: how far from the planned tip the arm is predicted to be; shape: the mean along the arm.",
+    "of each: the least and the largest of the elements; whole: their sum; cost: what was minimised.",
 )
+
+
+def _next_steps(study: Path, out: Path | None, found: Sequence[Found]) -> Iterator[str]:
+    """What a person may do with the shapes."""
+    if not any(one.result for one in found):
+        return
+    yield ""
+    if out is not None and out.suffix.lower() == ".toml":
+        yield f"Next: paste {out} into {study}: torcharm evaluate, search and optimise take the shapes as tasks."
+    else:
+        yield f"Next: torcharm plan {study} --out shapes.toml writes the shapes as tasks to paste into the study."
 
 
 def _outputs(
     read: "Study", found: Sequence[Found], out: Path | None, figure: Path | None
 ) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
-    if out is not None and found:
-        rows = sum(len(shape.twists) for *_, shape in found if shape.found)
+    if out is not None and out.suffix.lower() == ".toml":
+        tasks = list(_tasks(read, found))
+        if tasks:
+            yield out, partial(_write_tasks, tasks=tasks), f" ({count(len(tasks), 'task')})."
+    elif out is not None and found:
+        rows = sum(len(one.shape.twists) for one in found if one.shape.found)
         from torcharm.study import check_format, write_rows
 
         ending = f".{check_format(out)}"
         yield out, lambda path: write_rows(path, list(_rows(found)), ending), f" ({count(rows, 'row')})."
     for place, wanted in zip(numbered(figure, len(read.plans)), read.plans, strict=False):
-        shown = [one for one in found if one[0] is wanted and not one[-1].status.startswith(REFUSED)]
+        shown = [one for one in found if one.wanted is wanted and not one.refused]
         if shown:
             yield place, partial(_draw, found=shown), f" ({wanted.name})."
 
@@ -156,39 +231,52 @@ def _outputs(
 def _draw(path: Path, found: Sequence[Found]) -> None:
     from torcharm.plot import plan_figure
 
-    wanted = found[0][0]
-    shapes = [(arm.name, arm.design, shape) for _, arm, shape in found]
+    wanted = found[0].wanted
+    shapes = [(one.arm.name, one.arm.design, one.shape) for one in found]
     drawn = plan_figure(shapes, wanted.name, wanted.tip_pose, base_pose=wanted.base_pose)
     drawn.savefig(path)
 
 
-def _columns(found: Sequence[Found]) -> list[Column]:
-    from torcharm.inputs import three_digits
-    from torcharm.study.results import MM
-
-    titles = ("cost", "tip off\n[mm]", "absolute\nrelative", *LENGTHS, *BENDS)
-    rows = []
-    for *_, shape in found:
-        result = shape.attainability
-        if result is None:
-            rows.append((*["-"] * 7, "no shape" if shape.status.startswith("no") else "refused"))
+def _tasks(read: "Study", found: Sequence[Found]) -> "Iterator[NamedTask]":
+    """The shapes found as tasks of their arms, by names that the study does not have yet."""
+    taken = {task.name for task in read.tasks}
+    for one in found:
+        if one.result is None:
             continue
-        sums = ["-" if value is None else f"{float(value):.4g}" for value in (result.absolute, result.relative)]
-        off = "-" if result.tip_error is None else three_digits(MM * float(result.tip_error))
-        spans = [cell for values in _elements(result) for cell in (f"{sum(values):.4g}", _span(values))]
-        rows.append((f"{shape.cost:.4g}", off, "\n".join(sums), *spans, str(result.verdict)))
-    *numbers, verdicts = zip(*rows, strict=True)
-    names = Column("plan,\narm", [f"{wanted.name},\n{arm.name}" for wanted, arm, _ in found], 30)
-    return [names, *map(Column, titles, numbers), Column("verdict", verdicts, 12)]
+        alone = len(read.arms_of(one.wanted)) == 1
+        first = name = one.wanted.name if alone else f"{one.wanted.name}, {one.arm.name}"
+        numbers = itertools.count(2)
+        while name in taken:
+            name = f"{first} {next(numbers)}"
+        taken.add(name)
+        yield replace(one.result.task, name=name)
 
 
-def _elements(result: "Attainability") -> tuple[list[float], list[float]]:
+def _write_tasks(path: Path, tasks: "Sequence[NamedTask]") -> None:
+    from torcharm.study import task_to_toml
+
+    path.write_text("\n".join(task_to_toml(task) for task in tasks), encoding="utf-8")
+
+
+def _shape_columns(found: Sequence[Found]) -> Iterator[Column]:
+    """How long and how bent the shapes are, and what they cost."""
+    cells = [["-"] * 5 if one.result is None else _shape_cells(one.result.task.task, one.shape) for one in found]
+    titles = ("length [mm]\nwhole", "length [mm]\nof each", "bend [°]\nwhole", "bend [°]\nof each", "cost")
+    for title, own in zip(titles, zip(*cells, strict=True), strict=True):
+        yield Column(title, own)
+
+
+def _shape_cells(task: "Task", shape: "PlannedShape") -> list[str]:
+    spans = [cell for values in _elements(task) for cell in (f"{sum(values):.4g}", _span(values))]
+    return [*spans, f"{shape.cost:.4g}"]
+
+
+def _elements(task: "Task") -> tuple[list[float], list[float]]:
     """The length [mm] and the bend [°] of each element itself; bends in space are amounts."""
     import torch
 
     from torcharm.study.results import MM
 
-    task = result.task
     counts = torch.tensor(task.segment_nodes or (task.nodes,))
     own = task.twists / counts.repeat_interleave(counts).unsqueeze(-1)  # twists are those of a segment of such elements
     bends = own[:, 2] if own.shape[-1] == 3 else own[:, 4:].norm(dim=-1)
@@ -196,16 +284,17 @@ def _elements(result: "Attainability") -> tuple[list[float], list[float]]:
 
 
 def _span(values: Sequence[float]) -> str:
-    """The least and the largest, in two lines."""
-    return f"{min(values):.4g} to\n{max(values):.4g}"
+    """The least and the largest."""
+    low, high = f"{min(values):.3g}", f"{max(values):.3g}"
+    return low if low == high else f"{low} to {high}"
 
 
 def _rows(found: Sequence[Found]) -> Iterator[dict[str, Any]]:
     """A row for each plan, arm and node, of the shapes that were found."""
     from torcharm.study.results import DEG, MM
 
-    for wanted, arm, shape in found:
-        for node, twist in enumerate(shape.twists.tolist() if shape.found else (), 1):
+    for one in found:
+        for node, twist in enumerate(one.shape.twists.tolist() if one.shape.found else (), 1):
             columns = TWISTS[len(twist)]
-            cells = [(MM if name.endswith("mm") else DEG) * one for name, one in zip(columns, twist, strict=True)]
-            yield {"plan": wanted.name, "arm": arm.name, "node": node, **dict(zip(columns, cells, strict=True))}
+            cells = [(MM if name.endswith("mm") else DEG) * value for name, value in zip(columns, twist, strict=True)]
+            yield {"plan": one.wanted.name, "arm": one.arm.name, "node": node, **dict(zip(columns, cells, strict=True))}

@@ -1,8 +1,8 @@
 """What commands say of arms on tasks: a heading, a table of verdicts, sentences on what is not held, and a legend."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from torcharm.cli.tables import LONGEST_WORD, Column
 from torcharm.cli.terminal import count
@@ -55,6 +55,27 @@ def _cells(summary: "Summary", sums: bool) -> dict[str, str]:
 
 def _not_held(verdicts: Mapping[str, int]) -> str:
     return ",\n".join(f"{many} {word}" for word, many in verdicts.items() if word != "held") or "-"
+
+
+def error_columns(rows: Sequence[Mapping[str, Any]], sums: bool = False) -> Iterator[Column]:
+    """The verdict and the errors of one load in each row, rows as of files; with the paper's sums on request."""
+    from torcharm.inputs import three_digits
+
+    if any(row.get("verdict") is not None for row in rows):
+        yield Column("verdict", [str(row.get("verdict") or "-") for row in rows], LONGEST_WORD)
+    shown = {"tip off\n[mm]": "tip_error_mm", "turned\n[°]": "tip_rotation_error_deg", "shape\n[mm]": "shape_error_mm"}
+    for title, name in shown.items():
+        if not any(name in row for row in rows):
+            continue
+        yield Column(title, _numbers(rows, name, three_digits))
+    for name in ("absolute", "relative") if sums else ():
+        if any(f"{name}_N" in row for row in rows):
+            yield Column(f"{name}\nsum [N]", _numbers(rows, f"{name}_N", three_digits))
+
+
+def _numbers(rows: Sequence[Mapping[str, Any]], name: str, words: Callable[[float], str]) -> list[str]:
+    values = [row.get(name) for row in rows]
+    return ["-" if value is None else words(value) for value in values]
 
 
 def why_not(summary: "Summary", load: int, verdict: str, reason: str) -> str:

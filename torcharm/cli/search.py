@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torcharm.cli.report import heading, summary_columns, verdict_legend
+from torcharm.cli.report import error_columns, heading, summary_columns, verdict_legend
 from torcharm.cli.tables import LONGEST_WORD, Column, print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
@@ -40,7 +40,7 @@ BLOCKS = {"multistart": 100, "scipy": 1}
 PAUSE = 2.0
 """Seconds, at least, between two savings of what was found until then."""
 MOST = 5
-"""Loads of a task that are told one by one; of more, those of least, median and largest tip error."""
+"""Loads of a task that are told one by one; of more, those of least, median and largest error over its tolerance."""
 
 
 def search(
@@ -57,8 +57,8 @@ def search(
         Path | None,
         typer.Option(
             "--figure",
-            help="Draw the shapes reached under the loads of least, median and largest tip error, to a file ending "
-            f"in {', '.join(FIGURE_FORMATS)}.",
+            help="Draw the shapes reached under the loads of least, median and largest error over its tolerance, "
+            f"to a file ending in {', '.join(FIGURE_FORMATS)}.",
         ),
     ] = None,
     method: Annotated[str, typer.Option(help="multistart, or scipy (the paper's, slow).")] = "multistart",
@@ -170,7 +170,7 @@ def _report(task: "NamedTask", found: "Found") -> None:
     if loads > MOST:
         print_table(list(summary_columns([(result, summarise(result)) for result in found])))
         console.print()
-        say(console, "Loads of least, median and largest tip error:")
+        say(console, "Loads of least, median and largest error over its tolerance:")
         console.print()
     every = [list(result_rows(result)) for result in found]
     rows = [own[load] for result, own in zip(found, every, strict=True) for load in _told(result)]
@@ -196,7 +196,7 @@ def _told(result: "StudyResult") -> list[int]:
     """The loads, from 0, that are told one by one: as in the picture, and the first without an equilibrium."""
     if result.loads <= MOST:
         return list(range(result.loads))
-    error = result.attainability.tip_error
+    error = result.attainability.over_tolerance
     assert error is not None
     known = error.isfinite().flatten()
     order = error.flatten().argsort(stable=True)[: int(known.sum())].tolist()
@@ -211,16 +211,14 @@ def _columns(told: Sequence[dict[str, Any]]) -> list[Column]:
     columns = [
         Column("arm", [str(row["arm"]) for row in told], LONGEST_WORD),
         Column("load", [str(row["load"]) for row in told]),
-        Column("verdict", [str(row["verdict"]) for row in told], LONGEST_WORD),
+        *error_columns(told),
     ]
-    shown = {"tip off\n[mm]": "tip_error_mm", "turned\n[°]": "tip_rotation_error_deg", "shape\n[mm]": "shape_error_mm"}
     pressures = sorted({name for row in told for name in row if name.startswith("pressure_")}, key=_actuator)
-    shown |= {f"actuator {_actuator(name)}\n[kPa]": name for name in pressures}
-    for title, name in shown.items():
+    for name in pressures:
         values = [row.get(name) for row in told]
-        if name in pressures and not any(value is not None for value in values):
-            continue
-        columns.append(Column(title, ["-" if value is None else three_digits(value) for value in values]))
+        if any(value is not None for value in values):
+            cells = ["-" if value is None else three_digits(value) for value in values]
+            columns.append(Column(f"actuator {_actuator(name)}\n[kPa]", cells))
     return columns
 
 
@@ -254,7 +252,7 @@ def _draw(path: Path, task: "NamedTask", found: "Found") -> None:
 
     searches = [(result, result.attainability.prediction) for result in found]
     shown = [(one.arm.name, one.arm.design, search) for one, search in searches if isinstance(search, PressureSearch)]
-    search_figure(shown, task.name, task.task).savefig(path)
+    search_figure(shown, task.name, task.task, tolerance=found[0].settings.tolerance).savefig(path)
 
 
 class _Rows:

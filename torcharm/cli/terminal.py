@@ -60,14 +60,15 @@ def finish(interrupted: bool, finished: Sized, refused: Mapping[str, Sequence[st
 
 
 def asked_about(study: "Study") -> "Study":
-    """The study, after questions on the standard error about limits that make sense in other units."""
-    from torcharm.attainability.questions import question_about_limits
+    """The study, after questions on the standard error about limits that make sense in other units, and places."""
+    from torcharm.attainability.questions import question_about_limits, question_about_places
     from torcharm.statics.balance import segments_of
 
     for arm in study.arms:
-        question = question_about_limits(segments_of(arm.design)[0])
-        if question is not None:
-            print(f"torcharm: {arm.name}: {question}", file=sys.stderr)
+        segments = segments_of(arm.design)[0]
+        for question in (question_about_limits(segments), question_about_places(segments)):
+            if question is not None:
+                print(f"torcharm: {arm.name}: {question}", file=sys.stderr)
     return study
 
 

@@ -10,6 +10,7 @@ import torch
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
+from torcharm.attainability.verdict import PoseTolerance, over_tolerance
 from torcharm.design.shape_planning import PlannedShape
 from torcharm.design.space import Arm
 from torcharm.inputs import TensorLike, three_digits
@@ -30,7 +31,7 @@ from torcharm.pressure.search import PressureSearch
 from torcharm.task import Task
 
 RANKS = ("least", "largest", "median")
-"""Of the tip errors under all loads, those whose shapes are drawn; of fewer loads the first."""
+"""Of the errors over their tolerance under all loads, those whose shapes are drawn; of fewer loads the first."""
 ORDER = ("least", "median", "largest")
 """From left to right."""
 PANEL = 4.4
@@ -39,17 +40,24 @@ MARGIN = 0.9
 """of which so much is for the labels of its axis."""
 
 
-def search_figure(results: Sequence[tuple[str, Arm, PressureSearch]], task_name: str, task: Task) -> Figure:
+def search_figure(
+    results: Sequence[tuple[str, Arm, PressureSearch]],
+    task_name: str,
+    task: Task,
+    *,
+    tolerance: PoseTolerance | None = None,
+) -> Figure:
     """One page that shows how near a pressure search brings arms to a task, for `figure.savefig(path)`.
 
     A row for each arm; in it the arm where it gets to, and the task's centreline, under the loads of least, median and
-    largest tip error. Loads under which no equilibrium was found are left out, and counted; of an arm for which none
-    was found, or an impossible task, the centreline wanted is drawn, and why.
+    largest error, of tip, turn or shape, over its tolerance. Loads under which no equilibrium was found are left out,
+    and counted; of an arm for which none was found, or an impossible task, the centreline wanted is drawn, and why.
 
     Args:
         results: names, designs, and what `search_pressure` found of each for all of the task.
         task_name: for the title.
         task: tasks of any batch shape; the last may be left out of a result, as an interruption does.
+        tolerance: of the errors; None takes the default.
 
     Raises:
         ValueError: there is no result, a design is a batch, or a result is of more tasks than there are.
@@ -57,7 +65,8 @@ def search_figure(results: Sequence[tuple[str, Arm, PressureSearch]], task_name:
     if not results:
         raise ValueError("results: must hold at least one arm, got none")
     arms = [one_design(name, arm, task) for name, arm, _ in results]
-    errors = [_tip_errors(name, found, prod(task.batch_shape)) for name, _, found in results]
+    near = PoseTolerance() if tolerance is None else tolerance
+    errors = [_errors(name, arm, found, near, prod(task.batch_shape)) for name, arm, found in results]
     ranks = RANKS[: max(1, *(int(np.isfinite(error).sum()) for error in errors))]
     drawn = [_ranked_loads(error, len(ranks)) for error in errors]
     pairs = [(arm, load) for arm, row in zip(arms, drawn, strict=True) for load in row.values()]
@@ -67,13 +76,14 @@ def search_figure(results: Sequence[tuple[str, Arm, PressureSearch]], task_name:
     grid = _panels(figure, len(results), len(ranks), task)
     for (name, _, found), arm, error, chosen, row in zip(results, arms, errors, drawn, grid, strict=True):
         twists = found.twists.detach().reshape(-1, *found.twists.shape[-2:])
+        off_by = array(found.tip_error).ravel()
         turned, lost = np.degrees(array(found.tip_rotation_error).ravel()), int((~np.isfinite(error)).sum())
         for axes in row[len(chosen) :]:
             axes.set_axis_off()
         for axes, (rank, load) in zip(row, chosen.items(), strict=False):
             at = pick(task, load)
             draw_arm(axes, arm, at, twists[load], scale)
-            off = f"tip off by {three_digits(1e3 * error[load])} mm, turned by {three_digits(turned[load])}°"
+            off = f"tip off by {three_digits(1e3 * off_by[load])} mm, turned by {three_digits(turned[load])}°"
             which = _which(rank, len(error) - lost, lost)
             axes.set_title(f"{name}: {which}\n{off}\n{_load(at, load)}", fontsize="medium")
         if not chosen:
@@ -86,9 +96,9 @@ def search_figure(results: Sequence[tuple[str, Arm, PressureSearch]], task_name:
     return figure
 
 
-def _tip_errors(name: str, found: PressureSearch, tasks: int) -> Array:
-    """The tip's errors [m] of the tasks that were searched; an interruption leaves fewer than all."""
-    error = array(found.tip_error).ravel()
+def _errors(name: str, arm: Arm, found: PressureSearch, tolerance: PoseTolerance, tasks: int) -> Array:
+    """The largest error over its tolerance of the tasks that were searched; an interruption leaves fewer than all."""
+    error = array(over_tolerance(arm, found, tolerance).amax(0)).ravel()
     if len(error) > tasks:
         raise ValueError(f"results: {name}: must be of at most {tasks} tasks, got {len(error)}")
     return error

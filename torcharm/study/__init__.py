@@ -5,10 +5,10 @@
     write_results("results.csv", results)
 
 `example_text()` is a commented study that shows every section, `key_reference()` one of every key,
-`arm_to_toml` writes a design as a table of a study, and `study_to_toml` a study of other arms.
-Lengths are in metres, angles in radians,
-forces in newtons, moments in newton-metres, pressures in kilopascals. Entries of lists (arms, tasks,
-loads, nodes) are counted from 1, in tables and in error messages.
+`arm_to_toml` and `task_to_toml` write a design and a task as tables of a study, and `study_to_toml` a study
+of other arms. Lengths are in metres, angles in radians, forces in newtons, moments in newton-metres,
+pressures in kilopascals. Entries of lists (arms, tasks, loads, nodes) are counted from 1, in tables and in
+error messages.
 """
 
 from torcharm.study.data import NamedArm, NamedTask, Settings, Study
@@ -25,6 +25,7 @@ from torcharm.study.results import (
     write_results,
     write_rows,
 )
+from torcharm.study.task_writing import task_to_toml
 from torcharm.study.writing import arm_to_toml, study_to_toml
 
 __all__ = [
@@ -47,6 +48,7 @@ __all__ = [
     "result_rows",
     "study_to_toml",
     "summarise",
+    "task_to_toml",
     "write_results",
     "write_rows",
 ]

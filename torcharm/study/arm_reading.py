@@ -20,7 +20,7 @@ from torcharm.actuators import (
 from torcharm.actuators.model_file import load_actuator
 from torcharm.arm import ArmDesign, ring
 from torcharm.arm_series import ArmSeries, RigidLink, series
-from torcharm.attainability.questions import question_about_arm
+from torcharm.attainability.questions import question_about_arm, question_about_mass
 from torcharm.statics.balance import segments_of
 from torcharm.study.arm_tables import (
     PAPER_ARMS,
@@ -102,6 +102,9 @@ def _parts(table: SegmentTable, folder: Path, files: list[str | None]) -> list[A
     parts: list[ArmDesign | RigidLink] = [_bundle(table, places, models, counts)]
     if table.link is not None:
         with within("link"):
+            question = question_about_mass(table.link.mass)
+            if question is not None:
+                raise ValueError(f"mass: {question}")
             parts.append(RigidLink(table.link.length, mass=table.link.mass))
     return parts
 

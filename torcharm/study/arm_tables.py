@@ -102,7 +102,12 @@ class PolynomialTable(Table):
     strain_range: Range = Field(description="Strains that were characterised.", examples=[[-0.1, 0.4]])
     pressure_range: PressureRange = Field(description="Pressures that were characterised.", examples=[[0.0, 60.0]])
     max_pressure: PositivePressure = Field(description="Highest pressure in use.", examples=[60.0])
-    bending_stiffness: float | None = _bending_stiffness
+    bending_stiffness: float | None = Field(
+        default=None,
+        description="Bending stiffness K [N·m²] at max_pressure; negative resists bending. Without it 0: it does not "
+        "resist bending by itself.",
+        examples=[-0.2857],
+    )
     bending: BendingTable | None = _bending
     force_scale: float | None = _force_scale
 

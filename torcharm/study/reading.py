@@ -10,6 +10,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from torcharm.attainability import CHOICES, PoseTolerance, check_measure
+from torcharm.attainability.questions import LONGEST, WIDEST, question_about_lengths
 from torcharm.design.objective import Objective
 from torcharm.design.shape_planning import Smoothness
 from torcharm.design.space import DesignSpace
@@ -172,6 +173,15 @@ def _settings(table: EvaluateTable) -> Settings:
 
 
 def _optimisation(table: OptimiseTable) -> Optimisation:
+    spacing = [] if table.spacing is None else [table.spacing]
+    for field, values, most in (
+        ("bounds.radii", table.bounds.radii, WIDEST),
+        ("bounds.length", table.bounds.length, LONGEST),
+        ("spacing", spacing, WIDEST),
+    ):
+        question = question_about_lengths(values, most) if values else None
+        if question is not None:
+            raise ValueError(f"{field}: {question}")
     bounds = {name: (ends[0], ends[1]) for name, ends in table.bounds.model_dump(exclude_none=True).items()}
     space = DesignSpace(tuple(table.free), table.tied, bounds, table.spacing, table.in_range)
     objective = Objective(table.metric, table.over, relative_weight=table.relative_weight)

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
-from torcharm.attainability.questions import question_about_shape
+from torcharm.attainability.questions import question_about_mass, question_about_pose, question_about_shape
 from torcharm.geometry import se3
 from torcharm.geometry.rod import HEADINGS, as_base
 from torcharm.load import ExternalLoad, PointLoad
@@ -117,6 +117,9 @@ def read_points(table: WeighedTable, columns: int, segments: int) -> list[PointL
             with within(field_path([name, index])):
                 if one.segment is not None and one.segment > segments:
                     raise ValueError(f"segment: must be at most {segments}, the number of them, got {one.segment}")
+                question = question_about_mass(one.mass) if isinstance(one, PayloadTable) else None
+                if question is not None:
+                    raise ValueError(f"mass: {question}")
                 if isinstance(one, PointTable):
                     check_columns("wrench", len(one.wrench), columns)
                 segment = -1 if one.segment is None else one.segment - 1
@@ -160,8 +163,17 @@ def read_pose(field: str, pose: Pose | PoseTable, start: Pose | str | None) -> P
         start: from which a direction is reached by bending in one plane, which a turn of 0 stands for; None hangs.
 
     Raises:
-        ValueError: the direction is none, or straight back, so that no plane is known in which to bend.
+        ValueError: the direction is none, or straight back, so that no plane is known in which to bend; or
+            the place is in other units.
     """
+    place: Sequence[float] = ()
+    if isinstance(pose, PoseTable):
+        place = pose.position
+    elif len(pose) == 4:
+        place = [row[3] for row in pose[:3]]  # type: ignore[index]
+    question = question_about_pose(place)
+    if question is not None:
+        raise ValueError(f"{field}: {question}")
     if not isinstance(pose, PoseTable):
         return pose
     base = torch.as_tensor(as_base(start, torch.zeros((), dtype=torch.float64), 6), dtype=torch.float64)

@@ -7,6 +7,8 @@ from typing import Annotated, Any
 
 from pydantic import Discriminator, Field, Tag
 
+from torcharm.attainability.questions import question_about_pose
+from torcharm.inputs import hint
 from torcharm.study.fields import Check, by_list, either, entries, refuse, shown_value
 
 LENGTH = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "in": 0.0254}
@@ -27,8 +29,16 @@ def parsed(value: Any, units: dict[str, float]) -> Any:
         return value
     found = _NUMBER.fullmatch(value)
     if found is None or found[2] not in units:
-        raise refuse(f"must be {_in_unit_words(units)}, got {shown_value(value)}")
+        near = "" if found is None else _near_unit(found[2], units)
+        raise refuse(f"must be {_in_unit_words(units)}, got {shown_value(value)}{near}")
     return float(found[1]) * units[found[2]]
+
+
+def _near_unit(text: str, units: dict[str, float]) -> str:
+    """Which unit was meant, if one is near in letters of any case, to end a message with."""
+    alike = {unit.lower(): unit for unit in units}
+    near = hint(text.lower(), alike)
+    return next((f"; did you mean {unit}?" for low, unit in alike.items() if near == f"; did you mean {low}?"), "")
 
 
 def numbers_in(text: str, units: Sequence[dict[str, float]]) -> list[float]:
@@ -101,7 +111,21 @@ Load = each_in(
     {"f_x": FORCE, "f_y": FORCE, "m": MOMENT},
     {"f_x": FORCE, "f_y": FORCE, "f_z": FORCE, "m_x": MOMENT, "m_y": MOMENT, "m_z": MOMENT},
 )
-Pose = each_in({"x": LENGTH, "y": LENGTH, "θ": ANGLE})
+
+
+def _ask_of_pose(value: Any) -> Any:
+    """A pose in the plane, unless it makes sense in other units only; an angle with a unit is meant so."""
+    if isinstance(value, list) and len(value) == 3:
+        place = [parsed(part, LENGTH) for part in value[:2]]
+        if all(isinstance(part, int | float) for part in place):
+            question = question_about_pose(place, value[2] if isinstance(value[2], int | float) else None)
+            if question is not None:
+                raise refuse(question)
+    return value
+
+
+_PoseNumbers: Any = each_in({"x": LENGTH, "y": LENGTH, "θ": ANGLE})
+Pose: Any = Annotated[_PoseNumbers, Check(_ask_of_pose)]
 Position = each_in({"x": LENGTH, "y": LENGTH, "z": LENGTH})
 Twist = each_in(
     {"l": LENGTH, "γ": LENGTH, "κ": ANGLE},

@@ -88,8 +88,13 @@ class LoadCapacity(HoldsTensors):
     metric: str
 
     def __repr__(self) -> str:
-        """Shapes, no numbers."""
-        return shapes_only(self)
+        """Of one task the factor, or why there is none; of several the shapes."""
+        if self.factor.ndim:
+            return shapes_only(self)
+        factor, why = float(self.factor), str(self.reason)
+        if not why:
+            why = f"limited by node {int(self.limiting_node) + 1} from the base" if factor < torch.inf else "no limit"
+        return f"LoadCapacity(factor {factor:.4g}, {why})"
 
     @property
     def factor_per_node(self) -> Tensor:
