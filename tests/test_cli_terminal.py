@@ -22,10 +22,10 @@ from torcharm.design import shape_planning
 from torcharm.inputs import three_digits
 from torcharm.study import example_text
 
-FAR = """
+REFUSED_PLAN = """
 [[plan]]
-name = "too far for numbers"
-tip_pose = [1e160, 0.0, 0.0]
+name = "refused"
+tip_pose = [0.1, -0.4, -0.5]
 tip_load = [6.0, 0.0, 0.0]
 nodes = 3
 """
@@ -150,7 +150,7 @@ def test_outputs_of_other_endings_are_refused(monkeypatch, capsys, study_file, c
 
 def test_plan_and_search_draw_a_picture_for_each_plan_and_task(study_file):
     folder = study_file.parent
-    study_file.write_text(STUDY + FAR, encoding="utf-8")
+    study_file.write_text(STUDY + REFUSED_PLAN, encoding="utf-8")
     assert f"Wrote {folder / 'near-1.png'} (reach)." in invoke("search", study_file, "--figure", folder / "near.png")
     study_file.write_text(STUDY, encoding="utf-8")
     assert f"Wrote {folder / 'plan.svg'} (shape 1)." in invoke("plan", study_file, "--figure", folder / "plan.svg")
@@ -161,32 +161,38 @@ def test_plan_and_search_draw_a_picture_for_each_plan_and_task(study_file):
 # Plans that fail, and Ctrl-C
 
 
+def fail_at(monkeypatch, number, error, module, name):
+    """Have a function fail at one of its calls, the first of which is number 1."""
+    whole, calls = getattr(module, name), []
+
+    def failing_then(*arguments, **options):
+        calls.append(1)
+        if len(calls) == number:
+            raise error
+        return whole(*arguments, **options)
+
+    monkeypatch.setattr(module, name, failing_then)
+
+
+def interrupt_the_second_call(monkeypatch, module, name):
+    """As if Ctrl-C came when a function has done its work once and begins again."""
+    fail_at(monkeypatch, 2, KeyboardInterrupt(), module, name)
+
+
 def test_a_plan_that_is_an_error_costs_only_its_own_row(monkeypatch, capsys, study_file):
-    study_file.write_text(STUDY.replace("[[plan]]", FAR + "[[plan]]"), encoding="utf-8")
+    study_file.write_text(STUDY.replace("[[plan]]", REFUSED_PLAN + "[[plan]]"), encoding="utf-8")
     out = study_file.parent / "shapes.csv"
+    fail_at(monkeypatch, 1, ValueError("tip_pose: must be finite"), shape_planning, "plan_shape")
     monkeypatch.setattr(sys, "argv", ["torcharm", "plan", str(study_file), "--out", str(out)])
     with pytest.raises(SystemExit) as caught:
         cli.main()
     output = capsys.readouterr()
     assert caught.value.code == 2
     assert without_notice(output.err).count("\n") == 1
-    assert "too far for numbers, antagonistic: refused: tip_pose: must be finite" in output.err
+    assert "refused, antagonistic: refused: tip_pose: must be finite" in output.err
     assert "refused" in output.out
     with out.open(encoding="utf-8") as file:
         assert [row["plan"] for row in csv.DictReader(file)] == ["shape 1"] * 10
-
-
-def interrupt_the_second_call(monkeypatch, module, name):
-    """As if Ctrl-C came when a function has done its work once and begins again."""
-    whole, calls = getattr(module, name), []
-
-    def interrupted_then(*arguments, **options):
-        calls.append(1)
-        if len(calls) == 2:
-            raise KeyboardInterrupt
-        return whole(*arguments, **options)
-
-    monkeypatch.setattr(module, name, interrupted_then)
 
 
 def interrupted(monkeypatch, capsys, *arguments):
