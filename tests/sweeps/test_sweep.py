@@ -1,0 +1,221 @@
+"""What a sweep finds, against what is found of its designs one by one, and against its whole table."""
+
+import numpy as np
+import pandas
+import pytest
+import torch
+from sweep_cases import SPACE, arm, contents, small_sweep, task
+
+import torcharm as ta
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    return small_sweep(tmp_path_factory.mktemp("sweep") / "run", count=400)
+
+
+@pytest.fixture(scope="module")
+def frame(swept):
+    return swept.to_frame()
+
+
+def test_every_design_is_there_once_in_order(swept, frame):
+    assert frame["design"].tolist() == list(range(400))
+    assert swept.complete
+    assert (swept.count, swept.finished, swept.feasible) == (400, 400, frame["feasible"].sum())
+    assert 0 < swept.feasible < 400
+    assert tuple(frame.columns) == swept.columns
+
+
+def test_what_is_found_is_what_evaluate_finds(swept, frame):
+    some = frame[frame["feasible"]].iloc[::7]
+    designs = swept.designs(some["design"].to_numpy())
+    found = ta.evaluate(designs, task(), ("absolute", "relative"))
+    assert np.allclose(some["absolute_N"], found.absolute.mean(-1), rtol=1e-6)
+    assert np.allclose(some["relative_N"], found.relative.mean(-1), rtol=1e-6)
+    assert np.allclose(some["size_mm"], 1e3 * designs.radii.abs().amax(-1), rtol=1e-6)
+    assert some["not_excluded"].tolist() == found.not_excluded.sum(-1).tolist()
+
+
+def test_designs_that_are_not_allowed_have_no_numbers(frame):
+    left_out = frame[~frame["feasible"]]
+    assert left_out[["absolute_N", "relative_N", "size_mm"]].isna().to_numpy().all()
+    assert (left_out["not_excluded"] == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("reduce", "expected"),
+    [
+        ("worst", lambda x: x.amax(-1)),
+        (0.5, lambda x: x.sort(-1).values[:, 1]),
+        (0.33, lambda x: x.amin(-1)),
+    ],
+)
+def test_metrics_are_reduced_over_all_tasks(tmp_path, reduce, expected):
+    tasks = [task(), ta.Task(ta.affine_curvature(-1.0, 0.5, nodes=3))]
+    found = ta.sweep(arm(), SPACE, tasks, 60, out=tmp_path, metrics="absolute", reduce={"absolute": reduce}, workers=1)
+    best = found.best(5, "absolute")
+    whole = [ta.evaluate(found.designs(best), one, ("absolute",)).absolute.reshape(len(best), -1) for one in tasks]
+    assert np.allclose(best["absolute_N"], expected(torch.cat(whole, -1)), rtol=1e-6)
+
+
+def test_predicted_errors_and_verdicts(tmp_path):
+    found = ta.sweep(arm(), SPACE, task(), 40, out=tmp_path, metrics="predicted_error", workers=1, tolerance=0.05)
+    best = found.best(8)
+    expected = ta.evaluate(found.designs(best), task(), ("predicted_error",), tolerance=0.05)
+    assert bool(expected.prediction.stable.all())
+    assert np.allclose(best["tip_error_mm"], 1e3 * expected.tip_error.mean(-1), rtol=1e-5)
+    assert np.allclose(best["shape_error_mm"], 1e3 * expected.shape_error.mean(-1), rtol=1e-5)
+    assert best["held"].tolist() == (expected.verdict == "held").sum(-1).tolist()
+    assert sum(found.verdicts.values()) == 2 * found.feasible
+    most = found.best(3, "held")["held"]
+    assert most.max() == most[0] == found.to_frame(["held"])["held"].max()
+
+
+@pytest.mark.parametrize("by", ["absolute", "relative_N", "not_excluded", "size"])
+def test_the_best_are_those_of_the_whole_table(swept, frame, by):
+    column = swept.column(by)
+    keys = [column, "design"] if by != "not_excluded" else [column, "absolute_N", "design"]
+    order = frame[frame["feasible"]].sort_values(keys, ascending=[by != "not_excluded", *[True] * (len(keys) - 1)])
+    assert swept.best(25, by)["design"].tolist() == order["design"].tolist()[:25]
+
+
+@pytest.mark.parametrize("pair", [("absolute", "size"), ("relative", "size"), ("relative", "absolute")])
+def test_the_pareto_set_is_that_of_the_whole_table(swept, frame, pair):
+    x, y = (frame[swept.column(name)].where(frame["feasible"]).to_numpy() for name in pair)
+    beaten = [((x <= a) & (y <= b) & ((x < a) | (y < b))).any() for a, b in zip(x, y, strict=True)]
+    expected = frame["design"][~np.array(beaten) & frame["feasible"].to_numpy()]
+    assert set(swept.pareto(*pair)["design"].tolist()) == set(expected)
+
+
+def test_large_shards_carry_what_summaries_need(tmp_path, monkeypatch):
+    from torcharm.sweeps import ranking
+    from torcharm.sweeps.shards import BEST
+
+    monkeypatch.setattr(ranking, "KEPT", 5)
+    found = small_sweep(tmp_path, 200, shard_size=100)
+    import pyarrow.parquet
+
+    texts = [pyarrow.parquet.read_metadata(path).metadata for path in (tmp_path / "shards").iterdir()]
+    assert all(BEST in text for text in texts)
+    frame = found.to_frame()
+    expected = frame[frame["feasible"]].sort_values(["absolute_N", "design"])["design"].tolist()[:5]
+    assert found.best(5, "absolute")["design"].tolist() == expected
+    assert len(found.summary.rows["design"]) < 60
+
+
+def test_a_sweep_is_opened_again(swept):
+    again = ta.open_sweep(swept.folder)
+    assert again.complete
+    assert again.best(9, "absolute")["design"].tolist() == swept.best(9, "absolute")["design"].tolist()
+    assert (again.designs([4, 2]).radii == swept.designs([4, 2]).radii).all()
+    assert np.allclose(again.best(9, "absolute")["radii"], swept.designs(swept.best(9, "absolute")).radii)
+
+
+def test_a_summary_is_what_its_shards_say(swept):
+    path = swept.folder / "summary.parquet"
+    before = path.read_bytes()
+    path.unlink()
+    again = ta.open_sweep(swept.folder)
+    assert path.read_bytes() == before
+    assert again.summary.counts == swept.summary.counts
+
+
+def test_tables_hold_what_is_asked_for(swept, frame):
+    some = swept.to_frame(["design", "relative", "radii_2"], [("relative_N", "<", 5.0)])
+    assert list(some.columns) == ["design", "relative_N", "radii_2_mm"]
+    assert some["design"].tolist() == frame["design"][frame["relative_N"] < 5.0].tolist()
+    assert np.allclose(some["radii_2_mm"], 1e3 * swept.designs(some["design"].to_numpy()).radii[:, 1])
+    assert isinstance(some, pandas.DataFrame)
+
+
+def test_a_grid(tmp_path):
+    found = ta.sweep(
+        arm(), SPACE, task(), out=tmp_path, sampling="grid", levels=[2, 3, 3, 2], metrics="absolute", workers=1
+    )
+    assert found.count == 36
+    radii = found.designs(np.arange(36)).radii
+    assert torch.allclose(radii[:, 0].unique(), torch.tensor([-0.1, 0.1], dtype=torch.float64))
+
+
+def test_pictures_have_units_and_count_every_feasible_design(swept):
+    figure = swept.plot("absolute", "size", bins=7)
+    axes = figure.axes[0]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("absolute [N]", "size [mm]")
+    assert axes.collections[0].get_array().sum() == swept.feasible
+    marginals = swept.plot()
+    assert [axes.get_xlabel() for axes in marginals.axes] == ["absolute [N]", "relative [N]", "size [mm]"]
+    assert swept.plot("radii_1").axes[0].get_xlabel() == "radii 1 [mm]"
+
+
+def test_progress_is_told(tmp_path):
+    told = []
+    small_sweep(tmp_path, 100, callback=told.append)
+    assert [one.finished for one in told] == [0, 32, 64, 96]
+    assert told[0].best == np.inf
+    assert told[-1].by == "absolute_N"
+    assert told[-1].best == ta.open_sweep(tmp_path).best(1, "absolute")["absolute_N"][0]
+
+
+def test_a_callback_stops_and_the_sweep_goes_on(tmp_path):
+    told = []
+
+    def stop(progress):
+        told.append(progress)
+        return progress.finished >= 64
+
+    part = small_sweep(tmp_path / "a", 200, callback=stop)
+    assert (part.complete, part.finished) == (False, 64)
+    assert small_sweep(tmp_path / "a", 200).complete
+    small_sweep(tmp_path / "b", 200)
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
+
+
+def test_parts_make_a_whole(tmp_path):
+    small_sweep(tmp_path / "whole", 200)
+    for part in (3, 1, 2):
+        found = small_sweep(tmp_path / "parts", 200, shard=(part, 3))
+        assert found.complete == (part == 2)
+    opened = ta.open_sweep(tmp_path / "parts")
+    assert opened.finished == 200
+    assert contents(tmp_path / "parts") == contents(tmp_path / "whole")
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        ({"count": 0}, "count"),
+        ({"count": 2**31}, "count"),
+        ({"metrics": "speed"}, "metrics"),
+        ({"metrics": ()}, "metrics"),
+        ({"reduce": "median"}, "reduce"),
+        ({"reduce": {"speed": "mean"}}, "reduce"),
+        ({"reduce": 1.5}, "reduce"),
+        ({"sampling": "random"}, "sampling"),
+        ({"sampling": "grid"}, "levels"),
+        ({"sampling": "grid", "levels": [2, 2]}, "levels"),
+        ({"levels": 3}, "levels"),
+        ({"seed": -1}, "seed"),
+        ({"shard": (4, 3)}, "shard"),
+        ({"shard": (0, 3)}, "shard"),
+        ({"shard_size": 0}, "shard_size"),
+        ({"workers": 0}, "workers"),
+        ({"executor": 7, "workers": None}, "executor"),
+        ({"tolerance": -1.0}, "tolerance"),
+    ],
+)
+def test_mistakes_name_the_field(tmp_path, options, field):
+    with pytest.raises(ValueError, match=rf"^{field}: "):
+        small_sweep(tmp_path / "run", **options)
+    assert not list(tmp_path.rglob("*.parquet"))
+
+
+@pytest.mark.parametrize("name", ["tip_error", "speed"])
+def test_columns_that_are_not_there_are_refused(swept, name):
+    with pytest.raises(ValueError, match=r"^column: must be one of absolute, relative, size"):
+        swept.best(3, name)
+
+
+def test_indices_that_are_not_there_are_refused(swept):
+    with pytest.raises(ValueError, match="indices: must be integers from 0 to 399"):
+        swept.designs([400])
