@@ -165,7 +165,7 @@ def test_a_callback_stops_and_the_sweep_goes_on(tmp_path):
         return progress.finished >= 64
 
     part = small_sweep(tmp_path / "a", 200, callback=stop)
-    assert (part.complete, part.finished) == (False, 64)
+    assert (part.complete, part.interrupted, part.finished) == (False, True, 64)
     assert small_sweep(tmp_path / "a", 200).complete
     small_sweep(tmp_path / "b", 200)
     assert contents(tmp_path / "a") == contents(tmp_path / "b")
@@ -175,7 +175,7 @@ def test_parts_make_a_whole(tmp_path):
     small_sweep(tmp_path / "whole", 200)
     for part in (3, 1, 2):
         found = small_sweep(tmp_path / "parts", 200, shard=(part, 3))
-        assert found.complete == (part == 2)
+        assert (found.complete, found.interrupted) == (part == 2, False)
     opened = ta.open_sweep(tmp_path / "parts")
     assert opened.finished == 200
     assert contents(tmp_path / "parts") == contents(tmp_path / "whole")

@@ -181,11 +181,14 @@ def locked(folder: Path, part: Part | None) -> Iterator[None]:
         held.enter_context(take(own))
         for other in others:  # that nobody holds it now is enough: shards are the same whoever writes them
             take(other).release()
-        if part is None:
-            for left in [*folder.glob(TEMPORARY), *(folder / SHARDS).glob(TEMPORARY)]:
-                with suppress(OSError):
-                    left.unlink()
         yield
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what processes that were killed left half-written; for who holds the lock of the whole sweep."""
+    for left in [*folder.glob(TEMPORARY), *(folder / SHARDS).glob(TEMPORARY)]:
+        with suppress(OSError):
+            left.unlink()
 
 
 def stored_arm(folder: StrPath) -> Arm:

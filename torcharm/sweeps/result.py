@@ -56,6 +56,10 @@ class SweepRows:
         check_choice("name", name, tuple(self.columns))
         return self.columns[name]
 
+    def taken(self, places: Sequence[int]) -> "SweepRows":
+        """The rows at some places."""
+        return SweepRows(taken(self.columns, np.asarray(places, dtype=np.intp)), self.points)
+
     def to_frame(self) -> "DataFrame":
         """As a table of pandas.
 
@@ -77,10 +81,14 @@ class SweepResult:
         folder: where it lies.
         manifest: what it is.
         summary: counts, ranges and best rows of all finished shards.
+        interrupted: whether the run that returned this was stopped before it had done its shards.
     """
 
-    def __init__(self, folder: Path, manifest: Manifest, summary: Summary, arm: Arm | None = None) -> None:
+    def __init__(
+        self, folder: Path, manifest: Manifest, summary: Summary, arm: Arm | None = None, *, interrupted: bool = False
+    ) -> None:
         self.folder, self.manifest, self.summary, self._arm = folder, manifest, summary, arm
+        self.interrupted = interrupted
 
     @property
     def count(self) -> int:
@@ -224,10 +232,11 @@ class SweepResult:
                 raise ValueError(f"filter: {error}, got {shown(filter)}") from None
             rows = rows_of(table)
             if made:
-                rows |= self._free_columns(rows["design"])
+                rows |= self.free_columns(rows["design"])
             yield {name: rows[name] for name in wanted}
 
-    def _free_columns(self, indices: Indices) -> Rows:
+    def free_columns(self, indices: Indices) -> Rows:
+        """The columns of free values (n,) of the designs at indices (n,)."""
         points = self.manifest.design_points
         free, at = points.free, points(indices)
         values = free.low + at * (free.high - free.low)

@@ -31,6 +31,7 @@ from torcharm.sweeps.manifest import (
     make_manifest,
     prepare_folder,
     read_manifest,
+    remove_leftovers,
 )
 from torcharm.sweeps.measures import Measures, Reduce, check_measures
 from torcharm.sweeps.ranking import best_places, rankings, taken
@@ -156,6 +157,8 @@ def sweep(
         check_same(out, read_manifest(folder), problem, shard_size)
     prepare_folder(folder)
     with locked(folder, shard), workers_of(executor, workers) as crew:
+        if shard is None:
+            remove_leftovers(folder)
         parts = shard[1] if shard else workers or usable_cores()
         decide = _decision(problem, designs, number, tasks, measures, shard_size, parts)
         manifest = make_manifest(folder, designs.designs.arm, decide)
@@ -164,7 +167,9 @@ def sweep(
         run = _Run(job, shard, callback)
         run.complete = run_shards(crew, job, run.missing(), run.finished, run.watch)
         run.keep()
-    return SweepResult(folder, manifest, run.summary, arm=designs.designs.arm)
+        if shard is None and run.complete:
+            remove_leftovers(folder)  # of workers that were lost on the way
+    return SweepResult(folder, manifest, run.summary, designs.designs.arm, interrupted=not run.complete)
 
 
 class _Run:
