@@ -44,7 +44,7 @@ COMMANDS = {
     "optimise": ("its table [optimise]", "tables [[arm]] to paste", ".toml", ".csv"),
     "plan": ("begin with [[plan]]", "to a file .csv"),
     "search": ("to a file .csv", "--figure"),
-    "sweep": ("table [optimise]", "[[arm]]", "--shard", "[default: 1e6]"),
+    "sweep": ("table [optimise]", "[[arm]]", "--shard", "[default: (1e6)]"),
     "shape": ("force y [N], moment [N·m]",),
 }
 

@@ -138,6 +138,33 @@ def test_a_grid(tmp_path):
     assert torch.allclose(radii[:, 0].unique(), torch.tensor([-0.1, 0.1], dtype=torch.float64))
 
 
+@pytest.mark.parametrize("kind", ["series", "space"])
+def test_arms_in_series_and_in_space(tmp_path, kind):
+    if kind == "series":
+        own = ta.series([ta.antagonistic_arm(), ta.RigidLink(length=0.02), ta.bellows_arm()])
+        what = ta.Task([[0.5, 0.0, 0.5]] * 4, [1.0, -1.0, 0.0], segment_nodes=(2, 2))
+        space = ta.DesignSpace(free=("radii", "length"), spacing=0.01, in_range=False)
+    else:
+        own = ta.ArmDesign(offsets=ta.ring(0.05, 3), length=0.4, actuators=ta.Bellows())
+        what = ta.Task(ta.constant_curvature(0.5, 0.4, nodes=3, direction=0.4), [0.0, -1.0, 0.2, 0.0, 0.0, 0.0])
+        space = ta.DesignSpace(free=("radii", "angles", "length"), tied="none")
+    found = ta.sweep(own, space, what, 300, out=tmp_path, metrics="absolute", workers=1)
+    best = ta.open_sweep(tmp_path).best(4, "absolute")
+    designs = found.designs(best)
+    assert len(best) == 4
+    assert np.allclose(best["absolute_N"], ta.evaluate(designs, what, ("absolute",)).absolute, rtol=1e-5)
+    assert best["radii"].shape == (4, own.actuator_count)
+
+
+def test_a_space_without_a_feasible_design_drawn(tmp_path):
+    narrow = ta.DesignSpace(free="radii", spacing=0.066, in_range=False)
+    found = ta.sweep(arm(), narrow, task(), 20, out=tmp_path, metrics="absolute", workers=1)
+    assert (found.finished, found.feasible) == (20, 0)
+    assert len(found.best(3, "absolute")) == len(found.pareto("absolute")) == 0
+    with pytest.raises(ValueError, match="something finite"):
+        found.plot("absolute")
+
+
 def test_pictures_have_units_and_count_every_feasible_design(swept):
     figure = swept.plot("absolute", "size", bins=7)
     axes = figure.axes[0]

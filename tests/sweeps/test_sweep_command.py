@@ -77,6 +77,7 @@ def test_parts_of_a_sweep(study, tmp_path):
         (("STUDY", "--out", "OUT"), "--arm: must name one of the study's arms: one, two"),
         (("STUDY", "--out", "OUT", "--arm", "tow"), "--arm: must be one of one, two, got 'tow'; did you mean two?"),
         (("STUDY", "--out", "OUT", "--count", "1.5"), "--count: must be a whole number of at least 1"),
+        (("STUDY", "--out", "OUT", "--count", "9", "--levels", "3"), "--count: must be left out where --levels"),
         (("STUDY", "--out", "OUT", "--shard", "3"), "--shard: must be K/N"),
         (("STUDY", "--out", "OUT", "--arm", "one", "--metrics", "speed"), "metrics: must be one of absolute"),
         (("STUDY", "--out", "OUT", "--arm", "one", "--reduce", "middle"), "reduce: must be 'mean', 'worst'"),

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from torcharm.study import NamedArm, Study
     from torcharm.sweeps import SweepProgress, SweepResult, SweepRows
 
+COUNT = "1e6"
+"""Designs, unless told otherwise."""
 SHOWN = 10
 """Rows of the tables, unless told otherwise."""
 
@@ -26,7 +28,9 @@ def sweep(
     out: Annotated[
         Path | None, typer.Option("--out", help="The folder of the results. The same command goes on where it ended.")
     ] = None,
-    number: Annotated[str, typer.Option("--count", help="Designs, up to 1e9.", metavar="NUMBER")] = "1e6",
+    number: Annotated[
+        str | None, typer.Option("--count", help="Designs, up to 1e9.", metavar="NUMBER", show_default=COUNT)
+    ] = None,
     levels: Annotated[
         int | None, typer.Option("--levels", help="A grid of so many levels of each free value, instead of --count.")
     ] = None,
@@ -141,11 +145,13 @@ def _reduce(given: str) -> str | float:
         return given
 
 
-def _sampling(number: str, levels: int | None) -> dict[str, Any]:
+def _sampling(number: str | None, levels: int | None) -> dict[str, Any]:
     if levels is not None:
+        if number is not None:
+            raise ValueError(f"--count: must be left out where --levels is given, got {number}")
         return {"sampling": "grid", "levels": levels}
     try:
-        whole = float(number)
+        whole = float(COUNT if number is None else number)
         if not whole.is_integer() or whole < 1:
             raise ValueError
     except (ValueError, OverflowError):

@@ -134,7 +134,8 @@ class SweepResult:
 
         Args:
             count: at most so many. Up to 1000 the summary knows them; for more, all shards are read.
-            by: a metric, with or without its unit: the least; or a count of tasks: the most.
+            by: a metric, with or without its unit: the least; or how many tasks are held or not excluded: the most, and
+                among equals the least by the first metric.
 
         Raises:
             ValueError: an argument is none of those allowed.

@@ -130,7 +130,8 @@ def sweep(
         seed: of the scrambling.
         tolerance, weights, power, pose_cost: as in `evaluate`.
         workers: processes of this machine; None is one for each core. One computes in this process.
-        executor: instead of these an executor of concurrent.futures, a Dask client, or the address of a Dask scheduler.
+        executor: instead of these an executor of concurrent.futures, a Dask client, or the address of a Dask scheduler,
+            whose workers must have torcharm installed.
         shard: (k, n) computes only the k-th of n parts, counted from 1, as for the jobs of a batch queue: they may run
             in any order or at once, on one folder.
         shard_size: designs in a shard; None finds it out by a short trial. It is part of what the sweep is.
@@ -166,6 +167,8 @@ def sweep(
         job = Job(str(folder), manifest, designs, tasks, measures)
         run = _Run(job, shard, callback)
         run.complete = run_shards(crew, job, run.missing(), run.finished, run.watch)
+        if not run.complete:  # Ctrl-C may have come while a shard was taken up
+            run.summary = summary_of(folder, manifest)
         run.keep()
         if shard is None and run.complete:
             remove_leftovers(folder)  # of workers that were lost on the way
