@@ -2,6 +2,7 @@
 
 import pytest
 from sweep_cases import contents, small_sweep
+from test_sweep_command import STUDY, invoke
 
 distributed = pytest.importorskip("distributed", reason="dask[distributed] is not installed")
 
@@ -33,6 +34,15 @@ def test_a_cluster_of_which_a_worker_is_killed_leaves_the_same_bytes(tmp_path, c
 def test_a_client_is_taken_too(tmp_path, cluster):
     with distributed.Client(cluster) as client:
         assert small_sweep(tmp_path, 200, workers=None, executor=client).complete
+
+
+def test_the_command_takes_an_address(tmp_path, cluster):
+    study = tmp_path / "study.toml"
+    study.write_text(STUDY)
+    out = tmp_path / "run"
+    address = cluster.scheduler_address
+    command = (study, "--out", out, "--arm", "two", "--count", 200, "--metrics", "absolute", "--scheduler", address)
+    assert "200 of 200 designs" in invoke(*command)
 
 
 def test_a_scheduler_that_does_not_answer_is_a_sentence(tmp_path, monkeypatch):

@@ -243,6 +243,11 @@ def test_columns_that_are_not_there_are_refused(swept, name):
         swept.best(3, name)
 
 
+def test_another_arm_is_refused(swept):
+    with pytest.raises(ValueError, match="arm: must have the sweep's 4 actuators, got 8"):
+        ta.open_sweep(swept.folder, arm=ta.silicone_arm())
+
+
 def test_indices_that_are_not_there_are_refused(swept):
     with pytest.raises(ValueError, match="indices: must be integers from 0 to 399"):
         swept.designs([400])

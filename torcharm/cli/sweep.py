@@ -181,20 +181,20 @@ def _tell(result: "SweepResult", by: str | None, rows: int) -> None:
     said = ", ".join(f"{number:,} {name.replace('_', ' ')}" for name, number in result.verdicts.items() if number)
     say(console, f"Each feasible one on {tasks}: {said or 'nothing yet'}.")
     best = result.best(rows, column)
-    if not len(best):
-        return
-    console.print()
-    say(console, f"The best by {_title(column, ' ')}:")
-    print_table(_columns(result, best))
+    if len(best):
+        console.print()
+        say(console, f"The best by {_title(column, ' ')}:")
+        print_table(_columns(result, best))
     front = result.pareto(column, "size") if column in result.manifest.numbers else None
-    if front is not None and column != "size_mm":
+    if front is not None and len(front) and column != "size_mm":
         console.print()
         say(console, f"No other is both smaller and better by {_title(column, ' ')}: {_thinned(len(front), rows)}")
         places = sorted({round(place * (len(front) - 1) / max(rows - 1, 1)) for place in range(rows)})
         print_table(_columns(result, front.taken(places)))
     if not result.complete:
         console.print()
-        say(console, "Not all designs are finished: the same command goes on.")
+        missing = result.manifest.shards - len(result.summary.shards)
+        say(console, f"{missing:,} of {count(result.manifest.shards, 'shard')} are missing: the same command goes on.")
 
 
 def _thinned(total: int, rows: int) -> str:

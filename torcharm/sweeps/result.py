@@ -300,11 +300,14 @@ def open_sweep(folder: StrPath, arm: Arm | None = None) -> SweepResult:
         arm: that the sweep was called with; None reads it from the folder when `designs` are asked for.
 
     Raises:
-        ValueError: the folder holds no sweep that this torcharm wrote, or a package is missing.
+        ValueError: the folder holds no sweep that this torcharm wrote, the arm is another, or a package is missing.
     """
     extra("pyarrow")
     path = Path(folder)
     manifest = read_manifest(path)
+    actuators = manifest.design_points.free.base.shape[-1]
+    if arm is not None and arm.actuator_count != actuators:
+        raise ValueError(f"arm: must have the sweep's {actuators} actuators, got {arm.actuator_count}")
     summary = summary_of(path, manifest)
     with suppress(OSError):  # what could not be kept is found again the next time
         summary.keep(path)
