@@ -1,7 +1,7 @@
 """What a sweep finds, against what is found of its designs one by one, and against its whole table."""
 
 import numpy as np
-import pandas
+import pyarrow.parquet
 import pytest
 import torch
 from sweep_cases import SPACE, arm, contents, small_sweep, task
@@ -14,22 +14,34 @@ def swept(tmp_path_factory):
     return small_sweep(tmp_path_factory.mktemp("sweep") / "run", count=400)
 
 
+def whole(result):
+    """All rows of a sweep, as arrays by column."""
+    blocks = list(result.blocks())
+    return {name: np.concatenate([block[name] for block in blocks]) for name in result.columns}
+
+
+def ranked(table, *keys):
+    """Indices of the feasible designs, in the order of some arrays."""
+    order = np.lexsort((table["design"], *reversed(keys)))
+    return table["design"][order][table["feasible"][order]].tolist()
+
+
 @pytest.fixture(scope="module")
-def frame(swept):
-    return swept.to_frame()
+def table(swept):
+    return whole(swept)
 
 
-def test_every_design_is_there_once_in_order(swept, frame):
-    assert frame["design"].tolist() == list(range(400))
+def test_every_design_is_there_once_in_order(swept, table):
+    assert table["design"].tolist() == list(range(400))
     assert swept.complete
-    assert (swept.count, swept.finished, swept.feasible) == (400, 400, frame["feasible"].sum())
+    assert (swept.count, swept.finished, swept.feasible) == (400, 400, table["feasible"].sum())
     assert 0 < swept.feasible < 400
-    assert tuple(frame.columns) == swept.columns
 
 
-def test_what_is_found_is_what_evaluate_finds(swept, frame):
-    some = frame[frame["feasible"]].iloc[::7]
-    designs = swept.designs(some["design"].to_numpy())
+def test_what_is_found_is_what_evaluate_finds(swept, table):
+    chosen = np.flatnonzero(table["feasible"])[::7]
+    some = {name: values[chosen] for name, values in table.items()}
+    designs = swept.designs(some["design"])
     found = ta.evaluate(designs, task(), ("absolute", "relative"))
     assert np.allclose(some["absolute_N"], found.absolute.mean(-1), rtol=1e-6)
     assert np.allclose(some["relative_N"], found.relative.mean(-1), rtol=1e-6)
@@ -37,10 +49,13 @@ def test_what_is_found_is_what_evaluate_finds(swept, frame):
     assert some["not_excluded"].tolist() == found.not_excluded.sum(-1).tolist()
 
 
-def test_designs_that_are_not_allowed_have_no_numbers(frame):
-    left_out = frame[~frame["feasible"]]
-    assert left_out[["absolute_N", "relative_N", "size_mm"]].isna().to_numpy().all()
-    assert (left_out["not_excluded"] == 0).all()
+def test_designs_that_are_not_allowed_have_no_numbers(swept, table):
+    left_out = ~table["feasible"]
+    assert all(np.isnan(table[name][left_out]).all() for name in ("absolute_N", "relative_N", "size_mm"))
+    assert (table["not_excluded"][left_out] == 0).all()
+    file = pyarrow.parquet.read_table(next((swept.folder / "shards").iterdir()))
+    assert file["absolute_N"].null_count == file["not_excluded"].null_count > 0
+    assert file["design"].null_count == file["feasible"].null_count == 0
 
 
 @pytest.mark.parametrize(
@@ -69,23 +84,34 @@ def test_predicted_errors_and_verdicts(tmp_path):
     assert best["held"].tolist() == (expected.verdict == "held").sum(-1).tolist()
     assert sum(found.verdicts.values()) == 2 * found.feasible
     most = found.best(3, "held")["held"]
-    assert most.max() == most[0] == found.to_frame(["held"])["held"].max()
+    assert most.max() == most[0] == whole(found)["held"].max()
 
 
 @pytest.mark.parametrize("by", ["absolute", "relative_N", "not_excluded", "size"])
-def test_the_best_are_those_of_the_whole_table(swept, frame, by):
-    column = swept.column(by)
-    keys = [column, "design"] if by != "not_excluded" else [column, "absolute_N", "design"]
-    order = frame[frame["feasible"]].sort_values(keys, ascending=[by != "not_excluded", *[True] * (len(keys) - 1)])
-    assert swept.best(25, by)["design"].tolist() == order["design"].tolist()[:25]
+def test_the_best_are_those_of_the_whole_table(swept, table, by):
+    values = table[swept.column(by)]
+    keys = (-values, table["absolute_N"]) if by == "not_excluded" else (values,)
+    assert swept.best(25, by)["design"].tolist() == ranked(table, *keys)[:25]
 
 
 @pytest.mark.parametrize("pair", [("absolute", "size"), ("relative", "size"), ("relative", "absolute")])
-def test_the_pareto_set_is_that_of_the_whole_table(swept, frame, pair):
-    x, y = (frame[swept.column(name)].where(frame["feasible"]).to_numpy() for name in pair)
+def test_the_pareto_set_is_that_of_the_whole_table(swept, table, pair):
+    known = table["feasible"]
+    x, y = (table[swept.column(name)][known] for name in pair)
     beaten = [((x <= a) & (y <= b) & ((x < a) | (y < b))).any() for a, b in zip(x, y, strict=True)]
-    expected = frame["design"][~np.array(beaten) & frame["feasible"].to_numpy()]
-    assert set(swept.pareto(*pair)["design"].tolist()) == set(expected)
+    found = swept.pareto(*pair)
+    assert set(found["design"].tolist()) == set(table["design"][known][~np.array(beaten)])
+    assert found[swept.column(pair[1])].tolist() == sorted(found[swept.column(pair[1])])
+
+
+def test_columns_of_free_values_are_those_of_the_designs(tmp_path):
+    mirrored = ta.DesignSpace(tied="mirror", spacing=0.01, in_range=False)
+    found = ta.sweep(arm(), mirrored, task(), 50, out=tmp_path, metrics="absolute", workers=1, shard_size=50)
+    assert found.free_values == ("radii_1_4_mm", "radii_2_3_mm", "length_1_4_mm", "length_2_3_mm")
+    (block,) = found.blocks(("radii_1_4", "length_2_3_mm"))
+    designs = found.designs(np.arange(50))
+    assert np.allclose(block["radii_1_4_mm"], 1e3 * designs.radii[:, 0])
+    assert np.allclose(block["length_2_3_mm"], 1e3 * designs.length[:, 1])
 
 
 def test_large_shards_carry_what_summaries_need(tmp_path, monkeypatch):
@@ -94,12 +120,9 @@ def test_large_shards_carry_what_summaries_need(tmp_path, monkeypatch):
 
     monkeypatch.setattr(ranking, "KEPT", 5)
     found = small_sweep(tmp_path, 200, shard_size=100)
-    import pyarrow.parquet
-
     texts = [pyarrow.parquet.read_metadata(path).metadata for path in (tmp_path / "shards").iterdir()]
     assert all(BEST in text for text in texts)
-    frame = found.to_frame()
-    expected = frame[frame["feasible"]].sort_values(["absolute_N", "design"])["design"].tolist()[:5]
+    expected = ranked(whole(found), whole(found)["absolute_N"])[:5]
     assert found.best(5, "absolute")["design"].tolist() == expected
     assert len(found.summary.rows["design"]) < 60
 
@@ -121,12 +144,15 @@ def test_a_summary_is_what_its_shards_say(swept):
     assert again.summary.counts == swept.summary.counts
 
 
-def test_tables_hold_what_is_asked_for(swept, frame):
+def test_tables_of_pandas_hold_what_is_asked_for(swept, table):
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
     some = swept.to_frame(["design", "relative", "radii_2"], [("relative_N", "<", 5.0)])
     assert list(some.columns) == ["design", "relative_N", "radii_2_mm"]
-    assert some["design"].tolist() == frame["design"][frame["relative_N"] < 5.0].tolist()
+    assert some["design"].tolist() == table["design"][table["relative_N"] < 5.0].tolist()
     assert np.allclose(some["radii_2_mm"], 1e3 * swept.designs(some["design"].to_numpy()).radii[:, 1])
     assert isinstance(some, pandas.DataFrame)
+    assert tuple(swept.to_frame().columns) == swept.columns
+    assert swept.best(3, "absolute").to_frame()["design"].tolist() == swept.best(3, "absolute").indices.tolist()
 
 
 def test_a_grid(tmp_path):
@@ -178,7 +204,7 @@ def test_pictures_have_units_and_count_every_feasible_design(swept):
 def test_progress_is_told(tmp_path):
     told = []
     small_sweep(tmp_path, 100, callback=told.append)
-    assert [one.finished for one in told] == [0, 32, 64, 96]
+    assert [one.finished for one in told] == [0, 32, 64, 96, 100]
     assert told[0].best == np.inf
     assert told[-1].by == "absolute_N"
     assert told[-1].best == ta.open_sweep(tmp_path).best(1, "absolute")["absolute_N"][0]

@@ -126,6 +126,7 @@ def _run_here(job: Job, shards: Sequence[int], finished: Finished, watch: Watch)
         if watch():
             return False
         finished(compute_shard(job, shard))
+    watch()
     return True
 
 

@@ -122,7 +122,7 @@ class SweepResult:
 
     @property
     def free_values(self) -> tuple[str, ...]:
-        """Columns of the free values, which follow from the index and are in no file."""
+        """Columns of free values, which follow from the index and are in no file; of tied actuators the first one's."""
         free = self.manifest.design_points.free
         return tuple(
             f"{name.split(' of ')[0]}_{'_'.join(part.strip(',') for part in name.split()[3:])}_{MADE_UP[unit][0]}"
@@ -238,12 +238,10 @@ class SweepResult:
 
     def free_columns(self, indices: Indices) -> Rows:
         """The columns of free values (n,) of the designs at indices (n,)."""
-        points = self.manifest.design_points
-        free, at = points.free, points(indices)
-        values = free.low + at * (free.high - free.low)
+        values, names = self.manifest.design_points.values(indices), self.manifest.design_points.free.names
         return {
-            name: MADE_UP[unit][1] * values[:, place]
-            for place, (name, unit) in enumerate(zip(self.free_values, free.units, strict=True))
+            column: MADE_UP[unit][1] * values[:, FIELDS.index(name.split()[0]), int(name.split()[3].strip(",")) - 1]
+            for column, name, unit in zip(self.free_values, names, self.manifest.design_points.free.units, strict=True)
         }
 
     def to_frame(self, columns: Sequence[str] | None = None, filter: Any = None) -> "DataFrame":
