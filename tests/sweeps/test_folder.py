@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+import torch
 from sweep_cases import SPACE, arm, contents, small_sweep, task
 
 import torcharm as ta
@@ -73,6 +74,16 @@ def test_shards_of_a_killed_process_are_done_again(tmp_path, undisturbed):
     children_of(process)[0].kill()
     assert process.wait(300) == 0, process.stderr.read().decode()
     assert contents(folder) == undisturbed
+
+
+def test_an_arm_that_asks_for_gradients_is_swept(tmp_path):
+    radius = torch.tensor(0.05, dtype=torch.float64, requires_grad=True)
+    given = ta.antagonistic_arm(2 * radius / 2, 0.015, 0.5)
+    options = {"metrics": ("absolute", "relative"), "seed": 3, "shard_size": 32}
+    ta.sweep(given, SPACE, task(), 64, out=tmp_path / "a", workers=2, **options)
+    plain = ta.antagonistic_arm(0.05, 0.015, 0.5)
+    ta.sweep(plain, SPACE, task(), 64, out=tmp_path / "b", workers=1, **options)
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
 
 
 def test_an_executor_of_ones_own(tmp_path, undisturbed):

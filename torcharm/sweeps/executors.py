@@ -1,6 +1,7 @@
 """Who computes shards: processes of this machine, any executor of `concurrent.futures`, or a Dask cluster."""
 
 import os
+import pickle
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
@@ -21,7 +22,7 @@ from typing import Any
 
 from torcharm.inputs import check_count, shown
 from torcharm.sweeps.extras import extra
-from torcharm.sweeps.shards import Done, Job, compute_shard
+from torcharm.sweeps.shards import Done, Job, compute_packed, compute_shard
 
 ATTEMPTS = 3
 """At a shard whose worker is lost: what ended three workers would end the fourth."""
@@ -43,14 +44,16 @@ class Workers:
     """Where shards are handed to.
 
     Attributes:
-        submit: hands over a shard.
+        submit: hands over a shard of a job that was packed.
         slots: tells how many shards are worked on at once.
         renew: replaces workers that were lost; None where that is not for us to do.
+        pack: makes bytes of a job.
     """
 
-    submit: Callable[[Job, int], "Future[Done]"]
+    submit: Callable[[bytes, int], "Future[Done]"]
     slots: Callable[[], int]
     renew: Callable[[], None] | None = None
+    pack: Callable[[Job], bytes] = pickle.dumps
 
 
 @contextmanager
@@ -76,7 +79,7 @@ def workers_of(executor: Any, count: int | None) -> Iterator[Workers | None]:
             yield _of_dask(client)
     elif isinstance(executor, Executor):
         slots = int(getattr(executor, "_max_workers", 0) or usable_cores())
-        yield Workers(lambda job, shard: executor.submit(compute_shard, job, shard), lambda: slots)
+        yield Workers(lambda packed, shard: executor.submit(compute_packed, packed, shard), lambda: slots)
     elif hasattr(executor, "get_executor") and hasattr(executor, "nthreads"):
         yield _of_dask(executor)
     else:
@@ -111,7 +114,7 @@ def run_shards(workers: Workers | None, job: Job, shards: Sequence[int], finishe
     try:
         if workers is None:
             return _run_here(job, shards, finished, watch)
-        return _run_there(workers, job, shards, pending, finished, watch)
+        return _run_there(workers, workers.pack(job), shards, pending, finished, watch)
     except KeyboardInterrupt:
         _finish(pending, finished)
         return False
@@ -132,7 +135,7 @@ def _run_here(job: Job, shards: Sequence[int], finished: Finished, watch: Watch)
 
 def _run_there(
     workers: Workers,
-    job: Job,
+    packed: bytes,
     shards: Sequence[int],
     pending: dict["Future[Done]", int],
     finished: Finished,
@@ -140,7 +143,7 @@ def _run_there(
 ) -> bool:
     left, attempts = deque(shards), Counter[int]()
     while left or pending:
-        lost = _hand_over(workers, job, left, pending)
+        lost = _hand_over(workers, packed, left, pending)
         for future in wait(pending, SECONDS, FIRST_COMPLETED).done:
             shard = pending.pop(future)
             if not _collect(future, finished):
@@ -157,12 +160,12 @@ def _run_there(
     return True
 
 
-def _hand_over(workers: Workers, job: Job, left: deque[int], pending: dict["Future[Done]", int]) -> list[int]:
+def _hand_over(workers: Workers, packed: bytes, left: deque[int], pending: dict["Future[Done]", int]) -> list[int]:
     """Hand over shards until all workers are busy; returns those that a broken executor does not take."""
     while left and len(pending) < AHEAD * workers.slots():
         shard = left.popleft()
         try:
-            pending[workers.submit(job, shard)] = shard
+            pending[workers.submit(packed, shard)] = shard
         except BrokenExecutor:
             return [shard]
     return []
@@ -215,10 +218,15 @@ def _client(address: str) -> Iterator[Any]:
 
 
 def _of_dask(client: Any) -> Workers:
-    """A Dask cluster; it does the shards of a lost worker again by itself."""
+    """A Dask cluster; it does the shards of a lost worker again by itself.
+
+    Force models of the calling script, which the cluster cannot import, are packed with their code.
+    """
     executor = client.get_executor(pure=False)
     return Workers(
-        lambda job, shard: executor.submit(compute_shard, job, shard), lambda: sum(client.nthreads().values()) or 1
+        lambda packed, shard: executor.submit(compute_packed, packed, shard),
+        lambda: sum(client.nthreads().values()) or 1,
+        pack=extra("cloudpickle").dumps,
     )
 
 
@@ -234,7 +242,7 @@ def _own_processes(count: int) -> Iterator[Workers]:
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
     try:
-        yield Workers(lambda job, shard: pools[0].submit(compute_shard, job, shard), lambda: count, renew)
+        yield Workers(lambda packed, shard: pools[0].submit(compute_packed, packed, shard), lambda: count, renew)
     finally:
         pools[0].shutdown(wait=True, cancel_futures=True)
         for name, value in before.items():

@@ -8,9 +8,11 @@ the few rows that any summary needs, so that nobody must read the rest to find t
 
 import base64
 import json
+import pickle
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -82,6 +84,17 @@ def compute_shard(job: Job, shard: int) -> Done:
     path = shard_path(Path(job.folder), shard)
     write_shard(path, rows, manifest, shard)
     return Done(shard, end - first, str(path.relative_to(job.folder)))
+
+
+def compute_packed(packed: bytes, shard: int) -> Done:
+    """The same of a job that was pickled once for all shards: each worker unpacks it once."""
+    return compute_shard(_unpacked(packed), shard)
+
+
+@lru_cache(maxsize=1)
+def _unpacked(packed: bytes) -> Job:
+    found: Job = pickle.loads(packed)
+    return found
 
 
 def measured(
