@@ -76,6 +76,15 @@ def test_shards_of_a_killed_process_are_done_again(tmp_path, undisturbed):
     assert contents(folder) == undisturbed
 
 
+def test_a_script_without_a_main_guard_is_told_so(tmp_path):
+    script = tmp_path / "unguarded.py"
+    script.write_text(SCRIPT.format(here=str(Path(__file__).parent)).replace('if __name__ == "__main__":', "if True:"))
+    command = [sys.executable, script, str(tmp_path / "run"), "2"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode != 0
+    assert "outside of `if __name__ == '__main__':`" in done.stderr
+
+
 def test_an_arm_that_asks_for_gradients_is_swept(tmp_path):
     radius = torch.tensor(0.05, dtype=torch.float64, requires_grad=True)
     given = ta.antagonistic_arm(2 * radius / 2, 0.015, 0.5)

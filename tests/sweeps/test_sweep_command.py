@@ -95,7 +95,7 @@ def test_a_mistake_is_one_line(study, tmp_path, args, message, capfd):
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as POSIX does")
 def test_ctrl_c_keeps_what_is_finished_and_says_how_to_go_on(study, tmp_path):
     out = tmp_path / "run"
-    command = [sys.executable, "-m", "torcharm.cli", "sweep", study, "--out", out, "--arm", "one", "--count", "1e9"]
+    command = [sys.executable, "-m", "torcharm.cli", "sweep", study, "--out", out, "--arm", "one", "--count", "5e5"]
     process = subprocess.Popen(
         [*map(str, command), "--metrics", "absolute", "--workers", "2"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )

@@ -26,8 +26,9 @@ from torcharm.sweeps.shards import Done, Job, compute_packed, compute_shard
 
 ATTEMPTS = 3
 """At a shard whose worker is lost: what ended three workers would end the fourth."""
-AHEAD = 2
-"""Shards handed over for each worker, so that none waits for its next one."""
+AHEAD = 0.5
+"""Shards handed over for each worker beside the one that it works on, so that few wait for their next one; more would
+have to be finished after Ctrl-C."""
 ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 """What a process is started with as 1: its libraries read it when they load."""
 SECONDS = 0.5
@@ -46,7 +47,7 @@ class Workers:
     Attributes:
         submit: hands over a shard of a job that was packed.
         slots: tells how many shards are worked on at once.
-        renew: replaces workers that were lost; None where that is not for us to do.
+        renew: replaces all workers, once what they were given has ended; None where that is not for us to do.
         pack: makes bytes of a job.
     """
 
@@ -148,12 +149,14 @@ def _run_there(
             shard = pending.pop(future)
             if not _collect(future, finished):
                 lost.append(shard)
+        if lost and workers.renew is not None:  # with one process all others of its pool are lost
+            workers.renew()
+            lost += [shard for future, shard in pending.items() if not _collect(future, finished)]
+            pending.clear()
         if lost:
             attempts.update(lost)
             _check_attempts(lost, attempts, workers)
             left.extendleft(sorted(lost, reverse=True))
-            if workers.renew is not None:
-                workers.renew()
         if watch():
             _finish(pending, finished)
             return False
@@ -162,7 +165,8 @@ def _run_there(
 
 def _hand_over(workers: Workers, packed: bytes, left: deque[int], pending: dict["Future[Done]", int]) -> list[int]:
     """Hand over shards until all workers are busy; returns those that a broken executor does not take."""
-    while left and len(pending) < AHEAD * workers.slots():
+    slots = workers.slots()
+    while left and len(pending) < slots + max(1, int(AHEAD * slots)):
         shard = left.popleft()
         try:
             pending[workers.submit(packed, shard)] = shard
@@ -199,9 +203,8 @@ def _check_attempts(lost: Sequence[int], attempts: Counter[int], workers: Worker
         raise ValueError("executor: has lost its workers; finished shards are kept, give another executor to go on")
     if attempts[worst] >= ATTEMPTS:
         raise ValueError(
-            f"workers: the process at shard {worst} ended {ATTEMPTS} times before the shard did: for want of memory, "
-            "or because the script that calls torcharm.sweep does so outside of `if __name__ == '__main__':`; "
-            "finished shards are kept"
+            f"workers: processes ended {ATTEMPTS} times before shard {worst} was done: for want of memory, or because "
+            "the script calls torcharm.sweep outside of `if __name__ == '__main__':`; what is finished stays"
         )
 
 
