@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from torcharm.shapes import affine_curvature, arc_to, constant_curvature, cubic_curvature, helix
     from torcharm.statics.cross_section import reaction_wrench
     from torcharm.statics.external_load import required_wrench
+    from torcharm.sweeps import SweepResult, open_sweep, sweep
     from torcharm.task import Task, sample_loads
     from torcharm.wrench_sets.capacity import LoadCapacity, load_capacity
     from torcharm.wrench_sets.hull_distance import HullDistance, kkt_residuals
@@ -101,6 +102,7 @@ __all__ = [
     "Recording",
     "RigidLink",
     "Smoothness",
+    "SweepResult",
     "Task",
     "TensorPolynomial",
     "WrenchHulls",
@@ -129,6 +131,7 @@ __all__ = [
     "mckibben_arm",
     "monotonicity",
     "nnls_distance",
+    "open_sweep",
     "optimise_architectures",
     "optimise_design",
     "plan_shape",
@@ -150,6 +153,7 @@ __all__ = [
     "slsqp_distance",
     "solve_equilibrium",
     "standard_deviation",
+    "sweep",
     "verify_design",
     "wrench_hulls",
 ]
@@ -188,6 +192,7 @@ _LATER = {
     "Recording": "actuators.alignment",
     "RigidLink": "arm_series",
     "Smoothness": "design.shape_planning",
+    "SweepResult": "sweeps",
     "Task": "task",
     "TensorPolynomial": "actuators.uncertainty",
     "WrenchHulls": "wrench_sets.wrench_set",
@@ -216,6 +221,7 @@ _LATER = {
     "mckibben_arm": "ready_arms",
     "monotonicity": "actuators",
     "nnls_distance": "wrench_sets.reference",
+    "open_sweep": "sweeps",
     "optimise_architectures": "design",
     "optimise_design": "design",
     "plan_shape": "design.shape_planning",
@@ -237,6 +243,7 @@ _LATER = {
     "slsqp_distance": "wrench_sets.reference",
     "solve_equilibrium": "equilibrium",
     "standard_deviation": "actuators.uncertainty",
+    "sweep": "sweeps",
     "verify_design": "design",
     "wrench_hulls": "wrench_sets.wrench_set",
 }

@@ -63,18 +63,28 @@ class Constraints:
         count, own = len(y), self.actuator
         rows, strains = np.arange(len(own)), len(own)
         slope = np.zeros((strains + len(self.pairs), 3, count))
-        stretch = self.length + z[own] * self.bend_y - y[own] * self.bend_z - self.factor * length[own]
         for place, part in enumerate((-self.bend_z, self.bend_y, -self.factor)):
             slope[rows, place, own] = self.sign * part
         first, second = self.pairs.T
-        apart = np.stack((y[second] - y[first], z[second] - z[first]))
-        distance = apart[0] if self.in_order else np.hypot(*apart)
+        apart, distance = self._apart(y, z)
         way = np.stack((np.ones_like(distance), 0 * distance)) if self.in_order else apart / np.maximum(distance, 1e-12)
         last = strains + np.arange(len(self.pairs))
         for place in (0, 1):
             slope[last, place, second] += way[place]
             slope[last, place, first] -= way[place]
-        return np.concatenate((self.sign * stretch, distance - self.gap)), slope
+        return self.room(y, z, length), slope
+
+    def room(self, y: Array, z: Array, length: Array) -> Array:
+        """g (..., C+P) [m] of designs with offsets and lengths (..., M)."""
+        own = self.actuator
+        stretch = self.length + z[..., own] * self.bend_y - y[..., own] * self.bend_z - self.factor * length[..., own]
+        return np.concatenate((self.sign * stretch, self._apart(y, z)[1] - self.gap), -1)
+
+    def _apart(self, y: Array, z: Array) -> tuple[Array, Array]:
+        """From the first to the second of each pair: along y and z (2, ..., P), and how far (..., P) [m]."""
+        first, second = self.pairs.T
+        apart = np.stack((y[..., second] - y[..., first], z[..., second] - z[..., first]))
+        return apart, apart[0] if self.in_order else np.hypot(*apart)
 
     @property
     def names(self) -> list[str]:
@@ -109,18 +119,7 @@ class FeasibleDesigns:
 
     def design(self, point: Tensor | Array) -> Arm:
         """Designs of batch shape (...) from free values (..., F), differentiable in tensors."""
-        segments, links = segments_of(self.arm)
-        at = torch.as_tensor(point)
-        spread, base = (torch.from_numpy(value) for value in (self.free.spread, self.free.base))
-        values = ((spread @ at[..., None, :, None]).squeeze(-1) + base).to(segments[0].radii)
-        made = []
-        for segment, own in zip(segments, values.split([one.actuator_count for one in segments], -1), strict=True):
-            radius, angle, length, limit = own.unbind(-2)
-            if segment.dimension == 2:
-                made.append(segment.with_values(radius, length, limit))
-            else:
-                made.append(segment.with_values(radius * angle.cos(), length, limit, radius * angle.sin()))
-        return made[0] if isinstance(self.arm, ArmDesign) else ArmSeries(tuple(made), links)
+        return designs_at(self.arm, self.free, point)
 
     def constraint_values(self, point: Array) -> tuple[Array, Array]:
         """g (C,) [m], at least 0 where all constraints are kept, and its derivatives (C, F)."""
@@ -132,6 +131,22 @@ class FeasibleDesigns:
         z = sin[:, None] * along_radius + (radius * cos)[:, None] * along_angle
         along = np.concatenate((y, z, along_length))
         return value[self.kept], slope[self.kept].reshape(len(self.kept), len(along)) @ along
+
+    def allows(self, points: Array) -> Any:
+        """Whether each of points (n, F) breaks no constraint and no bound: (n,) of True and False."""
+        radius, angle, length, _ = np.moveaxis(self.free(points), -2, 0)
+        room = self.constraints.room(radius * np.cos(angle), radius * np.sin(angle), length)[..., self.kept]
+        inside = ((points >= -FEASIBLE) & (points <= 1 + FEASIBLE)).all(-1)
+        return (room >= -FEASIBLE).all(-1) & inside
+
+    @property
+    def order(self) -> tuple[tuple[int, ...], ...]:
+        """For each segment of a planar arm its actuators from right to left, as they stay; nothing in space."""
+        found, first = [], 0
+        for segment in segments_of(self.arm)[0]:
+            found.append(tuple(first + index for index in _order(segment)))
+            first += segment.actuator_count
+        return tuple(found) if self.arm.dimension == 2 else ()
 
     @property
     def names(self) -> list[str]:
@@ -229,8 +244,8 @@ class FeasibleDesigns:
         generator, found = np.random.default_rng(seed), []
         for _ in range(4 * count):
             point = generator.random(self.dimension)
-            if self.arm.dimension == 2:  # their order is given, which a draw is brought into
-                point = self._in_order(point)
+            if self.order:  # a draw is brought into it
+                point = self.free.in_order(point, self.order)
             try:
                 found.append(self.project(point))
             except ValueError:
@@ -238,14 +253,6 @@ class FeasibleDesigns:
             if len(found) == count:
                 break
         return found
-
-    def _in_order(self, point: Array) -> Array:
-        values, first = self.free(point), 0
-        for segment in segments_of(self.arm)[0]:
-            own = first + np.array(_order(segment))
-            values[0, own] = np.sort(values[0, own])
-            first += segment.actuator_count
-        return self.free.inverse(values)
 
     def active(self, point: Array) -> tuple[str, ...]:
         """What holds a point (F,) back: bounds and constraints that are met with equality, in words."""
@@ -271,6 +278,22 @@ class FeasibleDesigns:
         for index in np.flatnonzero(value < -FEASIBLE):
             worst[names[index]] = max(worst.get(names[index], 0.0), -value[index])
         return (*words, *(f"{name} by {1e3 * excess:.3g} mm" for name, excess in worst.items()))
+
+
+def designs_at(arm: Arm, free: FreeValues, point: Tensor | Array) -> Arm:
+    """Designs like an arm, of batch shape (...), from free values (..., F), differentiable in tensors."""
+    segments, links = segments_of(arm)
+    at = torch.as_tensor(point)
+    spread, base = (torch.from_numpy(value) for value in (free.spread, free.base))
+    values = ((spread @ at[..., None, :, None]).squeeze(-1) + base).to(segments[0].radii)
+    made = []
+    for segment, own in zip(segments, values.split([one.actuator_count for one in segments], -1), strict=True):
+        radius, angle, length, limit = own.unbind(-2)
+        if segment.dimension == 2:
+            made.append(segment.with_values(radius, length, limit))
+        else:
+            made.append(segment.with_values(radius * angle.cos(), length, limit, radius * angle.sin()))
+    return made[0] if isinstance(arm, ArmDesign) else ArmSeries(tuple(made), links)
 
 
 def feasible_designs(space: DesignSpace, arm: Arm, tasks: Sequence[Task]) -> FeasibleDesigns:

@@ -145,13 +145,20 @@ class FreeValues:
     units: tuple[str, ...]
 
     def __call__(self, point: Array) -> Array:
-        """The values (4, M) of a point (F,)."""
-        return np.asarray(self.spread @ point + self.base)
+        """The values (..., 4, M) of points (..., F): of each the same, whichever others are asked beside it."""
+        return np.asarray((self.spread @ point[..., None, :, None])[..., 0] + self.base)
 
     def inverse(self, values: Array) -> Array:
         """The points (..., F) whose values come nearest to some (..., 4, M)."""
         matrix = np.linalg.pinv(self.spread.reshape(-1, len(self.low)))
-        return np.asarray((values - self.base).reshape(*values.shape[:-2], -1) @ matrix.T)
+        return np.asarray((matrix @ (values - self.base).reshape(*values.shape[:-2], -1, 1))[..., 0])
+
+    def in_order(self, point: Array, order: Sequence[Sequence[int]]) -> Array:
+        """Points (..., F) with their radii sorted: for each segment the actuators, that with the least radius first."""
+        values = self(point)
+        for own in order:
+            values[..., 0, own] = np.sort(values[..., 0, own], -1)
+        return self.inverse(values)
 
 
 def free_values(space: DesignSpace, arm: Arm) -> FreeValues:

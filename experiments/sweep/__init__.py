@@ -1,0 +1,1 @@
+"""Sweeps: a million designs of the antagonistic arm, what that costs, and whether descents find as good ones."""

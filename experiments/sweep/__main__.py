@@ -1,0 +1,3 @@
+from experiments.sweep.run import main
+
+main()

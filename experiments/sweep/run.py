@@ -1,0 +1,159 @@
+"""Sweep the antagonistic arm's design space on the paper's shapes, and compare the best designs with those of descents.
+
+Prints a table and writes results.csv beside this file; goes on where it was interrupted.
+"""
+
+import argparse
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing import active_children
+from pathlib import Path
+
+import torch
+from rich.console import Console
+from rich.table import Table
+
+import torcharm as ta
+from experiments.design_optimisation.scenes import ARMS, JOINTLY, SHAPES, tasks_of
+from experiments.rows import read_rows, write_rows
+from torcharm.sweeps import SweepResult
+
+HERE = Path(__file__).parent
+SPACE = ta.DesignSpace(bounds={"radii": (-0.1, 0.1), "length": (0.25, 0.75)})
+STARTS = 8
+
+
+@dataclass(frozen=True)
+class Size:
+    """Of a run: designs, loads a shape, and the designs of the sweep that measures one process."""
+
+    designs: int
+    loads: int
+    alone: int
+
+
+FULL, QUICK = Size(1_000_000, 20, 100_000), Size(3000, 1, 1000)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The arm's design space on one shape, or jointly on all.
+
+    Attributes:
+        designs, feasible: how many were drawn, and how many of them the space allows.
+        tasks: on which each of these is evaluated.
+        processes: of the sweep.
+        seconds, cpu_seconds: it took, by the clock and of all cores.
+        bytes_a_design: on disk.
+        worker_mib: most memory that a process held.
+        given, best: mean predicted shape errors [mm], of the given arm and of the sweep's best design.
+        descended: that of `optimise_design` from the given arm, and
+        descent_seconds: what it took.
+        both: that of `optimise_design` from the sweep's eight best.
+    """
+
+    shape: str
+    designs: int
+    feasible: int
+    tasks: int
+    processes: int
+    seconds: float
+    cpu_seconds: float
+    bytes_a_design: float
+    worker_mib: float
+    given: float
+    best: float
+    descended: float
+    descent_seconds: float
+    both: float
+
+
+def main() -> None:
+    """Run the scenes that are not known yet."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="a smoke run: small sizes, no file written")
+    parser.add_argument("--fresh", action="store_true", help="measure again what results.csv holds")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    known: list[Scene] = [] if options.quick or options.fresh else read_rows(HERE / "results.csv", Scene)
+    for scene in scenes(options.quick, {(row.shape, row.processes) for row in known}):
+        known.append(scene)
+        if not options.quick:
+            write_rows(HERE / "results.csv", known)
+    Console(width=160).print(as_table(known))
+
+
+def scenes(quick: bool, known: set[tuple[str, int]]) -> Iterator[Scene]:
+    """All that are not known yet; the first shape also by one process."""
+    size = QUICK if quick else FULL
+    compiled = ta.optimise_design(ARMS["antagonistic"], tasks_of("(1, 1.5)", 1), SPACE, starts=1, iterations=1)
+    assert compiled.evaluations
+    for shape in ["(1, 1.5)"] if quick else [*SHAPES, JOINTLY]:
+        for processes in (1, 2) if shape == "(1, 1.5)" else (2,):
+            if (shape, processes) not in known:
+                yield measured(shape, processes, size, size.alone if processes == 1 else size.designs)
+
+
+def measured(shape: str, processes: int, size: Size, designs: int) -> Scene:
+    """One scene."""
+    arm, task = ARMS["antagonistic"], tasks_of(shape, size.loads)
+    with tempfile.TemporaryDirectory() as folder:
+        begun, cpu, held = time.perf_counter(), cpu_seconds(), [0.0]
+        found = ta.sweep(
+            *(arm, SPACE, task, designs),
+            out=folder,
+            metrics="predicted_error",
+            workers=processes,
+            callback=lambda _: held.append(most_memory()),
+        )
+        seconds, cpu = time.perf_counter() - begun, cpu_seconds() - cpu
+        best = found.best(STARTS, "shape_error")
+        begun = time.perf_counter()
+        descent = ta.optimise_design(arm, task, SPACE, starts=STARTS)
+        descent_seconds = time.perf_counter() - begun
+        both = ta.optimise_design(found.designs(best), task, SPACE, starts=STARTS)
+        return Scene(
+            *(shape, designs, found.feasible, task.batch_shape.numel(), processes),
+            *(round(seconds, 1), round(cpu, 1), round(bytes_of(found) / designs, 2)),
+            round(max(held), 0),
+            round(1e3 * descent.given_value, 2),
+            round(float(best["shape_error_mm"][0]), 2),
+            *(round(1e3 * descent.value, 2), round(descent_seconds, 1), round(1e3 * both.value, 2)),
+        )
+
+
+def cpu_seconds() -> float:
+    """Of this process and those that it has waited for."""
+    return sum(os.times()[:4])
+
+
+def most_memory() -> float:
+    """The most that a process of the pool has held so far, without a pool this one [MiB]; 0 where Linux is not."""
+    found = [0.0]
+    for process in [str(child.pid) for child in active_children()] or ["self"]:
+        with suppress(OSError):  # one that has just ended
+            status = Path(f"/proc/{process}/status").read_text()
+            found += [int(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith("VmHWM")]
+    return max(found)
+
+
+def bytes_of(found: SweepResult) -> int:
+    """Of all files of a sweep."""
+    return sum(path.stat().st_size for path in found.folder.rglob("*") if path.is_file())
+
+
+def as_table(rows: list[Scene]) -> Table:
+    """A row a scene."""
+    table = Table(title=r"mean predicted shape error \[mm]", title_justify="left")
+    for heading in (
+        *("shape", "designs", "feasible", "tasks", "processes", "s", "CPU s", "bytes a design", "MiB a worker"),
+        *("given", "sweep", "descents", "s", "descents from the sweep"),
+    ):
+        table.add_column(heading, justify="right")
+    for row in rows:
+        table.add_row(*(str(value) for value in vars(row).values()))
+    return table

@@ -1,0 +1,97 @@
+"""Pictures of sweeps: how designs are distributed, counted in bins shard by shard, however many there are."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from torcharm.sweeps.ranking import Rows
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+INK = "#0072B2"
+DECADES = 100.0
+"""Ratio of the largest to the least value from which an axis is logarithmic."""
+
+Edges = npt.NDArray[np.float64]
+Blocks = Callable[[Sequence[str]], Iterator[Rows]]
+"""Gives some columns, shard by shard."""
+Ranges = Mapping[str, Sequence[float]]
+"""Least and largest finite values of columns, where they are known already."""
+
+
+def histograms(blocks: Blocks, ranges: Ranges, names: Sequence[str], bins: int) -> "Figure":
+    """A histogram of each column beside each other."""
+    from matplotlib.figure import Figure
+
+    edges = [bin_edges(blocks, ranges, name, bins) for name in names]
+    counts = [np.zeros(bins) for _ in names]
+    for block in blocks((*names, "feasible")):
+        for place, name in enumerate(names):
+            counts[place] += np.histogram(block[name][block["feasible"]], edges[place])[0]
+    figure = Figure(figsize=(max(6.0, 3.2 * len(names)), 3.6), layout="constrained")
+    for place, axes in enumerate(np.ravel(figure.subplots(1, len(names)))):
+        axes.stairs(counts[place], edges[place], fill=True, color=INK)
+        axes.set(xlabel=label(names[place]), ylabel="" if place else "number of designs", ylim=(0, None))
+        if _logarithmic(edges[place]):
+            axes.set_xscale("log")
+    return figure
+
+
+def density(blocks: Blocks, ranges: Ranges, x: str, y: str, bins: int) -> "Figure":
+    """One column against another, with the number of designs as colour."""
+    from matplotlib.colors import LogNorm
+    from matplotlib.figure import Figure
+
+    edges = [bin_edges(blocks, ranges, name, bins) for name in (x, y)]
+    both: Any = (edges[0], edges[1])
+    count = np.zeros((bins, bins))
+    for block in blocks((x, y, "feasible")):
+        known = block["feasible"]
+        count += np.histogram2d(block[x][known], block[y][known], both)[0]
+    figure = Figure(figsize=(7.0, 5.5), layout="constrained")
+    axes = figure.subplots()
+    shown = np.ma.masked_less(count.T, 1)
+    mesh = axes.pcolormesh(*edges, shown, norm=LogNorm(1, max(2.0, count.max())), cmap="viridis", rasterized=True)
+    figure.colorbar(mesh, label="number of designs")
+    axes.set(xlabel=label(x), ylabel=label(y))
+    if _logarithmic(edges[0]):
+        axes.set_xscale("log")
+    if _logarithmic(edges[1]):
+        axes.set_yscale("log")
+    return figure
+
+
+def bin_edges(blocks: Blocks, ranges: Ranges, name: str, bins: int) -> Edges:
+    """Of so many bins from the least to the largest finite value of a column; by their ratio, evenly in logarithm.
+
+    Raises:
+        ValueError: nothing finite is known of the column.
+    """
+    ends = list(ranges.get(name, []))
+    if not ends:
+        for block in blocks((name, "feasible")):
+            known = block[name][block["feasible"] & np.isfinite(block[name])]
+            if len(known):
+                both = [*ends, float(known.min()), float(known.max())]
+                ends = [min(both), max(both)]
+    if not ends:
+        raise ValueError(f"column: must hold something finite to be drawn, and {name} does not")
+    low, high = ends
+    if low == high:
+        low, high = low - 0.5, high + 0.5
+    edges = np.geomspace(low, high, bins + 1) if 0 < DECADES * low < high else np.linspace(low, high, bins + 1)
+    edges[[0, -1]] = low, high
+    return np.asarray(edges, dtype=np.float64)
+
+
+def label(name: str) -> str:
+    """A column as an axis names it: tip error [mm]."""
+    words, _, unit = name.rpartition("_")
+    return f"{words.replace('_', ' ')} [{unit}]" if unit in ("mm", "N", "deg", "kPa") else name.replace("_", " ")
+
+
+def _logarithmic(edges: Edges) -> bool:
+    return bool(0 < DECADES * edges[0] < edges[-1])

@@ -1,0 +1,318 @@
+"""`sweep`: from an arm, a space and tasks to a folder of evaluated designs."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torcharm import __version__
+from torcharm.arm import ArmDesign
+from torcharm.arm_series import ArmSeries
+from torcharm.attainability import CHOICES, PoseTolerance
+from torcharm.design.checkpoint import describe
+from torcharm.design.feasible import feasible_designs
+from torcharm.design.objective import Objective
+from torcharm.design.space import Arm, DesignSpace
+from torcharm.files import StrPath
+from torcharm.inputs import check_count, shown
+from torcharm.pressure.pose_cost import PoseCost
+from torcharm.sweeps.designs import DesignPoints, IndexedDesigns, sampler_of
+from torcharm.sweeps.executors import run_shards, usable_cores, workers_of
+from torcharm.sweeps.extras import extra
+from torcharm.sweeps.manifest import (
+    MANIFEST,
+    Manifest,
+    Part,
+    check_same,
+    locked,
+    make_manifest,
+    prepare_folder,
+    read_manifest,
+    remove_leftovers,
+)
+from torcharm.sweeps.measures import Measures, Reduce, check_measures
+from torcharm.sweeps.ranking import best_places, rankings, taken
+from torcharm.sweeps.result import SweepResult
+from torcharm.sweeps.shards import Done, Job, measured, one_thread, shard_path
+from torcharm.sweeps.summary import summary_of
+from torcharm.task import Task, for_each_task, task_list
+from torcharm.wrench_sets.design_task_grid import fitted
+
+SHARD_SECONDS = 5.0
+"""Of one worker: little is lost with a worker, and handing shards over takes no time beside it."""
+MOST_SHARDS = 20_000
+"""Files in a folder that file systems still list at once; beyond it shards take longer."""
+LARGEST_SHARD = 2**18
+"""Designs: some megabytes."""
+CHUNK = 4096
+"""(design, task) pairs evaluated at once: more are no faster, and take memory."""
+SHARDS_A_WORKER = 4
+"""At least, so that no worker is idle for long at the end."""
+FIRST_TRIAL, TRIAL_SECONDS = 64, 0.5
+"""Designs of a first trial, which grows until it takes so long."""
+KEEP_SECONDS = 30.0
+"""Between two writings of the summary."""
+
+
+@dataclass(frozen=True)
+class SweepProgress:
+    """How far a sweep has come.
+
+    Attributes:
+        finished, count: designs finished, those of earlier runs included, and to be finished by this run.
+        rate: designs a second in this run.
+        seconds_left: at this rate; infinite before the first shard.
+        best: of the first metric, as its column has it, and
+        by: that column's name; `best` is infinite before a feasible design is known.
+        design: the index of the best.
+    """
+
+    finished: int
+    count: int
+    rate: float
+    seconds_left: float
+    best: float
+    by: str
+    design: int
+
+
+Callback = Callable[[SweepProgress], bool | None]
+
+
+def sweep(
+    arm: Arm,
+    space: DesignSpace | None,
+    task: Task | Sequence[Task],
+    count: int | None = None,
+    *,
+    out: StrPath,
+    metrics: str | Sequence[str] = CHOICES,
+    reduce: Reduce | Mapping[str, Reduce] = "mean",
+    sampling: str = "sobol",
+    levels: int | Sequence[int] | None = None,
+    seed: int = 0,
+    tolerance: PoseTolerance | float | None = None,
+    weights: tuple[float, float] = (1.0, 1.0),
+    power: int = 1,
+    pose_cost: PoseCost | None = None,
+    workers: int | None = None,
+    executor: Any = None,
+    shard: Part | None = None,
+    shard_size: int | None = None,
+    callback: Callback | None = None,
+) -> SweepResult:
+    """Evaluate a whole space of designs on tasks, on all cores, and keep the results in a folder.
+
+    Design i follows from arm, space, seed and i. Designs that the space does not allow (order, spacing, strains) are
+    counted and not evaluated. Results are written in shards, files of Parquet that take a worker some seconds each,
+    whole or not at all: called again with the same arguments, after whatever ended it, a sweep does what is missing,
+    and the folder is to the byte the one that an undisturbed run on such a machine leaves. Ctrl-C finishes the shards
+    that have begun and returns what there is.
+
+    A script that uses several processes must call this under `if __name__ == "__main__":`.
+
+    Args:
+        arm: a design, or a batch of such, that the space is of; in the plane or in space, or segments in series.
+        space: what changes, and how far; None frees radii and lengths.
+        task: tasks of any batch shape, or several such.
+        count: designs, up to 2³⁰; may be left out of a grid.
+        out: the folder, made if it is not there. Workers on other machines must see it by the same name.
+        metrics: which of "absolute", "relative", "predicted_error" to compute, as in `evaluate`. Sets cost some
+            microseconds a design and load, the predicted error some hundred.
+        reduce: what becomes of a metric over all tasks: "mean", "worst", or a quantile as 0.9; or a mapping with one of
+            these for some of tip_error, shape_error, absolute and relative. An error counts as the length of the task's
+            shape where no stable equilibrium is predicted, and unattainability as infinite where it is not known.
+        sampling: "sobol", scrambled points that fill the space evenly, or "grid".
+        levels: of a grid, for all free values or for each.
+        seed: of the scrambling.
+        tolerance, weights, power, pose_cost: as in `evaluate`.
+        workers: processes of this machine; None is one for each core. One computes in this process.
+        executor: instead of these an executor of concurrent.futures, a Dask client, or the address of a Dask scheduler,
+            whose workers must have torcharm installed.
+        shard: (k, n) computes only the k-th of n parts, counted from 1, as for the jobs of a batch queue: they may run
+            in any order or at once, on one folder.
+        shard_size: designs in a shard; None finds it out by a short trial. It is part of what the sweep is.
+        callback: is told the `SweepProgress` twice a second; returning True stops.
+
+    Raises:
+        ValueError: an argument is none of those allowed; the folder holds another sweep (the message says what
+            differs), cannot be written, or another process is at it; a package is missing; workers were lost again and
+            again.
+        OSError: a file cannot be written, as where the disk is full: what is finished is kept.
+    """
+    for name in ("pyarrow", "filelock"):
+        extra(name)
+    space = DesignSpace() if space is None else space
+    tasks = check_arguments(arm, space, task)
+    measures = check_measures(metrics, reduce, tolerance, weights, power, pose_cost)
+    check_part(shard)
+    if shard_size is not None:
+        check_count("shard_size", shard_size, 1)
+    designs, number = indexed_designs(arm, space, tasks, sampling, count, levels, seed)
+    problem = described(arm, space, tasks, measures, count=number, sampling=sampling, levels=levels, seed=seed)
+    folder = Path(out).absolute()
+    if (folder / MANIFEST).exists():  # before anything is made of it
+        check_same(out, read_manifest(folder), problem, shard_size)
+    prepare_folder(folder)
+    with locked(folder, shard), workers_of(executor, workers) as crew:
+        if shard is None:
+            remove_leftovers(folder)
+        parts = shard[1] if shard else workers or usable_cores()
+        decide = _decision(problem, designs, number, tasks, measures, shard_size, parts)
+        manifest = make_manifest(folder, designs.designs.arm, decide)
+        check_same(out, manifest, problem, shard_size)
+        job = Job(str(folder), manifest, designs, tasks, measures)
+        run = _Run(job, shard, callback)
+        run.complete = run_shards(crew, job, run.missing(), run.finished, run.watch)
+        if not run.complete:  # Ctrl-C may have come while a shard was taken up
+            run.summary = summary_of(folder, manifest)
+        run.keep()
+        if shard is None and run.complete:
+            remove_leftovers(folder)  # of workers that were lost on the way
+    return SweepResult(folder, manifest, run.summary, designs.designs.arm, interrupted=not run.complete)
+
+
+class _Run:
+    """One run of a sweep: what it has found, and when that was last kept."""
+
+    def __init__(self, job: Job, part: Part | None, callback: Callback | None) -> None:
+        self.folder, self.manifest, self.callback = Path(job.folder), job.manifest, callback
+        self.part, self.complete = part, False
+        self.summary = summary_of(self.folder, self.manifest)
+        mine = range(0 if part is None else part[0] - 1, self.manifest.shards, 1 if part is None else part[1])
+        self.mine = mine
+        self.begun = self.kept = time.monotonic()
+        self.done = self.before = sum(self._designs(shard) for shard in mine if shard in self.summary.shards)
+        self.count = sum(self._designs(shard) for shard in mine)
+
+    def _designs(self, shard: int) -> int:
+        return self.manifest.first_of(shard + 1) - self.manifest.first_of(shard)
+
+    def missing(self) -> list[int]:
+        """Numbers of the shards to compute."""
+        return [shard for shard in self.mine if shard not in self.summary.shards]
+
+    def finished(self, done: Done) -> None:
+        """Take up a shard."""
+        if not self.summary.add(shard_path(self.folder, done.shard)) and done.shard not in self.summary.shards:
+            raise ValueError(
+                f"out: {self.folder}: shard {done.shard} was finished by a worker and is not there: workers on other "
+                "machines must see the folder by the same name"
+            )
+        self.done += done.designs
+        if time.monotonic() - self.kept > KEEP_SECONDS:
+            self.keep()
+
+    def keep(self) -> None:
+        """Write the summary; jobs that compute parts leave that to whoever opens the sweep."""
+        if self.part is None:
+            self.summary.keep(self.folder)
+        self.kept = time.monotonic()
+
+    def watch(self) -> bool:
+        """Tell how far it has come; whether to stop."""
+        return bool(self.callback is not None and self.callback(self._progress()))
+
+    def _progress(self) -> SweepProgress:
+        here, seconds = self.done - self.before, time.monotonic() - self.begun
+        rate = here / seconds if here else 0.0
+        left = (self.count - self.done) / rate if rate else np.inf
+        by = rankings((*self.manifest.numbers, *self.manifest.counts))[0]
+        best, design = np.inf, -1
+        if self.summary.rows:
+            found = taken(self.summary.rows, best_places(self.summary.rows, by, 1))
+            if len(found[by]):
+                best, design = float(found[by][0]), int(found["design"][0])
+        return SweepProgress(self.done, self.count, rate, left, best, by, design)
+
+
+def check_arguments(arm: Arm, space: DesignSpace, task: Task | Sequence[Task]) -> tuple[Task, ...]:
+    """The tasks as a tuple, everything checked."""
+    if not isinstance(arm, ArmDesign | ArmSeries):
+        raise ValueError(f"arm: must be of type ArmDesign or ArmSeries, got {shown(arm)}")
+    if not isinstance(space, DesignSpace):
+        raise ValueError(f"space: must be of type DesignSpace, got {shown(space)}")
+    tasks = task_list(task)
+    if any(0 in one.batch_shape for one in tasks):
+        raise ValueError("task: must hold at least one task, got none")
+    for_each_task(task, lambda one: fitted(arm, one))
+    return tasks
+
+
+def check_part(part: Part | None) -> None:
+    """Raise a ValueError unless it is (k, n) with k from 1 to n, or None."""
+    if part is None:
+        return
+    good = isinstance(part, (tuple, list)) and len(part) == 2 and all(isinstance(number, int) for number in part)
+    if not good or not 1 <= part[0] <= part[1]:
+        raise ValueError(f"shard: must be (k, n) with k from 1 to n, got {shown(part)}")
+
+
+def indexed_designs(
+    arm: Arm,
+    space: DesignSpace,
+    tasks: Sequence[Task],
+    sampling: str,
+    count: int | None,
+    levels: int | Sequence[int] | None,
+    seed: int,
+) -> tuple[IndexedDesigns, int]:
+    """All designs by their index, and how many there are."""
+    allowed = feasible_designs(space, arm, tasks)
+    sampler, number = sampler_of(sampling, allowed.dimension, count, levels, seed)
+    return IndexedDesigns(allowed, DesignPoints(allowed.free, sampler, allowed.order)), number
+
+
+def described(
+    arm: Arm, space: DesignSpace, tasks: Sequence[Task], measures: Measures, **options: Any
+) -> dict[str, str]:
+    """What tells a sweep from others, by names that a person knows."""
+    found = describe(arm, arm.actuators, tasks, space, Objective(), **options)
+    del found["objective"]
+    return {"torcharm": __version__} | found | {name: repr(value) for name, value in vars(measures).items()}
+
+
+def _decision(
+    problem: Mapping[str, str],
+    designs: IndexedDesigns,
+    count: int,
+    tasks: tuple[Task, ...],
+    measures: Measures,
+    shard_size: int | None,
+    parts: int,
+) -> Callable[[], Manifest]:
+    """What makes the manifest if there is none."""
+
+    def decide() -> Manifest:
+        loads = sum(task.batch_shape.numel() for task in tasks)
+        chunk = max(1, CHUNK // loads)
+        size = shard_size or _shard_size(designs, count, tasks, measures, chunk, parts)
+        columns = measures.numbers, measures.counts
+        return Manifest(dict(problem), count, size, min(chunk, size), loads, *columns, designs.points.to_json())
+
+    return decide
+
+
+def _shard_size(
+    designs: IndexedDesigns, count: int, tasks: tuple[Task, ...], measures: Measures, chunk: int, parts: int
+) -> int:
+    """Designs that take some seconds, by a trial with the first ones, as a power of two."""
+    end = min(count, FIRST_TRIAL)
+    with one_thread():
+        while True:
+            for _ in range(2):  # the first may compile
+                begun = time.perf_counter()
+                measured(designs, tasks, measures, 0, end, chunk)
+                seconds = time.perf_counter() - begun
+                if seconds < TRIAL_SECONDS:
+                    break
+            if seconds >= TRIAL_SECONDS or end == min(count, LARGEST_SHARD):
+                break
+            end = min(4 * end, count, LARGEST_SHARD)
+    wanted = SHARD_SECONDS * end / max(seconds, 1e-9)
+    most = min(LARGEST_SHARD, max(1, count // (SHARDS_A_WORKER * parts)))
+    size = 2 ** int(np.log2(max(1, min(wanted, most))))
+    return max(size, -(-count // MOST_SHARDS))
