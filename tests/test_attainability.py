@@ -95,7 +95,7 @@ def random_case(seed):
     rng = np.random.default_rng(seed)
     count, nodes = int(rng.integers(1, 9)), int(rng.integers(1, 7))
     flaw = str(rng.choice(DEGENERATE)) if seed % 2 else ""
-    stiffness = {"K = 0": 0.0}.get(flaw, rng.choice([None, 0.3, -1.0]))
+    stiffness = {"K = 0": 0.0}.get(flaw, rng.choice([None, -0.3, -1.0]))
     models, twins = zip(*(random_actuator(rng, stiffness) for _ in range(count)), strict=True)
     radii = rng.uniform(-0.08, 0.08, count)
     lengths = np.array(

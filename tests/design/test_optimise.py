@@ -316,7 +316,7 @@ def test_a_result_is_short_in_print_and_survives_pickle() -> None:
         ({"seed": -1}, "seed"),
         ({"iterations": 0}, "iterations"),
         ({"seconds": 0.0}, "seconds"),
-        ({"space": DesignSpace(bounds={"length": (0.1, 0.2)})}, "in_range=False"),
+        ({"space": DesignSpace(bounds={"length": (0.1, 0.2)})}, "in_range = false"),
         ({"task": []}, "at least one task"),
         ({"task": ta.Task([[0.4, 0, 0, 0, 0, 0.0]] * 3, [0.0] * 6)}, "of the arm's dimension"),
     ],
