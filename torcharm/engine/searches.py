@@ -61,7 +61,9 @@ FAR_BELOW = 0.5
 """Of the best cost: a lost end below that is worth loading the arm around it."""
 NEARBY, NEARER, CLOSER = 0.02, 0.75, 40
 """How far around it, in normalised pressures, by which factor each place is nearer than the last, and how many places
-are between the best of these and the end."""
+are tried between the best of these and the end."""
+HALFWAY = 0.5
+"""Part of the way from the best to the end that is tried first; each failure makes it shorter by that factor."""
 
 
 @by_reference
@@ -246,7 +248,7 @@ def _try_other_ends(problem, work, search, b, at_end, start, tolerance):  # type
 def _load_nearby(problem, work, search, b, j, pool, start, tolerance):  # type: ignore[no-untyped-def]
     """Load the arm at places ever closer around a lost end, and between it and the best of them: beside it the arm may
     be led there."""
-    points, reach_out, found, step = work.points, NEARBY, False, 0.5
+    points, reach_out, found, step = work.points, NEARBY, False, HALFWAY
     for q in range(len(pool) + CLOSER):
         around = q < len(pool)
         reach_out *= NEARER
@@ -262,9 +264,9 @@ def _load_nearby(problem, work, search, b, j, pool, start, tolerance):  # type: 
         reach_and_keep(problem, work, search, b, AIM, TRIED, start, tolerance)
         if improves(work, TRIED, BEST):
             keep_point(work, search, BEST, TRIED)
-            found, step = True, 0.5
+            found, step = True, HALFWAY
         elif not around:
-            step *= 0.7
+            step *= NEARER
 
 
 @part

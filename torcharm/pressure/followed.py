@@ -73,6 +73,7 @@ def _followed(prepared: Prepared, place: Tensor, twists: Tensor) -> Tensor:
     free = (place > STEP) & (place < 1 - STEP)
     curvature = ((slope[0] - slope[1]) / (2 * STEP)).movedim(0, -2) * (free.unsqueeze(-1) & free.unsqueeze(-2))
     rise = ((cost[0] - cost[1]) / (2 * STEP)).movedim(0, -1)
+    # NaN only where no equilibrium is known; gradients end there, and pinv refuses a batch with one
     inverse = torch.linalg.pinv(((curvature + curvature.mT) / 2).nan_to_num(), rtol=LEAST_CURVATURE, hermitian=True)
     moved = (inverse @ rise.unsqueeze(-1)).squeeze(-1)
     return place - moved + moved.detach()

@@ -33,10 +33,9 @@ ROUNDS = 4
 """Ends of descents that continuation does not reach, from which a search goes on along a boundary."""
 WORDS = ("converged", "snapped", "not converged", "not found", "impossible")
 """What may be said of a search. Snapped: the arm gets there by a snap, not along one branch from zero load. Not
-converged: an equilibrium
-that is reached, but the descent did not come to its end, or leads on to where continuation does not follow: the
-pressure then is next to a jump. Not found: no start led to a stable equilibrium. Impossible: the task's shape leaves an
-actuator no length."""
+converged: an equilibrium that is reached, but the descent did not come to its end, or leads on to where continuation
+does not follow: the pressure then is next to a jump. Not found: no start led to a stable equilibrium. Impossible:
+the task's shape leaves an actuator no length."""
 LESS_COMPRESSION = "a lower load, a stiffer arm, or antagonists that push and pull against each other"
 """What keeps an arm from buckling, for a person who may change it."""
 
@@ -183,7 +182,8 @@ def search_pressure(
     will not come below the best that is known is given up. Ends are confirmed by continuation. Under compression it
     may lead elsewhere: an arm buckles to one side or to the other, and the best pressures often lie where that is
     decided. There the cost jumps. The boundary is found
-    by Newton's method, as where the equilibria on the way bifurcate, and the search goes on along it; it is not
+    by Newton's method, as where the equilibria on the way bifurcate, and the search goes on along it; where that stays
+    far above what a descent promised, the arm is loaded at places around its end. It is not
     `converged`. "scipy" is the paper's baseline, one equilibrium at a time: `scipy.optimize.minimize` with finite
     differences, from the middle of the box and, for more starts, from points spread over it.
 
