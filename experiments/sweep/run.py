@@ -8,9 +8,7 @@ import os
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing import active_children
 from pathlib import Path
 
 import torch
@@ -20,7 +18,7 @@ from rich.table import Table
 import torcharm as ta
 from experiments.design_optimisation.scenes import ARMS, JOINTLY, SHAPES, tasks_of
 from experiments.rows import read_rows, write_rows
-from torcharm.sweeps import SweepResult
+from experiments.sweep.memory import bytes_of, most_memory
 
 HERE = Path(__file__).parent
 SPACE = ta.DesignSpace(bounds={"radii": (-0.1, 0.1), "length": (0.25, 0.75)})
@@ -129,21 +127,6 @@ def measured(shape: str, processes: int, size: Size, designs: int) -> Scene:
 def cpu_seconds() -> float:
     """Of this process and those that it has waited for."""
     return sum(os.times()[:4])
-
-
-def most_memory() -> float:
-    """The most that a process of the pool has held so far, without a pool this one [MiB]; 0 where Linux is not."""
-    found = [0.0]
-    for process in [str(child.pid) for child in active_children()] or ["self"]:
-        with suppress(OSError):  # one that has just ended
-            status = Path(f"/proc/{process}/status").read_text()
-            found += [int(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith("VmHWM")]
-    return max(found)
-
-
-def bytes_of(found: SweepResult) -> int:
-    """Of all files of a sweep."""
-    return sum(path.stat().st_size for path in found.folder.rglob("*") if path.is_file())
 
 
 def as_table(rows: list[Scene]) -> Table:

@@ -7,6 +7,7 @@ import torch
 from sweep_cases import SPACE, arm, contents, small_sweep, task
 
 import torcharm as ta
+from torcharm.sweeps import SweepProgress
 
 
 @pytest.fixture(scope="module")
@@ -208,6 +209,19 @@ def test_progress_is_told(tmp_path):
     assert told[0].best == np.inf
     assert told[-1].by == "absolute_N"
     assert told[-1].best == ta.open_sweep(tmp_path).best(1, "absolute")["absolute_N"][0]
+
+
+def test_a_bar_is_shown_where_it_is_asked_for(tmp_path, capfd):
+    small_sweep(tmp_path / "a", 100)
+    assert "sweeping" not in capfd.readouterr().err  # no terminal
+    small_sweep(tmp_path / "b", 100, progress=True)
+    assert "sweeping" in capfd.readouterr().err
+
+
+def test_progress_in_words():
+    told = SweepProgress(10, 100, 2e3, 400.0, 1.25, "absolute_N", 7)
+    assert str(told) == "2,000 designs/s, 7 min left, best absolute [N] 1.25"
+    assert str(SweepProgress(0, 100, 0.0, np.inf, np.inf, "absolute_N", -1)) == "the first shards"
 
 
 def test_a_callback_stops_and_the_sweep_goes_on(tmp_path):

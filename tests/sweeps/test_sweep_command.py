@@ -60,6 +60,9 @@ def test_a_study_is_swept_and_shown_again(study, tmp_path):
     assert "No other is both smaller and better by absolute [N]" in said
     assert invoke("--show", out) == said == invoke(*command)
     assert re.search(r"\n +\d+ .*\n", invoke("--show", out, "--by", "size", "--rows", 2))
+    picture = tmp_path / "sweep.svg"
+    assert "Wrote" in invoke("--show", out, "--figure", picture)
+    assert "<svg" in picture.read_text()
 
 
 def test_parts_of_a_sweep(study, tmp_path):

@@ -1,19 +1,29 @@
 """`torcharm sweep`: a whole space of designs evaluated on the tasks of a study, into a folder."""
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from torcharm.cli.tables import Column, print_table
-from torcharm.cli.terminal import asked_about, count, finish, mistakes, open_console, progress, say
+from torcharm.cli.terminal import (
+    FIGURE_FORMATS,
+    asked_about,
+    check_outputs,
+    compiling_told,
+    count,
+    finish,
+    mistakes,
+    open_console,
+    save_all,
+    say,
+)
 from torcharm.inputs import check_choice
 
 if TYPE_CHECKING:
     from torcharm.study import NamedArm, Study
-    from torcharm.sweeps import SweepProgress, SweepResult, SweepRows
+    from torcharm.sweeps import SweepResult, SweepRows
 
 COUNT = "1e6"
 """Designs, unless told otherwise."""
@@ -59,6 +69,12 @@ def sweep(
         str | None, typer.Option("--by", help="The column that ranks designs.", show_default="the first metric")
     ] = None,
     rows: Annotated[int, typer.Option("--rows", min=1, help="Of the tables.")] = SHOWN,
+    figure: Annotated[
+        Path | None,
+        typer.Option(
+            "--figure", help=f"Draw that column against size, to a file ending in {', '.join(FIGURE_FORMATS)}."
+        ),
+    ] = None,
 ) -> None:
     """Evaluate a whole space of designs of an arm, on all tasks of a study.
 
@@ -68,9 +84,10 @@ def sweep(
     with mistakes():
         from torcharm.sweeps import open_sweep
 
+        check_outputs(study, None, figure)
         if show is not None:
             _stands_alone(show, {"STUDY": study, "--out": out, "--shard": shard, "--scheduler": scheduler})
-            _tell(open_sweep(show), by, rows)
+            _tell(open_sweep(show), by, rows, figure)
             return
         if study is None or out is None:
             missing = "STUDY" if study is None else "--out"
@@ -81,7 +98,7 @@ def sweep(
 
         plan = asked_about(load_study(study))
         result = _run(plan, _chosen(plan, arm), metrics, seed, options)
-        _tell(result, by, rows)
+        _tell(result, by, rows, figure)
         finish(result.interrupted, [result] if result.finished else [], {})
 
 
@@ -97,30 +114,8 @@ def _run(plan: "Study", arm: "NamedArm", metrics: str | None, seed: int | None, 
     options["metrics"] = settings.metrics if metrics is None else [name.strip() for name in metrics.split(",")]
     options["seed"] = how.seed if seed is None else seed
     tasks = [named.task for named in plan.tasks_of(arm)]
-    with progress("sweeping", BAR) as move:
-        return sweep_designs(arm.design, how.space, tasks, callback=lambda done: _move(move, done), **options)
-
-
-BAR = 10_000
-"""Steps of the bar, whatever the number of designs."""
-
-
-def _move(move: Callable[..., None], done: "SweepProgress") -> None:
-    """Move the bar on, with the rate and the best until then."""
-    words = f"{done.rate:,.0f} designs/s" if done.rate else "the first shards"
-    if math.isfinite(done.seconds_left):
-        words += f", {_duration(done.seconds_left)} left"
-    if math.isfinite(done.best):
-        words += f", best {_title(done.by).replace(chr(10), ' ')} {done.best:.4g}"
-    move(to=BAR * done.finished // max(done.count, 1), words=words)
-
-
-def _duration(seconds: float) -> str:
-    """Roughly: 40 s, 12 min, 3.5 h, 2.1 days."""
-    for unit, size in (("days", 86400.0), ("h", 3600.0)):
-        if seconds >= 2 * size:
-            return f"{seconds / size:.1f} {unit}"
-    return f"{seconds / 60:.0f} min" if seconds >= 120 else f"{seconds:.0f} s"
+    with compiling_told():
+        return sweep_designs(arm.design, how.space, tasks, **options)
 
 
 def _stands_alone(show: Path, others: dict[str, object]) -> None:
@@ -169,9 +164,9 @@ def _chosen(plan: "Study", name: str | None) -> "NamedArm":
     return plan.arms[0 if name is None else names.index(name)]
 
 
-def _tell(result: "SweepResult", by: str | None, rows: int) -> None:
-    """Counts, the best designs and the Pareto set."""
-    from torcharm.sweeps.ranking import rankings
+def _tell(result: "SweepResult", by: str | None, rows: int, figure: Path | None) -> None:
+    """Counts, the best designs and the Pareto set; and a figure, once a design is feasible."""
+    from torcharm.sweeps.ranking import label, rankings
 
     console = open_console()
     column = rankings(result.columns)[0] if by is None else result.column(by)
@@ -183,18 +178,20 @@ def _tell(result: "SweepResult", by: str | None, rows: int) -> None:
     best = result.best(rows, column)
     if len(best):
         console.print()
-        say(console, f"The best by {_title(column, ' ')}:")
+        say(console, f"The best by {label(column)}:")
         print_table(_columns(result, best))
     front = result.pareto(column, "size") if column in result.manifest.numbers else None
     if front is not None and len(front) and column != "size_mm":
         console.print()
-        say(console, f"No other is both smaller and better by {_title(column, ' ')}: {_thinned(len(front), rows)}")
+        say(console, f"No other is both smaller and better by {label(column)}: {_thinned(len(front), rows)}")
         places = sorted({round(place * (len(front) - 1) / max(rows - 1, 1)) for place in range(rows)})
         print_table(_columns(result, front.taken(places)))
     if not result.complete:
         console.print()
         missing = result.manifest.shards - len(result.summary.shards)
         say(console, f"{missing:,} of {count(result.manifest.shards, 'shard')} are missing: the same command goes on.")
+    if figure is not None:
+        save_all(console, [(figure, lambda path: result.plot("size", column).savefig(path), ".")])
 
 
 def _thinned(total: int, rows: int) -> str:
@@ -203,10 +200,12 @@ def _thinned(total: int, rows: int) -> str:
 
 def _columns(result: "SweepResult", found: "SweepRows") -> list[Column]:
     """Designs, what was found of them, and their free values."""
+    from torcharm.sweeps.ranking import label
+
     table = {name: found[name] for name in result.columns if name != "feasible"} | result.free_columns(found.indices)
     lengths = ("size_mm", *result.free_values)
     return [
-        Column(_title(name), _cells(values.tolist(), ".1f" if name in lengths else ".4g"))
+        Column(label(name, "\n"), _cells(values.tolist(), ".1f" if name in lengths else ".4g"))
         for name, values in table.items()
         if name not in result.manifest.counts or values.any()
     ]
@@ -214,9 +213,3 @@ def _columns(result: "SweepResult", found: "SweepRows") -> list[Column]:
 
 def _cells(values: Sequence[float], form: str) -> list[str]:
     return [str(value) if isinstance(value, int) else format(value, form) for value in values]
-
-
-def _title(name: str, gap: str = "\n") -> str:
-    """A column as a table names it: tip error [mm]."""
-    words, _, unit = name.rpartition("_")
-    return f"{words.replace('_', ' ')}{gap}[{unit}]" if unit in ("mm", "N", "deg", "kPa") else name.replace("_", " ")

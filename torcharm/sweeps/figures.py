@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from torcharm.sweeps.ranking import Rows
+from torcharm.sweeps.ranking import Rows, label
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -85,12 +85,6 @@ def bin_edges(blocks: Blocks, ranges: Ranges, name: str, bins: int) -> Edges:
     edges = np.geomspace(low, high, bins + 1) if 0 < DECADES * low < high else np.linspace(low, high, bins + 1)
     edges[[0, -1]] = low, high
     return np.asarray(edges, dtype=np.float64)
-
-
-def label(name: str) -> str:
-    """A column as an axis names it: tip error [mm]."""
-    words, _, unit = name.rpartition("_")
-    return f"{words.replace('_', ' ')} [{unit}]" if unit in ("mm", "N", "deg", "kPa") else name.replace("_", " ")
 
 
 def _logarithmic(edges: Edges) -> bool:

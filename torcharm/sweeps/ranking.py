@@ -78,3 +78,9 @@ def value_range(values: npt.NDArray[Any]) -> list[float]:
     """The least and largest of what is finite; nothing if nothing is."""
     known = values[np.isfinite(values)]
     return [float(known.min()), float(known.max())] if len(known) else []
+
+
+def label(name: str, gap: str = " ") -> str:
+    """A column as a table or an axis names it: tip error [mm]."""
+    words, _, unit = name.rpartition("_")
+    return f"{words.replace('_', ' ')}{gap}[{unit}]" if unit in ("mm", "N", "deg", "kPa") else name.replace("_", " ")

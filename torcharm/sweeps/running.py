@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from torcharm.design.feasible import feasible_designs
 from torcharm.design.objective import Objective
 from torcharm.design.space import Arm, DesignSpace
 from torcharm.files import StrPath
-from torcharm.inputs import check_count, shown
+from torcharm.inputs import check_count, check_flag, shown
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.sweeps.designs import DesignPoints, IndexedDesigns, sampler_of
 from torcharm.sweeps.executors import run_shards, usable_cores, workers_of
@@ -34,6 +33,7 @@ from torcharm.sweeps.manifest import (
     remove_leftovers,
 )
 from torcharm.sweeps.measures import Measures, Reduce, check_measures
+from torcharm.sweeps.progress import Callback, SweepProgress, with_bar
 from torcharm.sweeps.ranking import best_places, rankings, taken
 from torcharm.sweeps.result import SweepResult
 from torcharm.sweeps.shards import Done, Job, measured, one_thread, shard_path
@@ -51,35 +51,10 @@ CHUNK = 4096
 """(design, task) pairs evaluated at once: more are no faster, and take memory."""
 SHARDS_A_WORKER = 4
 """At least, so that no worker is idle for long at the end."""
-FIRST_TRIAL, TRIAL_SECONDS = 64, 0.5
+FIRST_TRIAL, TRIAL_SECONDS = 16, 0.1
 """Designs of a first trial, which grows until it takes so long."""
 KEEP_SECONDS = 30.0
 """Between two writings of the summary."""
-
-
-@dataclass(frozen=True)
-class SweepProgress:
-    """How far a sweep has come.
-
-    Attributes:
-        finished, count: designs finished, those of earlier runs included, and to be finished by this run.
-        rate: designs a second in this run.
-        seconds_left: at this rate; infinite before the first shard.
-        best: of the first metric, as its column has it, and
-        by: that column's name; `best` is infinite before a feasible design is known.
-        design: the index of the best.
-    """
-
-    finished: int
-    count: int
-    rate: float
-    seconds_left: float
-    best: float
-    by: str
-    design: int
-
-
-Callback = Callable[[SweepProgress], bool | None]
 
 
 def sweep(
@@ -102,6 +77,7 @@ def sweep(
     executor: Any = None,
     shard: Part | None = None,
     shard_size: int | None = None,
+    progress: bool | None = None,
     callback: Callback | None = None,
 ) -> SweepResult:
     """Evaluate a whole space of designs on tasks, on all cores, and keep the results in a folder.
@@ -135,6 +111,7 @@ def sweep(
         shard: (k, n) computes only the k-th of n parts, counted from 1, as for the jobs of a batch queue: they may run
             in any order or at once, on one folder.
         shard_size: designs in a shard; None finds it out by a short trial. It is part of what the sweep is.
+        progress: whether to show a bar, with the rate and the best so far; None shows one on a terminal.
         callback: is told the `SweepProgress` twice a second; returning True stops.
 
     Raises:
@@ -151,6 +128,8 @@ def sweep(
     check_part(shard)
     if shard_size is not None:
         check_count("shard_size", shard_size, 1)
+    if progress is not None:
+        check_flag("progress", progress)
     designs, number = indexed_designs(arm, space, tasks, sampling, count, levels, seed)
     problem = described(arm, space, tasks, measures, count=number, sampling=sampling, levels=levels, seed=seed)
     folder = Path(out).absolute()
@@ -167,8 +146,9 @@ def sweep(
         manifest = make_manifest(folder, designs.designs.arm, decide)
         check_same(out, manifest, problem, shard_size)
         job = Job(str(folder), manifest, designs, tasks, measures)
-        run = _Run(job, shard, callback)
-        run.complete = run_shards(crew, job, run.missing(), run.finished, run.watch)
+        with with_bar(progress, callback) as watch:
+            run = _Run(job, shard, watch)
+            run.complete = run_shards(crew, job, run.missing(), run.finished, run.watch)
         if not run.complete:  # Ctrl-C may have come while a shard was taken up
             run.summary = summary_of(folder, manifest)
         run.keep()
@@ -180,7 +160,7 @@ def sweep(
 class _Run:
     """One run of a sweep: what it has found, and when that was last kept."""
 
-    def __init__(self, job: Job, part: Part | None, callback: Callback | None) -> None:
+    def __init__(self, job: Job, part: Part | None, callback: Callback) -> None:
         self.folder, self.manifest, self.callback = Path(job.folder), job.manifest, callback
         self.part, self.complete = part, False
         self.summary = summary_of(self.folder, self.manifest)
@@ -216,7 +196,7 @@ class _Run:
 
     def watch(self) -> bool:
         """Tell how far it has come; whether to stop."""
-        return bool(self.callback is not None and self.callback(self._progress()))
+        return bool(self.callback(self._progress()))
 
     def _progress(self) -> SweepProgress:
         here, seconds = self.done - self.before, time.monotonic() - self.begun

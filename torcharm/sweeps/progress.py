@@ -1,0 +1,75 @@
+"""How far a sweep has come, and a bar that shows it."""
+
+import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from torcharm.sweeps.ranking import label
+
+
+@dataclass(frozen=True)
+class SweepProgress:
+    """How far a sweep has come.
+
+    Attributes:
+        finished, count: designs finished, those of earlier runs included, and to be finished by this run.
+        rate: designs a second in this run.
+        seconds_left: at this rate; infinite before the first shard.
+        best: of the first metric, as its column has it, and
+        by: that column's name; `best` is infinite before a feasible design is known.
+        design: the index of the best.
+    """
+
+    finished: int
+    count: int
+    rate: float
+    seconds_left: float
+    best: float
+    by: str
+    design: int
+
+    def __str__(self) -> str:
+        """The rate, the time left and the best so far, as they stand behind a bar."""
+        words = f"{self.rate:,.0f} designs/s" if self.rate else "the first shards"
+        if math.isfinite(self.seconds_left):
+            words += f", {duration(self.seconds_left)} left"
+        if math.isfinite(self.best):
+            words += f", best {label(self.by)} {self.best:.4g}"
+        return words
+
+
+Callback = Callable[[SweepProgress], bool | None]
+
+
+@contextmanager
+def with_bar(shown: bool | None, callback: Callback | None) -> Iterator[Callback]:
+    """A bar on the standard error; gives a callback that moves it on and calls another one.
+
+    Args:
+        shown: whether there is one; None shows one on a terminal.
+        callback: the other, if there is one.
+    """
+    from rich.console import Console
+    from rich.progress import Progress, TextColumn
+
+    columns = (*Progress.get_default_columns()[:3], TextColumn("{task.fields[words]}", markup=False))
+    hidden = not (sys.stderr.isatty() if shown is None else shown)
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=console.is_terminal, disable=hidden) as bar:
+        task = bar.add_task("sweeping", total=None, words="")
+
+        def move(progress: SweepProgress) -> bool | None:
+            bar.update(task, total=progress.count, completed=progress.finished, words=str(progress))
+            return None if callback is None else callback(progress)
+
+        yield move
+
+
+def duration(seconds: float) -> str:
+    """Roughly: 40 s, 12 min, 3.5 h, 2.1 days."""
+    for unit, size in (("days", 86400.0), ("h", 3600.0)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.1f} {unit}"
+    return f"{seconds / 60:.0f} min" if seconds >= 120 else f"{seconds:.0f} s"
