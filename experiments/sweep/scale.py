@@ -124,39 +124,51 @@ def measured(metric: str, designs: int, processes: int) -> Scale:
 
 
 def kill() -> None:
-    """Sweeps of which all, or one worker, is killed at random moments; their bytes against an undisturbed one's."""
+    """Sweeps killed at random moments and taken up again, and one that loses workers, against an undisturbed one."""
+    moments = random.Random(7)
     with tempfile.TemporaryDirectory() as place:
-        folders = [Path(place, name) for name in ("undisturbed", "sweep", "worker")]
-        begun = time.perf_counter()
-        assert started(folders[0]).wait() == 0
-        seconds = time.perf_counter() - begun
-        moments = random.Random(7)
-        for _ in range(KILLS):
-            process = started(folders[1])
-            time.sleep(moments.uniform(0.4, 0.7) * seconds)
+        undisturbed, worker = Path(place, "undisturbed"), Path(place, "worker")
+        assert started(undisturbed).wait() == 0
+        shards = shards_in(undisturbed)
+        for number in range(KILLS):
+            folder = Path(place, f"sweep {number}")
+            process = started(folder)
+            wait_for(folder, moments.randrange(1, shards - 10), process)
+            time.sleep(moments.uniform(0.0, 0.3))
             process.kill()
             process.wait()
-            tell(folders[1], "sweep killed")
-        process = started(folders[2])
-        for _ in range(KILLS):
-            time.sleep(moments.uniform(0.3, 0.5) * seconds)
-            workers = [one for one in psutil.Process(process.pid).children() if "spawn_main" in " ".join(one.cmdline())]
-            moments.choice(workers).kill()
-            tell(folders[2], "worker killed")
+            print(f"sweep killed at {shards_in(folder)} of {shards} shards", end=", ")
+            assert started(folder).wait() == 0
+            print("the same bytes" if digest(folder) == digest(undisturbed) else "bytes DIFFER", flush=True)
+        process = started(worker)
+        for least in sorted(moments.sample(range(1, shards - 10), KILLS)):
+            wait_for(worker, least, process)
+            time.sleep(moments.uniform(0.0, 0.3))
+            moments.choice(workers_of(process)).kill()
+            print(f"worker killed at {shards_in(worker)} of {shards} shards", flush=True)
         assert process.wait() == 0
-        assert started(folders[1]).wait() == 0
-        digests = {folder.name: digest(folder) for folder in folders}
-        print(digests, "the same bytes" if len(set(digests.values())) == 1 else "bytes DIFFER")
+        print("the same bytes" if digest(worker) == digest(undisturbed) else "bytes DIFFER")
 
 
 def started(folder: Path) -> "subprocess.Popen[bytes]":
     """A process that sweeps."""
-    return subprocess.Popen([sys.executable, "-m", "experiments.sweep.scale", "--run", str(folder)])
+    return subprocess.Popen([sys.executable, "-W", "ignore", "-m", "experiments.sweep.scale", "--run", str(folder)])
 
 
-def tell(folder: Path, what: str) -> None:
-    """How far it is."""
-    print(f"{what}: {len(list(folder.glob('shards/shard-*.parquet')))} shards", flush=True)
+def shards_in(folder: Path) -> int:
+    """How many are finished."""
+    return len(list(folder.glob("shards/shard-*.parquet")))
+
+
+def wait_for(folder: Path, least: int, process: "subprocess.Popen[bytes]") -> None:
+    """Until so many shards are finished, and workers are there."""
+    while process.poll() is None and (shards_in(folder) < least or not workers_of(process)):
+        time.sleep(0.01)
+
+
+def workers_of(process: "subprocess.Popen[bytes]") -> list[psutil.Process]:
+    """Its workers."""
+    return [one for one in psutil.Process(process.pid).children() if "spawn_main" in " ".join(one.cmdline())]
 
 
 def digest(folder: Path) -> str:
