@@ -14,9 +14,7 @@ settings.load_profile("torcharm")
 
 torch.set_num_threads(1)
 
-LONGEST = ("tests/test_experiments.py::test_smoke_runs", "tests/test_notebooks.py")
-"""Tests that take minutes. Begun last, they would keep one process busy while all others have ended."""
-
 
 def pytest_collection_modifyitems(items):
-    items.sort(key=lambda item: not item.nodeid.startswith(LONGEST))
+    """Slow tests first: begun last, they would keep one process busy while all others have ended."""
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)

@@ -46,6 +46,7 @@ def test_every_experiment_has_a_folder_a_summary_a_readme_and_results():
             assert (experiment.folder / name).is_file(), f"{experiment.name}/{name}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("experiment", runner.discover(), ids=lambda experiment: experiment.name)
 def test_a_smoke_run_succeeds_and_leaves_the_folder_as_it_was(experiment, tmp_path):
     before = contents(experiment.folder)

@@ -172,11 +172,11 @@ def workers_of(process: "subprocess.Popen[bytes]") -> list[psutil.Process]:
 
 
 def digest(folder: Path) -> str:
-    """Of the names and bytes of all files but locks."""
+    """Of the names and bytes of all results, and of what says what they are."""
     found = hashlib.sha256()
-    for path in sorted(path for path in folder.rglob("*") if path.is_file() and path.suffix != ".lock"):
+    for path in sorted(path for path in folder.rglob("*") if path.suffix in (".parquet", ".json")):
         found.update(str(path.relative_to(folder)).encode() + path.read_bytes())
-    return found.hexdigest()[:16]
+    return found.hexdigest()
 
 
 if __name__ == "__main__":

@@ -46,6 +46,7 @@ def cluster(tmp_path_factory):
         found.end()
 
 
+@pytest.mark.slow
 def test_a_cluster_of_which_a_worker_is_killed_leaves_the_same_bytes(tmp_path, cluster):
     small_sweep(tmp_path / "here", 20_000, shard_size=250)
     address, killed = cluster.ready(), []
@@ -62,6 +63,7 @@ def test_a_cluster_of_which_a_worker_is_killed_leaves_the_same_bytes(tmp_path, c
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
 
 
+@pytest.mark.slow
 def test_the_command_takes_an_address_and_python_a_client(tmp_path, cluster):
     study = tmp_path / "study.toml"
     study.write_text(STUDY)

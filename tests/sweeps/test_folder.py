@@ -49,6 +49,7 @@ def children_of(process):
     return [one for one in psutil.Process(process.pid).children() if "spawn_main" in " ".join(one.cmdline())]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kill -9 is of POSIX")
 def test_a_sweep_killed_with_its_processes_is_resumed_to_the_same_bytes(tmp_path, undisturbed):
     folder = tmp_path / "run"
@@ -66,6 +67,7 @@ def test_a_sweep_killed_with_its_processes_is_resumed_to_the_same_bytes(tmp_path
     assert not list(folder.rglob(".torcharm-*"))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kill -9 is of POSIX")
 def test_shards_of_a_killed_process_are_done_again(tmp_path, undisturbed):
     folder = tmp_path / "run"

@@ -95,6 +95,7 @@ def test_a_mistake_is_one_line(study, tmp_path, args, message, capfd):
     assert message in " ".join(output.split())
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as POSIX does")
 def test_ctrl_c_keeps_what_is_finished_and_says_how_to_go_on(study, tmp_path):
     out = tmp_path / "run"

@@ -85,7 +85,7 @@ def sweep(
     Design i follows from arm, space, seed and i. Designs that the space does not allow (order, spacing, strains) are
     counted and not evaluated. Results are written in shards, files of Parquet that take a worker some seconds each,
     whole or not at all: called again with the same arguments, after whatever ended it, a sweep does what is missing,
-    and the folder is to the byte the one that an undisturbed run on such a machine leaves. Ctrl-C finishes the shards
+    and its results are to the byte those of an undisturbed run on such a machine. Ctrl-C finishes the shards
     that have begun and returns what there is.
 
     A script that uses several processes must call this under `if __name__ == "__main__":`.
