@@ -265,7 +265,7 @@ def find_model(field: str, given: Any) -> Actuator:
         ValueError: it is none, as `field` says.
     """
     if isinstance(given, Path) or (isinstance(given, str) and given.endswith(".toml")):
-        from torcharm.actuators.model_file import load_actuator  # loads when it is first asked for
+        from torcharm.characterise.model_file import load_actuator  # loads when it is first asked for
 
         return load_actuator(given)
     return model_of(field, given)

@@ -22,7 +22,7 @@ from experiments.characterisation import figure
 from experiments.characterisation.sensitivity import MILD, SHAPE, drawn_deviation, uncertain_validation, validation
 from experiments.characterisation.synthetic import TRUTH, Noise, read_runs, write_run
 from experiments.rows import Measurement, measurements_table, write_rows
-from torcharm.actuators.fitting import exponents
+from torcharm.characterise.least_squares import exponents
 
 HERE = Path(__file__).parent
 LIMIT = 50.0
@@ -171,7 +171,7 @@ def real(folder: Path, quick: bool) -> Iterator[list[Measurement]]:
 
 
 def _holds(recording: ta.Recording) -> Any:
-    from torcharm.actuators.alignment import held_strains
+    from torcharm.characterise.alignment import held_strains
 
     return held_strains(recording)
 

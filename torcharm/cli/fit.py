@@ -15,8 +15,8 @@ from torcharm.cli.terminal import FIGURE_FORMATS, check_outputs, count, mistakes
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from torcharm.actuators.alignment import Recording
-    from torcharm.actuators.characterisation import FittedActuator
+    from torcharm.characterise.alignment import Recording
+    from torcharm.characterise.fit import FittedActuator
 
 
 def fit(
@@ -63,9 +63,9 @@ def fit(
     with mistakes(), _warnings_on_stderr():
         check_outputs(None, out, figure)
         offsets = _check_runs(instron, pressure, out, offset, find_offset)
-        from torcharm.actuators.alignment import align, estimate_offset, pool
-        from torcharm.actuators.characterisation import fit_recording
-        from torcharm.actuators.recordings import read_pressure, read_tester
+        from torcharm.characterise.alignment import align, estimate_offset, pool
+        from torcharm.characterise.fit import fit_recording
+        from torcharm.characterise.recordings import read_pressure, read_tester
 
         runs = []
         for csv, log, shift in zip(instron, pressure, offsets, strict=True):
@@ -88,8 +88,8 @@ def fit(
 def _outputs(
     model: "FittedActuator", recording: "Recording", out: Path, figure: Path | None
 ) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
-    from torcharm.actuators.model_file import save_actuator
-    from torcharm.actuators.toml_text import toml_value
+    from torcharm.characterise.model_file import save_actuator
+    from torcharm.characterise.toml_text import toml_value
 
     study = f". In a study: actuators = [{toml_value({'kind': 'file', 'path': str(out)})}, ...]"
     yield out, lambda path: save_actuator(path, model), study

@@ -14,10 +14,10 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from torcharm.actuators import Actuator
-from torcharm.actuators.alignment import Recording, held_strains
-from torcharm.actuators.characterisation import FittedActuator
-from torcharm.actuators.monotonicity import monotonicity
 from torcharm.arm import find_model
+from torcharm.characterise.alignment import Recording, held_strains
+from torcharm.characterise.fit import FittedActuator
+from torcharm.characterise.monotonicity import monotonicity
 from torcharm.plot._common import Array, axes_or_new
 
 ModelLike = Actuator | str | Path

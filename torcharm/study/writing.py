@@ -20,9 +20,9 @@ from torcharm.actuators import (
     PolynomialActuator,
 )
 from torcharm.actuators.ready import USUAL_STRAINS
-from torcharm.actuators.toml_text import toml_entry
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries, RigidLink
+from torcharm.characterise.toml_text import toml_entry
 from torcharm.inputs import plain_number, shown
 from torcharm.statics.balance import segments_of
 from torcharm.study.arm_reading import make_actuator

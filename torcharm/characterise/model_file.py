@@ -13,13 +13,13 @@ from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from torcharm.actuators.bending import Bending, ConstantBending, LinearBending
-from torcharm.actuators.characterisation import FittedActuator
 from torcharm.actuators.gridded import GriddedActuator
 from torcharm.actuators.polynomial import PolynomialActuator
 from torcharm.actuators.protocol import Actuator
 from torcharm.actuators.ready import Chamber, ElasticCore
 from torcharm.actuators.shipped import SHIPPED, model_of
-from torcharm.actuators.toml_text import toml_entry, toml_value
+from torcharm.characterise.fit import FittedActuator
+from torcharm.characterise.toml_text import toml_entry, toml_value
 from torcharm.files import atomic_write, read_file
 from torcharm.inputs import shown
 

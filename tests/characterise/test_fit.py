@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares, minimize
 
 import torcharm as ta
-from torcharm.actuators.characterisation import MARGIN
-from torcharm.actuators.fitting import Monomials, correlation_length, covariance, exponents, robust, solve
 from torcharm.actuators.polynomial import BELLOWS_COEFFICIENTS
+from torcharm.characterise.fit import MARGIN
+from torcharm.characterise.least_squares import Monomials, correlation_length, covariance, exponents, robust, solve
 
 NONE = (np.empty((0, 9)), np.empty(0))
 TRUTH = ta.Bellows()

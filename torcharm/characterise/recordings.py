@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from torcharm.actuators.log_header import named_units, split_header
+from torcharm.characterise.log_header import named_units, split_header
 from torcharm.files import read_file
 from torcharm.inputs import check_choice
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import torcharm as ta
-from torcharm.actuators import recordings
-from torcharm.actuators.alignment import smooth
-from torcharm.actuators.recordings import PressureRecord
+from torcharm.characterise import recordings
+from torcharm.characterise.alignment import smooth
+from torcharm.characterise.recordings import PressureRecord
 
 HEAD = "Time,Displacement,Tensile strain (Displacement),Force\r\n(ms),(mm),(%),(N)\r\n"
 ROWS = ['"0.0","0.0","0.0","1.5"', '"20.0","0.6","1.0","-2.5"', '"40.0","1.2","2.0","-6.0"']

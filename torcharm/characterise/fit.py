@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm.actuators.alignment import Recording
 from torcharm.actuators.bending import Bending
-from torcharm.actuators.fitting import (
+from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS, PolynomialActuator
+from torcharm.characterise.alignment import Recording
+from torcharm.characterise.least_squares import (
     LOSSES,
     Array,
     Monomials,
@@ -27,8 +28,7 @@ from torcharm.actuators.fitting import (
     rising_constraints,
     robust,
 )
-from torcharm.actuators.monotonicity import Monotonicity, monotonicity
-from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS, PolynomialActuator
+from torcharm.characterise.monotonicity import Monotonicity, monotonicity
 from torcharm.inputs import TensorLike, check_choice, check_count, check_number, shown
 
 HIGHEST_DEGREE = 9
@@ -120,7 +120,7 @@ def fit_force_model(
     """Fit `f(ε, p) = Σ c_ij ε^i p^j`, `1 ≤ i + j ≤ degree`: no force at rest without pressure.
 
     Standard errors hold for noise that is uneven and correlated in time (Newey and West, as of
-    `torcharm.actuators.fitting.covariance`): give samples in order of time.
+    `torcharm.characterise.least_squares.covariance`): give samples in order of time.
 
     Args:
         strain, pressure [kPa], force [N]: n samples each, positive force pushing outward.

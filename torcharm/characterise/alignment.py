@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from torcharm.actuators.recordings import Array, Floats, PressureRecord, TesterRecord
+from torcharm.characterise.recordings import Array, Floats, PressureRecord, TesterRecord
 from torcharm.inputs import check_count, check_number
 
 PAPER_SMOOTHING = 40.0
@@ -172,7 +172,7 @@ def estimate_offset(
     """
     from scipy.optimize import minimize_scalar
 
-    from torcharm.actuators.fitting import exponents, least_squares_loss
+    from torcharm.characterise.least_squares import exponents, least_squares_loss
 
     check_count("degree", degree, 1)
     check_number("search", search, 0.0, strict=True, unit="ms")
