@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import torcharm
+from torcharm.engine.compilation import SOURCES
 
 ROOT = Path(torcharm.__file__).parent
 
@@ -122,6 +123,11 @@ def test_everything_at_the_root_is_a_room():
 def test_a_room_imports_only_from_rooms_before_it(room):
     own = [module for module in modules() if room_of(module) == room]
     assert [fault for module in own for other in sorted(imports_of(module)) for fault in faults(module, other)] == []
+
+
+def test_what_the_engine_imports_is_among_what_its_code_on_disk_is_told_apart_by():
+    own = [module for module in modules() if room_of(module) == "engine"]
+    assert {room_of(other) for module in own for other in imports_of(module)} <= set(SOURCES)
 
 
 def test_no_modules_import_each_other_in_a_circle():

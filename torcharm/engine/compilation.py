@@ -11,6 +11,9 @@ from typing import Any, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+SOURCES = ("inputs", "geometry", "actuators", "arm", "arm_series", "load", "statics", "engine")
+"""Modules and packages in which constants of compiled code may stand: a change of one compiles the engine anew."""
+
 
 def kernel(function: F) -> F:
     """Compiled at the first call, and kept on disk. It holds no references to arrays, which saves half of the time.
@@ -96,8 +99,9 @@ def _folder() -> str | None:
 
 @cache
 def _version() -> str:
-    """Of the package's sources."""
-    digest = sha256()
-    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
-        digest.update(path.read_bytes())
+    """Of the sources that code is made of: the engine's, and those of all that it imports."""
+    digest, package = sha256(), Path(__file__).parents[1]
+    for room in SOURCES:
+        for path in sorted([*package.glob(f"{room}.py"), *package.glob(f"{room}/*.py")]):
+            digest.update(path.read_bytes())
     return digest.hexdigest()[:16]

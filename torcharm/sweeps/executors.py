@@ -22,7 +22,7 @@ from typing import Any
 
 from torcharm.inputs import check_count, shown
 from torcharm.sweeps.extras import extra
-from torcharm.sweeps.shards import Done, Job, compute_packed, compute_shard
+from torcharm.sweeps.shards import Done, Job, compute_packed, compute_shard, load_engine
 
 ATTEMPTS = 3
 """At a shard whose worker is lost: what ended three workers would end the fourth."""
@@ -49,12 +49,14 @@ class Workers:
         slots: tells how many shards are worked on at once.
         renew: replaces all workers, once what they were given has ended; None where that is not for us to do.
         pack: makes bytes of a job.
+        begin: has processes load what they need, before there is a shard to hand over.
     """
 
     submit: Callable[[bytes, int], "Future[Done]"]
     slots: Callable[[], int]
     renew: Callable[[], None] | None = None
     pack: Callable[[Job], bytes] = pickle.dumps
+    begin: Callable[[], None] = lambda: None
 
 
 @contextmanager
@@ -242,10 +244,16 @@ def _own_processes(count: int) -> Iterator[Workers]:
         pools.pop().shutdown(wait=True, cancel_futures=True)
         pools.append(_new_pool(count))
 
+    def begin() -> None:
+        for _ in range(count):  # a pool starts one process for each call that none is free for
+            pools[0].submit(load_engine)
+
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
     try:
-        yield Workers(lambda packed, shard: pools[0].submit(compute_packed, packed, shard), lambda: count, renew)
+        yield Workers(
+            lambda packed, shard: pools[0].submit(compute_packed, packed, shard), lambda: count, renew, begin=begin
+        )
     finally:
         pools[0].shutdown(wait=True, cancel_futures=True)
         for name, value in before.items():

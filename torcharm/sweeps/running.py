@@ -161,6 +161,8 @@ def sweep(
         if shard is None:
             remove_leftovers(folder)
         parts = shard[1] if shard else workers or usable_cores()
+        if crew is not None and not (folder / MANIFEST).exists():
+            crew.begin()  # while the size of a shard is tried out
         decide = _decision(problem, designs, number, tasks, measures, shard_size, parts)
         manifest = make_manifest(folder, designs.designs.arm, decide)
         check_same(out, manifest, problem, shard_size)

@@ -86,6 +86,10 @@ def compute_shard(job: Job, shard: int) -> Done:
     return Done(shard, end - first, str(path.relative_to(job.folder)))
 
 
+def load_engine() -> None:
+    """What a process does to be ready: import this module, and all that it stands on."""
+
+
 def compute_packed(packed: bytes, shard: int) -> Done:
     """The same of a job that was pickled once for all shards: each worker unpacks it once."""
     return compute_shard(_unpacked(packed), shard)
