@@ -17,6 +17,7 @@ ROOT = Path(torcharm.__file__).parent
 
 ROOMS = (
     "inputs",
+    "units",
     "files",
     "geometry",
     "shapes",

@@ -22,11 +22,12 @@ if TYPE_CHECKING:
     from torcharm.arm import ArmDesign, ring
     from torcharm.arm_series import ArmSeries, RigidLink, series
     from torcharm.attainability import Attainability, PoseTolerance, evaluate
-    from torcharm.characterise.alignment import Recording, align, estimate_offset, pool
+    from torcharm.characterise.alignment import Recording, align, pool
     from torcharm.characterise.fit import FitQuality, FittedActuator, fit_force_model, fit_recording
     from torcharm.characterise.gridded_fit import fit_gridded_model
     from torcharm.characterise.model_file import load_actuator, save_actuator
     from torcharm.characterise.monotonicity import Monotonicity, monotonicity
+    from torcharm.characterise.offset import OffsetEstimate, estimate_offset
     from torcharm.characterise.recordings import read_pressure, read_tester
     from torcharm.characterise.uncertainty import TensorPolynomial, coefficient_tensor, standard_deviation
     from torcharm.design import (
@@ -90,6 +91,7 @@ __all__ = [
     "Monotonicity",
     "NotConvergedError",
     "Objective",
+    "OffsetEstimate",
     "OptimisedDesign",
     "PlannedShape",
     "PointLoad",
@@ -180,6 +182,7 @@ _LATER = {
     "Monotonicity": "characterise.monotonicity",
     "NotConvergedError": "equilibrium",
     "Objective": "design",
+    "OffsetEstimate": "characterise.offset",
     "OptimisedDesign": "design",
     "PlannedShape": "design.shape_planning",
     "PointLoad": "load",
@@ -208,7 +211,7 @@ _LATER = {
     "cubic_curvature": "shapes",
     "distance_to_hull": "wrench_sets.vertices",
     "elastic_core": "actuators",
-    "estimate_offset": "characterise.alignment",
+    "estimate_offset": "characterise.offset",
     "evaluate": "attainability",
     "fit_force_model": "characterise.fit",
     "fit_gridded_model": "characterise.gridded_fit",

@@ -132,7 +132,7 @@ def real(folder: Path, quick: bool) -> Iterator[list[Measurement]]:
     model = ta.fit_recording(paper, max_pressure=LIMIT)
     yield published(model)
     yield quality(model, paper)
-    found = [ta.estimate_offset(tester, log) for tester, log in zip(testers, logs, strict=True)]
+    found = [ta.estimate_offset(tester, log).offset for tester, log in zip(testers, logs, strict=True)]
     offsets = (found[0], found[1])
     part = "offset of the pressure log that fits best"
     yield [Measurement(part, f"run {run + 1}", "offset", offsets[run], "ms") for run in (0, 1)]

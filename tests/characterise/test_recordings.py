@@ -249,7 +249,7 @@ def delayed(true_offset):
 
 @pytest.mark.parametrize("offset", [0.0, 137.0, -820.0])
 def test_the_offset_is_found(offset):
-    assert ta.estimate_offset(*delayed(offset), smoothing=0) == pytest.approx(offset, abs=1.0)
+    assert ta.estimate_offset(*delayed(offset), smoothing=0).offset == pytest.approx(offset, abs=1.0)
 
 
 def test_an_offset_out_of_reach_is_a_warning():

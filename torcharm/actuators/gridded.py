@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torcharm.actuators.bending import Bending, Number
+from torcharm.actuators.measured import Measured
 from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS
 from torcharm.actuators.protocol import check_numbers
 from torcharm.inputs import HoldsTensors, refuse_graphs, shown
@@ -19,7 +20,7 @@ Row = tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class GriddedActuator(HoldsTensors):
+class GriddedActuator(Measured, HoldsTensors):
     """Bicubic spline through forces on a grid: twice continuously differentiable, exact at the grid's points.
 
     The tensor product of cubic splines with not-a-knot ends (de Boor): with two points a side it is bilinear, with
@@ -33,6 +34,7 @@ class GriddedActuator(HoldsTensors):
         max_pressure: highest pressure in use [kPa].
         bending_stiffness: K [N·m²] at `max_pressure`, or a bending model.
         force_scale: a factor on the force: 2.0 stands for two of them side by side.
+        region, provenance: as of `Measured`.
 
     Raises:
         ValueError: fewer than two strains or pressures, not in order, a force is missing or not finite, or a limit is

@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 
 from torcharm.actuators.gridded import GriddedActuator, grid_axis
-from torcharm.characterise.fit import checked_samples
+from torcharm.actuators.measured import measured_region
+from torcharm.characterise.fit import check_informative, checked_samples, known_bending
 from torcharm.inputs import TensorLike, check_number
 
 SMOOTHNESS = 1e-6
@@ -31,15 +32,17 @@ def fit_gridded_model(
         strain, pressure [kPa], force [N]: n samples each.
         strains, pressures [kPa]: the grid.
         smoothness: above 0.
-        **options: further fields of `GriddedActuator`; `max_pressure` is the grid's highest unless told.
+        **options: further fields of `GriddedActuator`; `max_pressure` is the grid's highest unless told, and the
+            paper's bending stiffness is assumed.
 
     Raises:
-        ValueError: samples do not match in number or are not finite; or as for `GriddedActuator`.
+        ValueError: samples do not match in number, are not finite or tell nothing; or as for `GriddedActuator`.
     """
     from scipy.interpolate import CubicSpline
     from scipy.linalg import solve
 
     x, y, f = checked_samples(strain, pressure, force)
+    check_informative(x, y, f)
     check_number("smoothness", smoothness, 0.0, strict=True)
     axes = grid_axis("strains", strains), grid_axis("pressures", pressures)
     bases = [
@@ -65,5 +68,6 @@ def fit_gridded_model(
             "strain, pressure: must vary enough to determine the grid's forces, got samples that do not"
         ) from None
     forces = values.reshape(len(axes[0]), len(axes[1]))
-    fields = {"max_pressure": axes[1][-1], **options}
+    fields = {"max_pressure": axes[1][-1], "region": measured_region(x, y.clip(min=0)), **options}
+    fields["bending_stiffness"] = known_bending(fields.get("bending_stiffness"))
     return GriddedActuator(axes[0], axes[1], tuple(map(tuple, forces.tolist())), **fields)

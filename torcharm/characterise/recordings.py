@@ -1,47 +1,47 @@
-"""Reading what a test bench wrote: a tensile tester's CSV and a pressure log.
+"""Reading what a test bench wrote: a tensile tester's file and a pressure log, or one file that holds both.
 
-The tester pulls a number of actuators in parallel and writes time, displacement, strain and force (positive in
-tension); a logger with a clock of the same zero writes the pressure in them. Neither is trusted: what is
-wrong with a file is a ValueError that names the file and the line.
+The tester pulls a number of actuators in parallel and writes time, force and strain, or an extension; a logger writes
+the pressure in them. Neither is trusted: what is wrong with a file is a ValueError that names the file and the line,
+and whatever was left out, averaged or assumed is told in the record's notes.
 """
 
-import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from torcharm.characterise.log_header import named_units, split_header
-from torcharm.files import read_file
-from torcharm.inputs import check_choice
+from torcharm.characterise.columns import Column, Columns, find_columns, has_column, told
+from torcharm.characterise.delimited import Sheet, number, numbers, read_sheet
+from torcharm.files import StrPath
+from torcharm.inputs import check_choice, check_number
+from torcharm.units import PRESSURE
 
 Array = NDArray[np.float64]
 if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 else:
     Floats = np.ndarray
-StrPath = str | PathLike[str]
 
-KILOPASCALS = {"psi": 6.894757293168361, "kPa": 1.0, "bar": 100.0, "MPa": 1000.0, "Pa": 0.001, "mbar": 0.1}
-"""One of each pressure unit, in kPa."""
 PLAUSIBLE_PRESSURE = (20.0, 1000.0)
 """Between these [kPa] lies the highest pressure of a recording, or its unit is doubted."""
 PLAUSIBLE_STRAIN = 5.0
 """Above it, percents were probably taken for strains."""
-TESTER_COLUMNS = ("time", "strain", "force")
-TESTER_UNITS = {
-    "time": {"ms": 1.0, "s": 1000.0},
-    "strain": {"%": 0.01, "mm/mm": 1.0, "1": 1.0},
-    "force": {"N": 1.0, "kN": 1000.0, "lbf": 4.4482216152605},
-}
-_SHORT, _LONGEST_HEADER = 60, 1000
-_DAMAGED = re.compile(r'\s*"?[+-]?\.?\d[\d.]*"?\s*,')
-_BEGUN = re.compile(r'"?[+-]?\.?')
+LONGEST_GAUGE = 3.0
+"""A gauge length [m] beyond which metres were hardly meant."""
+BACKWARD_STEPS = 3.0
+"""By how many usual steps a clock may go back and still be averaged; beyond, samples are out of order."""
+MOST_BACKWARD = 0.05
+"""Of all samples, how many may do so; three always may."""
+EPOCH = (1e9, 2.5e9)
+"""Seconds since 1970 of the years 2001 to 2049: no run is as long, so that such times name their own unit."""
+POSITIVE = ("pull", "push")
+"""What positive forces of a file may do."""
+LOG_UNITS = {"time": "ms", "pressure": "psi"}
+"""Of a pressure log that names none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +53,14 @@ class TesterRecord:
         strain: (n) of the actuators, from their neutral length.
         force: (n) on all actuators together [N], positive in tension.
         source: the file.
+        notes: what was left out, averaged or assumed.
     """
 
     time: Float[Floats, " n"]
     strain: Float[Floats, " n"]
     force: Float[Floats, " n"]
     source: str
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,235 +71,225 @@ class PressureRecord:
         time: (n) strictly increasing [ms].
         pressure: (n) gauge pressure [kPa].
         source: the file.
+        notes: what was left out, averaged or assumed.
     """
 
     time: Float[Floats, " n"]
     pressure: Float[Floats, " n"]
     source: str
+    notes: tuple[str, ...] = ()
 
 
-def read_tester(path: StrPath, *, truncated: bool = False) -> TesterRecord:
-    """Read a tensile tester's CSV file: two header lines (names and units), then numbers, quoted or not.
+def read_tester(
+    path: StrPath,
+    *,
+    columns: Columns | None = None,
+    gauge_length: float | None = None,
+    positive: str = "pull",
+    truncated: bool = False,
+) -> TesterRecord:
+    """Read time, force and strain of a tensile tester's file of columns; units are those that the file names.
 
-    Columns are known by their names (time, strain, force; others are passed over), units by the second line:
-    ms or s, % or mm/mm, N, kN or lbf.
+    Columns are known by their names (Force or Load, Strain, Extension or Displacement, ...) unless said; others are
+    passed over. Stamps that repeat or go back a little are averaged, and damaged lines left out, a few of them.
 
     Args:
         path: the file.
+        columns: which columns hold what, by name or number, and in which unit, where the file does not tell:
+            "time=1:ms, extension=5:mm, force=Load:N".
+        gauge_length: of the actuators [m]; strain is then the extension over it.
+        positive: whether positive forces of the file "pull" or "push".
         truncated: whether to accept a file that ends within a line, and drop that line.
 
     Raises:
-        ValueError: the file cannot be read, is empty, lacks a column, ends within a line, or a line holds
-            what is no number, not finite, or not later than the line before. It names file and line.
+        ValueError: the file cannot be read, lacks a column or a unit, ends within a line, is damaged in many lines, or
+            time goes back. It names file and line.
     """
-    source, lines, whole = _lines(path)
-    if not lines:
-        raise ValueError(f"{source}: is empty, must be a tester's CSV with two header lines")
-    if len(lines) < 2:
-        raise ValueError(f"{source}: line 1: is the only line, must be followed by units and numbers")
-    names = [name.strip().strip('"').lower() for name in lines[0].split(",")]
-    units = [unit.strip().strip('"').strip("()[] ") for unit in lines[1].split(",")]
-    if len(units) > len(names):
-        raise ValueError(
-            f"{source}: line 2: must hold a unit for each of the {len(names)} names in line 1, got {_short(lines[1])}"
-        )
-    chosen: list[int] = []
-    factors: list[float] = []
-    for column in TESTER_COLUMNS:
-        found = [index for index, name in enumerate(names) if column in name]
-        if len(found) != 1:
-            raise ValueError(
-                f"{source}: line 1: must name one column of each of {', '.join(TESTER_COLUMNS)}, "
-                f"got {len(found)} of {column} in {_short(lines[0])}"
-            )
-        unit = units[found[0]] if found[0] < len(units) else ""
-        if unit not in TESTER_UNITS[column]:
-            allowed = ", ".join(TESTER_UNITS[column])
-            raise ValueError(f"{source}: line 2: the unit of {column} must be one of {allowed}, got {_short(lines[1])}")
-        chosen.append(found[0])
-        factors.append(TESTER_UNITS[column][unit])
-    table = _table(source, lines, 2, len(names), whole, truncated)
-    _check_time(source, table[:, chosen[0]], 2)
-    time, strain, force = (table[:, index] * factor for index, factor in zip(chosen, factors, strict=True))
-    if np.abs(strain).max() > PLAUSIBLE_STRAIN:
-        warnings.warn(
-            f"{source}: strains reach {np.abs(strain).max():.3g}, more than {PLAUSIBLE_STRAIN:g}: "
-            "is the unit in line 2 right?",
-            stacklevel=2,
-        )
-    return TesterRecord(time, strain, force, source)
+    return as_tester_record(read_sheet(path), columns, gauge_length, positive=positive, truncated=truncated)
 
 
-def read_pressure(path: StrPath, unit: str | None = None, *, truncated: bool = False) -> PressureRecord:
-    """Read a pressure log: a header line, lines `time,pressure`, and a closing line that is no number.
+def read_pressure(
+    path: StrPath, unit: str | None = None, *, columns: Columns | None = None, truncated: bool = False
+) -> PressureRecord:
+    """Read time and pressure of a log, or of a file with more columns.
 
-    Time is in ms and pressure in `unit` unless the header names units, as in `Time (s),Pressure (kPa)` or
-    `time_ms,pressure_kPa`: then those hold. A first sample that stands in the header's line, its end of line lost, is
-    read. Lines may end in CR, LF or both; blank ones are passed over. A highest pressure that is implausible for a
-    soft actuator (outside 20 to 1000 kPa) is a warning: it tells of a wrong unit.
+    Units are those that the file names, else ms and `unit`; times like seconds since 1970 are such. Without a
+    header, the first of two columns is the time. A highest pressure that is implausible for a soft actuator (outside 20
+    to 1000 kPa) is a warning: it tells of a wrong unit. A log without a closing line, such as "Logging end", is read
+    and noted.
 
     Args:
         path: the file.
-        unit: of its pressures: psi, kPa, bar, MPa, Pa or mbar; None: what the header names, psi where it names none.
-        truncated: whether to accept a log without its closing line; a last line without an end is dropped then.
+        unit: of its pressures; None: what the file names, psi where it names none.
+        columns: as for `read_tester`, of time and pressure.
+        truncated: as for `read_tester`.
 
     Raises:
-        ValueError: unknown unit, or another one than the header names; a unit in brackets that is none; or as for
-            `read_tester`; the closing line is missing.
+        ValueError: unknown unit, or another one than the file names; or as for `read_tester`.
     """
-    if unit is not None:
-        check_choice("unit", unit, KILOPASCALS)
-    source, lines, whole = _lines(path)
-    if not lines:
-        raise ValueError(f"{source}: is empty, must be a pressure log")
-    first, milliseconds, unit, kilopascals = _header(source, lines, unit)
-    last = len(lines)
-    while last > first and not lines[last - 1].strip():
-        last -= 1
-    closing = last > first and _closes(lines[last - 1])
-    if last - closing <= first:
-        raise ValueError(f"{source}: line {last or 1}: is the last line, must be followed by lines time,pressure")
-    if not closing and not truncated:
-        raise ValueError(
-            f"{source}: line {last}: the log ends with {_short(lines[last - 1])}, must end with a line that is no "
-            "number such as 'Logging end': it is cut short"
-        )
-    table = _table(source, lines[: last - closing], first, 2, closing or whole, truncated)
-    _check_time(source, table[:, 0], first, lines)
-    pressure = table[:, 1] * kilopascals
-    low, high = PLAUSIBLE_PRESSURE
-    if not low <= pressure.max() <= high:
+    return as_pressure_record(read_sheet(path), unit, columns, truncated=truncated)
+
+
+def as_tester_record(
+    sheet: Sheet,
+    columns: Columns | None,
+    gauge_length: float | None,
+    *,
+    positive: str = "pull",
+    truncated: bool = False,
+) -> TesterRecord:
+    """`read_tester` of a file that is read."""
+    check_choice("positive", positive, POSITIVE)
+    stretch = stretch_quantity(sheet, columns, gauge_length)
+    found = find_columns(sheet, ("time", "force", stretch), columns, _clock_unit(sheet, columns))
+    table, notes = _in_time(sheet, found, truncated=truncated)
+    strain = table[stretch] * {"strain": 1.0, "contraction": -1.0}.get(stretch, 1 / (gauge_length or 1.0))
+    if np.abs(strain).max() > PLAUSIBLE_STRAIN:
         warnings.warn(
-            f"{source}: pressures reach {pressure.max():.3g} kPa when read as {unit}, soft actuators are driven to "
-            f"{low:g} to {high:g} kPa: is the unit right?",
-            stacklevel=2,
+            f"{sheet.source}: strains reach {np.abs(strain).max():.3g}, more than {PLAUSIBLE_STRAIN:g}: is the unit of "
+            f"{stretch}, {found[stretch].unit}, right?",
+            stacklevel=3,
         )
-    return PressureRecord(table[:, 0] * milliseconds, pressure, source)
+    tension = 1.0 if positive == "pull" else -1.0
+    return TesterRecord(table["time"], strain, tension * table["force"], sheet.source, notes)
 
 
-def _header(source: str, lines: list[str], unit: str | None) -> tuple[int, float, str, float]:
-    """How many lines of a log are its header, one of its times [ms], its unit of pressure, and one of that [kPa].
-
-    A sample that is glued to the header takes its place among the lines.
-    """
-    if _is_numbers(lines[0]):
-        unit = unit or "psi"
-        return 0, 1.0, unit, KILOPASCALS[unit]
-    if len(lines[0]) > _LONGEST_HEADER:
-        raise ValueError(
-            f"{source}: line 1: must be a header of at most {_LONGEST_HEADER} characters, got {_short(lines[0])}"
-        )
-    header, sample = split_header(lines[0])
-    if _DAMAGED.match(header):
-        raise ValueError(f"{source}: line 1: must be a header or 2 finite numbers, got {_short(lines[0])}")
-    try:
-        time, named = named_units(header)
-    except ValueError as error:
-        raise ValueError(f"{source}: line 1: {error}") from None
-    if named is None:
-        unit = unit or "psi"
-        kilopascals = KILOPASCALS[unit]
-    else:
-        kilopascals = named[1]
-        name = next((name for name, size in KILOPASCALS.items() if size == kilopascals), named[0])
-        if unit is not None and KILOPASCALS[unit] != kilopascals:
-            raise ValueError(
-                f"unit: must be left out or be {name}, which {source} names in line 1, {_short(header)}, got {unit}"
-            )
-        unit = name
-    if sample is not None:
-        lines[0] = sample
-    return int(sample is None), time[1] if time else 1.0, unit, kilopascals
-
-
-def _closes(line: str) -> bool:
-    """Whether a log's last line is no number, nor the beginning of one."""
-    return not any(character.isdigit() for character in line) and not _BEGUN.fullmatch(line.strip())
-
-
-def _lines(path: StrPath) -> tuple[str, list[str], bool]:
-    """A file's name, its lines by any ending, and whether the last one is ended."""
-    source = str(path)
-    try:
-        text = read_file(path).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{source}: must be UTF-8 text, got byte {error.start + 1} that is not") from None
-    # CR, CR LF and the loggers' CR CR LF end one line each.
-    text = re.sub("\r+\n?", "\n", text) if "\r" in text else text
-    lines = text.split("\n")
-    return source, lines[:-1] if lines[-1] == "" else lines, not lines[-1].strip()
-
-
-def _is_numbers(line: str) -> bool:
-    try:
-        [float(value) for value in line.replace('"', "").split(",")]
-    except ValueError:
-        return False
-    return True
-
-
-def _table(source: str, lines: Sequence[str], skip: int, columns: int, whole: bool, drop: bool) -> Array:
-    """Numbers (n, columns) from the lines after the header, blank ones passed over.
+def as_pressure_record(
+    sheet: Sheet,
+    unit: str | None,
+    columns: Columns | None,
+    *,
+    truncated: bool = False,
+    alone: bool = True,
+    option: str = "--columns",
+) -> PressureRecord:
+    """`read_pressure` of a file that is read.
 
     Args:
-        source: for errors.
-        lines: of the file.
-        skip: header lines.
-        columns: numbers a line.
-        whole: whether the last line is ended.
-        drop: whether to drop a last line that is no good, or whose last number may be incomplete.
+        sheet, unit, columns, truncated: as there.
+        alone: whether it is a logger's own, which may leave units to be known; a tester's file names them.
+        option: of the command that names columns, for messages.
     """
-    rows = [line for line in lines[skip:] if line and not line.isspace()]
-    quoted = bool(rows) and '"' in rows[0]
-    cut = bool(rows) and not whole and not (quoted and _is_row(rows[-1], columns, quoted=True))
-    if drop and rows and (cut or not _is_row(rows[-1], columns)):
-        rows.pop()
-        cut = False
-    if not rows:
-        raise ValueError(f"{source}: line {len(lines)}: is the last line, must be followed by numbers")
-    commas = columns - 1
-    if not cut and all(row.count(",") == commas for row in rows):
-        try:
-            table = np.loadtxt(rows, delimiter=",", quotechar='"', comments=None, ndmin=2)
-        except ValueError:
-            pass
-        else:
-            if sum(row.count('"') for row in rows) in (0, 2 * table.size) and np.isfinite(table).all():
-                return table
-    for number, line in enumerate(lines[skip:], start=skip + 1):
-        if line and not line.isspace() and not _is_row(line, columns, quoted=quoted):
-            end = "" if number < len(lines) else ", where the file ends: it is cut short"
-            raise ValueError(f"{source}: line {number}: must be {columns} finite numbers, got {_short(line)}{end}")
-    if not cut:
-        raise ValueError(f"{source}: must hold lines of {columns} finite numbers after line {skip}")
-    raise ValueError(
-        f"{source}: line {len(lines)}: must end with an end of line, got {_short(lines[-1])}, whose last number may be "
-        "incomplete: it is cut short"
-    )
+    if unit is not None:
+        check_choice("unit", unit, PRESSURE)
+    if not told(columns) and not sheet.above and sheet.width == 2:
+        columns = {"time": 1, "pressure": 2}
+    defaults = (LOG_UNITS if alone else {}) | ({"pressure": unit} if unit else {}) | _clock_unit(sheet, columns)
+    found = find_columns(sheet, ("time", "pressure"), columns, defaults, option)
+    pressure = found["pressure"]
+    if unit is not None and pressure.named and pressure.factor != PRESSURE[unit]:
+        raise ValueError(
+            f"unit: must be left out or be {pressure.unit}, which {sheet.source} or {option} names, got {unit}"
+        )
+    table, notes = _in_time(sheet, found, truncated=truncated)
+    if not sheet.closing and len(found) == sheet.width:
+        notes = (*notes, "has no closing line, taken as whole")
+    low, high = PLAUSIBLE_PRESSURE
+    most = float(table["pressure"].max())
+    if not low <= most <= high and table["pressure"].min() > -low:
+        warnings.warn(
+            f"{sheet.source}: pressures reach {most:.3g} kPa when read as {pressure.unit}, soft actuators are driven "
+            f"to {low:g} to {high:g} kPa: is the unit right?",
+            stacklevel=3,
+        )
+    return PressureRecord(table["time"], table["pressure"], sheet.source, notes)
 
 
-def _is_row(line: str, columns: int, *, quoted: bool = False) -> bool:
-    values = line.strip().split(",")
-    if len(values) != columns or line.count('"') not in ((2 * columns,) if quoted else (0, 2 * columns)):
-        return False
+def stretch_quantity(sheet: Sheet, columns: Columns | None, gauge_length: float | None) -> str:
+    """Which of strain, contraction and extension a file is read by.
+
+    Raises:
+        ValueError: a gauge length is needed, not needed or in another unit; or two of the three are named.
+    """
+    said = [quantity for quantity in told(columns) if quantity in ("strain", "contraction", "extension")]
+    if len(said) > 1:
+        raise ValueError(f"columns: must name one of strain, contraction and extension, got {' and '.join(said)}")
+    if gauge_length is not None:
+        check_number("gauge_length", gauge_length, 0.0, strict=True, unit="m")
+        if gauge_length > LONGEST_GAUGE:
+            raise ValueError(
+                f"gauge_length: must be at most {LONGEST_GAUGE:g} m, got {gauge_length:g} m: is it in millimetres? "
+                f"Write '{gauge_length:g} mm' then"
+            )
+        if said and said[0] != "extension":
+            raise ValueError(f"gauge_length: must stand with an extension, got one and columns that name {said[0]}")
+        return "extension"
+    stretch = said[0] if said else next((q for q in ("strain", "contraction") if has_column(sheet, q, None)), "")
+    if not stretch and has_column(sheet, "extension", None):
+        stretch = "extension"
+    if stretch == "extension":
+        raise ValueError(
+            f"gauge_length: is missing, must be the actuators' length, to which {sheet.source} gives extensions and no "
+            "strains: --gauge-length '80 mm'"
+        )
+    return stretch or "strain"
+
+
+def _clock_unit(sheet: Sheet, columns: Columns | None) -> dict[str, str]:
+    """The unit of times that count from 1970, whose size names it; nothing of others."""
     try:
-        return all(np.isfinite(float(value.strip().strip('"'))) for value in values)
-    except ValueError:
-        return False
+        found = find_columns(sheet, ("time",), columns, LOG_UNITS)
+    except ValueError:  # is told when all columns are looked for
+        return {}
+    first = _first_number(sheet, found["time"])
+    sizes = {"s": 1.0, "ms": 1e3, "µs": 1e6}
+    return next(({"time": unit} for unit, size in sizes.items() if EPOCH[0] <= first / size <= EPOCH[1]), {})
 
 
-def _check_time(source: str, time: Array, skip: int, lines: Sequence[str] = ()) -> None:
-    """Raise unless time increases from row to row."""
-    late = np.flatnonzero(np.diff(time) <= 0)
-    if not len(late):
-        return
-    row = int(late[0]) + 1
-    filled = [number for number, line in enumerate(lines, start=1) if number > skip and line and not line.isspace()]
-    number = filled[row] if filled else skip + row + 1
-    what = "repeats the time before it" if time[row] == time[row - 1] else f"comes after {time[row - 1]:g}"
-    raise ValueError(f"{source}: line {number}: time must increase, got {time[row]:g}, which {what}")
+def _first_number(sheet: Sheet, column: Column) -> float:
+    """The first number of a column; NaN without one."""
+    values = (number(row[column.index], sheet.decimal) for row in sheet.rows[:50] if len(row) > column.index)
+    return next((value for value in values if np.isfinite(value)), np.nan)
 
 
-def _short(line: str) -> str:
-    text = line.strip()
-    return repr(text if len(text) <= _SHORT else f"{text[: _SHORT - 3]}...")
+def _in_time(
+    sheet: Sheet, columns: Mapping[str, Column], *, truncated: bool
+) -> tuple[dict[str, Array], tuple[str, ...]]:
+    """Columns in torcharm's units, time in ms strictly increasing, and what was done to get there."""
+    table, places, notes = numbers(sheet, [column.index for column in columns.values()], truncated=truncated)
+    table = table * [column.factor for column in columns.values()]
+    guessed = [f"{c.quantity} in {c.unit}" for c in columns.values() if not c.named]
+    notes = (*notes, *([f"names no unit: read {' and '.join(guessed)}"] if guessed else []))
+    order = list(columns).index("time")
+    steps = np.diff(table[:, order])
+    if not (steps <= 0).any():
+        return dict(zip(columns, table.T, strict=True)), notes
+    _check_clock(sheet.source, table[:, order], places)
+    averaged = _averaged(table, order)
+    notes = (
+        *notes,
+        f"{len(table) - len(averaged)} of {len(table)} stamps repeat or step back, averaged with those before them",
+    )
+    return dict(zip(columns, averaged.T, strict=True)), notes
+
+
+def _check_clock(source: str, time: Array, places: list[int]) -> None:
+    """Raise if the clock goes back further, or more often, than jitter does."""
+    steps = np.diff(time)
+    forward = steps[steps > 0]
+    usual = float(np.median(forward)) if len(forward) else 0.0
+    behind = np.maximum.accumulate(time) - time
+    far = np.flatnonzero(behind > BACKWARD_STEPS * usual)
+    often = np.flatnonzero(steps < 0) + 1
+    if len(often) <= max(3, MOST_BACKWARD * len(time)):
+        often = often[:0]
+    late = np.concatenate((far, often))
+    if len(late) or not len(forward):
+        row = int(late[0]) if len(late) else 1
+        raise ValueError(
+            f"{source}: line {places[row]}: time must increase, got {time[row]:g} ms, which comes after "
+            f"{time[:row].max():g} ms: are lines out of order, or two runs in one file?"
+        )
+
+
+def _averaged(table: Array, order: int) -> Array:
+    """Rows (n, k) whose time, in one column, does not increase, averaged with those before them until it does."""
+    while True:
+        time = table[:, order]
+        # A row joins the ones before it unless it is later than all of them.
+        later = np.concatenate(([True], time[1:] > np.maximum.accumulate(time)[:-1]))
+        if later.all():
+            return table
+        starts = np.flatnonzero(later)
+        count = np.diff(np.append(starts, len(table)))
+        table = np.add.reduceat(table, starts, axis=0) / count[:, None]
