@@ -20,6 +20,7 @@ from torcharm.inputs import (
     check_at_least,
     check_count,
     check_finite,
+    check_pressure,
     one_for_all,
 )
 
@@ -250,7 +251,7 @@ def _check_and_expand(values: dict[str, Tensor], count: int) -> dict[str, Tensor
     for name, value in values.items():
         check_finite(name, value)
     check_at_least("length", values["length"], 0.0, strict=True, unit="m")
-    check_at_least("max_pressure", values["max_pressure"], 0.0, unit="kPa")
+    check_pressure("max_pressure", values["max_pressure"])
     check_at_least("mass", values["mass"], 0.0, unit="kg")
     for name, unit in (("torsion_stiffness", "N·m²"), ("diameter", "m")):
         if name in values:

@@ -156,5 +156,5 @@ def _axis(values: Array) -> Array:
     return levels if len(levels) <= MOST_LEVELS else np.linspace(levels[0], levels[-1], GRID)
 
 
-def _fit_grid(strain: Array, pressure: Array, force: Array, run: Array | None = None, **options: Any) -> Actuator:
+def _fit_grid(strain: Array, pressure: Array, force: Array, run: object = None, **options: Any) -> Actuator:
     return fit_gridded_model(strain, pressure, force, _axis(strain), _axis(pressure), **options)

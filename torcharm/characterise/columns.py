@@ -78,8 +78,6 @@ class _Choice:
 def header_of(sheet: Sheet) -> Header:
     """The names and units above the numbers; the former may hold the latter."""
     rows = list(reversed(sheet.above[-4:]))
-    while rows and sum(map(is_number, rows[0][1])) > 1 and len(rows[0][1]) == sheet.width:
-        del rows[0]  # a damaged line of numbers
     units: Row = []
     line = rows[0][0] if rows else 1
     if rows and _is_unit_row(rows[0][1]):

@@ -26,9 +26,9 @@ SAMPLED = 400
 """Lines from which separator, decimal sign and width are told, spread over the file."""
 LONGEST_LINE = 100_000
 """Characters beyond which a line is damaged, and left out unread: the csv module refuses cells of more than 131,072."""
-MOST_DAMAGED = 0.01
-"""Of a file's lines of numbers, how many may be damaged and left out; three always may. With more the file is another
-one than it is taken for, or was damaged as a whole."""
+MOST_DAMAGED, FEW = 0.01, 3
+"""Of a file's lines of numbers, which share may be damaged and left out; or, of no fewer than ten times as many, how
+many. With more the file is another one than it is taken for, or was damaged as a whole."""
 _SHOWN = 60
 
 _NUMBER = r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?"
@@ -39,7 +39,7 @@ _GROUPED = {
 }
 _WIDE_GAP, _LETTER = re.compile(r"\s{2,}|\t"), re.compile(r"[^\W\d_]{2}")
 _BETWEEN_THOUSANDS = re.compile(r"(?<=\d)['\u00a0\u202f](?=\d{3})")
-_GLUED = re.compile(rf"(?P<name>.*?[^\d.,+-])(?P<number>{_NUMBER})")
+_GLUED = re.compile(rf"(?P<name>.*?[^\d.,+-])(?P<number>{_NUMBER})\"?")
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +100,8 @@ def read_sheet(path: StrPath) -> Sheet:
     looks = [_is_data(row, width, numeric) for _, row in pairs[:SAMPLED]]
     # The second of two lines of numbers says that the first is no part of a preamble.
     first = next((i for i in range(len(looks)) if looks[i] and (looks[i + 1 : i + 2] != [False])), 0)
+    while first > 0 and _is_damaged_data(pairs[first - 1][1], width):
+        first -= 1
     last = len(pairs)
     while last > first and not _is_data(pairs[last - 1][1], width, numeric) and _is_words(pairs[last - 1][1]):
         last -= 1
@@ -152,7 +154,7 @@ def numbers(
         table = table.reshape(len(rows), len(columns))
     good = np.isfinite(table).all(-1) if not sparse else ~np.isposinf(table).any(-1)
     bad = sorted([*sheet.damaged, *(places[i] for i in np.flatnonzero(~good))])
-    if len(bad) > max(3, MOST_DAMAGED * len(rows)) or not good.any():
+    if len(bad) > max(min(FEW, len(rows) / 10), MOST_DAMAGED * len(rows)) or not good.any():
         raise _too_damaged(sheet, bad, columns)
     if bad:
         said.append(f"line{'s' * (len(bad) > 1)} {_listed(bad)} damaged, left out")
@@ -166,7 +168,7 @@ def _too_damaged(sheet: Sheet, bad: Sequence[int], columns: Sequence[int]) -> Va
     more = f"; {len(bad)} of {len(sheet.rows)} lines are damaged, too many to leave out" if len(bad) > 1 else ""
     return ValueError(
         f"{sheet.source}: line {bad[0]}: must be {sheet.width} cells with finite numbers in columns "
-        f"{_listed([column + 1 for column in columns])}, got {got}{more}"
+        f"{_listed(sorted(column + 1 for column in columns))}, got {got}{more}"
     )
 
 
@@ -259,6 +261,12 @@ def _is_data(row: Row, width: int, numeric: Sequence[bool]) -> bool:
     cells = [cell for cell, own in zip(row, numeric, strict=False) if own]
     filled = [cell for cell in cells if cell.strip()]
     return len(filled) >= min(2, len(cells)) and all(map(is_number, filled))
+
+
+def _is_damaged_data(row: Row, width: int) -> bool:
+    """Whether a line above the numbers is one of them, and no header of numbers, which begins with a word."""
+    filled = [cell for cell in row if cell.strip()]
+    return len(row) == width and 2 * sum(map(is_number, filled)) >= len(filled) and not _is_words(filled[:1])
 
 
 def _fits(row: Row, width: int) -> bool:

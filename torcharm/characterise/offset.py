@@ -91,8 +91,8 @@ def estimate_offset(
         )
     if found.argmin() in (0, len(grid) - 1):
         warnings.warn(
-            f"{tester.source} and {log.source}: the best offset lies at the edge of ±{search:g} ms: look further, as by "
-            f"--find-offset {3e-3 * search:g}",
+            f"{tester.source} and {log.source}: the best offset lies at the edge of ±{search:g} ms: look further, "
+            f"as by --find-offset {3e-3 * search:g}",
             stacklevel=2,
         )
     valleys = sorted((misfit(shift), shift) for shift in _valleys(misfit, grid, found))

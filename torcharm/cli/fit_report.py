@@ -72,24 +72,24 @@ def _quality(model: "Actuator", recording: "Recording") -> Iterator[str]:
     yield f"At most {worst:.3g} N off, {100 * worst / most:.2g} % of the largest force"
     for held in quality.hold_out if quality else ():
         yield f"Run {held.run + 1} from the others: R² {held.r_squared:.5f}, RMSE {held.rmse:.3g} N"
-    if quality is None:
-        return
-    shape = quality.monotonicity
-    if shape.failing_strain is None:
-        yield "Monotonic in pressure all over that range"
-    else:
-        where = "at strains from {:.3f} to {:.3f}".format(*shape.failing_strain)
-        yield f"Monotonic in pressure up to {shape.up_to:.1f} kPa; beyond, not everywhere {where}"
 
 
 def _limits(model: "Actuator") -> Iterator[str]:
     """Where the model was measured, and what it holds that was not."""
+    from torcharm.characterise.fit import FittedActuator
+
     (low, high), (first, last) = model.strain_range, model.pressure_range
     yield f"Characterised for strains from {low:.3f} to {high:.3f}, pressures from {first:.3g} to {last:.3g} kPa"
     region = getattr(model, "region", ())
     if region:
         share = _area(region) / ((high - low) * (last - first))
         yield f"and in {min(100 * share, 100):.0f} % of that box: in the region of all samples, which the file holds"
+    shape = model.quality.monotonicity if isinstance(model, FittedActuator) and model.quality else None
+    if shape is not None and shape.failing_strain is None:
+        yield "Monotonic in pressure all over that range"
+    elif shape is not None and shape.failing_strain is not None:
+        where = "at strains from {:.3f} to {:.3f}".format(*shape.failing_strain)
+        yield f"Monotonic in pressure up to {shape.up_to:.1f} kPa; beyond, not everywhere {where}"
     yield f"Highest pressure in use: {model.max_pressure:.1f} kPa"
     if getattr(model.bending_stiffness, "assumed", False):
         yield (
