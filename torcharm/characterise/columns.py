@@ -26,6 +26,8 @@ _SET_POINT = re.compile(r"set ?point|target|command|demand|desired|reference|\bs
 """What was asked for is no measurement."""
 _TOLD_BY_UNIT = ("time", "force", "pressure")
 """Quantities whose units are those of nothing else that a bench records."""
+_PREFERRED_ALONE = ("time", "extension")
+"""Of which the column of that name alone is taken among several: others, such as a cycle's time, follow it."""
 _AMBIGUOUS = ("min", "h", "1", "-", "in", "g")
 """What names a unit in brackets, or in a row of units, but may mean something else as a word of a name."""
 _BRACKETS = re.compile(r"\(([^()]*)\)|\[([^\[\]]*)\]")
@@ -226,7 +228,7 @@ def _candidates(sheet: Sheet, header: Header, quantity: str) -> list[int]:
     own = {i: name for i, name in bases.items() if not _SET_POINT.search(name)}
     symbols = _SYMBOLS.get(quantity, ())
     found = [i for i, name in own.items() if re.search(_NAMED[quantity], name) or name in symbols]
-    if len(found) > 1:
+    if len(found) > 1 and quantity in _PREFERRED_ALONE:
         alone = [i for i in found if re.fullmatch(f"(?:{_NAMED[quantity]})s?", own[i])]
         return alone if len(alone) == 1 else found
     if found or quantity not in _TOLD_BY_UNIT:

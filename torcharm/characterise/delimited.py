@@ -98,8 +98,8 @@ def read_sheet(path: StrPath) -> Sheet:
     numeric = _numeric(sampled, width)
     pairs = [(n, row) for n, row in zip(whole, _split(kept, separator), strict=True) if any(row)]
     looks = [_is_data(row, width, numeric) for _, row in pairs[:SAMPLED]]
-    # The second of two lines of numbers says that the first is no part of a preamble.
-    first = next((i for i in range(len(looks)) if looks[i] and (looks[i + 1 : i + 2] != [False])), 0)
+    # Another line of numbers soon behind it says that the first is no part of a preamble.
+    first = next((i for i in range(len(looks)) if looks[i] and any(looks[i + 1 : i + 3] or [True])), 0)
     while first > 0 and _is_damaged_data(pairs[first - 1][1], width):
         first -= 1
     last = len(pairs)
