@@ -21,6 +21,8 @@ VALLEYS = 4
 """Of the misfit, how many are followed to the bottom: the best on the grid need not be the best there."""
 ALIKE = 1.1
 """Root mean squares within this factor of the least are alike, where a run repeats itself."""
+NEGLIGIBLE = 1e-6
+"""Of the force's variance, a misfit that is as good as none: a thousandth of its deviation."""
 LEAST_SHARED = 0.3
 """Of the tester's stamps, how many log and tester must share at an offset for it to count."""
 
@@ -35,6 +37,7 @@ class OffsetEstimate:
             taking residuals as correlated (see `least_squares.correlation_length`).
         rmse: of the fit there [N].
         other, other_rmse: the best offset elsewhere [ms], and what its fit leaves [N]; infinite if there is none.
+        repeats: whether that fits as well.
     """
 
     offset: float
@@ -42,13 +45,14 @@ class OffsetEstimate:
     rmse: float
     other: float
     other_rmse: float
+    repeats: bool
 
     @property
     def words(self) -> str:
         """How sure it is."""
         if math.isinf(self.other_rmse):
             other = "nowhere else is a fit"
-        elif self.other_rmse <= ALIKE * self.rmse:
+        elif self.repeats:
             other = f"{self.other:.1f} ms fits as well, as the run repeats itself: the nearer to 0 is taken"
         else:
             other = f"elsewhere {self.other_rmse:.3g} N at best"
@@ -96,11 +100,16 @@ def estimate_offset(
             stacklevel=2,
         )
     valleys = sorted((misfit(shift), shift) for shift in _valleys(misfit, grid, found))
-    alike = [(value, shift) for value, shift in valleys if value <= ALIKE**2 * valleys[0][0]]
+    alike = [(value, shift) for value, shift in valleys if value <= max(ALIKE**2 * valleys[0][0], NEGLIGIBLE)]
     value, shift = min(alike, key=lambda one: abs(one[1]))
     rest = [one for one in valleys if one[1] != shift] or [(math.inf, math.inf)]
     return OffsetEstimate(
-        centre + shift, misfit.deviation(shift), misfit.rmse(value), centre + rest[0][1], misfit.rmse(rest[0][0])
+        offset=centre + shift,
+        deviation=misfit.deviation(shift),
+        rmse=misfit.rmse(value),
+        other=centre + rest[0][1],
+        other_rmse=misfit.rmse(rest[0][0]),
+        repeats=len(alike) > 1,
     )
 
 
