@@ -13,6 +13,8 @@ from torcharm.inputs import check_count, check_number
 
 PAPER_SMOOTHING = 40.0
 """σ of the paper's Gaussian smoothing of pressure, in samples of the log."""
+MOST_LEVELS = 40
+"""Distinct strains, or pressures, of what counts as a table; a recording has thousands."""
 SMOOTHING_REACH = 2.5
 """The Gaussian ends at so many σ: with the paper's σ it spans 201 samples."""
 
@@ -157,14 +159,22 @@ def pool(recordings: Sequence[Recording]) -> Recording:
     )
 
 
+def is_table(recording: Recording) -> bool:
+    """Whether samples stand at a few strains and pressures, as those of a data sheet do."""
+    return all(len(np.unique(values)) <= MOST_LEVELS for values in (recording.strain, recording.pressure))
+
+
 def held_strains(recording: Recording, *, steady: float = 1e-4, apart: float = 0.01) -> list[NDArray[np.int64]]:
     """Samples of the strains at which the tester held still, one array of indices for each, from least to most.
 
     Args:
-        recording: one run, or several pooled: holds at equal strains go together.
+        recording: one run, or several pooled: holds at equal strains go together. A table holds each of its strains.
         steady: from one sample to the next, strain may move by so much.
         apart: strains further apart than this are different holds.
     """
+    if is_table(recording):
+        levels, place = np.unique(recording.strain, return_inverse=True)
+        return [np.flatnonzero(place == level) for level in range(len(levels))]
     still = np.zeros(len(recording.strain), bool)
     still[1:] = (np.abs(np.diff(recording.strain)) <= steady) & (np.diff(recording.run) == 0)
     # A ramp is a chain of small steps: what holds stays put over the samples around it, too.

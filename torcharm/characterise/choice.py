@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from torcharm.actuators.protocol import Actuator
-from torcharm.characterise.alignment import Recording
+from torcharm.characterise.alignment import MOST_LEVELS, Recording, is_table
 from torcharm.characterise.fit import fit_force_model, provenance_of
 from torcharm.characterise.gridded_fit import fit_gridded_model
 from torcharm.characterise.least_squares import Array, Powers, exponents
@@ -24,8 +24,6 @@ from torcharm.inputs import check_choice
 MCKIBBEN: Powers = ((0, 1), (1, 1), (2, 1), (1, 0), (2, 0), (3, 0))
 """Terms of a McKibben-type model: a pull in proportion to pressure, `p (a + b ε + c ε²)`, as follows from a braid's
 geometry (Chou and Hannaford 1996, Tondu and Lopez 2000), and the tube's own elasticity, a cubic."""
-MOST_LEVELS = 40
-"""Distinct strains, or pressures, of what counts as a table; a recording has thousands."""
 GRID = 12
 """Strains and pressures of the grid for samples that are no table."""
 BLOCKS = 5
@@ -113,11 +111,6 @@ def _fitters(recording: Recording, degree: int, **options: Any) -> dict[str, Cal
     }
     free = not options.get("monotonic") and options.get("loss", "linear") == "linear"
     return found | ({"gridded": partial(_fit_grid, **shared)} if free else {})
-
-
-def is_table(recording: Recording) -> bool:
-    """Whether samples stand at a few strains and pressures, as those of a data sheet do."""
-    return all(len(np.unique(values)) <= MOST_LEVELS for values in (recording.strain, recording.pressure))
 
 
 def _left_out(recording: Recording) -> Iterator[NDArray[np.bool_]]:

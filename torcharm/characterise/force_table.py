@@ -56,8 +56,14 @@ def read_table(
     settings = (("positive forces", "pull" if pull else "push"), *noted(sheet.source, notes))
     own = np.isfinite(force)
     force = -force[own] if pull else force[own]
+    # 0 is added to turn -0.0, of contractions turned, into 0.
     return Recording(
-        strain[own], pressure[own], force, np.zeros(int(own.sum()), np.int64), (Path(sheet.source).name,), settings
+        strain[own] + 0.0,
+        pressure[own],
+        force + 0.0,
+        np.zeros(int(own.sum()), np.int64),
+        (Path(sheet.source).name,),
+        settings,
     )
 
 

@@ -35,7 +35,7 @@ class OffsetEstimate:
         offset: what is added to the log's time to give the tester's [ms].
         deviation: by how much it may be off, one standard deviation [ms], from how sharply the misfit rises about it,
             taking residuals as correlated (see `least_squares.correlation_length`).
-        rmse: of the fit there [N].
+        rmse: of the fit there [N], of the force on all actuators together.
         other, other_rmse: the best offset elsewhere [ms], and what its fit leaves [N]; infinite if there is none.
         repeats: whether that fits as well.
     """
@@ -56,7 +56,7 @@ class OffsetEstimate:
             other = f"{self.other:.1f} ms fits as well, as the run repeats itself: the nearer to 0 is taken"
         else:
             other = f"elsewhere {self.other_rmse:.3g} N at best"
-        return f"{self.offset:.1f} ± {self.deviation:.2g} ms; the fit is {self.rmse:.3g} N off there, {other}"
+        return f"{self.offset:.1f} ± {self.deviation:.2g} ms; forces fit to {self.rmse:.3g} N there, {other}"
 
 
 def estimate_offset(
