@@ -99,7 +99,8 @@ def read_sheet(path: StrPath) -> Sheet:
     pairs = [(n, row) for n, row in zip(whole, _split(kept, separator), strict=True) if any(row)]
     looks = [_is_data(row, width, numeric) for _, row in pairs[:SAMPLED]]
     # Another line of numbers soon behind it says that the first is no part of a preamble.
-    first = next((i for i in range(len(looks)) if looks[i] and any(looks[i + 1 : i + 3] or [True])), 0)
+    near = [any(looks[i + 1 : i + 3]) or i >= len(pairs) - 2 for i in range(len(looks))]
+    first = next((i for i in range(len(looks)) if looks[i] and near[i]), 0)
     while first > 0 and _is_damaged_data(pairs[first - 1][1], width):
         first -= 1
     last = len(pairs)
@@ -119,7 +120,11 @@ def read_sheet(path: StrPath) -> Sheet:
         cut=False,
     )
     sheet = _unglued(sheet)
-    return sheet if ended or closing else replace(sheet, cut=_is_cut(sheet, lines[-1]))
+    if ended or closing:
+        return sheet
+    if sheet.places[-1] < len(lines):  # a quote, or nothing else that a cell holds
+        sheet = replace(sheet, rows=[*sheet.rows, []], places=[*sheet.places, len(lines)])
+    return replace(sheet, cut=_is_cut(sheet, lines[-1]))
 
 
 def numbers(
@@ -154,6 +159,10 @@ def numbers(
         table = table.reshape(len(rows), len(columns))
     good = np.isfinite(table).all(-1) if not sparse else ~np.isposinf(table).any(-1)
     bad = sorted([*sheet.damaged, *(places[i] for i in np.flatnonzero(~good))])
+    if not len(good):
+        raise ValueError(
+            f"{sheet.source}: line {sheet.places[-1]}: is the last line, must be followed by whole lines of numbers"
+        )
     if len(bad) > max(min(FEW, len(rows) / 10), MOST_DAMAGED * len(rows)) or not good.any():
         raise _too_damaged(sheet, bad, columns)
     if bad:

@@ -150,8 +150,9 @@ def fit_force_model(
             few to determine the coefficients, or an argument is none of those allowed.
     """
     data = _Data.checked(strain, pressure, force, run)
+    total = _check_options(degree, loss, loss_scale, correlated, max_pressure)
+    powers = terms or exponents(total)
     check_informative(data.strain, data.pressure, data.force)
-    powers = terms or exponents(_check_options(degree, loss, loss_scale, correlated, max_pressure))
     top = float(data.pressure.max()) if max_pressure is None else max_pressure
     options: dict[str, Any] = {"loss": loss, "scale": loss_scale, "monotonic": monotonic, "top": top}
     fit = _fit(data, powers, **options)

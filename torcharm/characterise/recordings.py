@@ -127,6 +127,8 @@ def read_pressure(
     Raises:
         ValueError: unknown unit, or another one than the file names; or as for `read_tester`.
     """
+    if unit is not None:
+        check_choice("unit", unit, PRESSURE)
     return as_pressure_record(read_sheet(path), unit, columns, truncated=truncated)
 
 

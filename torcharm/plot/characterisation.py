@@ -139,7 +139,7 @@ def residual_map(model: ModelLike, recording: Recording, *, ax: Axes | None = No
         strains, pressures = zip(*region, region[0], strict=True)
         axes.plot(pressures, strains, color=MODEL, linewidth=1.5, clip_on=False)
     rmse, outlined = float(np.sqrt((residual**2).mean())), "; outlined: where measured" if region else ""
-    axes.set(xlabel="pressure p [kPa]", ylabel="strain ε", title=f"residuals, RMSE {rmse:.2g} N{outlined}")
+    axes.set(xlabel="pressure p [kPa]", ylabel="strain ε", title=f"residuals, RMSE {rmse:#.3g} N{outlined}")
     return axes
 
 
@@ -208,14 +208,15 @@ def blocked_force(
 def characterisation_figure(model: ModelLike, recording: Recording) -> Figure:
     """One page on a fit, for `figure.savefig(path)`: held strains, surface, residuals, free strain, blocked force.
 
-    Raises:
-        ValueError: no strain is held.
+    Where no strain is held, the surface has their place.
     """
     model = find_model("model", model)
     figure = Figure(figsize=(15.0, 9.5), layout="constrained")
     grid = figure.add_gridspec(2, 6)
-    force_at_held_strains(model, recording, ax=figure.add_subplot(grid[0, :3]))
-    force_surface(model, recording, ax=figure.add_subplot(grid[0, 3:], projection="3d"))
+    held = bool(held_strains(recording))
+    if held:
+        force_at_held_strains(model, recording, ax=figure.add_subplot(grid[0, :3]))
+    force_surface(model, recording, ax=figure.add_subplot(grid[0, 3 * held :], projection="3d"))
     residual_map(model, recording, ax=figure.add_subplot(grid[1, :2]))
     free_strain(model, ax=figure.add_subplot(grid[1, 2:4]))
     blocked_force(model, recording, ax=figure.add_subplot(grid[1, 4:]))
@@ -231,7 +232,7 @@ def _findings(model: Actuator, recording: Recording) -> str:
     shape = quality.monotonicity
     trend = "everywhere" if shape.monotonic else f"up to {shape.up_to:.1f} kPa"
     held_out = "".join(f", run {one.run + 1} from the others {one.r_squared:.4f}" for one in quality.hold_out)
-    return f"R² {quality.r_squared:.4f}{held_out}; RMSE {quality.rmse:.2g} N; monotonic in pressure {trend}; {count}"
+    return f"R² {quality.r_squared:.4f}{held_out}; RMSE {quality.rmse:#.3g} N; monotonic in pressure {trend}; {count}"
 
 
 def _is_few(recording: Recording) -> bool:
