@@ -17,10 +17,12 @@ ROOT = Path(torcharm.__file__).parent
 
 ROOMS = (
     "inputs",
+    "units",
     "files",
     "geometry",
     "shapes",
     "actuators",
+    "characterise",
     "arm",
     "arm_series",
     "ready_arms",
@@ -33,7 +35,6 @@ ROOMS = (
     "pressure",
     "attainability",
     "design",
-    "characterise",
     "study",
     "sweeps",
     "plot",
@@ -80,7 +81,7 @@ def faults(module, imported):
     if own == other:
         return []
     if not other:  # the package itself holds the version, and is otherwise for its users
-        return [] if own in ("actuators", "sweeps", "cli") else [f"{module} imports the package itself"]
+        return [] if own in ("characterise", "sweeps", "cli") else [f"{module} imports the package itself"]
     return [] if ROOMS.index(other) < ROOMS.index(own) else [f"{module} imports {imported}, which comes later"]
 
 

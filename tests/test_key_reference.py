@@ -9,8 +9,8 @@ from test_cli import invoke
 
 import torcharm as ta
 from torcharm.actuators import Chamber, ElasticCore
-from torcharm.actuators.model_file import save_actuator
-from torcharm.actuators.toml_text import toml_value
+from torcharm.characterise.model_file import save_actuator
+from torcharm.characterise.toml_text import toml_value
 from torcharm.study import evaluate_study, key_reference, parse_study
 from torcharm.study.arm_tables import SegmentTable
 from torcharm.study.fields import Table

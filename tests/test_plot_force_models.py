@@ -7,7 +7,7 @@ from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 
 import torcharm as ta
-from torcharm.actuators.alignment import held_strains
+from torcharm.characterise.alignment import held_strains
 from torcharm.plot import characterisation as pc
 
 LEVELS = (-0.1, 0.2, 0.5)

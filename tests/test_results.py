@@ -10,7 +10,7 @@ import pytest
 import torch
 
 import torcharm as ta
-from torcharm.actuators.uncertainty import TensorPolynomial
+from torcharm.characterise.uncertainty import TensorPolynomial
 from torcharm.study import NamedArm, NamedTask, evaluate_study, parse_study
 
 D = torch.float64

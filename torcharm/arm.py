@@ -20,6 +20,7 @@ from torcharm.inputs import (
     check_at_least,
     check_count,
     check_finite,
+    check_pressure,
     one_for_all,
 )
 
@@ -250,7 +251,7 @@ def _check_and_expand(values: dict[str, Tensor], count: int) -> dict[str, Tensor
     for name, value in values.items():
         check_finite(name, value)
     check_at_least("length", values["length"], 0.0, strict=True, unit="m")
-    check_at_least("max_pressure", values["max_pressure"], 0.0, unit="kPa")
+    check_pressure("max_pressure", values["max_pressure"])
     check_at_least("mass", values["mass"], 0.0, unit="kg")
     for name, unit in (("torsion_stiffness", "N·m²"), ("diameter", "m")):
         if name in values:
@@ -265,7 +266,7 @@ def find_model(field: str, given: Any) -> Actuator:
         ValueError: it is none, as `field` says.
     """
     if isinstance(given, Path) or (isinstance(given, str) and given.endswith(".toml")):
-        from torcharm.actuators.model_file import load_actuator  # loads when it is first asked for
+        from torcharm.characterise.model_file import load_actuator  # loads when it is first asked for
 
         return load_actuator(given)
     return model_of(field, given)

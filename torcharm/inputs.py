@@ -169,6 +169,11 @@ def check_at_least(name: str, value: Tensor, low: float, *, strict: bool = False
         raise ValueError(f"{name}: must be {bound}{unit and ' ' + unit}, got {value[bad].flatten()[0].item():g}")
 
 
+def check_pressure(name: str, value: Tensor) -> None:
+    """Raise unless every pressure is at least 0 kPa: sets, limits and searches begin there."""
+    check_at_least(name, value, 0.0, unit="kPa, as vacuum is not supported")
+
+
 def check_number(name: str, value: Any, low: float = -math.inf, *, strict: bool = False, unit: str = "") -> float:
     """A finite number of at least (or, strictly, above) `low`."""
     try:

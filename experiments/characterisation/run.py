@@ -22,7 +22,7 @@ from experiments.characterisation import figure
 from experiments.characterisation.sensitivity import MILD, SHAPE, drawn_deviation, uncertain_validation, validation
 from experiments.characterisation.synthetic import TRUTH, Noise, read_runs, write_run
 from experiments.rows import Measurement, measurements_table, write_rows
-from torcharm.actuators.fitting import exponents
+from torcharm.characterise.least_squares import exponents
 
 HERE = Path(__file__).parent
 LIMIT = 50.0
@@ -132,7 +132,7 @@ def real(folder: Path, quick: bool) -> Iterator[list[Measurement]]:
     model = ta.fit_recording(paper, max_pressure=LIMIT)
     yield published(model)
     yield quality(model, paper)
-    found = [ta.estimate_offset(tester, log) for tester, log in zip(testers, logs, strict=True)]
+    found = [ta.estimate_offset(tester, log).offset for tester, log in zip(testers, logs, strict=True)]
     offsets = (found[0], found[1])
     part = "offset of the pressure log that fits best"
     yield [Measurement(part, f"run {run + 1}", "offset", offsets[run], "ms") for run in (0, 1)]
@@ -171,7 +171,7 @@ def real(folder: Path, quick: bool) -> Iterator[list[Measurement]]:
 
 
 def _holds(recording: ta.Recording) -> Any:
-    from torcharm.actuators.alignment import held_strains
+    from torcharm.characterise.alignment import held_strains
 
     return held_strains(recording)
 

@@ -153,6 +153,6 @@ def test_bad_grids(change, message):
 
 def test_bad_smoothness():
     with pytest.raises(ValueError, match=r"^smoothness: must be a finite number and above 0"):
-        ta.fit_gridded_model([0.0], [0.0], [0.0], [0.0, 1.0], [0.0, 1.0], smoothness=0.0)
-    with pytest.raises(ValueError, match=r"^strain, pressure: must vary enough"):
+        ta.fit_gridded_model([0.0, 0.5], [0.0, 1.0], [0.0, 1.0], [0.0, 1.0], [0.0, 1.0], smoothness=0.0)
+    with pytest.raises(ValueError, match=r"^force: must not be 0 in every sample"):
         ta.fit_gridded_model([0.0], [0.0], [0.0], [0.0, 1.0], [0.0, 1.0])

@@ -287,7 +287,7 @@ def test_strains_and_pressures_out_of_range_are_reported():
     ("change", "message"),
     [
         ({"pressure": [1.0, 2.0]}, "pressure: must have shape"),
-        ({"pressure": [-1.0, 0.0, 0.0, 0.0]}, "pressure: must be at least 0 kPa, got -1"),
+        ({"pressure": [-1.0, 0.0, 0.0, 0.0]}, "pressure: must be at least 0 kPa, as vacuum is not supported, got -1"),
         ({"load": [0.0, float("nan"), 0.0]}, "load: must be finite, got nan"),
         ({"load": [0.0, 1e200, 0.0]}, r"load: must be finite, and at most 1.3e\+150 in size, got 1e\+200"),
         ({"raise_on_failure": "yes"}, "raise_on_failure: must be True or False, got 'yes'"),

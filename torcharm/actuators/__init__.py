@@ -2,7 +2,6 @@
 
 from torcharm.actuators.bending import Bending, BendingFunction, ConstantBending, LinearBending
 from torcharm.actuators.mckibben import McKibben
-from torcharm.actuators.monotonicity import Monotonicity, monotonicity
 from torcharm.actuators.polynomial import Bellows, PolynomialActuator
 from torcharm.actuators.protocol import (
     Actuator,
@@ -29,7 +28,6 @@ __all__ = [
     "ElasticCore",
     "LinearBending",
     "McKibben",
-    "Monotonicity",
     "PolynomialActuator",
     "chamber",
     "check_actuator",
@@ -39,7 +37,6 @@ __all__ = [
     "is_passive",
     "model_name",
     "model_of",
-    "monotonicity",
     "pressure_degree",
     "pressure_knots",
     "want_gradients",

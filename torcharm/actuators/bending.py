@@ -52,6 +52,7 @@ class LinearBending(HoldsTensors):
     Attributes:
         stiffness: K [N·m²], at most 0: negative resists bending.
         reference_pressure: p_ref [kPa]; None stands for the actuator's `max_pressure`.
+        assumed: whether nobody measured or chose K for this actuator, which results then say.
 
     Raises:
         ValueError: K is not finite or above 0, or p_ref not above 0.
@@ -59,6 +60,7 @@ class LinearBending(HoldsTensors):
 
     stiffness: Number
     reference_pressure: Number | None = None
+    assumed: bool = False
 
     def __post_init__(self) -> None:
         _check(self)

@@ -6,23 +6,21 @@ from typing import Any, ClassVar
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from torcharm.actuators.bending import Bending, Number
-from torcharm.actuators.fitting import Array
+from torcharm.actuators.measured import Measured
 from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS
 from torcharm.actuators.protocol import check_numbers
-from torcharm.inputs import HoldsTensors, TensorLike, check_number, refuse_graphs, shown
+from torcharm.inputs import HoldsTensors, refuse_graphs, shown
 
-SMOOTHNESS = 1e-6
-"""Of `fit_gridded_model`: weight of roughness against the mean square of the residuals."""
-DEPENDENT = 1e-14
-
+Array = NDArray[np.float64]
 Row = tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class GriddedActuator(HoldsTensors):
+class GriddedActuator(Measured, HoldsTensors):
     """Bicubic spline through forces on a grid: twice continuously differentiable, exact at the grid's points.
 
     The tensor product of cubic splines with not-a-knot ends (de Boor): with two points a side it is bilinear, with
@@ -36,6 +34,7 @@ class GriddedActuator(HoldsTensors):
         max_pressure: highest pressure in use [kPa].
         bending_stiffness: K [N·m²] at `max_pressure`, or a bending model.
         force_scale: a factor on the force: 2.0 stands for two of them side by side.
+        region, provenance: as of `Measured`.
 
     Raises:
         ValueError: fewer than two strains or pressures, not in order, a force is missing or not finite, or a limit is
@@ -56,7 +55,7 @@ class GriddedActuator(HoldsTensors):
         for name in ("strains", "pressures", "forces"):
             refuse_graphs(name, getattr(self, name), "results differentiate by force_scale and bending_stiffness alone")
         for name in ("strains", "pressures"):
-            object.__setattr__(self, name, _axis(name, getattr(self, name)))
+            object.__setattr__(self, name, grid_axis(name, getattr(self, name)))
         object.__setattr__(self, "forces", _forces(self.forces, len(self.strains), len(self.pressures)))
         object.__setattr__(self, "strain_range", (self.strains[0], self.strains[-1]))
         object.__setattr__(self, "pressure_range", (self.pressures[0], self.pressures[-1]))
@@ -110,7 +109,8 @@ def _pieces(knots: Array, values: Array) -> tuple[Array, Row]:
     return cubics, (float(knots[0]), *knots.tolist())
 
 
-def _axis(name: str, value: Any) -> Row:
+def grid_axis(name: str, value: Any) -> Row:
+    """Two or more finite numbers that increase, or a ValueError that names them."""
     try:
         axis = tuple(float(x) for x in value)
     except (TypeError, ValueError):
@@ -133,62 +133,3 @@ def _forces(value: Any, strains: int, pressures: int) -> tuple[Row, ...]:
     if not np.isfinite(rows).all():
         raise ValueError("forces: must be finite, got one that is not")
     return rows
-
-
-def fit_gridded_model(
-    strain: TensorLike,
-    pressure: TensorLike,
-    force: TensorLike,
-    strains: TensorLike,
-    pressures: TensorLike,
-    *,
-    smoothness: float = SMOOTHNESS,
-    **options: Any,
-) -> GriddedActuator:
-    """The bicubic spline on a grid that fits scattered samples best, smoothed where they are few.
-
-    Minimises the mean squared residual plus `smoothness` times the mean squared second differences of force from one
-    grid point to the next (in units of their index), which also settles cells without samples.
-
-    Args:
-        strain, pressure [kPa], force [N]: n samples each.
-        strains, pressures [kPa]: the grid.
-        smoothness: above 0.
-        **options: further fields of `GriddedActuator`; `max_pressure` is the grid's highest unless told.
-
-    Raises:
-        ValueError: samples do not match in number or are not finite; or as for `GriddedActuator`.
-    """
-    from scipy.interpolate import CubicSpline
-    from scipy.linalg import solve
-
-    from torcharm.actuators.characterisation import checked_samples
-
-    x, y, f = checked_samples(strain, pressure, force)
-    check_number("smoothness", smoothness, 0.0, strict=True)
-    axes = _axis("strains", strains), _axis("pressures", pressures)
-    bases = [
-        CubicSpline(axis, np.eye(len(axis)))(np.clip(value, axis[0], axis[-1]))
-        for axis, value in zip(axes, (x, y), strict=True)
-    ]
-    count = len(axes[0]) * len(axes[1])
-    gram, right = np.zeros((count, count)), np.zeros(count)
-    for start in range(0, len(f), 20_000):  # bounds memory
-        part = slice(start, start + 20_000)
-        rows = (bases[0][part, :, None] * bases[1][part, None, :]).reshape(-1, count)
-        gram += rows.T @ rows
-        right += rows.T @ f[part]
-    bends = [np.diff(np.eye(len(axis)), 2, axis=0) for axis in axes]
-    roughness = np.kron(bends[0].T @ bends[0], np.eye(len(axes[1]))) + np.kron(
-        np.eye(len(axes[0])), bends[1].T @ bends[1]
-    )
-    system = gram / len(f) + smoothness * roughness
-    try:
-        values = solve(system, right / len(f), assume_a="pos")
-    except np.linalg.LinAlgError:
-        raise ValueError(
-            "strain, pressure: must vary enough to determine the grid's forces, got samples that do not"
-        ) from None
-    forces = values.reshape(len(axes[0]), len(axes[1]))
-    fields = {"max_pressure": axes[1][-1], **options}
-    return GriddedActuator(axes[0], axes[1], tuple(map(tuple, forces.tolist())), **fields)

@@ -47,8 +47,9 @@ class Actuator(Protocol):
     `pressure_knots(strain)` returns pressures (k, *strain.shape) [kPa], in any order, at which the force has
     a kink. `pressure_degree = 3` says that between them it is a polynomial in pressure of that degree:
     up to 3 one cubic piece stands for the whole curve, and at degree 1 two samples. A text `name` is what tables and
-    legends call it, in place of its class. And `moulded = True` says that it is part of one body with the others of its
-    segment that say so: they have one length, which an optimiser changes for all of them.
+    legends call it, in place of its class. `characterised(strain, pressure)` says, by a mask, where within its ranges
+    the model was measured: what is found elsewhere is out of range. And `moulded = True` says that it is part of one
+    body with the others of its segment that say so: they have one length, which an optimiser changes for all of them.
     """
 
     @property

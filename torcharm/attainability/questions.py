@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torcharm.actuators import is_passive
+from torcharm.actuators import LinearBending, is_passive
 from torcharm.arm import ArmDesign
 
 LONGEST = 5.0
@@ -120,6 +120,24 @@ def question_about_places(segments: Sequence[ArmDesign]) -> str | None:
                     )
         first += segment.actuator_count
     return None
+
+
+def note_on_bending(segments: Sequence[ArmDesign]) -> str | None:
+    """Which actuators, from 1, have a bending stiffness that was assumed; None: none has."""
+    models = [model for segment in segments for model in segment.actuators]
+    assumed = {
+        index: model.bending_stiffness
+        for index, model in enumerate(models, 1)
+        if isinstance(model.bending_stiffness, LinearBending) and model.bending_stiffness.assumed
+    }
+    if not assumed:
+        return None
+    values = ", ".join(dict.fromkeys(f"{float(one.stiffness):.3g}" for one in assumed.values()))
+    which = "all actuators" if len(assumed) == len(models) > 1 else f"actuators {', '.join(map(str, assumed))}"
+    return (
+        f"the bending stiffness of {which} is assumed, {values} N·m²: errors of bent shapes rest on it; torcharm fit "
+        "--bending or bending_stiffness in a study sets one"
+    )
 
 
 def question_about_limits(segments: Sequence[ArmDesign]) -> str | None:

@@ -150,7 +150,7 @@ def out_of_range(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[
             if limit > known * (1 + RANGE_SLACK):
                 return f"actuator {first + index + 1} is driven to {limit:g} kPa, characterised to {known:g} kPa"
         first += segment.actuator_count
-    return "a pressure lies outside of what was characterised"
+    return "a pressure, or a strain together with its pressure, lies outside of what was characterised"
 
 
 def _strains(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[int]) -> list[_Strain]:

@@ -64,6 +64,10 @@ def _root(
     pass  # holds the options of torcharm itself; `run` shows the help if nothing is given
 
 
+BARE = {"--find-offset": "10"}
+"""Options whose value may be left out, and what it is then."""
+
+
 class _Command(TyperCommand):
     """A command in whose help texts brackets are brackets, as in [[plan]], and not rich's markup."""
 
@@ -73,6 +77,15 @@ class _Command(TyperCommand):
         for parameter in self.params:
             if getattr(parameter, "help", None):
                 parameter.help = _without_markup(parameter.help)  # type: ignore[attr-defined]
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """As click does it, once options whose value is left out have one."""
+        given = list[str]()
+        for index, arg in enumerate(args):
+            given.append(arg)
+            if arg in BARE and not re.fullmatch(r"[-+]?[\d.].*|nan|inf", "".join(args[index + 1 : index + 2])):
+                given.append(BARE[arg])
+        return super().parse_args(ctx, given)
 
 
 def _without_markup(text: str | None) -> str | None:

@@ -1,33 +1,72 @@
-"""`torcharm fit`: from test-bench recordings to a model file."""
+"""`torcharm fit`: from test-bench recordings, or a data sheet's table, to a model file."""
 
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torcharm.cli.tables import Column, print_table
+from torcharm.cli.fit_report import report
 from torcharm.cli.terminal import FIGURE_FORMATS, check_outputs, count, mistakes, open_console, save_all, say
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from torcharm.actuators.alignment import Recording
-    from torcharm.actuators.characterisation import FittedActuator
+    from torcharm.actuators import Actuator
+    from torcharm.characterise.alignment import Recording
+    from torcharm.characterise.choice import Candidate
+    from torcharm.characterise.recordings import PressureRecord, TesterRecord
+
+KINDS = ("best", "polynomial", "mckibben", "gridded")
 
 
 def fit(
-    instron: Annotated[list[Path], typer.Option("--instron", help="A tensile tester's CSV; once for each run.")],
-    pressure: Annotated[list[Path], typer.Option("--pressure", help="The pressure log of the same run; in order.")],
     out: Annotated[Path, typer.Option("--out", help="Write the force model, as TOML, for studies and ArmDesign.")],
+    instron: Annotated[
+        list[Path] | None, typer.Option("--instron", "--tester", help="A tensile tester's file; once for each run.")
+    ] = None,
+    pressure: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--pressure",
+            help="The pressure log of the same run; in order.",
+            show_default="the tester's file holds it",
+        ),
+    ] = None,
+    table: Annotated[
+        Path | None,
+        typer.Option("--table", help="A table of forces by strain or contraction and pressure, in place of runs."),
+    ] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(
+            help="Columns by name or number, with units that the file lacks: "
+            '"time=Time:s,extension=5:mm,force=Load"; also strain, contraction, pressure.',
+            show_default="as the header names them",
+        ),
+    ] = None,
+    pressure_columns: Annotated[
+        str | None,
+        typer.Option(help='The same of pressure logs: "time=1:s,pressure=3:kPa".', show_default="as the header does"),
+    ] = None,
+    gauge_length: Annotated[
+        str | None,
+        typer.Option(help='Of the actuators, where files hold extensions: "80 mm".', show_default="strains are read"),
+    ] = None,
+    positive: Annotated[
+        str | None,
+        typer.Option(help="Whether positive forces pull or push.", show_default="pull; in tables of strains they push"),
+    ] = None,
     actuators: Annotated[int, typer.Option(help="How many actuators were pulled in parallel.")] = 1,
     unit: Annotated[
         str | None,
         typer.Option(
-            help="Of logs whose header names none: psi, kPa, bar, MPa, Pa, mbar.", show_default="the header's, or psi"
+            help="Of pressures that the file names none for: psi, kPa, bar, MPa, Pa, mbar.",
+            show_default="the file's, or psi",
         ),
     ] = None,
     smoothing: Annotated[float, typer.Option(help="σ of the log's Gaussian smoothing, in samples; 0 for none.")] = 40.0,
@@ -37,10 +76,24 @@ def fit(
             "--offset", help="Added to a log's clock, in ms; once for all runs or for each.", show_default="0"
         ),
     ] = None,
-    find_offset: Annotated[bool, typer.Option("--find-offset", help="Take the offsets that fit best.")] = False,
+    find_offset: Annotated[
+        float | None,
+        typer.Option(
+            "--find-offset",
+            help="Take the offsets that fit best, of up to so many seconds; 10 where none is said.",
+            show_default="0",
+        ),
+    ] = None,
     max_gap: Annotated[
         float | None,
         typer.Option(help="Drop samples in pauses of the log longer than this, in ms.", show_default="keep"),
+    ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help=f"{', '.join(KINDS)}: best predicts samples left out best.",
+            show_default="polynomial; best for tables",
+        ),
     ] = None,
     degree: Annotated[int, typer.Option(help="Of the polynomial; the paper's is 3.")] = 3,
     loss: Annotated[str, typer.Option(help="linear (least squares), or against outliers huber, soft_l1, cauchy.")] = (
@@ -51,72 +104,173 @@ def fit(
         float | None,
         typer.Option(help="Highest pressure in use, in kPa.", show_default="that to which the fit is monotonic"),
     ] = None,
-    bending_stiffness: Annotated[
-        float | None, typer.Option(help="K [N·m²] at that pressure; no tensile test tells.", show_default="the paper's")
+    bending: Annotated[
+        float | None,
+        typer.Option(help="K [N·m²] at that pressure; no tensile test tells.", show_default="the paper's, assumed"),
     ] = None,
-    truncated: Annotated[bool, typer.Option("--truncated", help="Accept recordings that are cut short.")] = False,
+    truncated: Annotated[bool, typer.Option("--truncated", help="Accept recordings that end within a line.")] = False,
     figure: Annotated[
         Path | None, typer.Option("--figure", help=f"Draw the fit, to a file ending in {', '.join(FIGURE_FORMATS)}.")
     ] = None,
 ) -> None:
-    """Fit a force model to recordings of a tensile tester and a pressure log, and say how good it is."""
+    """Fit a force model to recordings of a tensile tester and a pressure log, or to a data sheet's table."""
     with mistakes(), _warnings_on_stderr():
         check_outputs(None, out, figure)
-        offsets = _check_runs(instron, pressure, out, offset, find_offset)
-        from torcharm.actuators.alignment import align, estimate_offset, pool
-        from torcharm.actuators.characterisation import fit_recording
-        from torcharm.actuators.recordings import read_pressure, read_tester
+        given = _Runs(instron or [], pressure or [], offset or [], find_offset)
+        given.check(table, out)
+        reading = _Reading(columns, pressure_columns, _length(gauge_length), positive, unit, truncated=truncated)
+        alignment = {"actuators": actuators, "smoothing": smoothing, "max_gap": max_gap}
+        recording = reading.table(table) if table else reading.runs(given, degree, alignment)
+        options = {"loss": loss, "monotonic": monotonic, "max_pressure": max_pressure, "bending_stiffness": bending}
+        compared, found = _fitted(recording, model or ("best" if table else "polynomial"), degree, options)
+        console = open_console()
+        report(console, found, recording, compared)
+        save_all(console, _outputs(found, recording, out, figure))
+        _paste(console, out)
+
+
+@dataclass(frozen=True)
+class _Runs:
+    """Files of runs, and what is said of their clocks."""
+
+    testers: Sequence[Path]
+    logs: Sequence[Path]
+    offsets: Sequence[float]
+    search: float | None
+
+    def check(self, table: Path | None, out: Path) -> None:
+        """Raise a ValueError unless the options fit each other."""
+        if table is not None and (self.testers or self.logs):
+            raise ValueError("--table: must stand without --instron and --pressure, got both")
+        if table is None and not self.testers:
+            raise ValueError("--instron: is missing, must name a tester's file; or --table a table of forces")
+        if self.logs and len(self.testers) != len(self.logs):
+            raise ValueError(
+                f"--pressure: must be given once for each --instron, got {count(len(self.logs), 'log')} for "
+                f"{count(len(self.testers), 'run')}"
+            )
+        for path in (*self.testers, *self.logs, table or out.parent):
+            if path.resolve() == out.resolve():
+                raise ValueError(f"--out: {out}: is one of the recordings, must be another file")
+        if self.search is not None and self.offsets:
+            raise ValueError("--find-offset: must not stand beside --offset, got both")
+        if len(self.offsets) > 1 and len(self.offsets) != len(self.testers):
+            raise ValueError(
+                f"--offset: must be given once, or once for each of {len(self.testers)} runs, got {len(self.offsets)}"
+            )
+
+    def each(self) -> Iterator[tuple[Path, Path | None, float]]:
+        """Of each run the tester's file, the log's, if it is another one, and the offset [ms]."""
+        offsets = list(self.offsets or [0.0])
+        offsets = offsets * len(self.testers) if len(offsets) == 1 else offsets
+        logs: list[Path | None] = [*self.logs] or [None] * len(self.testers)
+        yield from zip(self.testers, logs, offsets, strict=True)
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """What is said of the files' layout."""
+
+    columns: str | None
+    log_columns: str | None
+    gauge_length: float | None
+    positive: str | None
+    unit: str | None
+    truncated: bool
+
+    def table(self, path: Path) -> "Recording":
+        """The samples of a data sheet's table."""
+        from torcharm.characterise.force_table import read_table
+
+        options: dict[str, Any] = {"columns": self.columns, "gauge_length": self.gauge_length}
+        return read_table(path, self.unit, positive=self.positive, **options)
+
+    def runs(self, given: _Runs, degree: int, options: dict[str, Any]) -> "Recording":
+        """The samples of all runs, pressures on the tester's clock."""
+        from torcharm.characterise.alignment import align, pool
+        from torcharm.characterise.offset import estimate_offset
 
         runs = []
-        for csv, log, shift in zip(instron, pressure, offsets, strict=True):
-            tester = read_tester(csv, truncated=truncated)
-            logged = read_pressure(log, unit, truncated=truncated)
-            if find_offset:
-                shift = estimate_offset(tester, logged, degree=degree, smoothing=smoothing)
-            options: dict[str, Any] = {"actuators": actuators, "smoothing": smoothing, "max_gap": max_gap}
-            runs.append(align(tester, logged, offset=shift, **options))
-        recording = pool(runs)
-        options = {"loss": loss, "monotonic": monotonic, "max_pressure": max_pressure}
-        if bending_stiffness is not None:
-            options["bending_stiffness"] = bending_stiffness
-        model = fit_recording(recording, degree, **options)
-        console = open_console()
-        _report(console, model, recording)
-        save_all(console, _outputs(model, recording, out, figure))
+        for tester_path, log_path, shift in given.each():
+            tester, log = self.run(tester_path, log_path)
+            if given.search is None:
+                runs.append(align(tester, log, offset=shift, **options))
+                continue
+            search = {"degree": degree, "smoothing": options["smoothing"], "search": 1e3 * given.search}
+            found = estimate_offset(tester, log, **search)
+            run = align(tester, log, offset=found.offset, **options)
+            runs.append(replace(run, settings=(*run.settings, ("certainty of the offset", found.words))))
+        return pool(runs)
+
+    def run(self, path: Path, log: Path | None) -> tuple["TesterRecord", "PressureRecord"]:
+        """What the tester and the logger wrote."""
+        from torcharm.characterise.columns import has_column
+        from torcharm.characterise.delimited import read_sheet
+        from torcharm.characterise.recordings import as_pressure_record, as_tester_record
+
+        sheet = read_sheet(path)
+        tester = as_tester_record(
+            sheet, self.columns, self.gauge_length, positive=self.positive or "pull", truncated=self.truncated
+        )
+        if log is not None:
+            own = as_pressure_record(
+                read_sheet(log), self.unit, self.log_columns, truncated=self.truncated, option="--pressure-columns"
+            )
+        elif has_column(sheet, "pressure", self.columns):
+            own = as_pressure_record(sheet, self.unit, self.columns, truncated=self.truncated, alone=False)
+        else:
+            raise ValueError(
+                f"--pressure: is missing, as {path} names no column of pressure; must be its log, or --columns names "
+                "one, as in pressure=6:bar"
+            )
+        return tester, own
+
+
+def _length(text: str | None) -> float | None:
+    """A gauge length [m]."""
+    if text is None:
+        return None
+    from torcharm.study.units import numbers_in
+    from torcharm.units import LENGTH
+
+    try:
+        return numbers_in(text, [LENGTH])[0]
+    except ValueError as error:
+        raise ValueError(f"--gauge-length: {error}") from None
+
+
+def _fitted(
+    recording: "Recording", kind: str, degree: int, options: dict[str, Any]
+) -> tuple[list["Candidate"], "Actuator"]:
+    """The model of a kind, or of the best; and how all of them did, if they were compared."""
+    from torcharm.characterise.choice import best_fit, fit_kind
+    from torcharm.inputs import check_choice
+
+    check_choice("model", kind, KINDS)
+    return (
+        best_fit(recording, degree, **options) if kind == "best" else ([], fit_kind(recording, kind, degree, **options))
+    )
 
 
 def _outputs(
-    model: "FittedActuator", recording: "Recording", out: Path, figure: Path | None
+    model: "Actuator", recording: "Recording", out: Path, figure: Path | None
 ) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
-    from torcharm.actuators.model_file import save_actuator
-    from torcharm.actuators.toml_text import toml_value
+    from torcharm.characterise.model_file import save_actuator
 
-    study = f". In a study: actuators = [{toml_value({'kind': 'file', 'path': str(out)})}, ...]"
-    yield out, lambda path: save_actuator(path, model), study
+    yield out, lambda path: save_actuator(path, model), "."
     if figure is not None:
         from torcharm.plot.characterisation import characterisation_figure
 
         yield figure, lambda path: characterisation_figure(model, recording).savefig(path), "."
 
 
-def _check_runs(
-    instron: Sequence[Path], pressure: Sequence[Path], out: Path, offset: Sequence[float] | None, find_offset: bool
-) -> list[float]:
-    """An offset for each run [ms], once options are known to fit each other."""
-    if len(instron) != len(pressure):
-        raise ValueError(
-            f"--pressure: must be given once for each --instron, got {count(len(pressure), 'log')} for "
-            f"{count(len(instron), 'run')}"
-        )
-    for path in (*instron, *pressure):
-        if path.resolve() == out.resolve():
-            raise ValueError(f"--out: {out}: is one of the recordings, must be another file")
-    given = list(offset or [0.0])
-    if find_offset and offset:
-        raise ValueError("--find-offset: must not stand beside --offset, got both")
-    if len(given) not in (1, len(instron)):
-        raise ValueError(f"--offset: must be given once, or once for each of {len(instron)} runs, got {len(given)}")
-    return given * len(instron) if len(given) == 1 else given
+def _paste(console: "Console", out: Path) -> None:
+    """A line for a study, of which a path that is no whole one starts at the study's folder."""
+    from torcharm.characterise.toml_text import toml_entry
+
+    where = "" if out.is_absolute() else " in this folder"
+    say(console, f"In a study{where}, for all actuators of an arm, or in a list with others:")
+    say(console, toml_entry("actuators", {"kind": "file", "path": str(out)}))
 
 
 @contextmanager
@@ -127,39 +281,3 @@ def _warnings_on_stderr() -> Iterator[None]:
         yield
     for warning in found:
         print("torcharm: warning:", " ".join(str(warning.message).split()), file=sys.stderr)
-
-
-def _report(console: "Console", model: "FittedActuator", recording: "Recording") -> None:
-    quality = model.quality
-    assert quality is not None
-    print_table(_coefficients(model))
-    console.print()
-    lines = [f"R² {quality.r_squared:.5f}, RMSE {quality.rmse:.3g} N, {count(quality.samples, 'sample')}"]
-    lines += [
-        f"Run {held.run + 1} from the others: R² {held.r_squared:.5f}, RMSE {held.rmse:.3g} N"
-        for held in quality.hold_out
-    ]
-    (low, high), (first, last) = model.strain_range, model.pressure_range
-    lines.append(
-        f"Characterised for strains from {low:.3f} to {high:.3f}, pressures from {first:.3g} to {last:.3g} kPa"
-    )
-    shape = quality.monotonicity
-    if shape.failing_strain is None:
-        lines.append("Monotonic in pressure all over that range")
-    else:
-        where = "at strains from {:.3f} to {:.3f}".format(*shape.failing_strain)
-        lines.append(f"Monotonic in pressure up to {shape.up_to:.1f} kPa; beyond, not everywhere {where}")
-    lines.append(f"Highest pressure in use: {model.max_pressure:.1f} kPa")
-    lines += [f"O{name[1:]}: {value:.1f}" for name, value in recording.settings if name.startswith("offset")]
-    for line in lines:
-        say(console, line)
-
-
-def _coefficients(model: "FittedActuator") -> list[Column]:
-    assert model.quality is not None
-    terms, values, errors = [], [], [f"{error:.2g}" for error in model.quality.standard_errors]
-    for i, j, value in model.coefficients:
-        powers = (("ε", i), ("p", j))
-        terms.append(" ".join(f"{name}{'' if power == 1 else f'^{power}'}" for name, power in powers if power))
-        values.append(f"{value:.5g}")
-    return [Column("term", terms, 24), Column("coefficient", values), Column("standard error", errors)]

@@ -62,7 +62,7 @@ def shape(
         from torcharm.load import ExternalLoad
         from torcharm.pressure.search import LESS_COMPRESSION
         from torcharm.study import load_study, paper_study
-        from torcharm.study.units import FORCE, MOMENT
+        from torcharm.units import FORCE, MOMENT
 
         plan = paper_study() if study is None else asked_about(load_study(study))
         chosen = _arm(plan.arms, arm)
@@ -119,7 +119,7 @@ def _arm(arms: "tuple[NamedArm, ...]", name: str | None) -> "NamedArm":
 
 def _pressures(text: str, limits: Sequence[float]) -> list[float]:
     """Of each actuator [kPa]; those of passive ones, whose limit is 0, may be left out."""
-    from torcharm.study.units import PRESSURE
+    from torcharm.units import PRESSURE
 
     driven = [index for index, limit in enumerate(limits) if limit > 0]
     given = text.count(",") + 1

@@ -60,13 +60,16 @@ def finish(interrupted: bool, finished: Sized, refused: Mapping[str, Sequence[st
 
 
 def asked_about(study: "Study") -> "Study":
-    """The study, after questions on the standard error about limits that make sense in other units, and places."""
-    from torcharm.attainability.questions import question_about_limits, question_about_places
+    """The study, after what is doubtful about it, on the standard error.
+
+    That is limits that make sense in other units, actuators at one place, and a bending stiffness that was assumed.
+    """
+    from torcharm.attainability.questions import note_on_bending, question_about_limits, question_about_places
     from torcharm.statics.balance import segments_of
 
     for arm in study.arms:
         segments = segments_of(arm.design)[0]
-        for question in (question_about_limits(segments), question_about_places(segments)):
+        for question in (question_about_limits(segments), question_about_places(segments), note_on_bending(segments)):
             if question is not None:
                 print(f"torcharm: {arm.name}: {question}", file=sys.stderr)
     return study

@@ -31,11 +31,11 @@ from torcharm.inputs import (
     as_floating,
     broadcast_shapes,
     check_above_zero,
-    check_at_least,
     check_choice,
     check_count,
     check_finite,
     check_flag,
+    check_pressure,
     check_tensor,
     one_for_all,
     refuse_transforms,
@@ -279,7 +279,7 @@ def _checked(
     check_segments(whole, len(segments))
     check_tensor("pressure", pressure, arm.actuator_count)
     check_finite("pressure", pressure)
-    check_at_least("pressure", pressure, 0.0, unit="kPa")
+    check_pressure("pressure", pressure)
     check_tensor("base_pose", base, *group.POSE_SHAPE)
     check_finite("base_pose", base)
     check_rigid("base_pose", base)

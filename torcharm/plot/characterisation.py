@@ -14,10 +14,10 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from torcharm.actuators import Actuator
-from torcharm.actuators.alignment import Recording, held_strains
-from torcharm.actuators.characterisation import FittedActuator
-from torcharm.actuators.monotonicity import monotonicity
 from torcharm.arm import find_model
+from torcharm.characterise.alignment import Recording, held_strains
+from torcharm.characterise.fit import FittedActuator
+from torcharm.characterise.monotonicity import monotonicity
 from torcharm.plot._common import Array, axes_or_new
 
 ModelLike = Actuator | str | Path
@@ -29,6 +29,8 @@ STRAINS = "viridis"
 RESIDUALS = "PuOr"
 """Colour map of residuals, white at zero."""
 POINTS = 81
+FEW = 500
+"""Samples up to which each has a dot that is seen by itself."""
 MOST_DOTS = 4000
 """Samples drawn as dots; of more, every so many."""
 
@@ -52,10 +54,11 @@ def force_surface(model: ModelLike, recording: Recording | None = None, *, ax: A
     if recording is not None:
         few = slice(None, None, max(1, len(recording.force) // MOST_DOTS))
         dots = (recording.strain[few], recording.pressure[few], recording.force[few])
-        axes.plot(*dots, ".", color=DATA, markersize=1.5, alpha=0.5, label="recorded")
+        axes.plot(*dots, ".", color=DATA, markersize=_dot(recording), alpha=0.5, label="recorded")
     axes.set(xlabel="strain ε", ylabel="pressure p [kPa]", zlabel="force f [N]")
     axes.view_init(elev=22, azim=-125)
-    axes.legend(loc="upper left", fontsize="small", frameon=False, markerscale=6)
+    scale = 1 if recording is not None and _is_few(recording) else 6
+    axes.legend(loc="upper left", fontsize="small", frameon=False, markerscale=scale)
     return axes
 
 
@@ -87,7 +90,10 @@ def force_at_held_strains(
     for level, hold in zip(levels, holds, strict=True):
         colour = colours(norm(level))
         pressure, force = recording.pressure[hold], recording.force[hold]
-        axes.plot(pressure[::every], force[::every], ".", color=colour, markersize=1.5, alpha=0.35)
+        style: dict[str, Any] = {"markersize": _dot(recording), "alpha": 0.35}
+        if _is_few(recording):
+            style |= {"alpha": 1.0, "zorder": 3}
+        axes.plot(pressure[::every], force[::every], ".", color=colour, **style)
         line = np.linspace(0, pressure.max() if max_pressure is None else max_pressure, POINTS)
         axes.plot(line, _force(model, np.full(POINTS, level), line), color="white", linewidth=3.2)
         axes.plot(line, _force(model, np.full(POINTS, level), line), color=colour, linewidth=1.8)
@@ -96,12 +102,14 @@ def force_at_held_strains(
     axes.plot([], [], ".", color="0.4", label="recorded")
     axes.plot([], [], color="0.4", linewidth=1.8, label="model")
     axes.set(xlabel="pressure p [kPa]", ylabel="force f of one actuator [N]")
-    axes.legend(loc="upper left", frameon=False)
+    axes.legend(loc="best" if _is_few(recording) else "upper left", frameon=False)
     return axes
 
 
 def residual_map(model: ModelLike, recording: Recording, *, ax: Axes | None = None) -> Axes:
     """Mean residual, recorded minus model, over strain and pressure; white where it is zero, blank without samples.
+
+    A line goes around the region over which the model says it was measured.
 
     Args:
         model: any force model, or what stands for one in an arm.
@@ -114,7 +122,10 @@ def residual_map(model: ModelLike, recording: Recording, *, ax: Axes | None = No
     model = find_model("model", model)
     axes = axes_or_new(ax)
     residual = recording.force - _force(model, recording.strain, recording.pressure)
-    bins = [np.histogram_bin_edges(v, n) for v, n in ((recording.pressure, 45), (recording.strain, 21))]
+    bins = [
+        np.histogram_bin_edges(v, min(n, len(np.unique(v))))
+        for v, n in ((recording.pressure, 45), (recording.strain, 21))
+    ]
     count, *_ = np.histogram2d(recording.pressure, recording.strain, bins)
     total, *_ = np.histogram2d(recording.pressure, recording.strain, bins, weights=residual)
     mean = np.ma.masked_where(count == 0, total / np.maximum(count, 1))
@@ -123,8 +134,12 @@ def residual_map(model: ModelLike, recording: Recording, *, ax: Axes | None = No
     mesh = axes.pcolormesh(bins[0], bins[1], mean.T, cmap=RESIDUALS, vmin=-most, vmax=most)
     axes.set_facecolor("0.93")
     axes.figure.colorbar(mesh, ax=axes, extend="both", label="recorded - model [N]")
-    rmse = float(np.sqrt((residual**2).mean()))
-    axes.set(xlabel="pressure p [kPa]", ylabel="strain ε", title=f"residuals, RMSE {rmse:.2f} N")
+    region = getattr(model, "region", ())
+    if region:
+        strains, pressures = zip(*region, region[0], strict=True)
+        axes.plot(pressures, strains, color=MODEL, linewidth=1.5, clip_on=False)
+    rmse, outlined = float(np.sqrt((residual**2).mean())), "; outlined: where measured" if region else ""
+    axes.set(xlabel="pressure p [kPa]", ylabel="strain ε", title=f"residuals, RMSE {rmse:#.3g} N{outlined}")
     return axes
 
 
@@ -180,28 +195,28 @@ def blocked_force(
     if recording is not None:
         near = np.flatnonzero(np.abs(recording.strain - strain) <= 0.005)
         near = near[:: max(1, len(near) // MOST_DOTS)]
-        label = f"recorded, |ε - {strain:g}| ≤ 0.005"
-        axes.plot(
-            recording.pressure[near], recording.force[near], ".", color=DATA, markersize=2, alpha=0.5, label=label
-        )
+        style = {"color": DATA, "markersize": _dot(recording), "label": f"recorded, |ε - {strain:g}| ≤ 0.005"}
+        axes.plot(recording.pressure[near], recording.force[near], ".", alpha=0.5, **style)
     pressure = np.linspace(*model.pressure_range, POINTS)
     axes.plot(pressure, _force(model, np.full(POINTS, strain), pressure), color=MODEL, linewidth=2.5, label="model")
     axes.set(xlabel="pressure p [kPa]", ylabel=f"blocked force at ε = {strain:g} [N]")
-    axes.legend(loc="best", frameon=False, markerscale=4)
+    scale = 1 if recording is not None and _is_few(recording) else 4
+    axes.legend(loc="best", frameon=False, markerscale=scale)
     return axes
 
 
 def characterisation_figure(model: ModelLike, recording: Recording) -> Figure:
     """One page on a fit, for `figure.savefig(path)`: held strains, surface, residuals, free strain, blocked force.
 
-    Raises:
-        ValueError: no strain is held.
+    Where no strain is held, the surface has their place.
     """
     model = find_model("model", model)
     figure = Figure(figsize=(15.0, 9.5), layout="constrained")
     grid = figure.add_gridspec(2, 6)
-    force_at_held_strains(model, recording, ax=figure.add_subplot(grid[0, :3]))
-    force_surface(model, recording, ax=figure.add_subplot(grid[0, 3:], projection="3d"))
+    held = bool(held_strains(recording))
+    if held:
+        force_at_held_strains(model, recording, ax=figure.add_subplot(grid[0, :3]))
+    force_surface(model, recording, ax=figure.add_subplot(grid[0, 3 * held :], projection="3d"))
     residual_map(model, recording, ax=figure.add_subplot(grid[1, :2]))
     free_strain(model, ax=figure.add_subplot(grid[1, 2:4]))
     blocked_force(model, recording, ax=figure.add_subplot(grid[1, 4:]))
@@ -217,7 +232,17 @@ def _findings(model: Actuator, recording: Recording) -> str:
     shape = quality.monotonicity
     trend = "everywhere" if shape.monotonic else f"up to {shape.up_to:.1f} kPa"
     held_out = "".join(f", run {one.run + 1} from the others {one.r_squared:.4f}" for one in quality.hold_out)
-    return f"R² {quality.r_squared:.4f}{held_out}; RMSE {quality.rmse:.2f} N; monotonic in pressure {trend}; {count}"
+    return f"R² {quality.r_squared:.4f}{held_out}; RMSE {quality.rmse:#.3g} N; monotonic in pressure {trend}; {count}"
+
+
+def _is_few(recording: Recording) -> bool:
+    """Whether samples are so few, as of a table, that each is to be seen."""
+    return len(recording.force) <= FEW
+
+
+def _dot(recording: Recording) -> float:
+    """The size of a sample's dot."""
+    return 7.0 if _is_few(recording) else 1.5
 
 
 def _surface(model: Actuator) -> tuple[Array, Array, Array]:

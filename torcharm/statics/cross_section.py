@@ -29,8 +29,8 @@ from torcharm.inputs import (
     TensorLike,
     as_floating,
     broadcast_shapes,
-    check_at_least,
     check_finite,
+    check_pressure,
     check_tensor,
     one_for_all,
 )
@@ -194,5 +194,5 @@ def reaction_wrench(
     check_tensor("pressure", given, arm.actuator_count)
     broadcast_shapes(twists=twists.shape[:-2], pressure=given.shape[:-1], radii=arm.batch_shape)
     check_finite("pressure", given)
-    check_at_least("pressure", given, 0.0, unit="kPa")
+    check_pressure("pressure", given)
     return cross_sections(arm, twists).reaction(given.unsqueeze(-2))

@@ -17,10 +17,10 @@ from torcharm.actuators import (
     chamber,
     elastic_core,
 )
-from torcharm.actuators.model_file import load_actuator
 from torcharm.arm import ArmDesign, ring
 from torcharm.arm_series import ArmSeries, RigidLink, series
 from torcharm.attainability.questions import question_about_arm, question_about_mass
+from torcharm.characterise.model_file import load_actuator
 from torcharm.statics.balance import segments_of
 from torcharm.study.arm_tables import (
     PAPER_ARMS,

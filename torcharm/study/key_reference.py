@@ -7,7 +7,7 @@ from typing import Any, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
-from torcharm.actuators.toml_text import toml_value
+from torcharm.characterise.toml_text import toml_value
 from torcharm.study.fields import Needed, Table, allowed_words
 from torcharm.study.tables import StudyTable
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import torch
 
-from torcharm.actuators.toml_text import toml_entry
+from torcharm.characterise.toml_text import toml_entry
 from torcharm.geometry.rod import HANGING, HEADINGS, as_base
 from torcharm.inputs import shown
 from torcharm.load import PointLoad

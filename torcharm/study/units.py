@@ -1,6 +1,5 @@
 """Numbers of a study file that may be texts with a unit, such as "420 mm" or "30 deg"."""
 
-import math
 import re
 from collections.abc import Sequence
 from typing import Annotated, Any
@@ -10,15 +9,7 @@ from pydantic import Discriminator, Field, Tag
 from torcharm.attainability.questions import question_about_pose
 from torcharm.inputs import hint
 from torcharm.study.fields import Check, by_list, either, entries, refuse, shown_value
-
-LENGTH = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "in": 0.0254}
-ANGLE = {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180, "turn": 2 * math.pi}
-PRESSURE = {"kPa": 1.0, "Pa": 1e-3, "MPa": 1e3, "bar": 100.0, "mbar": 0.1, "psi": 6.894757293168361}
-MASS = {"kg": 1.0, "g": 1e-3, "lb": 0.45359237, "oz": 0.028349523125}
-AREA = {"m²": 1.0, "cm²": 1e-4, "mm²": 1e-6, "cm^2": 1e-4, "mm^2": 1e-6}
-FORCE = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "kgf": 9.80665, "gf": 9.80665e-3, "lbf": 4.4482216152605}
-MOMENT = {"N·m": 1.0, "N*m": 1.0, "N m": 1.0, "Nm": 1.0, "N·mm": 1e-3, "N*mm": 1e-3, "N mm": 1e-3, "Nmm": 1e-3}
-"""Factors to the unit in which numbers without one are read, which is the first of each."""
+from torcharm.units import ANGLE, AREA, FORCE, LENGTH, MASS, MOMENT, PRESSURE
 
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)\s*")
 

@@ -20,9 +20,9 @@ from torcharm.actuators import (
     PolynomialActuator,
 )
 from torcharm.actuators.ready import USUAL_STRAINS
-from torcharm.actuators.toml_text import toml_entry
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries, RigidLink
+from torcharm.characterise.toml_text import toml_entry
 from torcharm.inputs import plain_number, shown
 from torcharm.statics.balance import segments_of
 from torcharm.study.arm_reading import make_actuator
@@ -175,7 +175,8 @@ def _options(model: Actuator, index: int) -> dict[str, Any]:
     table: dict[str, Any] = {}
     for key in ("max_pressure", "bending_stiffness", "force_scale"):
         value, default = getattr(model, key, None), getattr(type(model), key, None)
-        if value is None or (type(value) is type(default) and value == default):
+        own = type(value) is type(default) and value == default
+        if value is None or own or (isinstance(value, LinearBending) and value.assumed):  # its file says so, too
             continue
         if isinstance(value, LinearBending | ConstantBending):
             table["bending"] = _bending(value)

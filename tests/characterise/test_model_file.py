@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import torcharm as ta
-from torcharm.actuators.model_file import actuator_text
+from torcharm.characterise.model_file import actuator_text
 
 RANDOM = np.random.default_rng(0)
 FITTED = ta.fit_force_model(

@@ -13,13 +13,14 @@ from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from torcharm.actuators.bending import Bending, ConstantBending, LinearBending
-from torcharm.actuators.characterisation import FittedActuator
 from torcharm.actuators.gridded import GriddedActuator
+from torcharm.actuators.measured import Measured
 from torcharm.actuators.polynomial import PolynomialActuator
 from torcharm.actuators.protocol import Actuator
 from torcharm.actuators.ready import Chamber, ElasticCore
 from torcharm.actuators.shipped import SHIPPED, model_of
-from torcharm.actuators.toml_text import toml_entry, toml_value
+from torcharm.characterise.fit import FittedActuator
+from torcharm.characterise.toml_text import toml_entry, toml_value
 from torcharm.files import atomic_write, read_file
 from torcharm.inputs import shown
 
@@ -34,6 +35,8 @@ KINDS: dict[str, Any] = {
     for kind in (PolynomialActuator, FittedActuator, GriddedActuator, Chamber, ElasticCore, *SHIPPED.values())
 }
 BENDINGS: dict[str, type[Any]] = {"linear": LinearBending, "constant": ConstantBending}
+ASSUMED = "# Not measured: neither a tensile test nor a data sheet's table tells it. torcharm fit --bending sets it."
+"""What a file says above a bending stiffness that was assumed."""
 UNITS = {"strain": "1", "pressure": "kPa", "force": "N", "bending_stiffness": "N·m²"}
 """Units of every model file. A coefficient of ε^i p^j is in N/kPa^j."""
 
@@ -66,15 +69,20 @@ def actuator_text(model: Actuator) -> str:
             raise ValueError(f"bending_stiffness: a file holds a number or a {_names(BENDINGS)}, got {shown(bending)}")
         tables["bending"] = {"kind": name, **_plain(bending)}
         del values["bending_stiffness"]
-    if isinstance(model, FittedActuator):
-        provenance, quality = values.pop("provenance"), values.pop("quality")
+    if isinstance(model, Measured):
+        provenance, quality = values.pop("provenance"), values.pop("quality", None)
         if len(dict(provenance)) < len(provenance):
             raise ValueError(f"provenance: must name each thing once, got {shown(provenance)}")
-        tables["provenance"] = dict(provenance)
+        if provenance or isinstance(model, FittedActuator):
+            tables["provenance"] = dict(provenance)
+        if not model.region:
+            del values["region"]
         if quality is not None:
             tables["quality"] = _plain(quality)
     head = [_HEAD, f"kind = {toml_value(kind)}", *_entries(values)]
     rest = [line for name, table in tables.items() for line in _section(name, table)]
+    if isinstance(bending, LinearBending) and bending.assumed:
+        rest.insert(rest.index("[bending]"), ASSUMED)
     return "\n".join([*head, *rest, "", _END]) + "\n"
 
 
@@ -121,7 +129,7 @@ def _model(raw: dict[str, Any]) -> Actuator:
         if "bending_stiffness" in raw:
             raise ValueError("bending: must not stand beside bending_stiffness, got both")
         raw["bending_stiffness"] = _bending(raw.pop("bending"))
-    if kind is FittedActuator:
+    if issubclass(kind, Measured):
         provenance = raw.pop("provenance", {})
         if not isinstance(provenance, dict) or not all(isinstance(v, str | int | float) for v in provenance.values()):
             raise ValueError(f"provenance: must be a table of texts and numbers, got {shown(provenance)}")

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares, minimize
 
 import torcharm as ta
-from torcharm.actuators.characterisation import MARGIN
-from torcharm.actuators.fitting import Monomials, correlation_length, covariance, exponents, robust, solve
 from torcharm.actuators.polynomial import BELLOWS_COEFFICIENTS
+from torcharm.characterise.fit import MARGIN
+from torcharm.characterise.least_squares import Monomials, correlation_length, covariance, exponents, robust, solve
 
 NONE = (np.empty((0, 9)), np.empty(0))
 TRUTH = ta.Bellows()
@@ -59,7 +59,7 @@ def test_tensors_do_as_well_and_the_ranges_are_the_datas():
     strain, pressure, force = (torch.from_numpy(value) for value in samples())
     model = ta.fit_force_model(strain, pressure, force, max_pressure=50.0, bending_stiffness=-0.1)
     assert model.strain_range == (strain.min().item(), strain.max().item())
-    assert model.pressure_range == (pressure.min().item(), pressure.max().item())
+    assert model.pressure_range == (0.0, pressure.max().item())
     assert (model.max_pressure, model.bending_stiffness) == (50.0, -0.1)
     arm = ta.ArmDesign([-0.05, 0.05], 0.5, [model, model])
     task = ta.Task(ta.affine_curvature(0.5, 0.5), [1.0, -1.0, 0.0])
@@ -272,7 +272,10 @@ def test_runs_of_which_one_alone_is_not_enough():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"strain": np.zeros(50)}, "strain, pressure: must vary enough to determine 9 coefficients"),
+        ({"strain": np.full(50, 0.1)}, "strain: must vary by 0.001 or more, got 0.1 in every sample"),
+        ({"pressure": np.full(50, 30.0)}, "pressure: must vary by 0.1 kPa or more, got 30 kPa in every sample"),
+        ({"force": np.zeros(50)}, "force: must not be 0 in every sample: a test of free lengths"),
+        ({"pressure": np.linspace(-40, 0, 50)}, "pressure: must be gauge .* -40 to 0 kPa: vacuum is not supported"),
         ({"force": np.zeros(49)}, "strain, pressure, force: must hold one number for each sample, got 50, 50, 49"),
         ({"force": np.full(50, np.nan)}, "force: must be finite, got nan at sample 0"),
         ({"strain": ["a"] * 50}, "strain: must be numbers"),

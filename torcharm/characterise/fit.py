@@ -14,12 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm.actuators.alignment import Recording
-from torcharm.actuators.bending import Bending
-from torcharm.actuators.fitting import (
+from torcharm.actuators.bending import Bending, LinearBending
+from torcharm.actuators.measured import SLACK, Measured, Provenance, measured_region
+from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS, PolynomialActuator
+from torcharm.characterise.alignment import Recording
+from torcharm.characterise.least_squares import (
     LOSSES,
     Array,
     Monomials,
+    Powers,
     Solution,
     correlation_length,
     covariance,
@@ -27,15 +30,17 @@ from torcharm.actuators.fitting import (
     rising_constraints,
     robust,
 )
-from torcharm.actuators.monotonicity import Monotonicity, monotonicity
-from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS, PolynomialActuator
+from torcharm.characterise.monotonicity import Monotonicity, monotonicity
 from torcharm.inputs import TensorLike, check_choice, check_count, check_number, shown
 
 HIGHEST_DEGREE = 9
+VACUUM_SHARE = 0.1
+"""Of the range of pressures, how much may lie below 0: more than the zero of any sensor is off."""
+LEAST_STRAIN, LEAST_PRESSURE = 1e-3, 0.1
+"""Ranges of strain and of pressure [kPa] below which samples differ by noise alone."""
 MARGIN = 1e-4
 """A constrained fit's slope is at least so much of its mean slope."""
 
-Provenance = tuple[tuple[str, str | float], ...]
 Constraints = tuple[Array, Array]
 
 
@@ -89,17 +94,16 @@ class FitQuality:
 
 
 @dataclass(frozen=True)
-class FittedActuator(PolynomialActuator):
+class FittedActuator(Measured, PolynomialActuator):
     """A polynomial actuator that knows where it comes from and how good it is.
 
     Attributes:
         quality: of the fit.
-        provenance: names and values: files, settings, versions.
+        region, provenance: as of `Measured`.
     """
 
     name: ClassVar[str] = "fitted polynomial"
     quality: FitQuality | None = field(default=None, repr=False)
-    provenance: Provenance = field(default=(), repr=False)
 
 
 def fit_force_model(
@@ -114,13 +118,14 @@ def fit_force_model(
     monotonic: bool = False,
     correlated: int | None = None,
     max_pressure: float | None = None,
-    bending_stiffness: float | Bending = PAPER_BENDING_STIFFNESS,
+    bending_stiffness: float | Bending | None = None,
+    terms: Powers | None = None,
     provenance: Provenance = (),
 ) -> FittedActuator:
     """Fit `f(ε, p) = Σ c_ij ε^i p^j`, `1 ≤ i + j ≤ degree`: no force at rest without pressure.
 
     Standard errors hold for noise that is uneven and correlated in time (Newey and West, as of
-    `torcharm.actuators.fitting.covariance`): give samples in order of time.
+    `torcharm.characterise.least_squares.covariance`): give samples in order of time.
 
     Args:
         strain, pressure [kPa], force [N]: n samples each, positive force pushing outward.
@@ -135,22 +140,26 @@ def fit_force_model(
         correlated: samples over which noise is correlated, 1 for independent; None estimates it.
         max_pressure: highest pressure in use [kPa]; None takes that to which the fit is monotonic at all strains of
             the data.
-        bending_stiffness: K [N·m²] at `max_pressure`, or a bending model. A tensile test does not measure it.
+        bending_stiffness: K [N·m²] at `max_pressure`, or a bending model. A tensile test does not measure it: None
+            takes the paper's estimate, and marks it as assumed.
+        terms: powers (i, j) of strain and pressure, in place of all up to the degree.
         provenance: names and values to keep with the model.
 
     Raises:
-        ValueError: samples do not match in number, are not finite or too few to determine the coefficients, or an
-            argument is none of those allowed.
+        ValueError: samples do not match in number, are not finite, tell nothing (see `check_informative`) or are too
+            few to determine the coefficients, or an argument is none of those allowed.
     """
     data = _Data.checked(strain, pressure, force, run)
-    powers = exponents(_check_options(degree, loss, loss_scale, correlated, max_pressure))
+    total = _check_options(degree, loss, loss_scale, correlated, max_pressure)
+    powers = terms or exponents(total)
+    check_informative(data.strain, data.pressure, data.force)
     top = float(data.pressure.max()) if max_pressure is None else max_pressure
     options: dict[str, Any] = {"loss": loss, "scale": loss_scale, "monotonic": monotonic, "top": top}
     fit = _fit(data, powers, **options)
     length = correlation_length(fit.solution.residual, data.runs) if correlated is None else correlated
     spread = fit.covariance(data, loss, length)
     strains = float(data.strain.min()), float(data.strain.max())
-    pressures = max(0.0, float(data.pressure.min())), max(0.0, float(data.pressure.max()))
+    pressures = characterised_pressures(data.pressure)
     coefficients = tuple((i, j, float(c)) for (i, j), c in zip(powers, fit.coefficients, strict=True))
     shape = monotonicity(PolynomialActuator(coefficients, strains, pressures, max(pressures[1], 1e-9)))
     if max_pressure is None:
@@ -171,19 +180,70 @@ def fit_force_model(
         monotonicity=shape,
     )
     return FittedActuator(
-        coefficients, strains, pressures, max_pressure, bending_stiffness, quality=quality, provenance=provenance
+        coefficients,
+        strains,
+        pressures,
+        max_pressure,
+        known_bending(bending_stiffness),
+        quality=quality,
+        region=measured_region(data.strain, data.pressure.clip(min=0)),
+        provenance=provenance,
     )
+
+
+def known_bending(given: float | Bending | None) -> float | Bending:
+    """A bending stiffness or model; None: the paper's estimate, marked as assumed."""
+    return LinearBending(PAPER_BENDING_STIFFNESS, assumed=True) if given is None else given
+
+
+def characterised_pressures(pressure: Array) -> tuple[float, float]:
+    """The range of pressures [kPa], from 0 on if the least is as good as that."""
+    low, high = (max(0.0, float(end)) for end in (pressure.min(), pressure.max()))
+    return (0.0 if low <= SLACK * high else low), high
+
+
+def check_informative(strain: Array, pressure: Array, force: Array) -> None:
+    """Raise a ValueError, a sentence each, about samples that tell nothing of a force by strain and pressure.
+
+    All forces are 0, strain or pressure does not vary, or pressures lie below that of the surroundings: sets, limits
+    and searches of pressure begin at 0.
+    """
+    if not force.any():
+        raise ValueError(
+            "force: must not be 0 in every sample: a test of free lengths tells how far an actuator moves, and nothing "
+            "of its force"
+        )
+    deepest, highest = float(pressure.min()), float(pressure.max())
+    if deepest < 0 and -deepest > VACUUM_SHARE * (highest - deepest):
+        raise ValueError(
+            f"pressure: must be gauge pressures from 0 up, got {deepest:g} to {highest:g} kPa: vacuum is not supported "
+            "as such; give its depth as the pressure, which is then positive, as will be limits and results"
+        )
+    for name, values, least, unit in (
+        ("strain", strain, LEAST_STRAIN, ""),
+        ("pressure", pressure, LEAST_PRESSURE, " kPa"),
+    ):
+        if np.ptp(values) < least:
+            raise ValueError(
+                f"{name}: must vary by {least:g}{unit} or more, got {values.mean():.4g}{unit} in every sample, which "
+                f"tells nothing of what {name} does"
+            )
 
 
 def fit_recording(recording: Recording, degree: int = 3, **options: Any) -> FittedActuator:
     """`fit_force_model` on one run or several pooled, with its files and settings as provenance; same options."""
-    from torcharm import __version__
-
-    files = tuple((f"run {index + 1}", source) for index, source in enumerate(recording.sources))
-    own = (("torcharm", __version__), *files, *recording.settings, *options.pop("provenance", ()))
+    own = (*provenance_of(recording), *options.pop("provenance", ()))
     return fit_force_model(
         recording.strain, recording.pressure, recording.force, degree, run=recording.run, provenance=own, **options
     )
+
+
+def provenance_of(recording: Recording) -> Provenance:
+    """Where a model of a recording comes from: this version, files and settings."""
+    from torcharm import __version__
+
+    files = tuple((f"run {index + 1}", source) for index, source in enumerate(recording.sources))
+    return (("torcharm", __version__), *files, *recording.settings)
 
 
 @dataclass(frozen=True)

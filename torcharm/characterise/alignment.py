@@ -1,6 +1,5 @@
 """Recordings of one run or several: pressure smoothed and brought to the tester's time stamps, runs pooled."""
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,11 +8,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from torcharm.actuators.recordings import Array, Floats, PressureRecord, TesterRecord
+from torcharm.characterise.recordings import Array, Floats, PressureRecord, TesterRecord
 from torcharm.inputs import check_count, check_number
 
 PAPER_SMOOTHING = 40.0
 """σ of the paper's Gaussian smoothing of pressure, in samples of the log."""
+MOST_LEVELS = 40
+"""Distinct strains, or pressures, of what counts as a table; a recording has thousands."""
 SMOOTHING_REACH = 2.5
 """The Gaussian ends at so many σ: with the paper's σ it spans 201 samples."""
 
@@ -71,7 +72,7 @@ def align(
         tester, log: of the same run.
         actuators: how many were pulled in parallel and shared the pressure.
         smoothing: σ of the Gaussian in samples of the log; 0 for none.
-        offset: what is added to the log's time to give the tester's [ms]; see `estimate_offset`.
+        offset: what is added to the log's time to give the tester's [ms]; see `offset.estimate_offset`.
         max_gap: drop stamps within pauses of the log longer than this [ms]; None bridges all of them, as the
             paper does.
 
@@ -100,7 +101,8 @@ def _aligned(
     if not kept.any():
         raise ValueError(
             f"{tester.source} and {log.source}: do not overlap in time: the tester ran from "
-            f"{tester.time[0]:g} to {tester.time[-1]:g} ms, the log from {clock[0]:g} to {clock[-1]:g} ms"
+            f"{tester.time[0]:.10g} to {tester.time[-1]:.10g} ms, the log from {clock[0]:.15g} to {clock[-1]:.15g} ms; "
+            f"an offset of {offset + tester.time[0] - clock[0]:.15g} ms would start both at once"
         )
     if max_gap is not None:
         after = np.searchsorted(clock, tester.time).clip(1, len(clock) - 1)
@@ -112,15 +114,22 @@ def _aligned(
         ("smoothing of pressure, samples", float(smoothing)),
         ("offset of the log, ms", float(offset)),
         *(() if max_gap is None else (("longest pause of the log, ms", float(max_gap)),)),
+        *noted(tester.source, tester.notes),
+        *(noted(log.source, log.notes) if log.source != tester.source else ()),
     )
     return Recording(
         tester.strain[kept],
         np.interp(tester.time[kept], clock, smoothed),
         -tester.force[kept] / actuators,
         np.zeros(int(kept.sum()), np.int64),
-        (f"{Path(tester.source).name}, {Path(log.source).name}",),
+        (", ".join(dict.fromkeys((Path(tester.source).name, Path(log.source).name))),),
         settings,
     )
+
+
+def noted(source: str, notes: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """What was left out, averaged or assumed of a file, as settings have it; nothing if nothing was."""
+    return ((f"notes on {Path(source).name}", "; ".join(notes)),) if notes else ()
 
 
 def pool(recordings: Sequence[Recording]) -> Recording:
@@ -150,66 +159,22 @@ def pool(recordings: Sequence[Recording]) -> Recording:
     )
 
 
-def estimate_offset(
-    tester: TesterRecord,
-    log: PressureRecord,
-    *,
-    degree: int = 3,
-    smoothing: float = PAPER_SMOOTHING,
-    search: float = 2000.0,
-) -> float:
-    """The offset of the log [ms] with which a polynomial of strain and pressure fits the run's force best.
-
-    Looked for on a coarse grid within ±`search`, then by golden sections about the best of it.
-
-    Args:
-        tester, log, smoothing: as for `align`.
-        degree: of the polynomial.
-        search: how far to look [ms].
-
-    Raises:
-        ValueError: the run does not overlap in time, at the offsets in reach or at all; or a setting is out of range.
-    """
-    from scipy.optimize import minimize_scalar
-
-    from torcharm.actuators.fitting import exponents, least_squares_loss
-
-    check_count("degree", degree, 1)
-    check_number("search", search, 0.0, strict=True, unit="ms")
-    align(tester, log, smoothing=smoothing)  # for its errors
-    smoothed, powers = smooth(log.pressure, smoothing), exponents(degree)
-    # Everything is compared on the stamps that all offsets have.
-    clock = log.time
-    common = (tester.time >= clock[0] + search) & (tester.time <= clock[-1] - search)
-    if common.sum() < 10 * len(powers):
-        raise ValueError(
-            f"search: {tester.source} and {log.source} overlap too little to look {search:g} ms either way, "
-            f"got {int(common.sum())} samples"
-        )
-    time, strain, force = tester.time[common], tester.strain[common], tester.force[common]
-
-    def loss(offset: float) -> float:
-        return least_squares_loss(strain, np.interp(time, clock + offset, smoothed), force, powers)
-
-    grid = np.linspace(-search, search, 41)
-    best = int(np.argmin([loss(offset) for offset in grid]))
-    if best in (0, 40):
-        warnings.warn(
-            f"{tester.source} and {log.source}: the best offset lies at the edge of ±{search:g} ms: look further",
-            stacklevel=2,
-        )
-    bounds = grid[max(best - 1, 0)], grid[min(best + 1, 40)]
-    return float(minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 0.1}).x)
+def is_table(recording: Recording) -> bool:
+    """Whether samples stand at a few strains and pressures, as those of a data sheet do."""
+    return all(len(np.unique(values)) <= MOST_LEVELS for values in (recording.strain, recording.pressure))
 
 
 def held_strains(recording: Recording, *, steady: float = 1e-4, apart: float = 0.01) -> list[NDArray[np.int64]]:
     """Samples of the strains at which the tester held still, one array of indices for each, from least to most.
 
     Args:
-        recording: one run, or several pooled: holds at equal strains go together.
+        recording: one run, or several pooled: holds at equal strains go together. A table holds each of its strains.
         steady: from one sample to the next, strain may move by so much.
         apart: strains further apart than this are different holds.
     """
+    if is_table(recording):
+        levels, place = np.unique(recording.strain, return_inverse=True)
+        return [np.flatnonzero(place == level) for level in range(len(levels))]
     still = np.zeros(len(recording.strain), bool)
     still[1:] = (np.abs(np.diff(recording.strain)) <= steady) & (np.diff(recording.run) == 0)
     # A ramp is a chain of small steps: what holds stays put over the samples around it, too.

@@ -1,0 +1,256 @@
+"""Every layout of recordings and tables gives the law back, by the command; what is not told is asked for."""
+
+import re
+import sys
+import time
+import tomllib
+
+import layouts
+import numpy as np
+import pytest
+import torch
+
+import torcharm as ta
+from torcharm import cli
+from torcharm.characterise.force_table import read_table
+
+FIT = ("--smoothing", 0, "--degree", 2)
+
+
+@pytest.fixture
+def fit(tmp_path, monkeypatch, capsys):
+    """Runs the command on texts of files, and gives what it wrote and printed."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments, **texts):
+        for name, text in texts.items():
+            data = text if isinstance(text, bytes) else text.encode()
+            (tmp_path / f"{name}.txt").write_bytes(data)
+        monkeypatch.setattr(sys, "argv", ["torcharm", "fit", *map(str, arguments), "--out", "m.toml"])
+        code = 0
+        try:
+            cli.main()
+        except SystemExit as end:
+            code = end.code or 0
+        shown = capsys.readouterr()
+        if code:
+            assert code == 2
+            assert shown.err.count("\n") == 1
+            assert not (tmp_path / "m.toml").exists()
+            return shown.err
+        return ta.load_actuator("m.toml"), shown.out
+
+    return run
+
+
+def assert_law(model, truth, rest=0.0):
+    found = {(i, j): c for i, j, c in model.coefficients}
+    for powers, value in truth.items():
+        assert found.pop(powers) == pytest.approx(value, rel=0.02)
+    assert all(abs(value) <= rest for value in found.values())
+
+
+def assert_found(result, truth=layouts.TRUTH):
+    assert not isinstance(result, str), result
+    assert_law(result[0], truth)
+
+
+RUN = ("--tester", "tester.txt", "--pressure", "log.txt", *FIT)
+
+
+@pytest.mark.parametrize("name", layouts.TESTERS)
+def test_testers_files(fit, name):
+    text, options = layouts.TESTERS[name]
+    assert_found(fit(*RUN, *options, tester=text, log=layouts.REFERENCE_LOG))
+
+
+@pytest.mark.parametrize("name", layouts.LOGS)
+def test_pressure_logs(fit, name):
+    text, options = layouts.LOGS[name]
+    assert_found(fit(*RUN, *options, tester=layouts.REFERENCE, log=text))
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp1252"])
+def test_encodings(fit, encoding):
+    tester = layouts.REFERENCE.replace("Displacement,", "Länge,", 1).encode(encoding)
+    assert_found(fit(*RUN, tester=tester, log=layouts.REFERENCE_LOG.encode(encoding)))
+
+
+def test_one_file_without_header(fit):
+    text, options = layouts.ONE_FILE
+    assert_found(fit("--tester", "tester.txt", *FIT, *options, tester=text))
+
+
+def test_one_file_with_a_header(fit):
+    columns = (layouts.TIME, 100 * layouts.STRAIN, layouts.PULL, layouts.pressure_at(layouts.TIME))
+    text = layouts.text("Time (ms),Strain (%),Force (N),Pressure (kPa)", layouts.lines(*columns))
+    assert_found(fit("--tester", "tester.txt", *FIT, tester=text))
+
+
+def test_notes_say_what_was_left_out_averaged_and_assumed(fit):
+    model, shown = fit(
+        *RUN, tester=layouts.TESTERS["words in three lines"][0], log=layouts.LOGS["two samples in one line"][0]
+    )
+    assert "Notes on tester.txt: lines 53, 84 damaged, left out" in shown
+    assert "Notes on log.txt: line 201 damaged, left out; names no unit: read time in ms and pressure in psi" in shown
+    assert dict(model.provenance)["notes on tester.txt"] == "lines 53, 84 damaged, left out"
+    text = layouts.LOGS["three samples a stamp, no closing line"][0]
+    _, shown = fit(*RUN, tester=layouts.TESTERS["stamps that repeat"][0], log=text)
+    assert "Notes on tester.txt: 10 of 410 stamps repeat or step back, averaged with those before them" in shown
+    assert "820 of 1230 stamps repeat or step back" in shown
+    assert "has no closing line, taken as whole" in shown
+
+
+def test_a_first_sample_glued_to_the_header_is_read(tmp_path):
+    (tmp_path / "log.txt").write_text(layouts.LOGS["the first sample in the header's line"][0])
+    record = ta.read_pressure(tmp_path / "log.txt")
+    assert (len(record.time), record.time[0]) == (410, 13.0)
+    names, units, *rows = layouts.REFERENCE.splitlines()
+    (tmp_path / "run.csv").write_text("\n".join([names, units + rows[0], *rows[1:], ""]))
+    assert ta.read_tester(tmp_path / "run.csv").time.tolist() == layouts.TIME.tolist()
+
+
+BOTH = ("reference", "reference")
+ASKED = [
+    (("no strain", "reference"), (), r"gauge_length: is missing, .* tester.txt .*: --gauge-length '80 mm'"),
+    (
+        ("two strains, one to be named", "reference"),
+        (),
+        r"tester.txt: line 1: must name one column of strain, got 'Strain 1' and 'Strain 2'; --columns says which, .*",
+    ),
+    (
+        ("reference", "kPa in brackets"),
+        ("--unit", "psi"),
+        r"unit: must be left out or be kPa, which log.txt or --pressure-columns names, got psi",
+    ),
+    (
+        ("kgf", "reference"),
+        ("--columns", "force=Force:N"),
+        r"columns: force: must be left without a unit or be in kgf, which tester.txt names in line 1, .*, got N",
+    ),
+    (("no strain", "reference"), ("--gauge-length", 80), r"gauge_length: must be at most 3 m, .*'80 mm' then"),
+    (
+        BOTH,
+        ("--gauge-length", "80 mm", "--columns", "strain=3"),
+        r"gauge_length: must stand with an extension, got one and columns that name strain",
+    ),
+    (BOTH, ("--columns", "3"), r"columns: must be as in 'time=Time:s, force=4', got '3'"),
+    (BOTH, ("--columns", "force=9"), r"columns: force: must be from 1 to 4, .*, got 9"),
+    (BOTH, ("--columns", "force=Kraft"), r"columns: force: must be the number or .*, got 'Kraft'"),
+    (BOTH, ("--columns", "forse=4"), r"columns: must be one of .*, got 'forse'; did you mean force\?"),
+    (BOTH, ("--columns", "force=4:furlong"), r"columns: force: the unit of force must be one of N, .*, got 'furlong'"),
+    (BOTH, ("--columns", "strain=3,extension=2"), r"columns: must name one of strain, contraction and extension, .*"),
+    (
+        ("reference", "seconds since 1970, no header"),
+        (),
+        r"tester.txt and log.txt: do not overlap in time: .*; an offset of -1690000000013 ms would start both at once",
+    ),
+]
+
+
+@pytest.mark.parametrize(("files", "options", "message"), ASKED)
+def test_what_is_lacking_or_contradicts_is_one_line(fit, files, options, message):
+    said = fit(*RUN, *options, tester=layouts.TESTERS[files[0]][0], log=layouts.LOGS[files[1]][0])
+    assert isinstance(said, str)
+    assert re.fullmatch(f"torcharm: {message}\n", said)
+
+
+def test_a_tester_without_pressures_needs_a_log(fit):
+    assert fit("--tester", "tester.txt", tester=layouts.REFERENCE).startswith(
+        "torcharm: --pressure: is missing, as tester.txt names no column of pressure"
+    )
+    assert fit().startswith("torcharm: --instron: is missing, must name a tester's file; or --table")
+
+
+# Tables
+
+TABLES = {"long": layouts.LONG, "wide": layouts.WIDE, "turned": layouts.TURNED}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_give_the_law(fit, name):
+    model, shown = fit("--table", "table.txt", table=TABLES[name])
+    assert_law(model, layouts.MUSCLE, rest=0.5)  # N per unit of strain: the digits printed
+    assert "Taken: mckibben" in shown
+    assert model.strain_range == (-0.25, 0.0)
+    assert model.pressure_range == (0.0, 600.0)
+    assert_law(fit("--table", "table.txt", "--model", "polynomial", table=TABLES[name])[0], layouts.MUSCLE, rest=0.5)
+
+
+def test_which_way_positive_forces_act_is_told_or_said(fit):
+    pushes = layouts.LONG.replace(",-", ",")
+    assert_law(fit("--table", "table.txt", "--positive", "pull", table=pushes)[0], layouts.MUSCLE, rest=0.5)
+    _, shown = fit("--table", "table.txt", table=pushes)
+    assert "Positive forces: push" in shown
+
+
+def test_empty_cells_of_a_table_are_no_samples(tmp_path):
+    rows = layouts.WIDE.splitlines()
+    rows[-1] = ";".join(rows[-1].split(";")[:4]) + ";;;;"
+    (tmp_path / "t.csv").write_text("\n".join([*rows, ""]))
+    recording = read_table(tmp_path / "t.csv")
+    assert len(recording.force) == 6 * 7 - 4
+    np.testing.assert_allclose(recording.force, layouts.muscle(recording.strain, recording.pressure), atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("%", ""), r"table.txt: line 1: must name the unit of contraction, one of mm/mm, %"),
+        ((" bar", ""), r"table.txt: line 1: must name the unit of pressure, .*; --unit says it"),
+        (("contraction", "wear"), r"table.txt: line 1: must begin with what the first column holds, .*'wear \[%\]'"),
+        (("\n5;", "\n5;x"), r"table.txt: line 3: must be 8 cells with finite numbers .*"),
+        (("1 bar", "1 psi"), r"table.txt: line 1: must name one unit of pressure, got bar and psi"),
+    ],
+)
+def test_bad_tables(fit, change, message):
+    said = fit("--table", "table.txt", table=layouts.WIDE.replace(*change))
+    assert isinstance(said, str)
+    assert re.match(f"torcharm: {message}", said)
+
+
+def test_a_data_sheets_muscle_is_fitted_by_the_best_model_to_a_part_of_its_force(fit):
+    contraction, pressure = np.linspace(0, 0.25, 11), np.linspace(0, 600, 7)
+    pull = layouts.data_sheet_muscle(contraction[:, None], pressure)
+    rows = [f"{100 * k:.1f}," + ",".join(f"{f:.0f}" for f in row) for k, row in zip(contraction, pull, strict=True)]
+    text = layouts.text("contraction [%]," + ",".join(f"{p:.0f} kPa" for p in pressure), rows)
+    model, shown = fit("--table", "table.txt", table=text)
+    grid = torch.from_numpy(-contraction)[:, None], torch.from_numpy(pressure)
+    assert np.abs(model.force(*grid).numpy() + pull).max() < 0.03 * pull.max()
+    errors = dict(re.findall(r"(\w+) \(\d+ numbers\), on samples left out: ([\d.e+]+) N off", shown))
+    assert set(errors) == {"mckibben", "polynomial", "gridded"}
+    (taken,) = re.findall(r"Taken: (\w+)", shown)
+    assert float(errors[taken]) <= 1.1 * min(map(float, errors.values()))
+    # Between the table's lines, where no model saw anything
+    between = -contraction[:-1] - 0.0125, pressure[:-1] + 50
+    strain, p = (torch.from_numpy(x) for x in np.meshgrid(*between, indexing="ij"))
+    off = model.force(strain, p).numpy() + layouts.data_sheet_muscle(-strain.numpy(), p.numpy())
+    assert np.sqrt((off**2).mean()) < 2 * float(errors[taken])
+
+
+# What is pasted, and how long it takes
+
+
+def test_the_last_line_is_toml_for_any_path(fit, monkeypatch, tmp_path):
+    _, shown = fit(*RUN, tester=layouts.REFERENCE, log=layouts.REFERENCE_LOG)
+    assert tomllib.loads(shown.splitlines()[-1])["actuators"] == {"kind": "file", "path": "m.toml"}
+    assert "In a study in this folder" in shown
+    monkeypatch.setattr(sys, "argv", ["torcharm", "fit", *map(str, RUN), "--out", r"C:\models\b.toml"])
+    with pytest.raises(SystemExit, match="0"):
+        cli.main()
+    assert (tmp_path / r"C:\models\b.toml").is_file()
+
+
+def test_ten_megabytes_take_less_than_two_seconds(tmp_path):
+    time_ = np.arange(0, 240_000 * 20.0, 20.0)
+    rows = layouts.lines(
+        time_, 0 * time_, 100 * layouts.strain_at(time_), time_ % 7.0, quote='"', formats=["{:.4f}"] * 4
+    )
+    rows[1000] = rows[1000].replace(",", ",x", 1)
+    path = tmp_path / "long.csv"
+    path.write_text(layouts.text("Time,Displacement,Strain,Force", "(ms),(mm),(%),(N)", rows))
+    assert path.stat().st_size > 10e6
+    started = time.process_time()
+    record = ta.read_tester(path)
+    assert time.process_time() - started < 2.0
+    assert len(record.time) == 240_000

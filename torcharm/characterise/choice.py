@@ -1,0 +1,153 @@
+"""Which kind of force model describes samples best: each predicts samples that it was not fitted to.
+
+Kinds are compared by their error on strains and pressures, runs or times that were left out, and not by how well they
+follow the samples that they were given: a grid follows anything.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from torcharm.actuators.protocol import Actuator
+from torcharm.characterise.alignment import MOST_LEVELS, Recording, is_table
+from torcharm.characterise.fit import fit_force_model, provenance_of
+from torcharm.characterise.gridded_fit import fit_gridded_model
+from torcharm.characterise.least_squares import Array, Powers, exponents
+from torcharm.inputs import check_choice
+
+MCKIBBEN: Powers = ((0, 1), (1, 1), (2, 1), (1, 0), (2, 0), (3, 0))
+"""Terms of a McKibben-type model: a pull in proportion to pressure, `p (a + b ε + c ε²)`, as follows from a braid's
+geometry (Chou and Hannaford 1996, Tondu and Lopez 2000), and the tube's own elasticity, a cubic."""
+GRID = 12
+"""Strains and pressures of the grid for samples that are no table."""
+BLOCKS = 5
+"""Parts of a single run, one after the other in time, that are left out in turn."""
+ALIKE = 1.1
+"""Errors within this factor of the least are alike: the model of fewest numbers is taken then."""
+SHARED = ("max_pressure", "bending_stiffness", "provenance")
+"""Options of polynomials that a grid has, too; it is fitted by least squares, and not held monotonic."""
+EXACT = 1e-3
+"""Of the largest force, an error that is as good as none: tables are printed to about as much."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A kind of model, and how it predicts what it was not fitted to.
+
+    Attributes:
+        kind: polynomial, mckibben or gridded.
+        numbers: how many the model holds.
+        rmse: of the forces left out [N]; infinite where it cannot be fitted.
+        reason: why it cannot be, or "".
+    """
+
+    kind: str
+    numbers: int
+    rmse: float
+    reason: str = ""
+
+
+def fit_kind(recording: Recording, kind: str, degree: int = 3, **options: Any) -> Actuator:
+    """A model of a kind, with the recording's files and settings as provenance.
+
+    Args:
+        recording: to fit to.
+        kind: polynomial, mckibben or gridded.
+        degree: of the polynomial.
+        **options: of `fit_force_model`; a grid takes those on limits, bending and provenance.
+
+    Raises:
+        ValueError: unknown kind; or as for `fit_force_model` and `fit_gridded_model`.
+    """
+    own = (*provenance_of(recording), *options.pop("provenance", ()))
+    fitters = _fitters(recording, degree, provenance=own, **options)
+    check_choice("model", kind, fitters)
+    return fitters[kind](recording.strain, recording.pressure, recording.force, run=recording.run)
+
+
+def best_fit(recording: Recording, degree: int = 3, **options: Any) -> tuple[list[Candidate], Actuator]:
+    """Each kind of model by its error on samples left out, and a model of the first, which is taken.
+
+    That is the kind of fewest numbers among those about as good as the best; others follow by their errors. The model's
+    provenance holds all errors.
+
+    Args:
+        recording, degree, **options: as for `fit_kind`.
+
+    Raises:
+        ValueError: no kind can be fitted.
+    """
+    grid = [len(_axis(values)) for values in (recording.strain, recording.pressure)]
+    counts = {"mckibben": len(MCKIBBEN), "polynomial": len(exponents(degree)), "gridded": math.prod(grid)}
+    left_out, found = list(_left_out(recording)), []
+    for kind, fitter in _fitters(recording, degree, **options).items():
+        try:
+            found.append(Candidate(kind, counts[kind], _error(recording, fitter, left_out)))
+        except ValueError as error:
+            found.append(Candidate(kind, counts[kind], math.inf, str(error)))
+    least = max(ALIKE * min(one.rmse for one in found), EXACT * float(np.abs(recording.force).max()))
+    found.sort(key=lambda one: (one.rmse > least, one.numbers if one.rmse <= least else one.rmse))
+    if not found[0].rmse < math.inf:
+        raise ValueError(found[0].reason)
+    errors = tuple((f"RMSE of {one.kind} on samples left out, N", one.rmse) for one in found if one.rmse < math.inf)
+    own = (("kind, by samples left out", found[0].kind), *errors, *options.pop("provenance", ()))
+    return found, fit_kind(recording, found[0].kind, degree, provenance=own, **options)
+
+
+def _fitters(recording: Recording, degree: int, **options: Any) -> dict[str, Callable[..., Actuator]]:
+    """What fits each kind of model to strains, pressures and forces."""
+    if is_table(recording):
+        options["correlated"] = 1
+    shared = {key: options[key] for key in SHARED if options.get(key) is not None}
+    found: dict[str, Callable[..., Actuator]] = {
+        "mckibben": partial(fit_force_model, terms=MCKIBBEN, **options),
+        "polynomial": partial(fit_force_model, degree=degree, **options),
+    }
+    free = not options.get("monotonic") and options.get("loss", "linear") == "linear"
+    return found | ({"gridded": partial(_fit_grid, **shared)} if free else {})
+
+
+def _left_out(recording: Recording) -> Iterator[NDArray[np.bool_]]:
+    """Samples that are left out together: a run; a strain or pressure of a table, but for its ends; or a part."""
+    if int(recording.run.max()) > 0:
+        yield from (recording.run == run for run in range(int(recording.run.max()) + 1))
+    elif is_table(recording):
+        for values in (recording.strain, recording.pressure):
+            yield from (values == level for level in np.unique(values)[1:-1])
+    else:
+        part = np.arange(len(recording.force)) * BLOCKS // len(recording.force)
+        yield from (part == block for block in range(BLOCKS))
+
+
+def _error(recording: Recording, fitter: Callable[..., Actuator], left_out: Sequence[NDArray[np.bool_]]) -> float:
+    """Root mean square [N] of predicted forces' errors."""
+    squares, count = 0.0, 0
+    for out in left_out:
+        model = fitter(recording.strain[~out], recording.pressure[~out], recording.force[~out])
+        residual = recording.force[out] - forces(model, recording.strain[out], recording.pressure[out])
+        squares, count = squares + float(residual @ residual), count + len(residual)
+    if not count:
+        raise ValueError("strain, pressure: must take three values each for any to be left out")
+    return math.sqrt(squares / count)
+
+
+@torch.no_grad()
+def forces(model: Actuator, strain: Array, pressure: Array) -> Array:
+    """A model's forces [N]."""
+    return np.asarray(model.force(torch.from_numpy(strain), torch.from_numpy(pressure)).detach())
+
+
+def _axis(values: Array) -> Array:
+    """Grid lines: the distinct values of a table, else evenly over their range."""
+    levels = np.unique(values)
+    return levels if len(levels) <= MOST_LEVELS else np.linspace(levels[0], levels[-1], GRID)
+
+
+def _fit_grid(strain: Array, pressure: Array, force: Array, run: object = None, **options: Any) -> Actuator:
+    return fit_gridded_model(strain, pressure, force, _axis(strain), _axis(pressure), **options)

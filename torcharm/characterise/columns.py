@@ -1,0 +1,278 @@
+"""Which column of a file holds what, and in which unit: told from its header, or said by a person."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from torcharm.characterise.delimited import Row, Sheet, is_number, short
+from torcharm.inputs import check_choice, shown
+from torcharm.units import MEASURED, unit_named
+
+Columns = str | Mapping[str, str | int]
+"""`"time=Time:s, force=4"` or `{"time": "Time:s", "force": 4}`: names or numbers from 1, perhaps with a unit."""
+
+_NAMED = {
+    "time": r"timestamp|\btime|elapsed|millis|zeit",
+    "strain": r"strain|dehnung",
+    "contraction": r"contraction|shortening|kontraktion|verkürzung",
+    "extension": r"extension|displacement|elongation|crosshead|stroke|position|\bweg|verlängerung",
+    "force": r"force|load|kraft",
+    "pressure": r"pressure|druck",
+}
+"""What the names of columns hold, in lower case and without units."""
+_SYMBOLS = {"time": ("t",), "strain": ("ε", "eps", "epsilon"), "force": ("f",), "pressure": ("p",)}
+"""What they are called alone."""
+_SET_POINT = re.compile(r"set ?point|target|command|demand|desired|reference|\bset\b|soll")
+"""What was asked for is no measurement."""
+_TOLD_BY_UNIT = ("time", "force", "pressure")
+"""Quantities whose units are those of nothing else that a bench records."""
+_PREFERRED_ALONE = ("time", "extension")
+"""Of which the column of that name alone is taken among several: others, such as a cycle's time, follow it."""
+_AMBIGUOUS = ("min", "h", "1", "-", "in", "g")
+"""What names a unit in brackets, or in a row of units, but may mean something else as a word of a name."""
+_BRACKETS = re.compile(r"\(([^()]*)\)|\[([^\[\]]*)\]")
+_OPTION = re.compile(r"(?:^|,)\s*([A-Za-z_]+)\s*=")
+
+
+@dataclass(frozen=True)
+class Header:
+    """The names of columns and the texts that stand for their units; "" where there is none."""
+
+    line: int
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+
+    @property
+    def shown(self) -> str:
+        """The names as they stand, shortened."""
+        return short(",".join(self.names)) if any(self.names) else "no header"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column that holds a quantity.
+
+    Attributes:
+        index: counted from 0.
+        unit: canonical; "" if neither the file nor a person named it, and no default holds.
+        named: whether the file or a person named it.
+    """
+
+    quantity: str
+    index: int
+    unit: str
+    named: bool
+
+    @property
+    def factor(self) -> float:
+        """One of its unit in torcharm's."""
+        return MEASURED[self.quantity][self.unit]
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """What a person says of a column: its name or number, "" for none, and its unit, None for none."""
+
+    column: str
+    unit: str | None
+
+
+def header_of(sheet: Sheet) -> Header:
+    """The names and units above the numbers; the former may hold the latter."""
+    rows = list(reversed(sheet.above[-4:]))
+    units: Row = []
+    line = rows[0][0] if rows else 1
+    if rows and _is_unit_row(rows[0][1]):
+        units = rows.pop(0)[1]
+    names: Row = []
+    if rows and sum(1 for cell in rows[0][1] if cell.strip() and not is_number(cell)) >= 2:
+        line, names = rows[0]
+    filled = [tuple(cell.strip() for cell in (row + [""] * sheet.width)[: sheet.width]) for row in (names, units)]
+    return Header(line, filled[0], filled[1])
+
+
+def find_columns(
+    sheet: Sheet,
+    quantities: Sequence[str],
+    columns: Columns | None,
+    defaults: Mapping[str, str] | None = None,
+    option: str = "--columns",
+) -> dict[str, Column]:
+    """The column of each quantity, and its unit.
+
+    Args:
+        sheet: of a file.
+        quantities: of `units.MEASURED`.
+        columns: what a person says of them.
+        defaults: units where nobody names one.
+        option: of the command that says it, for messages.
+
+    Raises:
+        ValueError: a column is not found, or more than one; its unit is not known; or the file and a person differ.
+    """
+    header, choices = header_of(sheet), _choices(columns)
+    return {q: _column(sheet, header, q, choices.get(q), (defaults or {}).get(q, ""), option) for q in quantities}
+
+
+def has_column(sheet: Sheet, quantity: str, columns: Columns | None) -> bool:
+    """Whether a quantity is said to have a column, or the header names one or more."""
+    return quantity in _choices(columns) or bool(_candidates(sheet, header_of(sheet), quantity))
+
+
+def named_by(quantity: str) -> str:
+    """A regular expression that finds the name of a quantity in lower case."""
+    return _NAMED[quantity]
+
+
+def told(columns: Columns | None) -> list[str]:
+    """The quantities of which a person says something."""
+    return list(_choices(columns))
+
+
+def _choices(columns: Columns | None) -> dict[str, _Choice]:
+    if columns is None:
+        return {}
+    if isinstance(columns, str):
+        start, *rest = _OPTION.split(columns)
+        if start.strip() or not rest:
+            raise ValueError(f"columns: must be as in 'time=Time:s, force=4', got {shown(columns)}")
+        pairs = list(zip(rest[::2], rest[1::2], strict=True))
+    else:
+        pairs = [(key, str(value)) for key, value in columns.items()]
+    found: dict[str, _Choice] = {}
+    for key, value in pairs:
+        quantity = key.strip().lower()
+        check_choice("columns", quantity, MEASURED)
+        if quantity in found:
+            raise ValueError(f"columns: must name {quantity} once, got it twice in {shown(columns)}")
+        found[quantity] = _choice(quantity, value.strip())
+    return found
+
+
+def _choice(quantity: str, text: str) -> _Choice:
+    column, colon, last = text.rpartition(":")
+    unit = unit_named(last, quantity) if colon else None
+    if unit is not None:
+        return _Choice(column.strip(), unit)
+    if colon and (column.strip().isdigit() or not column.strip()):
+        raise ValueError(f"columns: {quantity}: {_allowed(quantity)}, got {shown(last)}")
+    if not text:
+        raise ValueError(f"columns: {quantity}: must be a column's name or number, got none")
+    return _Choice(text, None)
+
+
+def _column(sheet: Sheet, header: Header, quantity: str, choice: _Choice | None, default: str, option: str) -> Column:
+    if choice is not None and choice.column:
+        index = _chosen(sheet, header, quantity, choice.column)
+    else:
+        found = _candidates(sheet, header, quantity)
+        if len(found) != 1:
+            raise ValueError(_not_one(sheet, header, quantity, found, option))
+        (index,) = found
+    named, unknown = _units(header, index, quantity)
+    where = f"{sheet.source}: line {header.line}"
+    if len(named) > 1:
+        raise ValueError(f"{where}: must name one unit of {quantity}, got {' and '.join(named)}")
+    said = choice.unit if choice is not None else None
+    if said is not None and named and MEASURED[quantity][said] != MEASURED[quantity][named[0]]:
+        raise ValueError(
+            f"columns: {quantity}: must be left without a unit or be in {named[0]}, which {sheet.source} names in line "
+            f"{header.line}, {header.shown}, got {said}"
+        )
+    unit = said or (named[0] if named else "")
+    if not unit and (unknown or not default):
+        got = f"{unknown!r} in {header.shown}" if unknown else f"none in {header.shown}"
+        raise ValueError(
+            f"{where}: {_allowed(quantity)}, got {got}; {option} says it, "
+            f'as in "{quantity}={header.names[index] or index + 1}:{next(iter(MEASURED[quantity]))}"'
+        )
+    return Column(quantity, index, unit or default, bool(unit))
+
+
+def _allowed(quantity: str) -> str:
+    return f"the unit of {quantity} must be one of {', '.join(MEASURED[quantity])}"
+
+
+def _chosen(sheet: Sheet, header: Header, quantity: str, text: str) -> int:
+    """The place of a column by its number, or by its name with or without unit."""
+    if text.isdigit() and text not in header.names:
+        if not 1 <= int(text) <= sheet.width:
+            raise ValueError(
+                f"columns: {quantity}: must be from 1 to {sheet.width}, as many as {sheet.source} has, got {text}"
+            )
+        return int(text) - 1
+    names = {"name": [_plain(name) for name in header.names], "short": [_base(name) for name in header.names]}
+    for own in names.values():
+        found = [i for i, name in enumerate(own) if name and name == _plain(text)]
+        if len(found) == 1:
+            return found[0]
+    raise ValueError(
+        f"columns: {quantity}: must be the number or the name of one column of {sheet.source}, line {header.line}: "
+        f"{header.shown}, got {shown(text)}"
+    )
+
+
+def _not_one(sheet: Sheet, header: Header, quantity: str, found: Sequence[int], option: str) -> str:
+    which = " and ".join(repr(header.names[i]) for i in found) if found else f"none in {header.shown}"
+    example = f"{quantity}={header.names[found[0]] if found else 2}"
+    return (
+        f"{sheet.source}: line {header.line}: must name one column of {quantity}, got {which}; {option} "
+        f'says which, by name or number, as in "{example}"'
+    )
+
+
+def _candidates(sheet: Sheet, header: Header, quantity: str) -> list[int]:
+    """Columns of numbers that may hold a quantity: by name, those named so alone first; or else by unit."""
+    numeric = [i for i in range(sheet.width) if sheet.numeric[i] and not _is_foreign(header, i, quantity)]
+    bases = {i: _base(header.names[i]) for i in numeric}
+    own = {i: name for i, name in bases.items() if not _SET_POINT.search(name)}
+    symbols = _SYMBOLS.get(quantity, ())
+    found = [i for i, name in own.items() if re.search(_NAMED[quantity], name) or name in symbols]
+    if len(found) > 1 and quantity in _PREFERRED_ALONE:
+        alone = [i for i in found if re.fullmatch(f"(?:{_NAMED[quantity]})s?", own[i])]
+        return alone if len(alone) == 1 else found
+    if found or quantity not in _TOLD_BY_UNIT:
+        return found
+    others = [pattern for other, pattern in _NAMED.items() if other != quantity]
+    return [i for i in own if _units(header, i, quantity)[0] and not any(re.search(p, own[i]) for p in others)]
+
+
+def _units(header: Header, index: int, quantity: str) -> tuple[list[str], str]:
+    """The units of a quantity that a column's header names, and what stands in a unit's place but is none."""
+    texts = _unit_texts(header, index)
+    found = [unit for text in texts if (unit := unit_named(text, quantity))]
+    if not found:
+        words = re.sub(f"(?:{_NAMED[quantity]})(?:s(?![a-z]))?", " ", header.names[index].lower())
+        words = re.sub(r"[_,;/]", " ", _BRACKETS.sub(" ", words))
+        found = [unit for w in words.split() if w not in _AMBIGUOUS and (unit := unit_named(w, quantity))]
+    return list(dict.fromkeys(found)), "" if found or not texts else texts[0]
+
+
+def _unit_texts(header: Header, index: int) -> list[str]:
+    """What stands in brackets, or in the row of units."""
+    inside = [(a or b).strip() for a, b in _BRACKETS.findall(header.names[index])]
+    return [text for text in (header.units[index].strip("()[] "), *inside) if text]
+
+
+def _is_foreign(header: Header, index: int, quantity: str) -> bool:
+    """Whether a column's header names a unit of another quantity, and none of this."""
+    texts = _unit_texts(header, index)
+    return not any(unit_named(t, quantity) for t in texts) and any(unit_named(t, q) for t in texts for q in MEASURED)
+
+
+def _is_unit_row(row: Row) -> bool:
+    filled = [cell.strip() for cell in row if cell.strip()]
+    return bool(filled) and all(_is_unit(cell) for cell in filled)
+
+
+def _is_unit(cell: str) -> bool:
+    return _BRACKETS.fullmatch(cell) is not None or any(unit_named(cell, quantity) for quantity in MEASURED)
+
+
+def _plain(name: str) -> str:
+    return " ".join(name.lower().replace("_", " ").split())
+
+
+def _base(name: str) -> str:
+    """A name without what stands in brackets, in lower case."""
+    return _plain(_BRACKETS.sub(" ", name))

@@ -1,0 +1,297 @@
+"""Reading what a test bench wrote: a tensile tester's file and a pressure log, or one file that holds both.
+
+The tester pulls a number of actuators in parallel and writes time, force and strain, or an extension; a logger writes
+the pressure in them. Neither is trusted: what is wrong with a file is a ValueError that names the file and the line,
+and whatever was left out, averaged or assumed is told in the record's notes.
+"""
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+from torcharm.characterise.columns import Column, Columns, find_columns, has_column, told
+from torcharm.characterise.delimited import Sheet, number, numbers, read_sheet
+from torcharm.files import StrPath
+from torcharm.inputs import check_choice, check_number
+from torcharm.units import PRESSURE
+
+Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    Floats = NDArray[np.float64]
+else:
+    Floats = np.ndarray
+
+PLAUSIBLE_PRESSURE = (20.0, 1000.0)
+"""Between these [kPa] lies the highest pressure of a recording, or its unit is doubted."""
+PLAUSIBLE_STRAIN = 5.0
+"""Above it, percents were probably taken for strains."""
+LONGEST_GAUGE = 3.0
+"""A gauge length [m] beyond which metres were hardly meant."""
+BACKWARD_STEPS = 3.0
+"""By how many usual steps a clock may go back and still be averaged; beyond, samples are out of order."""
+MOST_BACKWARD = 0.05
+"""Of all samples, how many may do so; three always may."""
+EPOCH = (1e9, 2.5e9)
+"""Seconds since 1970 of the years 2001 to 2049: no run is as long, so that such times name their own unit."""
+POSITIVE = ("pull", "push")
+"""What positive forces of a file may do."""
+LOG_UNITS = {"time": "ms", "pressure": "psi"}
+"""Of a pressure log that names none."""
+
+
+@dataclass(frozen=True, eq=False)
+class TesterRecord:
+    """What a tensile tester wrote.
+
+    Attributes:
+        time: (n) strictly increasing [ms].
+        strain: (n) of the actuators, from their neutral length.
+        force: (n) on all actuators together [N], positive in tension.
+        source: the file.
+        notes: what was left out, averaged or assumed.
+    """
+
+    time: Float[Floats, " n"]
+    strain: Float[Floats, " n"]
+    force: Float[Floats, " n"]
+    source: str
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class PressureRecord:
+    """What a pressure logger wrote.
+
+    Attributes:
+        time: (n) strictly increasing [ms].
+        pressure: (n) gauge pressure [kPa].
+        source: the file.
+        notes: what was left out, averaged or assumed.
+    """
+
+    time: Float[Floats, " n"]
+    pressure: Float[Floats, " n"]
+    source: str
+    notes: tuple[str, ...] = ()
+
+
+def read_tester(
+    path: StrPath,
+    *,
+    columns: Columns | None = None,
+    gauge_length: float | None = None,
+    positive: str = "pull",
+    truncated: bool = False,
+) -> TesterRecord:
+    """Read time, force and strain of a tensile tester's file of columns; units are those that the file names.
+
+    Columns are known by their names (Force or Load, Strain, Extension or Displacement, ...) unless said; others are
+    passed over. Stamps that repeat or go back a little are averaged, and damaged lines left out, a few of them.
+
+    Args:
+        path: the file.
+        columns: which columns hold what, by name or number, and in which unit, where the file does not tell:
+            "time=1:ms, extension=5:mm, force=Load:N".
+        gauge_length: of the actuators [m]; strain is then the extension over it.
+        positive: whether positive forces of the file "pull" or "push".
+        truncated: whether to accept a file that ends within a line, and drop that line.
+
+    Raises:
+        ValueError: the file cannot be read, lacks a column or a unit, ends within a line, is damaged in many lines, or
+            time goes back. It names file and line.
+    """
+    return as_tester_record(read_sheet(path), columns, gauge_length, positive=positive, truncated=truncated)
+
+
+def read_pressure(
+    path: StrPath, unit: str | None = None, *, columns: Columns | None = None, truncated: bool = False
+) -> PressureRecord:
+    """Read time and pressure of a log, or of a file with more columns.
+
+    Units are those that the file names, else ms and `unit`; times like seconds since 1970 are such. Without a
+    header, the first of two columns is the time. A highest pressure that is implausible for a soft actuator (outside 20
+    to 1000 kPa) is a warning: it tells of a wrong unit. A log without a closing line, such as "Logging end", is read
+    and noted.
+
+    Args:
+        path: the file.
+        unit: of its pressures; None: what the file names, psi where it names none.
+        columns: as for `read_tester`, of time and pressure.
+        truncated: as for `read_tester`.
+
+    Raises:
+        ValueError: unknown unit, or another one than the file names; or as for `read_tester`.
+    """
+    if unit is not None:
+        check_choice("unit", unit, PRESSURE)
+    return as_pressure_record(read_sheet(path), unit, columns, truncated=truncated)
+
+
+def as_tester_record(
+    sheet: Sheet,
+    columns: Columns | None,
+    gauge_length: float | None,
+    *,
+    positive: str = "pull",
+    truncated: bool = False,
+) -> TesterRecord:
+    """`read_tester` of a file that is read."""
+    check_choice("positive", positive, POSITIVE)
+    stretch = stretch_quantity(sheet, columns, gauge_length)
+    found = find_columns(sheet, ("time", "force", stretch), columns, _clock_unit(sheet, columns))
+    table, notes = _in_time(sheet, found, truncated=truncated)
+    strain = table[stretch] * {"strain": 1.0, "contraction": -1.0}.get(stretch, 1 / (gauge_length or 1.0))
+    if np.abs(strain).max() > PLAUSIBLE_STRAIN:
+        warnings.warn(
+            f"{sheet.source}: strains reach {np.abs(strain).max():.3g}, more than {PLAUSIBLE_STRAIN:g}: is the unit of "
+            f"{stretch}, {found[stretch].unit}, right?",
+            stacklevel=3,
+        )
+    tension = 1.0 if positive == "pull" else -1.0
+    return TesterRecord(table["time"], strain, tension * table["force"], sheet.source, notes)
+
+
+def as_pressure_record(
+    sheet: Sheet,
+    unit: str | None,
+    columns: Columns | None,
+    *,
+    truncated: bool = False,
+    alone: bool = True,
+    option: str = "--columns",
+) -> PressureRecord:
+    """`read_pressure` of a file that is read.
+
+    Args:
+        sheet, unit, columns, truncated: as there.
+        alone: whether it is a logger's own, which may leave units to be known; a tester's file names them.
+        option: of the command that names columns, for messages.
+    """
+    if unit is not None:
+        check_choice("unit", unit, PRESSURE)
+    if not told(columns) and not sheet.above and sheet.width == 2:
+        columns = {"time": 1, "pressure": 2}
+    defaults = (LOG_UNITS if alone else {}) | ({"pressure": unit} if unit else {}) | _clock_unit(sheet, columns)
+    found = find_columns(sheet, ("time", "pressure"), columns, defaults, option)
+    pressure = found["pressure"]
+    if unit is not None and pressure.named and pressure.factor != PRESSURE[unit]:
+        raise ValueError(
+            f"unit: must be left out or be {pressure.unit}, which {sheet.source} or {option} names, got {unit}"
+        )
+    table, notes = _in_time(sheet, found, truncated=truncated)
+    if not sheet.closing and len(found) == sheet.width:
+        notes = (*notes, "has no closing line, taken as whole")
+    low, high = PLAUSIBLE_PRESSURE
+    most = float(table["pressure"].max())
+    if not low <= most <= high and table["pressure"].min() > -low:
+        warnings.warn(
+            f"{sheet.source}: pressures reach {most:.3g} kPa when read as {pressure.unit}, soft actuators are driven "
+            f"to {low:g} to {high:g} kPa: is the unit right?",
+            stacklevel=3,
+        )
+    return PressureRecord(table["time"], table["pressure"], sheet.source, notes)
+
+
+def stretch_quantity(sheet: Sheet, columns: Columns | None, gauge_length: float | None) -> str:
+    """Which of strain, contraction and extension a file is read by.
+
+    Raises:
+        ValueError: a gauge length is needed, not needed or in another unit; or two of the three are named.
+    """
+    said = [quantity for quantity in told(columns) if quantity in ("strain", "contraction", "extension")]
+    if len(said) > 1:
+        raise ValueError(f"columns: must name one of strain, contraction and extension, got {' and '.join(said)}")
+    if gauge_length is not None:
+        check_number("gauge_length", gauge_length, 0.0, strict=True, unit="m")
+        if gauge_length > LONGEST_GAUGE:
+            raise ValueError(
+                f"gauge_length: must be at most {LONGEST_GAUGE:g} m, got {gauge_length:g} m: is it in millimetres? "
+                f"Write '{gauge_length:g} mm' then"
+            )
+        if said and said[0] != "extension":
+            raise ValueError(f"gauge_length: must stand with an extension, got one and columns that name {said[0]}")
+        return "extension"
+    stretch = said[0] if said else next((q for q in ("strain", "contraction") if has_column(sheet, q, None)), "")
+    if not stretch and has_column(sheet, "extension", None):
+        stretch = "extension"
+    if stretch == "extension":
+        raise ValueError(
+            f"gauge_length: is missing, must be the actuators' length, to which {sheet.source} gives extensions and no "
+            "strains: --gauge-length '80 mm'"
+        )
+    return stretch or "strain"
+
+
+def _clock_unit(sheet: Sheet, columns: Columns | None) -> dict[str, str]:
+    """The unit of times that count from 1970, whose size names it; nothing of others."""
+    try:
+        found = find_columns(sheet, ("time",), columns, LOG_UNITS)
+    except ValueError:  # is told when all columns are looked for
+        return {}
+    first = _first_number(sheet, found["time"])
+    sizes = {"s": 1.0, "ms": 1e3, "µs": 1e6}
+    return next(({"time": unit} for unit, size in sizes.items() if EPOCH[0] <= first / size <= EPOCH[1]), {})
+
+
+def _first_number(sheet: Sheet, column: Column) -> float:
+    """The first number of a column; NaN without one."""
+    values = (number(row[column.index], sheet.decimal) for row in sheet.rows[:50] if len(row) > column.index)
+    return next((value for value in values if np.isfinite(value)), np.nan)
+
+
+def _in_time(
+    sheet: Sheet, columns: Mapping[str, Column], *, truncated: bool
+) -> tuple[dict[str, Array], tuple[str, ...]]:
+    """Columns in torcharm's units, time in ms strictly increasing, and what was done to get there."""
+    table, places, notes = numbers(sheet, [column.index for column in columns.values()], truncated=truncated)
+    table = table * [column.factor for column in columns.values()]
+    guessed = [f"{c.quantity} in {c.unit}" for c in columns.values() if not c.named]
+    notes = (*notes, *([f"names no unit: read {' and '.join(guessed)}"] if guessed else []))
+    order = list(columns).index("time")
+    steps = np.diff(table[:, order])
+    if not (steps <= 0).any():
+        return dict(zip(columns, table.T, strict=True)), notes
+    _check_clock(sheet.source, table[:, order], places)
+    averaged = _averaged(table, order)
+    notes = (
+        *notes,
+        f"{len(table) - len(averaged)} of {len(table)} stamps repeat or step back, averaged with those before them",
+    )
+    return dict(zip(columns, averaged.T, strict=True)), notes
+
+
+def _check_clock(source: str, time: Array, places: list[int]) -> None:
+    """Raise if the clock goes back further, or more often, than jitter does."""
+    steps = np.diff(time)
+    forward = steps[steps > 0]
+    usual = float(np.median(forward)) if len(forward) else 0.0
+    behind = np.maximum.accumulate(time) - time
+    far = np.flatnonzero(behind > BACKWARD_STEPS * usual)
+    often = np.flatnonzero(steps < 0) + 1
+    if len(often) <= max(3, MOST_BACKWARD * len(time)):
+        often = often[:0]
+    late = np.concatenate((far, often))
+    if len(late) or not len(forward):
+        row = int(late[0]) if len(late) else 1
+        raise ValueError(
+            f"{source}: line {places[row]}: time must increase, got {time[row]:g} ms, which comes after "
+            f"{time[:row].max():g} ms: are lines out of order, or two runs in one file?"
+        )
+
+
+def _averaged(table: Array, order: int) -> Array:
+    """Rows (n, k) whose time, in one column, does not increase, averaged with those before them until it does."""
+    while True:
+        time = table[:, order]
+        # A row joins the ones before it unless it is later than all of them.
+        later = np.concatenate(([True], time[1:] > np.maximum.accumulate(time)[:-1]))
+        if later.all():
+            return table
+        starts = np.flatnonzero(later)
+        count = np.diff(np.append(starts, len(table)))
+        table = np.add.reduceat(table, starts, axis=0) / count[:, None]
