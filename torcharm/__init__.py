@@ -38,7 +38,11 @@ if TYPE_CHECKING:
         optimise_design,
         verify_design,
     )
+    from torcharm.design.robust import Robust
+    from torcharm.design.scatter import Scatter
     from torcharm.design.shape_planning import PlannedShape, Smoothness, plan_shape
+    from torcharm.design.tolerance import tolerance
+    from torcharm.design.tolerance_result import BuiltArms
     from torcharm.equilibrium import Equilibrium, NotConvergedError, solve_equilibrium
     from torcharm.geometry.rod import poses
     from torcharm.load import ExternalLoad, PointLoad
@@ -76,6 +80,7 @@ __all__ = [
     "Attainability",
     "Bellows",
     "BendingFunction",
+    "BuiltArms",
     "ConstantBending",
     "DesignSpace",
     "Equilibrium",
@@ -101,6 +106,8 @@ __all__ = [
     "PressureSearch",
     "Recording",
     "RigidLink",
+    "Robust",
+    "Scatter",
     "Smoothness",
     "SweepResult",
     "Task",
@@ -154,6 +161,7 @@ __all__ = [
     "solve_equilibrium",
     "standard_deviation",
     "sweep",
+    "tolerance",
     "verify_design",
     "wrench_hulls",
 ]
@@ -166,6 +174,7 @@ _LATER = {
     "Attainability": "attainability",
     "Bellows": "actuators",
     "BendingFunction": "actuators",
+    "BuiltArms": "design.tolerance_result",
     "ConstantBending": "actuators",
     "DesignSpace": "design",
     "Equilibrium": "equilibrium",
@@ -191,6 +200,8 @@ _LATER = {
     "PressureSearch": "pressure.search",
     "Recording": "actuators.alignment",
     "RigidLink": "arm_series",
+    "Robust": "design.robust",
+    "Scatter": "design.scatter",
     "Smoothness": "design.shape_planning",
     "SweepResult": "sweeps",
     "Task": "task",
@@ -244,6 +255,7 @@ _LATER = {
     "solve_equilibrium": "equilibrium",
     "standard_deviation": "actuators.uncertainty",
     "sweep": "sweeps",
+    "tolerance": "design.tolerance",
     "verify_design": "design",
     "wrench_hulls": "wrench_sets.wrench_set",
 }
