@@ -15,12 +15,26 @@ from torch import Tensor
 from torcharm.design.scatter import Source, built_arms, scattered
 from torcharm.design.space import Arm
 from torcharm.equilibrium.gradient import with_gradients
+from torcharm.geometry import se2, se3
 from torcharm.pressure.errors import errors_of
 from torcharm.pressure.followed import followed_pressure
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.pressure.predicted_error import PredictedError
 from torcharm.pressure.prepared import prepare
 from torcharm.task import Task
+
+
+def tip_places(error: Tensor) -> Tensor:
+    """(..., D) where tips are, seen from where they are to be [m], along axes that are the same for all arms.
+
+    Args:
+        error: (..., N+1, 3 or 6) of poses, as of `PredictedError`: what is wanted, seen from the pose reached.
+    """
+    tip = error[..., -1, :]
+    if tip.shape[-1] == 3:
+        return se2.inverse(tip)[..., :2]
+    turn = se3.exp(torch.cat((torch.zeros_like(tip[..., :3]), tip[..., 3:]), -1))
+    return -se3.rotate_back(turn, tip[..., :3])
 
 
 def tip_slopes(
@@ -32,7 +46,7 @@ def tip_slopes(
     *,
     compensated: bool,
 ) -> list[Tensor]:
-    """For each source the slopes (*task batch, D, K) of the tip's place, seen from the tip, by its parameters [m].
+    """For each source the slopes (*task batch, D, K) of the tip's place, as of `tip_places`, by its parameters [m].
 
     By the implicit function theorem, at the drawn arm: with its pressures kept, or with pressures that stay at their
     minimum. NaN where no stable equilibrium was found.
@@ -55,7 +69,7 @@ def tip_slopes(
         pressure = followed_pressure(prepared, found) if compensated else torch.minimum(kept, limit)
         problem, known = replace(prepared.problem, pressure=pressure), found.stable.cpu()
         reached = with_gradients(problem, found.twists.detach().to(limit), known)
-        tip = errors_of(prepared, pressure, reached, known, known).pose_errors[..., -1, : arm.dimension]
+        tip = tip_places(errors_of(prepared, pressure, reached, known, known).pose_errors)
     options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
     rows = [torch.autograd.grad(tip[..., d].nansum(), moves, **options) for d in range(arm.dimension)]
     found_slopes = [torch.stack(column, -2) for column in zip(*rows, strict=True)]

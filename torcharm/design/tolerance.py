@@ -13,7 +13,7 @@ from torcharm.attainability import PREDICTED, PoseTolerance, evaluate_search
 from torcharm.attainability.evaluation import as_tolerance
 from torcharm.attainability.verdict import judge, over_tolerance
 from torcharm.design.scatter import Scatter, Sizes, Source, built_arms, normal_numbers, scattered
-from torcharm.design.sensitivity import fitted_slopes, tip_slopes, variances
+from torcharm.design.sensitivity import fitted_slopes, tip_places, tip_slopes, variances
 from torcharm.design.space import Arm
 from torcharm.design.tolerance_result import BuiltArms
 from torcharm.inputs import check_count, check_flag, shown
@@ -113,7 +113,7 @@ def built_as(
         tip_slopes(arm, one, sources, found, pose_cost, compensated=compensated)
         for one, found in zip(tasks, drawn, strict=True)
     ]
-    slopes = [torch.cat([part.flatten(0, -3) for part in column]) for column in zip(*both, strict=True)]
+    slopes = [torch.cat([part.reshape(-1, *part.shape[-2:]) for part in column]) for column in zip(*both, strict=True)]
     return _result(arm, scatter, sources, normal, how.tolerance, compensated, nominal, built, slopes)
 
 
@@ -224,5 +224,4 @@ class Evaluation:
             columns["margin"] = seen.capacity_margin
         designs = arm.batch_shape.numel()
         flat = {name: column.reshape(designs, -1) for name, column in columns.items()}
-        tip = found.pose_errors[..., -1, : arm.dimension]
-        return flat | {"tip": tip.reshape(designs, -1, arm.dimension)}
+        return flat | {"tip": tip_places(found.pose_errors).reshape(designs, -1, arm.dimension)}

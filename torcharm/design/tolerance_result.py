@@ -1,5 +1,6 @@
 """What was found of built arms: percentiles, yields, and what decides them."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -64,7 +65,7 @@ class BuiltArms(HoldsTensors):
             loading leads to: what yields count. Strains may be beyond what was characterised: manufacture does not know
             of that range, and the verdict does.
         verdict_code: (S, T) indices into `torcharm.attainability.verdict.VERDICTS`: "held" is within, and in range.
-        tip: (S, T, D) the tip's place from the task's, along its axes [m].
+        tip: (S, T, D) the tip's place seen from the task's [m]; NaN where there is none.
         margin: (S, T) capacity margin [N], if it was asked for.
         nominal_tip_error, nominal_within, nominal_verdict_code: (T,) of the drawn arm.
         sources: G names of what is scattered, in the order in which it is told.
@@ -128,8 +129,12 @@ class BuiltArms(HoldsTensors):
         if max(shares, default=0.0) > 1:
             raise ValueError(f"percents: must be at most 100, got {100 * max(shares):g}")
         error = self.tip_error.sort(0).values
-        places = [min(len(error) - 1, max(0, int(np.ceil(share * len(error))) - 1)) for share in shares]
-        return error[places]
+        return error[[_place(share, len(error)) for share in shares]]
+
+    def pooled_percentile(self, percent: float) -> Tensor:
+        """The tip error [m] that so many percent of built arms on all tasks together stay within."""
+        error = self.tip_error.flatten().sort().values
+        return error[_place(percent / 100, len(error))]
 
     @property
     def deviation_by_samples(self) -> Tensor:
@@ -161,7 +166,7 @@ class BuiltArms(HoldsTensors):
 
     @property
     def shares(self) -> dict[str, float]:
-        """Of each source the share in the variance of the tip's place, of all tasks together, by gradients."""
+        """Of each source the share in the variance of the tip's place, mean over the tasks, by gradients."""
         return self._shares(self.variance_by_gradient)
 
     @property
@@ -170,8 +175,8 @@ class BuiltArms(HoldsTensors):
         return self._shares(self.variance_by_samples)
 
     def _shares(self, variance: Tensor) -> dict[str, float]:
-        total = variance.nansum(-1)
-        shares = (total / total.sum()).tolist() if bool(total.sum() > 0) else [float("nan")] * len(total)
+        each = variance / variance.sum(0)  # a task near a snap, whose tip moves by far more, counts as much as others
+        shares = each.nanmean(-1).tolist()
         return {
             name: sum(share for other, share in zip(self.sources, shares, strict=True) if other == name)
             for name in dict.fromkeys(self.sources)
@@ -197,20 +202,21 @@ class BuiltArms(HoldsTensors):
     @property
     def agreement(self) -> str:
         """How far gradients and samples agree, in words."""
-        first, second = 1e3 * self.deviation_by_gradient, 1e3 * self.deviation_by_samples
-        known = first.isfinite() & second.isfinite()
+        known = self.deviation_by_gradient.isfinite() & self.deviation_by_samples.isfinite()
         if not bool(known.any()):
             return "no task has a stable shape, so that nothing can be compared"
-        ratio = float((first[known].square().sum() / second[known].square().sum()).sqrt())
-        explained = float(self.explained[known].nanmean())
+        first, second = (
+            1e3 * float(value[known].median()) for value in (self.deviation_by_gradient, self.deviation_by_samples)
+        )
+        explained = float(self.explained[known].nanmedian())
         words = (
-            f"tips scatter by {float(second[known].square().mean().sqrt()):.3g} mm (rms) by samples, "
-            f"by {float(first[known].square().mean().sqrt()):.3g} mm to first order by gradients"
+            f"tips scatter by {second:.3g} mm (rms) by samples, by {first:.3g} mm to first order by gradients"
+            f"{', medians over the tasks' if len(known) > 1 else ''}"
         )
         if not np.isfinite(explained):
             return f"{words}; too few samples to tell how much of it is linear"
         words += f"; {100 * explained:.0f} % of the samples' variance is linear"
-        if explained < LINEAR or abs(ratio - 1) > 1 - LINEAR:
+        if explained < LINEAR or abs(first - second) > (1 - LINEAR) * second:
             words += ": gradients at the drawn arm tell only part of it"
         return words
 
@@ -244,3 +250,8 @@ class BuiltArms(HoldsTensors):
         """Counts and the yield, no tensors."""
         samples, tasks = self.tip_error.shape
         return f"BuiltArms({samples} arms on {tasks} tasks, yield {self.yield_of_all}, {self.decisive} decides)"
+
+
+def _place(share: float, count: int) -> int:
+    """The place among so many ordered values below which a share of them lies, itself included."""
+    return min(count - 1, max(0, math.ceil(share * count - 1e-9) - 1))

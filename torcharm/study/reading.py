@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from torcharm.attainability import CHOICES, PoseTolerance, check_measure
 from torcharm.attainability.questions import LONGEST, WIDEST, question_about_lengths
 from torcharm.design.objective import Objective
+from torcharm.design.scatter import FIELDS, Scatter
 from torcharm.design.shape_planning import Smoothness
 from torcharm.design.space import DesignSpace
 from torcharm.files import read_file
@@ -20,9 +21,9 @@ from torcharm.load import ExternalLoad
 from torcharm.statics.balance import segments_of
 from torcharm.study.arm_reading import make_arm
 from torcharm.study.arm_tables import NamedTable
-from torcharm.study.data import NamedArm, NamedPlan, NamedTask, Optimisation, Settings, Study
+from torcharm.study.data import Manufacture, NamedArm, NamedPlan, NamedTask, Optimisation, Settings, Study
 from torcharm.study.fields import field_path, first_mistake, one_line, shown_value, within
-from torcharm.study.tables import EvaluateTable, OptimiseTable, PlanTable, StudyTable
+from torcharm.study.tables import EvaluateTable, OptimiseTable, PlanTable, StudyTable, ToleranceTable
 from torcharm.study.task_reading import (
     check_columns,
     check_fit,
@@ -129,11 +130,13 @@ def _study(table: StudyTable, folder: Path) -> Study:
                 _check_size(arm, task, settings)
     with within("optimise", ""):
         optimisation = _optimisation(table.optimise)
+    with within("tolerance", ""):
+        manufacture = _manufacture(table.tolerance)
     plans = []
     for index, wanted in enumerate(table.plan):
         with within(field_path(["plan", index]), wanted.name):
             plans.append(_plan(wanted, arms))
-    return replace(plain, optimisation=optimisation, plans=tuple(plans))
+    return replace(plain, optimisation=optimisation, manufacture=manufacture, plans=tuple(plans))
 
 
 def _check_arms(table: ShapedTask | TwistTask, task: NamedTask, arms: Sequence[NamedArm]) -> None:
@@ -186,6 +189,17 @@ def _optimisation(table: OptimiseTable) -> Optimisation:
     space = DesignSpace(tuple(table.free), table.tied, bounds, table.spacing, table.in_range)
     objective = Objective(table.metric, table.over, relative_weight=table.relative_weight)
     return Optimisation(space, objective, table.starts, table.seed, table.iterations)
+
+
+def _manufacture(table: ToleranceTable) -> Manufacture:
+    sizes = {name: getattr(table, name) for name in FIELDS}
+    alike = {name: value for name, value in table.correlated.model_dump().items() if value > 0}
+    scatter = None
+    if table.model_covariance or any(sizes.values()):
+        scatter = Scatter(
+            **sizes, model_covariance=table.model_covariance, distribution=table.distribution, correlated=alike
+        )
+    return Manufacture(scatter, table.compensated, table.samples, table.seed)
 
 
 def _plan(table: PlanTable, arms: Sequence[NamedArm]) -> NamedPlan:

@@ -18,6 +18,7 @@ MASS = {"kg": 1.0, "g": 1e-3, "lb": 0.45359237, "oz": 0.028349523125}
 AREA = {"m²": 1.0, "cm²": 1e-4, "mm²": 1e-6, "cm^2": 1e-4, "mm^2": 1e-6}
 FORCE = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "kgf": 9.80665, "gf": 9.80665e-3, "lbf": 4.4482216152605}
 MOMENT = {"N·m": 1.0, "N*m": 1.0, "N m": 1.0, "Nm": 1.0, "N·mm": 1e-3, "N*mm": 1e-3, "N mm": 1e-3, "Nmm": 1e-3}
+SHARE = {"1": 1.0, "%": 0.01}
 """Factors to the unit in which numbers without one are read, which is the first of each."""
 
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)\s*")
@@ -73,6 +74,8 @@ Length = Annotated[float, in_unit(LENGTH)]
 Mass = Annotated[float, in_unit(MASS)]
 Area = Annotated[float, in_unit(AREA)]
 Pressure = Annotated[float, in_unit(PRESSURE)]
+NotNegativeForce = Annotated[float, Field(ge=0), in_unit(FORCE)]
+NotNegativeShare = Annotated[float, Field(ge=0), in_unit(SHARE)]
 PositiveAngle = Annotated[float, Field(gt=0), in_unit(ANGLE)]
 PositiveLength = Annotated[float, Field(gt=0), in_unit(LENGTH)]
 NotNegativeLength = Annotated[float, Field(ge=0), in_unit(LENGTH)]
