@@ -178,7 +178,7 @@ def _tell(plan: "Study", found: Sequence[Found]) -> None:
         for one in own:
             say(console, f"{one.arm.name}: {one.built.agreement}.")
         console.print()
-    for line in _legend(found[0].built):
+    for line in _legend(plan, found[0].built):
         say(console, line)
 
 
@@ -211,16 +211,16 @@ def _columns(found: Sequence[Found]) -> Iterator[Column]:
     yield Column("what scatters the tip", shares, LONGEST_WORD)
 
 
-def _legend(built: "BuiltArms") -> Iterator[str]:
+def _legend(plan: "Study", built: "BuiltArms") -> Iterator[str]:
     """What the columns mean, in a line each."""
     import math
 
     kept = "found anew for each built arm" if built.compensated else "the drawn arm's, kept"
     size = "half widths" if built.scatter.distribution == "uniform" else "standard deviations"
     yield f"{count(len(built.tip_error), 'built arm')}; tolerances are {size}; pressures are {kept}."
-    assert built.tolerance.tip is not None
-    turn = math.degrees(built.tolerance.rotation)
-    yield f"yield: tip and shape within {1e3 * built.tolerance.tip:g} mm, turned within {turn:.3g}°, by loading;"
+    tip = plan.settings.tolerance.tip
+    near = "2 % of the drawn arm's length" if tip is None else f"{1e3 * tip:g} mm"
+    yield f"yield: tip and shape within {near}, turned within {math.degrees(built.tolerance.rotation):.3g}°;"
     yield "in brackets its bounds with 95 % confidence. drawn: median over loads."
     yield "beyond range: strains or limits that were not characterised, where force models guess."
     yield "what scatters the tip: shares in its variance, by gradients at the drawn arm."

@@ -11,7 +11,6 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from scipy.special import betainc
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
@@ -62,6 +61,8 @@ class Robust:
     @cached_property
     def _weights(self) -> "np.ndarray[tuple[int], np.dtype[np.float64]]":
         """(S,) of the ordered values."""
+        from scipy.special import betainc
+
         assert self.quantile is not None
         places, count = np.linspace(0, 1, self.samples + 1), self.samples + 1
         return np.diff(betainc(count * self.quantile, count * (1 - self.quantile), places))

@@ -1,5 +1,6 @@
 """How far off built arms are, and which tolerance decides that."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -26,7 +27,7 @@ UNITS = {"radii": (1e3, "mm"), "length": (1e3, "mm"), "limits": (1.0, "kPa"), "f
 """In which its size is shown; others in percent."""
 FARTHEST = 99.5
 """Percentile of the tip errors at which the picture ends, and as far from the least at which it begins."""
-LEAST = 0.01
+LEAST = 0.1
 """Of a tip error [mm]: what is nearer is drawn no nearer, as a logarithmic axis has no zero."""
 
 
@@ -57,7 +58,7 @@ def tolerance_figure(results: Sequence[tuple[str, BuiltArms]], title: str = "") 
 
 def _draw_curves(axes: Axes, results: Sequence[tuple[str, BuiltArms]]) -> None:
     """The share of built arms, over all tasks, whose tip is off by no more."""
-    ends, lines = list[Any](), dict[float, None]()
+    ends, lines, lowest = list[Any](), dict[float, None](), math.inf
     for index, (name, found) in enumerate(results):
         colour, line = ARM_COLOURS[index % len(ARM_COLOURS)], ARM_LINES[index % len(ARM_LINES)]
         error = np.sort(1e3 * array(found.tip_error).ravel())
@@ -69,6 +70,7 @@ def _draw_curves(axes: Axes, results: Sequence[tuple[str, BuiltArms]]) -> None:
         axes.step(known, share, where="post", color=colour, linestyle=line, linewidth=2, label=label)
         drawn = float(np.median(1e3 * array(found.nominal_tip_error)))
         if np.isfinite(drawn):
+            lowest = min(lowest, drawn)
             axes.plot([max(drawn, LEAST)], [0], marker="^", color=colour, markersize=9, clip_on=False, linestyle="none")
         if len(known):
             ends.append(np.percentile(known, (100 - FARTHEST, FARTHEST)))
@@ -78,7 +80,7 @@ def _draw_curves(axes: Axes, results: Sequence[tuple[str, BuiltArms]]) -> None:
         axes.axvline(limit, color="#000000", linewidth=1.2, linestyle=(0, (1, 1)))
         place: Any = {"xytext": (0, 3), "textcoords": "offset points", "ha": "center", "va": "bottom"}
         axes.annotate(f"tolerance: {limit:g} mm", (limit, 100), fontsize="small", **place)
-    low, high = min(one[0] for one in ends), max(one[1] for one in ends)
+    low, high = min(lowest, *(one[0] for one in ends)), max(one[1] for one in ends)
     axes.set(xscale="log", xlim=(max(LEAST, min(low, *lines)) / 1.3, 1.3 * max(high, LEAST, *lines)), ylim=(0, 100))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.set(xlabel="tip off by at most [mm]   (triangles: drawn arm, median)", ylabel="share of built arms [%]")
