@@ -89,6 +89,19 @@ def test_mistakes_are_one_line(tmp_path, monkeypatch, capsys, arguments, words):
     assert words in mistake(monkeypatch, capsys, "tolerance", path, *arguments)
 
 
+def test_a_study_is_optimised_for_its_built_arms(tmp_path):
+    how = '[optimise]\nrobust = 0.8\nfree = ["radii"]\ntied = "mirror"\nstarts = 1\niterations = 2\n'
+    plan = parse_study(f"{STUDY}{TABLE}{how}")
+    robust = plan.optimisation.objective.robust
+    assert (robust.quantile, robust.scatter.radii, robust.compensated) == (0.8, 1e-3, False)
+    path = tmp_path / "robust.toml"
+    path.write_text(f"{STUDY}{TABLE}{how}", encoding="utf-8")
+    output = invoke("optimise", path)
+    assert "what 80 % stay below" in " ".join(output.split())
+    with pytest.raises(ValueError, match=r"optimise.robust: must stand beside a table \[tolerance\]"):
+        parse_study(f"{STUDY}{how}")
+
+
 @pytest.mark.parametrize(
     ("line", "words"),
     [

@@ -184,12 +184,14 @@ def _tell(plan: "Study", found: Sequence[Found]) -> None:
 
 def _columns(found: Sequence[Found]) -> Iterator[Column]:
     """A row for each arm."""
+    import numpy as np
+
     from torcharm.inputs import three_digits
     from torcharm.plot.tolerance import SOURCE_WORDS
 
     every = [one.built for one in found]
     yield Column("arm", [one.arm.name for one in found], LONGEST_WORD)
-    drawn = [1e3 * float(built.nominal_tip_error.median()) for built in every]
+    drawn = [1e3 * float(np.median(built.nominal_tip_error)) for built in every]
     yield Column("tip off, drawn\n[mm]", [three_digits(value) for value in drawn])
     for percent in (50, 95):
         values = [1e3 * float(built.pooled_percentile(percent)) for built in every]

@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from torcharm.attainability import CHOICES, PoseTolerance, check_measure
 from torcharm.attainability.questions import LONGEST, WIDEST, question_about_lengths
 from torcharm.design.objective import Objective
+from torcharm.design.robust import Robust
 from torcharm.design.scatter import FIELDS, Scatter
 from torcharm.design.shape_planning import Smoothness
 from torcharm.design.space import DesignSpace
@@ -128,10 +129,10 @@ def _study(table: StudyTable, folder: Path) -> Study:
         for task in plain.tasks_of(arm):
             with within("evaluate", arm.name):
                 _check_size(arm, task, settings)
-    with within("optimise", ""):
-        optimisation = _optimisation(table.optimise)
     with within("tolerance", ""):
         manufacture = _manufacture(table.tolerance)
+    with within("optimise", ""):
+        optimisation = _optimisation(table.optimise, manufacture)
     plans = []
     for index, wanted in enumerate(table.plan):
         with within(field_path(["plan", index]), wanted.name):
@@ -175,7 +176,7 @@ def _settings(table: EvaluateTable) -> Settings:
     )
 
 
-def _optimisation(table: OptimiseTable) -> Optimisation:
+def _optimisation(table: OptimiseTable, manufacture: Manufacture) -> Optimisation:
     spacing = [] if table.spacing is None else [table.spacing]
     for field, values, most in (
         ("bounds.radii", table.bounds.radii, WIDEST),
@@ -187,7 +188,12 @@ def _optimisation(table: OptimiseTable) -> Optimisation:
             raise ValueError(f"{field}: {question}")
     bounds = {name: (ends[0], ends[1]) for name, ends in table.bounds.model_dump(exclude_none=True).items()}
     space = DesignSpace(tuple(table.free), table.tied, bounds, table.spacing, table.in_range)
-    objective = Objective(table.metric, table.over, relative_weight=table.relative_weight)
+    robust = None
+    if table.robust is not None:
+        if manufacture.scatter is None:
+            raise ValueError("robust: must stand beside a table [tolerance] that says what is scattered, got none")
+        robust = Robust(manufacture.scatter, table.robust, compensated=manufacture.compensated)
+    objective = Objective(table.metric, table.over, relative_weight=table.relative_weight, robust=robust)
     return Optimisation(space, objective, table.starts, table.seed, table.iterations)
 
 

@@ -159,6 +159,12 @@ class OptimiseTable(Table):
     over: Annotated[str, one_of(AGGREGATES)] = Field(
         default=Objective.over, description="Whether the mean over the tasks counts, or the worst.", examples=["worst"]
     )
+    robust: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+        default=None,
+        description="Which share of built arms, as of the table [tolerance], is to stay below what is made small: the "
+        "shape error of these. Without it, the drawn arm's counts.",
+        examples=[0.9],
+    )
     starts: Annotated[int, Field(ge=1, le=100_000)] = Field(
         default=8, description="Designs from which it descends; more find better ones, and take longer."
     )
