@@ -107,6 +107,8 @@ def built_as(
     with torch.no_grad():
         drawn = [predict_error(arm, one, pose_cost) for one in tasks]
         kept = None if compensated else [found.pressure for found in drawn]
+        if kept is not None:  # the drawn arm is loaded from rest, as the built ones are
+            drawn = [error_at_pressure(arm, one, own, pose_cost) for one, own in zip(tasks, kept, strict=True)]
         nominal = how.of_found(arm, drawn)
         built = how.of_samples(arm, sources, normal, kept, callback)
     both = [

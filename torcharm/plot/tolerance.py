@@ -47,7 +47,8 @@ def tolerance_figure(results: Sequence[tuple[str, BuiltArms]], title: str = "") 
     """
     if not results or not any(bool(found.tip_error.isfinite().any()) for _, found in results):
         raise ValueError("results: must hold at least one arm with a finite tip error, got none")
-    figure = Figure(figsize=(11, 4.6 + 0.25 * len(results)), layout="constrained")
+    bars = 2 * sum(len(found.shares) for _, found in results)
+    figure = Figure(figsize=(11, max(4.6 + 0.25 * len(results), 2.2 + 0.18 * bars)), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.1, 1.0))
     if title:
         figure.suptitle(title, fontsize="large", fontweight="bold")
