@@ -39,6 +39,22 @@ def test_gradients_are_those_of_finite_differences(compensated, quantile):
     assert np.abs(gradient - numeric).max() < 1e-3 * np.abs(gradient).max()
 
 
+@pytest.mark.parametrize("compensated", [False, True])
+def test_segments_in_series_in_space_have_gradients_too(compensated):
+    lower = ta.ArmDesign(offsets=ta.ring(radius=0.05, count=4), length=0.3, actuators=["bellows", "mckibben"] * 2)
+    upper = ta.ArmDesign(offsets=ta.ring(0.04, 3), length=0.2, actuators="bellows")
+    arm = ta.series([lower, ta.RigidLink(length=0.02), upper])
+    shape = torch.tensor([[0.31, 0, 0, 0, 0.1, 0.2]] * 3 + [[0.21, 0, 0, 0, -0.05, 0.1]] * 3, dtype=torch.float64)
+    task = ta.Task(shape, [0.2, -0.5, 0.1, 0, 0, 0], segment_nodes=[3, 3])
+    objective = ta.Objective(robust=ta.Robust(SCATTER, samples=4, compensated=compensated))
+    problem = Problem(feasible_designs(ta.DesignSpace(), arm, [task]), (task,), objective)
+    point = starting_points(problem, arm, 1, 0)[0]
+    gradient = problem.slope(point)[2]
+    way, step = np.linspace(-1, 1, len(point)), 1e-5
+    sides = [problem.slope(point + sign * step * way)[0] for sign in (1, -1)]
+    assert gradient @ way == pytest.approx((sides[0] - sides[1]) / (2 * step), rel=1e-3)
+
+
 def test_a_batch_of_designs_has_a_value_each():
     problem = Problem(feasible_designs(SPACE, ARM, [TASK]), (TASK,), ta.Objective(robust=ta.Robust(SCATTER, samples=6)))
     arms = ta.antagonistic_arm(outer_radius=torch.tensor([0.05, 0.06], dtype=torch.float64))

@@ -1,6 +1,7 @@
 """What built arms do: yields, percentiles and slopes against plain samples and finite differences."""
 
 import math
+import pickle
 import sys
 
 import numpy as np
@@ -88,6 +89,7 @@ def test_slopes_are_those_of_finite_differences(arm, task, compensated):
     slopes = tip_slopes(arm, task, sources, drawn, None, compensated=compensated)
     sizes = [len(source.size) for source in sources]
     step = {"radii": 1e-5, "length": 1e-5, "limits": 1e-3, "force": 1e-4, "force_offset": 1e-3, "bending": 1e-3}
+    compared = 0
     for g, source in enumerate(sources):
         for k in range(0, sizes[g], 3):
             moves = [torch.zeros(2, size, dtype=torch.float64) for size in sizes]
@@ -105,6 +107,8 @@ def test_slopes_are_those_of_finite_differences(arm, task, compensated):
             smooth &= drawn.converged
             exact, scale = slopes[g][..., k], slopes[g].abs().amax((-2, -1)).clamp(min=1e-9)
             assert bool((((numeric - exact).abs().amax(-1) / scale)[smooth] < 2e-2).all()), (source.name, k)
+            compared += int(smooth.sum())
+    assert compared > 10
 
 
 def test_gradients_and_samples_agree_where_the_tip_moves_in_proportion():
@@ -200,6 +204,17 @@ def test_what_makes_no_sense_is_refused(options, words):
 def test_a_batch_of_designs_is_refused():
     with pytest.raises(ValueError, match=r"arm: must be one ArmDesign or ArmSeries, as arm\[0\]"):
         ta.tolerance(ta.antagonistic_arm(outer_radius=torch.tensor([0.05, 0.06])), TASK, radii=1e-3)
+
+
+def test_results_survive_pickle_and_move_to_another_dtype():
+    result = ta.tolerance(ARM, TASK, **SPREAD, samples=8)
+    again = pickle.loads(pickle.dumps(result))
+    torch.testing.assert_close(again.tip_error, result.tip_error)
+    assert again.scatter == result.scatter
+    assert result.to(torch.float32).tip_error.dtype == torch.float32
+    assert result.to(torch.float32).within.dtype == torch.bool
+    built = built_arms(ARM, *(lambda s: (s, scattered(s, normal_numbers(s, 2, 0))))(ta.Scatter(force=0.1).sources(ARM)))
+    torch.testing.assert_close(pickle.loads(pickle.dumps(built)).deviation.force_scale, built.deviation.force_scale)
 
 
 def test_columns_and_words():

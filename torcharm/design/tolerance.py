@@ -1,7 +1,7 @@
 """`tolerance`: what the errors of a design will be once it is built."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -175,13 +175,21 @@ def nominal_tolerance(arm: Arm, tolerance: PoseTolerance | float | None) -> Pose
     return replace(given, tip=float(tip), shape=float(shape))
 
 
+@dataclass(frozen=True)
 class Evaluation:
-    """What is found of arms on all tasks, flattened to T."""
+    """What is found of arms on all tasks, flattened to T.
 
-    def __init__(
-        self, tasks: Sequence[Task], tolerance: PoseTolerance, pose_cost: PoseCost | None, margin: bool
-    ) -> None:
-        self.tasks, self.tolerance, self.pose_cost, self.margin = tasks, tolerance, pose_cost, margin
+    Attributes:
+        tasks: batches of tasks.
+        tolerance: what counts as within, in metres.
+        pose_cost: what pressures minimise.
+        margin: whether capacity margins are measured.
+    """
+
+    tasks: tuple[Task, ...]
+    tolerance: PoseTolerance
+    pose_cost: PoseCost | None
+    margin: bool
 
     def of_samples(
         self, arm: Arm, sources: Sequence[Source], normal: Tensor, kept: Sequence[Tensor] | None, told: Told | None
