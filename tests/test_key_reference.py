@@ -23,6 +23,7 @@ NEEDS = {  # keys left out that need others, and with what they are used
     ("evaluate", "samples"): ('hull = "exact"', 'hull = "edges"'),
     ("optimise.bounds", "angles"): ('free = ["radii", "length"]', 'free = ["radii", "length", "angles"]'),
     ("optimise.bounds", "max_pressure"): ('free = ["radii", "length"]', 'free = ["radii", "length", "max_pressure"]'),
+    ("optimise", "robust"): ("limits = 0.0\n#limits", "limits = 1.0\n#limits"),
     ("task", "payloads"): ("gravity = false", "gravity = true"),
     ("plan", "payloads"): ("gravity = false", "gravity = true"),
     ("plan", "length_weight"): ("#reference_length", "reference_length"),

@@ -39,7 +39,11 @@ if TYPE_CHECKING:
         optimise_design,
         verify_design,
     )
+    from torcharm.design.robust import Robust
+    from torcharm.design.scatter import Scatter
     from torcharm.design.shape_planning import PlannedShape, Smoothness, plan_shape
+    from torcharm.design.tolerance import tolerance
+    from torcharm.design.tolerance_result import BuiltArms
     from torcharm.equilibrium import Equilibrium, NotConvergedError, solve_equilibrium
     from torcharm.geometry.rod import poses
     from torcharm.load import ExternalLoad, PointLoad
@@ -77,6 +81,7 @@ __all__ = [
     "Attainability",
     "Bellows",
     "BendingFunction",
+    "BuiltArms",
     "ConstantBending",
     "DesignSpace",
     "Equilibrium",
@@ -103,6 +108,8 @@ __all__ = [
     "PressureSearch",
     "Recording",
     "RigidLink",
+    "Robust",
+    "Scatter",
     "Smoothness",
     "SweepResult",
     "Task",
@@ -156,6 +163,7 @@ __all__ = [
     "solve_equilibrium",
     "standard_deviation",
     "sweep",
+    "tolerance",
     "verify_design",
     "wrench_hulls",
 ]
@@ -168,6 +176,7 @@ _LATER = {
     "Attainability": "attainability",
     "Bellows": "actuators",
     "BendingFunction": "actuators",
+    "BuiltArms": "design.tolerance_result",
     "ConstantBending": "actuators",
     "DesignSpace": "design",
     "Equilibrium": "equilibrium",
@@ -194,6 +203,8 @@ _LATER = {
     "PressureSearch": "pressure.search",
     "Recording": "characterise.alignment",
     "RigidLink": "arm_series",
+    "Robust": "design.robust",
+    "Scatter": "design.scatter",
     "Smoothness": "design.shape_planning",
     "SweepResult": "sweeps",
     "Task": "task",
@@ -247,6 +258,7 @@ _LATER = {
     "solve_equilibrium": "equilibrium",
     "standard_deviation": "characterise.uncertainty",
     "sweep": "sweeps",
+    "tolerance": "design.tolerance",
     "verify_design": "design",
     "wrench_hulls": "wrench_sets.wrench_set",
 }

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torcharm.actuators import Actuator, is_passive, model_name, model_of
+from torcharm.actuators.deviation import ForceDeviation
 from torcharm.inputs import (
     HoldsTensors,
     TensorLike,
@@ -43,6 +44,7 @@ class ArmDesign(HoldsTensors):
         mass: (*batch) mass of the arm [kg], spread evenly over its normalised arc.
         torsion_stiffness: (*batch) stiffness C against torsion [N·m²], or None for an arm that does not twist.
         diameter: (*batch, M) outer diameters of the actuators [m], or None where they are not known.
+        deviation: what built actuators do other than their models, or None.
     """
 
     radii: Tensor
@@ -53,6 +55,7 @@ class ArmDesign(HoldsTensors):
     mass: Tensor
     torsion_stiffness: Tensor | None
     diameter: Tensor | None
+    deviation: ForceDeviation | None
 
     def __init__(
         self,
@@ -66,6 +69,7 @@ class ArmDesign(HoldsTensors):
         diameter: TensorLike | None = None,
         *,
         out_of_plane: TensorLike | None = None,
+        deviation: ForceDeviation | None = None,
     ) -> None:
         """Check and broadcast.
 
@@ -81,6 +85,7 @@ class ArmDesign(HoldsTensors):
             diameter: (..., M) or one for all [m].
             out_of_plane: (..., M), or one for all, the offsets z beside radii that are the offsets y [m]: the other way
                 to write `offsets`.
+            deviation: what built actuators do other than their models, by tensors that broadcast to (..., M).
 
         Raises:
             ValueError: shapes do not fit, or a value is not finite, a length is not positive,
@@ -111,8 +116,10 @@ class ArmDesign(HoldsTensors):
         else:
             values["radii"] = one_for_all(values["radii"], len(models))
         checked = _check_and_expand(values, len(models))
-        for name, value in {**dict.fromkeys(optional), **checked, "actuators": models}.items():
+        for name, value in {**dict.fromkeys((*optional, "deviation")), **checked, "actuators": models}.items():
             object.__setattr__(self, name, value)
+        if deviation is not None:
+            object.__setattr__(self, "deviation", deviation.changed(lambda value: value.expand(self.radii.shape)))
 
     def with_values(
         self, radii: Tensor, length: Tensor, max_pressure: Tensor, out_of_plane: Tensor | None = None
@@ -131,9 +138,22 @@ class ArmDesign(HoldsTensors):
         for name in ("mass", "torsion_stiffness"):
             value = getattr(self, name)
             values[name] = None if value is None else value.expand(radii.shape[:-1]).to(radii)
+        own = self.deviation
+        values["deviation"] = None if own is None else own.changed(lambda value: value.expand(radii.shape).to(radii))
         for name, value in values.items():
             object.__setattr__(design, name, value)
         return design
+
+    def with_deviation(self, deviation: ForceDeviation) -> "ArmDesign":
+        """The same designs with actuators that deviate from their models, by tensors that broadcast to (*batch, M)."""
+        design = self._map(lambda value: value)
+        object.__setattr__(design, "deviation", deviation.changed(lambda value: value.expand(self.radii.shape)))
+        return design
+
+    def tensors(self) -> list[Tensor]:
+        """All tensors of the designs; those of force models are their own."""
+        held = [value for value in vars(self).values() if isinstance(value, Tensor)]
+        return held if self.deviation is None else [*held, *self.deviation.tensors()]
 
     @property
     def batch_shape(self) -> torch.Size:
@@ -192,6 +212,8 @@ class ArmDesign(HoldsTensors):
             if isinstance(value, Tensor):
                 each_design = field.name in ("mass", "torsion_stiffness")
                 value = change(value.unsqueeze(-1)).squeeze(-1) if each_design else change(value)
+            elif isinstance(value, ForceDeviation):
+                value = value.changed(change)
             object.__setattr__(design, field.name, value)
         return design
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -44,7 +45,7 @@ class Problems:
         """The designs, or the first of them with these places: two bellows and two muscles each."""
         where = self.radii if radii is None else radii
         models = (ta.Bellows(), ta.McKibben(), ta.McKibben(), ta.Bellows())
-        places = {"radii" if where.ndim == 2 else "offsets": where}
+        places: dict[str, Any] = {"radii" if where.ndim == 2 else "offsets": where}
         return ta.ArmDesign(**places, length=self.length[: len(where)], actuators=models)
 
 

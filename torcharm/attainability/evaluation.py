@@ -188,7 +188,7 @@ class _Measure:
     def of(cls, metrics: Sequence[str], tolerance: PoseTolerance | float | None, *options: Any) -> "_Measure":
         """Of the arguments of `evaluate`, checked as far as they need no arm."""
         measured = tuple(name for name in metrics if name in METRICS)
-        found = cls(measured, _tolerance(tolerance), *options)
+        found = cls(measured, as_tolerance(tolerance), *options)
         check_flag("signed", found.signed)
         check_power(found.power)
         if found.chunk_size is not None:
@@ -231,7 +231,7 @@ def _by_sets(grid: DesignTaskGrid, nodes: NodeDistances, options: SetOptions, po
     }
 
 
-def _tolerance(tolerance: PoseTolerance | float | None) -> PoseTolerance:
+def as_tolerance(tolerance: PoseTolerance | float | None) -> PoseTolerance:
     """What counts as held; a number is the tip's."""
     if tolerance is None or isinstance(tolerance, PoseTolerance):
         return tolerance or PoseTolerance()

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from torcharm.cli import evaluate, fit, init, optimise, plan, search, shape, sweep
+from torcharm.cli import evaluate, fit, init, optimise, plan, search, shape, sweep, tolerance
 from torcharm.cli.terminal import INTERRUPTED, fail
 
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]  # click's own, which newer typers hold inside
@@ -102,5 +102,6 @@ for _function, _example in (
     (optimise.optimise, "torcharm optimise study.toml --out best.toml --figure best.png"),
     (plan.plan, "torcharm plan study.toml --out shapes.csv --figure shapes.png"),
     (sweep.sweep, "torcharm sweep study.toml --count 1e6 --out run"),
+    (tolerance.tolerance, "torcharm tolerance study.toml --radii '1 mm' --force '5 %' --figure built.png"),
 ):
     app.command(cls=_Command, epilog=f"Example: {_example}")(_function)

@@ -140,7 +140,11 @@ def _with_models(arm: Arm, models: Sequence[Actuator]) -> Arm:
     segments, links = segments_of(arm)
     left, made = iter(models), []
     for one in segments:
-        rest = {"out_of_plane": one.out_of_plane, "torsion_stiffness": one.torsion_stiffness, "diameter": one.diameter}
+        rest: dict[str, Any] = {
+            "out_of_plane": one.out_of_plane,
+            "torsion_stiffness": one.torsion_stiffness,
+            "diameter": one.diameter,
+        }
         own = list(islice(left, one.actuator_count))
         made.append(ArmDesign(one.radii, one.length, own, mass=one.mass, **rest))
     return made[0] if isinstance(arm, ArmDesign) else ArmSeries(tuple(made), links)

@@ -43,6 +43,7 @@ def describe(
     """
     segments, links = segments_of(arm)
     rest = [getattr(one, name) for one in segments for name in ("mass", "torsion_stiffness", "diameter")]
+    rest += [value for one in segments if one.deviation is not None for value in one.deviation.tensors()]
     rest += [getattr(link, name, None) for link in links for name in ("length", "pose", "mass")]
     parts = {
         "arm": _digest([torch.from_numpy(given_values(arm)), *rest]),

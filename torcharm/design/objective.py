@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -9,11 +10,14 @@ from torch import Tensor
 
 from torcharm.attainability import check_power, evaluate, scale_of
 from torcharm.design.feasible import FeasibleDesigns
+from torcharm.design.robust import Draw, Robust
 from torcharm.design.space import Arm, Array
 from torcharm.inputs import check_choice, check_flag, check_number, shown
-from torcharm.pressure.followed import beyond_range, followed_twists
+from torcharm.pressure.followed import beyond_range, followed_pressure, followed_twists
+from torcharm.pressure.kept_pressure import error_at_pressure
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.pressure.predicted_error import PredictedError, prediction
+from torcharm.pressure.prepared import prepare
 from torcharm.task import Task
 
 METRICS = ("predicted_error", "unattainability")
@@ -45,6 +49,7 @@ class Objective:
         relative_weight: λ of `absolute + λ relative` unattainability.
         margin: whether unattainability goes on, below zero, to the margins once every task is attainable.
         weights, power: of unattainability, as in `torcharm.evaluate`, whose exact sets are used.
+        robust: whether, and how, built arms count in place of the drawn one; of predicted errors alone.
 
     Raises:
         ValueError: an argument is none of those allowed.
@@ -58,6 +63,7 @@ class Objective:
     margin: bool = True
     weights: tuple[float, float] = (1.0, 1.0)
     power: int = 1
+    robust: Robust | None = None
 
     def __post_init__(self) -> None:
         check_choice("metric", self.metric, METRICS)
@@ -68,6 +74,10 @@ class Objective:
         check_power(self.power)
         if self.pose_cost is not None and not isinstance(self.pose_cost, PoseCost):
             raise ValueError(f"pose_cost: must be a PoseCost, got {shown(self.pose_cost)}")
+        if self.robust is not None and (not isinstance(self.robust, Robust) or self.metric != "predicted_error"):
+            raise ValueError(
+                f"robust: must be a Robust, with metric 'predicted_error', got {shown(self.robust)} with {self.metric}"
+            )
         if self.task_weights is not None:
             given = tuple(check_number("task_weights", weight, 0.0) for weight in self.task_weights)
             if not any(given) or self.over != "mean":
@@ -85,7 +95,13 @@ class Objective:
         return ("absolute", "relative") if self.relative_weight else ("absolute",)
 
     def total(self, values: Tensor) -> Tensor:
-        """The number (...) that designs with values (..., T) are compared by."""
+        """The number (...) that designs with values (..., T) are compared by; robust, that of values (..., S, T)."""
+        return self._over_samples(self._over_tasks(values))
+
+    def _over_samples(self, values: Tensor) -> Tensor:
+        return values if self.robust is None else self.robust.total(values)
+
+    def _over_tasks(self, values: Tensor) -> Tensor:
         if self.over == "worst":
             return values.amax(-1)
         if self.task_weights is not None:
@@ -101,7 +117,7 @@ class Objective:
         if self.over != "worst":
             return self.total(values)
         spread = SMOOTHING * values.abs().amax(-1).clamp(min=1e-12)
-        return spread * torch.logsumexp(values / spread.unsqueeze(-1), -1)
+        return self._over_samples(spread * torch.logsumexp(values / spread.unsqueeze(-1), -1))
 
 
 def flat_tasks(value: Tensor, lead: int) -> Tensor:
@@ -137,18 +153,24 @@ def counted(error: Tensor, stable: Tensor, beyond: Tensor | None, length: Tensor
     return torch.where(stable, error, length)
 
 
-def task_values(objective: Objective, arm: Arm, task: Task, *, in_range: bool) -> Tensor:
+def task_values(objective: Objective, arm: Arm, task: Task, *, in_range: bool, kept_from: Arm | None = None) -> Tensor:
     """(*design batch, T) of the T tasks of a batch, with a graph: predicted errors as `counted`, or unattainabilities,
     which are infinite where an actuator has no length and NaN where a distance is not known.
 
     Args:
         objective, arm, task: what and by what.
         in_range: whether strains that are predicted beyond their range have a price.
+        kept_from: designs (*batch) whose pressures arms (*batch, S) keep; None finds the best for each arm.
     """
     lead = len(arm.batch_shape)
     if objective.metric == "predicted_error":
-        found = prediction(arm, task, objective.pose_cost, held=True)
-        beyond = _beyond(objective, arm, task, found) if in_range else None
+        if kept_from is None:
+            found = prediction(arm, task, objective.pose_cost, held=True)
+            beyond = _beyond(objective, arm, task, found) if in_range else None
+        else:
+            kept = _best_pressure(objective, kept_from, task).unsqueeze(lead - 1)
+            found = error_at_pressure(arm, task, kept, objective.pose_cost)
+            beyond = beyond_range(arm, task, found.twists) if in_range else None
         error, known = flat_tasks(found.shape_error, lead), flat_tasks(found.stable, lead)
         return counted(error, known, None if beyond is None else flat_tasks(beyond, lead), shape_lengths(task))
     options: dict[str, Any] = {"weights": objective.weights, "power": objective.power, "signed": objective.margin}
@@ -159,6 +181,15 @@ def task_values(objective: Objective, arm: Arm, task: Task, *, in_range: bool) -
         assert result.relative is not None
         total = total + objective.relative_weight * result.relative
     return flat_tasks(torch.where(result.converged | result.impossible, total, torch.nan), lead)
+
+
+def _best_pressure(objective: Objective, arm: Arm, task: Task) -> Tensor:
+    """(*design batch, *task batch, M) the pressures [kPa] that come closest, which follow their minimum."""
+    with torch.no_grad():
+        found = prediction(arm, task, objective.pose_cost)
+    if not torch.is_grad_enabled():
+        return found.pressure
+    return followed_pressure(prepare(arm, task, objective.pose_cost), found)
 
 
 def _beyond(objective: Objective, arm: Arm, task: Task, found: PredictedError) -> Tensor:
@@ -178,10 +209,19 @@ class Problem:
     objective: Objective
 
     def values(self, arm: Arm) -> Tensor:
-        """(*design batch, T) of all T tasks, with a graph."""
-        return torch.cat(
-            [task_values(self.objective, arm, task, in_range=self.designs.in_range) for task in self.tasks], -1
-        )
+        """(*design batch, T) of all T tasks, with a graph; robust, (*design batch, S, T) of built arms."""
+        robust, options = self.objective.robust, dict[str, Any](in_range=self.designs.in_range)
+        if robust is None:
+            return torch.cat([task_values(self.objective, arm, task, **options) for task in self.tasks], -1)
+        built, kept_from = self._draw.built(arm), None if robust.compensated else arm
+        values = [task_values(self.objective, built, task, **options, kept_from=kept_from) for task in self.tasks]
+        return torch.cat(values, -1)
+
+    @cached_property
+    def _draw(self) -> Draw:
+        """The samples of a robust objective."""
+        assert self.objective.robust is not None
+        return self.objective.robust.draw(self.designs.arm)
 
     def value(self, arm: Arm) -> Tensor:
         """(*design batch) the objective of designs, which need not be feasible; infinite where it is no number."""

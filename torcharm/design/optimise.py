@@ -16,9 +16,11 @@ from torcharm.design.checkpoint import Checkpoint, describe
 from torcharm.design.descent import Callback, End, Progress, descend_all
 from torcharm.design.feasible import feasible_designs
 from torcharm.design.objective import Objective, Problem, counted, shape_lengths
-from torcharm.design.result import OptimisedDesign, compared_words, reached_words
+from torcharm.design.result import OptimisedDesign, compared_words, reached_words, yield_words
 from torcharm.design.space import Arm, Array, DesignSpace, given_values, one_of_batch
 from torcharm.design.task_errors import TaskErrors, held_tasks, predicted, searched
+from torcharm.design.tolerance import built_as
+from torcharm.design.tolerance_result import BuiltArms
 from torcharm.inputs import check_count, check_number, shown
 from torcharm.task import Task, for_each_task, task_list
 from torcharm.wrench_sets.design_task_grid import fitted
@@ -60,6 +62,9 @@ def optimise_design(
     the given design by a pressure search, which the prediction is an approximation of; where the search does better
     with the given one, so with the next two. If none is better, the given design is kept, within the constraints or
     not, and `status` says why.
+
+    With `Objective(robust=Robust(Scatter(...)))` built arms count in place of the drawn one; their yields before and
+    after, on fresh samples, take the place of the search.
 
     Ctrl-C ends the optimisation and returns what was found until then.
 
@@ -152,7 +157,7 @@ def outcome(
     better = [end for held, end in ranked if held >= given_held][:CANDIDATES]
     violated = designs.violated_by(given)
     chosen, status = (better[0] if better else None), "better"
-    if better and objective.metric == "predicted_error":
+    if better and objective.metric == "predicted_error" and objective.robust is None:
         try:
             chosen, status = _confirmed(problem, given, better)
         except KeyboardInterrupt:
@@ -165,6 +170,9 @@ def outcome(
             status = f"given design kept: it holds {tasks}, and those of less value hold {most} at most{early}"
     best = given if chosen is None else designs.design(chosen.point)
     before, after = (predicted(one, problem.tasks, objective.pose_cost) for one in (given, best))
+    built = _built(problem, given, best, tolerance)
+    if chosen is not None and built is not None:
+        status = f"better: {yield_words(*built)}"
     if chosen is None and violated:
         status += f", which it is outside of ({'; '.join(violated)})"
     if not bool(after.stable.all()):
@@ -195,7 +203,23 @@ def outcome(
         stopped=stopped,
         space=space,
         objective=objective,
+        built_before=None if built is None else built[0],
+        built_after=None if built is None else built[1],
     )
+
+
+def _built(
+    problem: Problem, given: Arm, best: Arm, tolerance: PoseTolerance | float | None
+) -> tuple[BuiltArms, BuiltArms] | None:
+    """Of a robust objective what is found of both designs once built, on samples that no descent has seen."""
+    robust, cost = problem.objective.robust, problem.objective.pose_cost
+    if robust is None:
+        return None
+    options: dict[str, Any] = {"seed": robust.seed + 1, "tolerance": tolerance, "pose_cost": cost}
+    before, after = (
+        built_as(arm, problem.tasks, robust.scatter, robust.compensated, **options) for arm in (given, best)
+    )
+    return before, after
 
 
 def _ranked(

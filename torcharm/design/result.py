@@ -11,6 +11,7 @@ from torcharm.arm_series import ArmSeries
 from torcharm.design.objective import Objective
 from torcharm.design.space import Arm, DesignSpace
 from torcharm.design.task_errors import TaskErrors
+from torcharm.design.tolerance_result import BuiltArms
 from torcharm.inputs import HoldsTensors, three_digits
 from torcharm.statics.balance import segments_of
 
@@ -36,6 +37,8 @@ class OptimisedDesign(HoldsTensors):
         evaluations, seconds: how many designs on all tasks, and how long.
         stopped: "finished", or what stopped it: "interrupted", "callback" or "time".
         space, objective: what was asked for.
+        built_before, built_after: of a robust objective, what `torcharm.tolerance` finds of the two on samples of their
+            own, with yields; else None.
     """
 
     given: Arm
@@ -58,6 +61,8 @@ class OptimisedDesign(HoldsTensors):
     stopped: str
     space: DesignSpace
     objective: Objective
+    built_before: BuiltArms | None = None
+    built_after: BuiltArms | None = None
 
     def __repr__(self) -> str:
         """Values, no tensors."""
@@ -105,7 +110,14 @@ def objective_words(objective: Objective) -> str:
     """What the values of an objective are."""
     over = {"mean": "mean", "worst": "largest"}[objective.over]
     if objective.metric == "predicted_error":
-        return f"{over} predicted shape error"
+        robust = objective.robust
+        built = (
+            ""
+            if robust is None
+            else " of built arms, "
+            + ("their mean" if robust.quantile is None else f"what {100 * robust.quantile:g} % stay below")
+        )
+        return f"{over} predicted shape error{built}"
     relative = f" + {objective.relative_weight:g} relative" if objective.relative_weight else ""
     return f"{over} absolute{relative} unattainability"
 
@@ -127,6 +139,16 @@ def compared_words(before: TaskErrors, after: TaskErrors, over: str) -> str:
     if before.lost or after.lost:
         words += f"{apart}without a stable equilibrium on {before.lost} → {after.lost} of {many}"
     return words
+
+
+def yield_words(before: BuiltArms, after: BuiltArms) -> str:
+    """How the share of built arms within tolerance on a task, and on all tasks, went from one design to another."""
+    each = " → ".join(f"{100 * float(side.within.double().mean()):.1f}" for side in (before, after))
+    old, new = before.yield_of_all, after.yield_of_all
+    words = (
+        f"built arms are within tolerance on {each} % of tasks, and on all tasks {old} → {new}, by samples of their own"
+    )
+    return words if new.value > old.value or after.within.sum() > before.within.sum() else f"{words}, which is no gain"
 
 
 def reached_words(side: TaskErrors, over: str) -> str:

@@ -49,6 +49,9 @@ class Arms(NamedTuple):
         shear: (S,) stiffness against shear [N], where shear is unknown.
         link: (B, S, P) pose of what follows a segment, in the frame of its end.
         first_actuator, first_node: (S + 1,) where the segments' actuators and elements begin, and end.
+        force_scale, bending_scale: (B, M) factors on the models' forces and moments, of built arms; else (0, M).
+        added: (B, M, J, I) coefficients that built arms add to the forces, as of a polynomial's table; else
+            (0, M, J, I). J and I are those of that table.
     """
 
     size: int
@@ -65,6 +68,9 @@ class Arms(NamedTuple):
     link: Array
     first_actuator: Array
     first_node: Array
+    force_scale: Array
+    bending_scale: Array
+    added: Array
 
 
 @by_reference
@@ -126,7 +132,7 @@ def arms_of(
     segments, links = segments_of(arm)
     count = math.prod(batch)
     every = [model for segment in segments for model in segment.actuators]
-    models = models_of(every)
+    models, *built = _built(segments, models_of(every), batch)
     if highest is None:
         highest = np.concatenate(
             [numbers(segment.max_pressure).reshape(-1, segment.actuator_count).max(0) for segment in segments]
@@ -165,7 +171,34 @@ def arms_of(
         link,
         np.cumsum([0, *sizes]),
         np.cumsum([0, *nodes]),
+        *built,
     )
+
+
+def _built(segments: Sequence[ArmDesign], models: Models, batch: tuple[int, ...]) -> tuple[Models, Array, Array, Array]:
+    """The models, with tables that have room for all powers, and how built arms deviate from them, as of `Arms`."""
+    count, actuators = math.prod(batch), len(models.kind)
+    if all(segment.deviation is None for segment in segments):
+        return models, np.zeros((0, actuators)), np.zeros((0, actuators)), np.zeros((0, *models.table.shape))
+    powers = [power for segment in segments if segment.deviation is not None for power in segment.deviation.powers]
+    most_i, most_j = (max([0, *(power[axis] for power in powers)]) for axis in (0, 1))
+    _, rows, columns = models.table.shape
+    wider = ((0, 0), (0, max(0, most_j + 1 - rows)), (0, max(0, most_i + 1 - columns)))
+    models = models._replace(table=np.pad(models.table, wider))
+    scale, bending, added = (
+        np.ones((count, actuators)),
+        np.ones((count, actuators)),
+        np.zeros((count, *models.table.shape)),
+    )
+    first = 0
+    for segment in segments:
+        own, first = slice(first, first + segment.actuator_count), first + segment.actuator_count
+        if segment.deviation is not None:
+            scale[:, own] = _flat(segment.deviation.force_scale, batch, 1)
+            bending[:, own] = _flat(segment.deviation.bending_scale, batch, 1)
+            for (i, j), term in zip(segment.deviation.powers, segment.deviation.terms, strict=True):
+                added[:, own, j, i] += _flat(term, batch, 1)
+    return models, scale, bending, added
 
 
 def _bending(actuators: Sequence[Actuator]) -> tuple[Array, Array]:

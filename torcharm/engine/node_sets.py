@@ -35,7 +35,7 @@ class Sections(NamedTuple):
         strain: (B, P, N, M).
         lever: (B, M, D) the wrench of a force of 1 N.
         bending: (B, P, N, M, D - 1) the moments of a pressure of 1 kPa.
-        constant: (B, P, N, D - 1) the moments at no pressure.
+        constant: (B, P, N, D) the wrench that no pressure changes.
         samples: curves of the models that the engine does not know.
         unit_weight: (G, P, N, D) the wrench that 1 kg of each of G parts asks of a node.
         mass: (B, G) of the parts [kg].
@@ -159,10 +159,9 @@ def aim(sections, required, room, b, h, l, i, relative):  # type: ignore[no-unty
             target[c] += sections.mass[b, g] * sections.unit_weight[g, h, i, c]
             if relative:
                 target[c] -= sections.mass[b, g] * sections.unit_weight[g, h, 0, c]
-        if c > 0:
-            target[c] -= sections.constant[b, h, i, c - 1]
-            if relative:
-                target[c] += sections.constant[b, h, 0, c - 1]
+        target[c] -= sections.constant[b, h, i, c]
+        if relative:
+            target[c] += sections.constant[b, h, 0, c]
         size += abs(target[c])
     return size
 

@@ -29,8 +29,10 @@ class Drive(NamedTuple):
     """M actuators at their pressures.
 
     Attributes:
-        row: (M, I) coefficients by powers of strain of the polynomials' forces [N].
+        row: (M, I) coefficients by powers of strain of the polynomials' forces, and of what built arms add to others'
+            [N].
         row_slope: (M, I) the same, differentiated by pressure [N/kPa].
+        scale, stiffening: (M,) factors on the forces that are no polynomials, and on bending moments.
         pressure, log_pressure: (M,) of pressures [kPa].
         bending: (M,) bending stiffness [N·m²].
         shrunk: (M,) the inverse of neutral lengths [1/m].
@@ -39,6 +41,8 @@ class Drive(NamedTuple):
 
     row: Array
     row_slope: Array
+    scale: Array
+    stiffening: Array
     pressure: Array
     log_pressure: Array
     bending: Array
@@ -68,8 +72,8 @@ def make_drive(arms: Arms) -> Drive:
     count, powers = len(arms.models.kind), arms.models.table.shape[2]
     level = np.zeros((count if (arms.tables.force >= 0).any() else 0, arms.tables.strain.shape[1], 4))
     row, slope = np.zeros((2, count, powers))
-    pressure, logarithm, bending, shrunk = np.zeros((4, count))
-    return Drive(row, slope, pressure, logarithm, bending, shrunk, level)
+    scale, stiffening, pressure, logarithm, bending, shrunk = np.zeros((6, count))
+    return Drive(row, slope, scale, stiffening, pressure, logarithm, bending, shrunk, level)
 
 
 def make_sections(arms: Arms) -> Sections:
@@ -81,20 +85,25 @@ def make_sections(arms: Arms) -> Sections:
 @part
 def set_pressure(arms, drive, pressures, b, factor):  # type: ignore[no-untyped-def]
     """Take the pressures of row b, times a factor."""
-    table = arms.models.table
+    table, built = arms.models.table, len(arms.force_scale) > 0
     for a in range(len(drive.pressure)):
         p = pressures[b, a] * factor
         drive.pressure[a] = p
         drive.shrunk[a] = 1.0 / arms.neutral[b, a]
-        drive.bending[a] = arms.active[a] * p + arms.passive[a]
-        if arms.models.kind[a] == POLYNOMIAL:
+        scale = arms.force_scale[b, a] if built else 1.0
+        drive.scale[a] = arms.models.scale[a] * scale
+        drive.stiffening[a] = arms.bending_scale[b, a] if built else 1.0
+        drive.bending[a] = drive.stiffening[a] * (arms.active[a] * p + arms.passive[a])
+        if built or arms.models.kind[a] == POLYNOMIAL:
             for i in range(table.shape[2]):
                 total = slope = 0.0
                 for j in range(table.shape[1] - 1, -1, -1):
                     slope = slope * p + total
-                    total = total * p + table[a, j, i]
-                drive.row[a, i], drive.row_slope[a, i] = total, slope
-        elif arms.models.kind[a] == MUSCLE:
+                    total = total * p + (table[a, j, i] + arms.added[b, a, j, i] if built else table[a, j, i])
+                drive.row[a, i], drive.row_slope[a, i] = scale * total, scale * slope
+        if arms.models.kind[a] == POLYNOMIAL:
+            continue
+        if arms.models.kind[a] == MUSCLE:
             drive.log_pressure[a] = math.log(max(p, _TRACE))
         else:
             _set_level(arms.tables, drive.level, a, p)
@@ -164,34 +173,44 @@ def bending_moment(tables, a, curvature, rest, pressure):  # type: ignore[no-unt
     return _between(x, width, f0, d0, f1, d1)
 
 
+@part
+def _own_moment(arms, drive, a, curvature):  # type: ignore[no-untyped-def]
+    """The moment of a sampled bending law at the actuator's pressure, and its slope by material curvature."""
+    own = drive.stiffening[a]
+    return bending_moment(arms.tables, a, curvature, own, own * drive.pressure[a])
+
+
 @inlined_part
 def axial_force(arms, drive, a, strain):  # type: ignore[no-untyped-def]
     """f and ∂f/∂ε of an actuator at its pressure."""
-    if arms.models.kind[a] == POLYNOMIAL:
-        total = slope = 0.0
+    total = slope = 0.0
+    if arms.models.kind[a] == POLYNOMIAL or len(arms.force_scale) > 0:
         for i in range(drive.row.shape[1] - 1, -1, -1):
             slope = slope * strain + total
             total = total * strain + drive.row[a, i]
+    if arms.models.kind[a] == POLYNOMIAL:
         return total, slope
     if arms.models.kind[a] != MUSCLE:
-        return _at_level(arms.tables, drive.level, a, strain, 0)
-    pull, slope, _ = muscle(strain, drive.pressure[a], drive.log_pressure[a])
-    return -arms.models.scale[a] * pull, -arms.models.scale[a] * slope
+        force, force_slope = _at_level(arms.tables, drive.level, a, strain, 0)
+        return total + drive.scale[a] * force, slope + drive.scale[a] * force_slope
+    pull, pull_slope, _ = muscle(strain, drive.pressure[a], drive.log_pressure[a])
+    return total - drive.scale[a] * pull, slope - drive.scale[a] * pull_slope
 
 
 @part
 def axial_force_rate(arms, drive, a, strain):  # type: ignore[no-untyped-def]
     """∂f/∂p of an actuator at its pressure."""
-    if arms.models.kind[a] == POLYNOMIAL:
-        total = 0.0
+    total = 0.0
+    if arms.models.kind[a] == POLYNOMIAL or len(arms.force_scale) > 0:
         for i in range(drive.row.shape[1] - 1, -1, -1):
             total = total * strain + drive.row_slope[a, i]
+    if arms.models.kind[a] == POLYNOMIAL:
         return total
     if arms.models.kind[a] != MUSCLE:
         rate, _ = _at_level(arms.tables, drive.level, a, strain, 2)
-        return rate
+        return total + drive.scale[a] * rate
     _, _, rate = muscle(strain, drive.pressure[a], drive.log_pressure[a])
-    return -arms.models.scale[a] * rate
+    return total - drive.scale[a] * rate
 
 
 @part
@@ -237,7 +256,7 @@ def _planar_section(arms, drive, sections, b, segment, i, twist):  # type: ignor
         m_l -= turned
         m_k += bent + r * turned
         if arms.tables.bent[a] >= 0:
-            tau, tau_slope = bending_moment(arms.tables, a, curvature / safe, 1.0, drive.pressure[a])
+            tau, tau_slope = _own_moment(arms, drive, a, curvature / safe)
             moment += tau
             turned = free * tau_slope * curvature / (safe * safe)
             m_l -= turned
@@ -299,7 +318,7 @@ def _spatial_section(arms, drive, sections, b, segment, i, twist):  # type: igno
             c_y, c_z = k_y / safe, k_z / safe
             square = c_y * c_y + c_z * c_z + STRAIGHT * STRAIGHT
             curve = math.sqrt(square)
-            tau, tau_slope = bending_moment(arms.tables, a, curve, 1.0, drive.pressure[a])
+            tau, tau_slope = _own_moment(arms, drive, a, curve)
             secant = tau / curve
             along, shorter = (tau_slope - secant) / square, free * (c_y * c_y + c_z * c_z)
             bend_y += secant * c_y
@@ -348,7 +367,7 @@ def write_rates(arms, drive, sections, b, segment, i, twist):  # type: ignore[no
         own = length + z * k_y - y * k_z
         rate = axial_force_rate(arms, drive, a, (own - neutral) / neutral)
         safe, _ = held(own, neutral)
-        bent = arms.active[a] / safe
+        bent = drive.stiffening[a] * arms.active[a] / safe
         sections.rate[i, 0, a] = rate
         sections.rate[i, size - 1, a] = bent * k_z - y * rate
         if not planar:
@@ -358,7 +377,7 @@ def write_rates(arms, drive, sections, b, segment, i, twist):  # type: ignore[no
         if arms.tables.bent[a] >= 0:
             c_y, c_z = k_y / safe, k_z / safe
             curve = c_z if planar else math.sqrt(c_y * c_y + c_z * c_z + STRAIGHT * STRAIGHT)
-            moment, _ = bending_moment(arms.tables, a, curve, 0.0, 1.0)
+            moment, _ = bending_moment(arms.tables, a, curve, 0.0, drive.stiffening[a])
             if planar:
                 sections.rate[i, size - 1, a] += moment
             else:

@@ -38,8 +38,10 @@ def _is_followed(problem: Problem) -> bool:
         return False
     segments, links = segments_of(problem.arm)
     tensors = [problem.pressure, problem.base_pose, *problem.load.tensors().values()]
-    for part in (*segments, *links):
-        tensors += [value for value in vars(part).values() if isinstance(value, Tensor)] if part is not None else []
+    for segment in segments:
+        tensors += segment.tensors()
+    for link in links:
+        tensors += [value for value in vars(link).values() if isinstance(value, Tensor)] if link is not None else []
     if any(value.requires_grad for value in tensors):
         return True
     return any(want_gradients(segment.actuators, problem.pressure) for segment in segments)

@@ -29,6 +29,7 @@ from torcharm.plot.loads import (
 from torcharm.plot.optimisation import optimisation_figure
 from torcharm.plot.shape_figures import plan_figure, search_figure
 from torcharm.plot.study import study_figure
+from torcharm.plot.tolerance import tolerance_figure
 
 __all__ = [
     "ARM_COLOURS",
@@ -52,6 +53,7 @@ __all__ = [
     "polar_load_grid",
     "search_figure",
     "study_figure",
+    "tolerance_figure",
     "unattainability_histogram",
     "verdict_map",
 ]

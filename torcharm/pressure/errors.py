@@ -52,11 +52,16 @@ def errors_at(prepared: Prepared, place: Tensor, twists: Tensor, known: Tensor, 
         known: (*batch) which are minima; the gradients of the others are NaN, unless nothing depends on them.
         stable: (*batch) which are stable equilibria; the errors of the others are infinite.
     """
+    limit = prepared.problem.pressure
+    pressure = torch.where(place >= 1, limit, place * limit.detach())  # what is at a limit moves with it
+    reached = with_gradients(replace(prepared.problem, pressure=pressure), twists, known)
+    return errors_of(prepared, pressure, reached, known, stable)
+
+
+def errors_of(prepared: Prepared, pressure: Tensor, reached: Tensor, known: Tensor, stable: Tensor) -> Errors:
+    """The same of shapes (*batch, N, K) reached at pressures (*batch, M) [kPa], with their graphs."""
     problem, weight = prepared.problem, prepared.weights
     diagonal = prepared.cost.diagonal(problem.arm.neutral_length, prepared.dimension).unsqueeze(-2)
-    limit = problem.pressure
-    pressure = torch.where(place >= 1, limit, place * limit.detach())  # what is at a limit moves with it
-    reached = with_gradients(replace(problem, pressure=pressure), twists, known)
     wanted = prepared.poses(prepared.twists).expand(*problem.batch, *_pose_shape(prepared))
     wanted = _Known.apply(wanted, known) if wanted.requires_grad else wanted
     found = prepared.poses(reached)

@@ -42,13 +42,18 @@ def followed_twists(
         found: the prediction.
     """
     prepared = prepare(arm, task, pose_cost)
+    pressure = followed_pressure(prepared, found)
+    twists, known = found.twists.detach().to(pressure), found.stable.cpu()
+    return prepared.given_back(with_gradients(replace(prepared.problem, pressure=pressure), twists, known))
+
+
+def followed_pressure(prepared: Prepared, found: PredictedError) -> Tensor:
+    """The pressures (*batch, M) [kPa] of a prediction of these problems, with the gradients of the minimum's."""
     limit = prepared.problem.pressure
     with torch.no_grad():
         place = torch.where(limit > 0, found.pressure.to(limit) / limit.clamp(min=1e-300), 0.0).clamp(0, 1)
-    twists = found.twists.detach().to(limit)
-    pressure = torch.where(place >= 1, limit, _followed(prepared, place, twists) * limit.detach())
-    known = found.stable.cpu()
-    return prepared.given_back(with_gradients(replace(prepared.problem, pressure=pressure), twists, known))
+    followed = _followed(prepared, place, found.twists.detach().to(limit))
+    return torch.where(place >= 1, limit, followed * limit.detach())
 
 
 def beyond_range(arm: ArmDesign | ArmSeries, task: Task, twists: Tensor) -> Tensor:

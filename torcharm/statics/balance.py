@@ -13,7 +13,7 @@ from torch import Tensor
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries, RigidLink
 from torcharm.load import ExternalLoad
-from torcharm.statics.cross_section import CrossSections, actuator_force, cross_sections
+from torcharm.statics.cross_section import CrossSections, cross_sections
 from torcharm.statics.external_load import required_wrench
 
 RIGID = 1e30
@@ -98,7 +98,7 @@ def _torsion(segment: ArmDesign, sections: CrossSections, twists: Tensor, pressu
 def tilt_stiffness(segment: ArmDesign, sections: CrossSections, pressure: Tensor) -> Tensor:
     """`Σ f_α ρ_α²/l_α` (..., N) [N·m]: the stiffness against torsion that pushing actuators take away, as true
     lengths tilt their forces. The arm buckles in torsion where it reaches C/l."""
-    force = actuator_force(sections.actuators, sections.strain, pressure)
+    force = sections.force(pressure) * sections.lever[..., 0]
     length = segment.length.unsqueeze(-2) * (1 + sections.strain)
     square = segment.offsets.square().sum(-1).unsqueeze(-2)
     return (force * square / length).sum(-1)

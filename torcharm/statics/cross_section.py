@@ -3,11 +3,12 @@
 At a node actuator α provides, at pressure p, the wrench `f_α(ε_α, p) u_α + p t_α` and a constant moment, in the
 components that pressures can change: `(f_x, m)` in the plane, `(f_x, m_y, m_z)` in space. Its lever is
 `u = (1, -r)` or `(1, z, -y)`; t comes from its bending stiffness. The paper prints `+r`; virtual work
-(`∂l_α/∂κ = -r_α`) asks for the minus.
+(`∂l_α/∂κ = -r_α`) asks for the minus. Of a built actuator u and t bear the factors by which its force and its bending
+moments deviate from the model's.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import torch
@@ -21,6 +22,7 @@ from torcharm.actuators.bending import (
     passive_moment,
     reference_pressure,
 )
+from torcharm.actuators.deviation import added_force
 from torcharm.actuators.inspection import same_model
 from torcharm.actuators.protocol import sampled_of
 from torcharm.arm import ArmDesign
@@ -49,10 +51,11 @@ class CrossSections:
     Attributes:
         actuators: M force models.
         strain: (..., N, M) ε.
-        lever: (..., 1, M, D) u, the wrench of a force of 1 N [-, m].
+        lever: (..., 1, M, D) u, the wrench of a model's force of 1 N [-, m].
         bending: (..., N, M, D-1) t, the moments of a pressure of 1 kPa [N·m/kPa].
-        constant: (..., N, D-1) the moments that no pressure changes, of all actuators [N·m]; None is none.
+        constant: (..., N, D) the wrench that no pressure changes, of all actuators [N, N·m]; None is none.
         limit: (..., 1, M) pressure limits [kPa].
+        powers, terms: of what is added to the models' forces, as of `ForceDeviation`; terms (..., 1, M).
     """
 
     actuators: tuple[Actuator, ...]
@@ -61,15 +64,36 @@ class CrossSections:
     bending: Tensor
     constant: Tensor | None
     limit: Tensor
+    powers: tuple[tuple[int, int], ...] = ()
+    terms: tuple[Tensor, ...] = ()
+
+    def force(self, pressure: Tensor) -> Tensor:
+        """The axial forces (..., N, M) [N] that levers turn into wrenches, at pressures (..., N or 1, M) [kPa]."""
+        force = actuator_force(self.actuators, self.strain, pressure)
+        return force + added_force(self.powers, self.terms, self.strain, pressure) if self.terms else force
 
     def reaction(self, pressure: Tensor) -> Tensor:
         """The wrenches (..., N, D) that pressures (..., N or 1, M) [kPa] provide."""
-        force = actuator_force(self.actuators, self.strain, pressure)
-        wrench = (force.unsqueeze(-1) * self.lever).sum(-2)
+        wrench = (self.force(pressure).unsqueeze(-1) * self.lever).sum(-2)
         moment = (pressure.unsqueeze(-1) * self.bending).sum(-2)
-        if self.constant is not None:
-            moment = moment + self.constant
-        return torch.cat((wrench[..., :1].expand(*moment.shape[:-1], 1), wrench[..., 1:] + moment), -1)
+        total = torch.cat((wrench[..., :1].expand(*moment.shape[:-1], 1), wrench[..., 1:] + moment), -1)
+        return total if self.constant is None else total + self.constant
+
+    def for_sets(self) -> "CrossSections":
+        """The same, with offsets of forces in the constant wrench: sets know the forces of models, and that.
+
+        Raises:
+            ValueError: terms of forces depend on strain or pressure.
+        """
+        if not self.terms:
+            return self
+        if any(power != (0, 0) for power in self.powers):
+            raise ValueError(
+                "metrics: must be predicted_error alone for arms whose force models have scattered coefficients, "
+                "which attainable sets do not know"
+            )
+        offset = (torch.stack(torch.broadcast_tensors(*self.terms)).sum(0).unsqueeze(-1) * self.lever).sum(-2)
+        return replace(self, constant=offset if self.constant is None else self.constant + offset, powers=(), terms=())
 
 
 def cross_sections(arm: ArmDesign, twists: Tensor) -> CrossSections:
@@ -84,13 +108,20 @@ def cross_sections(arm: ArmDesign, twists: Tensor) -> CrossSections:
         own_length = offset_length(length, twists[..., 5:], y, twists[..., 4:5], z)
         lever, turn = torch.stack((one, z, -y), -1), twists[..., 4:]
     curvature = torch.stack([material_curvature(k, own_length, neutral) for k in turn.split(1, -1)], -1)
-    bending, constant = _bending(arm.actuators, curvature)
-    own_strain = strain(own_length, neutral)
-    return CrossSections(arm.actuators, own_strain, lever, bending, constant, arm.max_pressure.unsqueeze(-2))
+    own_strain, limit, deviation = strain(own_length, neutral), arm.max_pressure.unsqueeze(-2), arm.deviation
+    if deviation is None:
+        return CrossSections(arm.actuators, own_strain, lever, *_bending(arm.actuators, curvature), limit)
+    bending, constant = _bending(arm.actuators, curvature, deviation.bending_scale.unsqueeze(-2))
+    lever = deviation.force_scale[..., None, :, None] * lever
+    terms = tuple(term.unsqueeze(-2) for term in deviation.terms)
+    return CrossSections(arm.actuators, own_strain, lever, bending, constant, limit, deviation.powers, terms)
 
 
-def _bending(actuators: tuple[Actuator, ...], curvature: Tensor) -> tuple[Tensor, Tensor | None]:
-    """Moments a kPa (..., M, D-1), and those that no pressure changes (..., D-1), at material curvatures."""
+def _bending(
+    actuators: tuple[Actuator, ...], curvature: Tensor, scale: Tensor | None = None
+) -> tuple[Tensor, Tensor | None]:
+    """Moments a kPa (..., M, D-1), and the wrench that no pressure changes (..., D), at material curvatures; moments
+    times a scale (..., 1, M)."""
     reference = [reference_pressure(model.bending_stiffness, model.max_pressure) for model in actuators]
     linear = [linear_stiffness(model.bending_stiffness) for model in actuators]
     if None not in linear:
@@ -106,8 +137,10 @@ def _bending(actuators: tuple[Actuator, ...], curvature: Tensor) -> tuple[Tensor
     for a, model in enumerate(actuators):
         moment = _along(curvature[..., a, :], partial(passive_moment, model.bending_stiffness))
         if moment is not None:
+            moment = moment if scale is None else scale[..., a, None] * moment
             constant = moment if constant is None else constant + moment
-    return active, constant
+    constant = None if constant is None else torch.nn.functional.pad(constant, (1, 0))
+    return active if scale is None else scale.unsqueeze(-1) * active, constant
 
 
 def _along(curvature: Tensor, law: Callable[[Tensor], Tensor | None]) -> Tensor | None:

@@ -9,8 +9,10 @@ from torcharm.arm_series import ArmSeries
 from torcharm.attainability import CHOICES, PoseTolerance
 from torcharm.design.objective import Objective
 from torcharm.design.optimise import ITERATIONS
+from torcharm.design.scatter import Scatter
 from torcharm.design.shape_planning import Smoothness
 from torcharm.design.space import DesignSpace
+from torcharm.design.tolerance import SAMPLES
 from torcharm.inputs import HoldsTensors
 from torcharm.load import ExternalLoad
 from torcharm.task import Task
@@ -81,6 +83,16 @@ class Optimisation:
 
 
 @dataclass(frozen=True)
+class Manufacture:
+    """How arms are built: arguments of `torcharm.tolerance`, with its defaults; a scatter of None is not told yet."""
+
+    scatter: Scatter | None = None
+    compensated: bool = False
+    samples: int = SAMPLES
+    seed: int = 0
+
+
+@dataclass(frozen=True)
 class NamedPlan:
     """A tip pose for which arms' shapes are to be found, and what the study calls it.
 
@@ -119,6 +131,7 @@ class Study(HoldsTensors):
     tasks: tuple[NamedTask, ...]
     settings: Settings
     optimisation: Optimisation = field(default_factory=Optimisation)
+    manufacture: Manufacture = field(default_factory=Manufacture)
     plans: tuple[NamedPlan, ...] = ()
     tables: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
 

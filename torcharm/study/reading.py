@@ -12,6 +12,8 @@ from pydantic import ValidationError
 from torcharm.attainability import CHOICES, PoseTolerance, check_measure
 from torcharm.attainability.questions import LONGEST, WIDEST, question_about_lengths
 from torcharm.design.objective import Objective
+from torcharm.design.robust import Robust
+from torcharm.design.scatter import FIELDS, Scatter
 from torcharm.design.shape_planning import Smoothness
 from torcharm.design.space import DesignSpace
 from torcharm.files import read_file
@@ -20,9 +22,9 @@ from torcharm.load import ExternalLoad
 from torcharm.statics.balance import segments_of
 from torcharm.study.arm_reading import make_arm
 from torcharm.study.arm_tables import NamedTable
-from torcharm.study.data import NamedArm, NamedPlan, NamedTask, Optimisation, Settings, Study
+from torcharm.study.data import Manufacture, NamedArm, NamedPlan, NamedTask, Optimisation, Settings, Study
 from torcharm.study.fields import field_path, first_mistake, one_line, shown_value, within
-from torcharm.study.tables import EvaluateTable, OptimiseTable, PlanTable, StudyTable
+from torcharm.study.tables import EvaluateTable, OptimiseTable, PlanTable, StudyTable, ToleranceTable
 from torcharm.study.task_reading import (
     check_columns,
     check_fit,
@@ -127,13 +129,15 @@ def _study(table: StudyTable, folder: Path) -> Study:
         for task in plain.tasks_of(arm):
             with within("evaluate", arm.name):
                 _check_size(arm, task, settings)
+    with within("tolerance", ""):
+        manufacture = _manufacture(table.tolerance)
     with within("optimise", ""):
-        optimisation = _optimisation(table.optimise)
+        optimisation = _optimisation(table.optimise, manufacture)
     plans = []
     for index, wanted in enumerate(table.plan):
         with within(field_path(["plan", index]), wanted.name):
             plans.append(_plan(wanted, arms))
-    return replace(plain, optimisation=optimisation, plans=tuple(plans))
+    return replace(plain, optimisation=optimisation, manufacture=manufacture, plans=tuple(plans))
 
 
 def _check_arms(table: ShapedTask | TwistTask, task: NamedTask, arms: Sequence[NamedArm]) -> None:
@@ -172,7 +176,7 @@ def _settings(table: EvaluateTable) -> Settings:
     )
 
 
-def _optimisation(table: OptimiseTable) -> Optimisation:
+def _optimisation(table: OptimiseTable, manufacture: Manufacture) -> Optimisation:
     spacing = [] if table.spacing is None else [table.spacing]
     for field, values, most in (
         ("bounds.radii", table.bounds.radii, WIDEST),
@@ -184,8 +188,24 @@ def _optimisation(table: OptimiseTable) -> Optimisation:
             raise ValueError(f"{field}: {question}")
     bounds = {name: (ends[0], ends[1]) for name, ends in table.bounds.model_dump(exclude_none=True).items()}
     space = DesignSpace(tuple(table.free), table.tied, bounds, table.spacing, table.in_range)
-    objective = Objective(table.metric, table.over, relative_weight=table.relative_weight)
+    robust = None
+    if table.robust is not None:
+        if manufacture.scatter is None:
+            raise ValueError("robust: must stand beside a table [tolerance] that says what is scattered, got none")
+        robust = Robust(manufacture.scatter, table.robust, compensated=manufacture.compensated)
+    objective = Objective(table.metric, table.over, relative_weight=table.relative_weight, robust=robust)
     return Optimisation(space, objective, table.starts, table.seed, table.iterations)
+
+
+def _manufacture(table: ToleranceTable) -> Manufacture:
+    sizes = {name: getattr(table, name) for name in FIELDS}
+    alike = {name: value for name, value in table.correlated.model_dump().items() if value > 0}
+    scatter = None
+    if table.model_covariance or any(sizes.values()):
+        scatter = Scatter(
+            **sizes, model_covariance=table.model_covariance, distribution=table.distribution, correlated=alike
+        )
+    return Manufacture(scatter, table.compensated, table.samples, table.seed)
 
 
 def _plan(table: PlanTable, arms: Sequence[NamedArm]) -> NamedPlan:

@@ -10,12 +10,25 @@ from torcharm.attainability.verdict import ROTATION
 from torcharm.design.objective import AGGREGATES, Objective
 from torcharm.design.objective import METRICS as OBJECTIVES
 from torcharm.design.optimise import ITERATIONS
+from torcharm.design.scatter import DISTRIBUTIONS
 from torcharm.design.space import FIELDS, TIES
+from torcharm.design.tolerance import SAMPLES
 from torcharm.study.arm_tables import ArmTable, Names
-from torcharm.study.data import Settings
+from torcharm.study.data import Manufacture, Settings
 from torcharm.study.fields import Name, NotNegative, Positive, Table, entries, filled, one_of, refuse
 from torcharm.study.task_tables import BasePose, TaskTable, TipPose, WeighedTable, base_pose
-from torcharm.study.units import Angle, LengthRange, Load, PositiveAngle, PositiveLength, PressureRange
+from torcharm.study.units import (
+    Angle,
+    LengthRange,
+    Load,
+    NotNegativeForce,
+    NotNegativeLength,
+    NotNegativePressure,
+    NotNegativeShare,
+    PositiveAngle,
+    PositiveLength,
+    PressureRange,
+)
 from torcharm.wrench_sets.vertex_sets import DISTANCES, HULLS
 
 
@@ -23,6 +36,9 @@ def _no_closed_form(value: Any) -> Any:
     if value == "closed_form":
         raise refuse('must be left out instead of "closed_form": distances are exact by "gjk", the default')
     return value
+
+
+Correlation = Annotated[float, Field(ge=0, le=1)]
 
 
 class EvaluateTable(Table):
@@ -143,11 +159,59 @@ class OptimiseTable(Table):
     over: Annotated[str, one_of(AGGREGATES)] = Field(
         default=Objective.over, description="Whether the mean over the tasks counts, or the worst.", examples=["worst"]
     )
+    robust: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+        default=None,
+        description="Which share of built arms, as of the table [tolerance], is to stay below what is made small: the "
+        "shape error of these. Without it, the drawn arm's counts.",
+        examples=[0.9],
+    )
     starts: Annotated[int, Field(ge=1, le=100_000)] = Field(
         default=8, description="Designs from which it descends; more find better ones, and take longer."
     )
     seed: Annotated[int, Field(ge=0, lt=2**32)] = Field(default=0, description="Of the random starts.")
     iterations: Annotated[int, Field(ge=1)] = Field(default=ITERATIONS, description="At most, of each start.")
+
+
+class CorrelatedTable(Table):
+    """How alike any two actuators of an arm are scattered: 0 is independent, 1 all alike, as of one batch."""
+
+    radii: Correlation = Field(default=0.0, description="Of offsets.")
+    length: Correlation = Field(default=0.0, description="Of neutral lengths.")
+    limits: Correlation = Field(default=0.0, description="Of pressure limits.")
+    force: Correlation = Field(default=0.0, description="Of the forces' scale.")
+    force_offset: Correlation = Field(default=0.0, description="Of the forces' offsets.")
+    bending: Correlation = Field(default=0.0, description="Of the bending moments' scale.")
+
+
+class ToleranceTable(Table):
+    """By how much built arms differ from drawn ones, for torcharm tolerance."""
+
+    radii: NotNegativeLength = Field(default=0.0, description="Of each actuator's offset.", examples=["1 mm"])
+    length: NotNegativeLength = Field(default=0.0, description="Of each neutral length.", examples=["2 mm"])
+    limits: NotNegativePressure = Field(default=0.0, description="Of each pressure limit.", examples=["1 kPa"])
+    force: NotNegativeShare = Field(default=0.0, description="Of each force's scale.", examples=["5 %"])
+    force_offset: NotNegativeForce = Field(
+        default=0.0, description="Added to each force at any strain and pressure.", examples=["0.2 N"]
+    )
+    bending: NotNegativeShare = Field(default=0.0, description="Of each bending moment's scale.", examples=["10 %"])
+    model_covariance: bool = Field(
+        default=False,
+        description="Whether fitted models are scattered by the covariance of their fit.",
+        examples=[True],
+    )
+    distribution: Annotated[str, one_of(DISTRIBUTIONS)] = Field(
+        default="normal",
+        description="Whether values are standard deviations, or half widths that nothing exceeds.",
+        examples=["uniform"],
+    )
+    correlated: CorrelatedTable = Field(default=CorrelatedTable(), description="How alike actuators are scattered.")
+    compensated: bool = Field(
+        default=Manufacture.compensated,
+        description="Whether pressures are found anew for each built arm; else those of the drawn one are kept.",
+        examples=[True],
+    )
+    samples: Annotated[int, Field(ge=2, le=1_000_000)] = Field(default=SAMPLES, description="Built arms.")
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = Field(default=Manufacture.seed, description="Of the samples.")
 
 
 class PlanTable(WeighedTable):
@@ -205,4 +269,5 @@ class StudyTable(Table):
     task: Annotated[list[TaskTable], filled("tables that begin with [[task]]")] = Field(description="The tasks.")
     evaluate: EvaluateTable = Field(default=EvaluateTable(), description="How arms are evaluated.")
     optimise: OptimiseTable = Field(default=OptimiseTable(), description="How arms are optimised.")
+    tolerance: ToleranceTable = Field(default=ToleranceTable(), description="How built arms differ from drawn ones.")
     plan: list[PlanTable] = Field(default=[], description="Tip poses to plan shapes for.")

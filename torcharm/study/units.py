@@ -9,7 +9,7 @@ from pydantic import Discriminator, Field, Tag
 from torcharm.attainability.questions import question_about_pose
 from torcharm.inputs import hint
 from torcharm.study.fields import Check, by_list, either, entries, refuse, shown_value
-from torcharm.units import ANGLE, AREA, FORCE, LENGTH, MASS, MOMENT, PRESSURE
+from torcharm.units import ANGLE, AREA, FORCE, LENGTH, MASS, MOMENT, PRESSURE, SHARE
 
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)\s*")
 
@@ -64,6 +64,8 @@ Length = Annotated[float, in_unit(LENGTH)]
 Mass = Annotated[float, in_unit(MASS)]
 Area = Annotated[float, in_unit(AREA)]
 Pressure = Annotated[float, in_unit(PRESSURE)]
+NotNegativeForce = Annotated[float, Field(ge=0), in_unit(FORCE)]
+NotNegativeShare = Annotated[float, Field(ge=0), in_unit(SHARE)]
 PositiveAngle = Annotated[float, Field(gt=0), in_unit(ANGLE)]
 PositiveLength = Annotated[float, Field(gt=0), in_unit(LENGTH)]
 NotNegativeLength = Annotated[float, Field(ge=0), in_unit(LENGTH)]

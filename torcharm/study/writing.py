@@ -76,8 +76,12 @@ def arm_to_toml(arm: ArmDesign | ArmSeries, name: str, files: Sequence[str | Non
     return "\n".join(texts)
 
 
+KEPT = ("evaluate", "optimise", "tolerance")
+"""Tables of how arms are evaluated, optimised and built, which are the same for others."""
+
+
 def study_to_toml(study: Study, name: str, arms: Mapping[str, NamedArm], notes: Mapping[str, str] | None = None) -> str:
-    """A study of other arms on the tasks of one that was read from a file, with its tables [evaluate] and [optimise].
+    """A study of other arms on the tasks of one that was read from a file, with its tables in `KEPT`.
 
     Args:
         study: with the tables of its file.
@@ -99,7 +103,7 @@ def study_to_toml(study: Study, name: str, arms: Mapping[str, NamedArm], notes: 
         named = [arms[old].name for old in table.get("arms", arms) if old in arms]
         if named:
             texts.append(_text("[[task]]", {**table, "arms": named} if "arms" in table else table))
-    texts += [_text(f"[{key}]", study.tables[key]) for key in ("evaluate", "optimise") if study.tables.get(key)]
+    texts += [_text(f"[{key}]", study.tables[key]) for key in KEPT if study.tables.get(key)]
     return "\n".join(texts).lstrip()
 
 

@@ -93,7 +93,7 @@ class DesignTaskGrid:
     def sections(self, segment: int, designs: slice, shapes: slice) -> CrossSections:
         """The cross-sections (B, P) of some designs of a segment on some shapes."""
         arm = self.segments[segment]
-        return cross_sections(arm[designs, None], self.twists[shapes, self.nodes[segment]])
+        return cross_sections(arm[designs, None], self.twists[shapes, self.nodes[segment]]).for_sets()
 
     def unflatten(self, value: Tensor) -> Tensor:
         """(B, P, L, ...) as (*design batch, *task batch, ...)."""

@@ -109,13 +109,13 @@ def engine_sections(
     factors = components_scale(scale, components)
     models = models_of(sections.actuators)
     constant = sections.constant
-    constant = sections.strain.new_zeros(designs, shapes, nodes, components - 1) if constant is None else constant
+    constant = sections.strain.new_zeros(designs, shapes, nodes, components) if constant is None else constant
     return models, Sections(
         as_array(sections.limit.expand(designs, 1, 1, actuators).reshape(designs, actuators)),
         as_array(sections.strain),
         as_array(sections.lever.expand(designs, 1, 1, actuators, components).reshape(designs, actuators, -1)) * factors,
         as_array(sections.bending.expand(designs, shapes, nodes, actuators, components - 1)) * scale[1],
-        as_array(constant.expand(designs, shapes, nodes, components - 1)) * scale[1],
+        as_array(constant.expand(designs, shapes, nodes, components)) * factors,
         sampled(sections) if samples is None else samples,
         as_array(required.unit_weight) * factors,
         as_array(required.mass),
@@ -201,7 +201,7 @@ def beyond_planes(
             provided = provided + (pressure * bending[..., c - 1].unsqueeze(-3)).sum(-1)
         distance = distance - own * provided
     if constant is not None:
-        distance = distance - (normal[..., 1:] * constant.unsqueeze(-3)).sum(-1)
+        distance = distance - (normal * constant.unsqueeze(-3)).sum(-1)
     return distance
 
 

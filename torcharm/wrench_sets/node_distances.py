@@ -114,6 +114,7 @@ def _segment(
 
     def prepare() -> tuple[CrossSections, Tensor, Tensor]:
         sections = cross_sections(arm, twists)
+        sections = sections.for_sets() if options.metrics else sections
         return *possible_sections(sections), strain_excess(sections)
 
     with torch.no_grad():
@@ -141,12 +142,11 @@ def _segment(
         if not again:
             *both, excess = replay()
         elif options.vertices is None and not any_sampled(sections) and not want_gradients(arm.actuators, arm.radii):
-            ours = (arm.radii, arm.length, arm.max_pressure, arm.out_of_plane, twists)
-            inputs = (*ours, required.external, required.unit_weight, required.mass)
+            inputs = (*arm.tensors(), twists, required.external, required.unit_weight, required.mass)
             with torch.no_grad():
                 pairs = [(one.distance, one.certified) for one in kept] or _measured(sections, required, options)
             plain = (*(value for value, _ in pairs), *(flag for _, flag in pairs), excess)
-            *both, excess = Replayed.apply(replay, plain, *(x for x in inputs if x is not None and x.requires_grad))
+            *both, excess = Replayed.apply(replay, plain, *(x for x in inputs if x.requires_grad))
         else:  # parameters inside of models are found only by a forward pass through them
             *both, excess = checkpoint(replay, use_reentrant=False)
         count = len(options.metrics)
@@ -230,9 +230,8 @@ def any_sampled(sections: CrossSections) -> bool:
 def wants_gradient(grid: DesignTaskGrid, segment: int) -> bool:
     """Whether anything that distances depend on asks for its gradient."""
     arm, required = grid.segments[segment], grid.required
-    inputs = (arm.radii, arm.length, arm.max_pressure, arm.out_of_plane, grid.twists)
-    loads = (required.external, required.unit_weight, required.mass)
-    wanted = any(value is not None and value.requires_grad for value in (*inputs, *loads))
+    inputs = (*arm.tensors(), grid.twists, required.external, required.unit_weight, required.mass)
+    wanted = any(value.requires_grad for value in inputs)
     return torch.is_grad_enabled() and (wanted or want_gradients(arm.actuators, arm.radii))
 
 

@@ -55,9 +55,8 @@ def _provided(sections: CrossSections, scale: tuple[float, float]) -> Tensor:
     force = actuator_force(sections.actuators, strain.expand_as(ends), ends).abs().amax(0)
     wrench = (force.unsqueeze(-1) * sections.lever.abs()).sum(-2)
     moment = (limit.unsqueeze(-1) * sections.bending.abs()).sum(-2)
-    if sections.constant is not None:
-        moment = moment + sections.constant.abs()
-    return _norm(torch.cat((wrench[..., :1], wrench[..., 1:] + moment), -1), scale)
+    total = torch.cat((wrench[..., :1], wrench[..., 1:] + moment), -1)
+    return _norm(total if sections.constant is None else total + sections.constant.abs(), scale)
 
 
 def _norm(wrench: Tensor, scale: tuple[float, float]) -> Tensor:

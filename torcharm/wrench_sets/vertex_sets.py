@@ -156,7 +156,7 @@ class VertexSets:
             if sections.constant is not None:
                 constant = sections.constant.unsqueeze(2)
                 constant = constant - constant[..., :1, :] if relative else constant
-                wanted = torch.cat((wanted[..., :1], wanted[..., 1:] - constant), -1)
+                wanted = wanted - constant
             curves = curve_vertices(sections, self.samples, relative=relative)
             point, vertices = _scaled(scale, wanted, curves.flatten(-3, -2))
             found = self.solver(point, vertices.unsqueeze(2), groups=len(sections.actuators))
@@ -200,7 +200,7 @@ def edge_vertices(sections: CrossSections, samples: int, *, relative: bool) -> T
 
 
 def curve_vertices(sections: CrossSections, samples: int, *, relative: bool) -> Tensor:
-    """Each actuator's wrenches (..., N, M, S, C) at S evenly spaced pressures, without constant moments."""
+    """Each actuator's wrenches (..., N, M, S, C) at S evenly spaced pressures, without the constant wrench."""
     grades = torch.linspace(0, 1, samples, dtype=sections.strain.dtype, device=sections.strain.device)
     pressure = grades.unsqueeze(-1) * sections.limit.unsqueeze(-2)  # (..., 1, S, M)
     force = actuator_force(sections.actuators, sections.strain.unsqueeze(-2), pressure)

@@ -98,7 +98,7 @@ def wrench_hulls(
         raise ValueError(f"segment_nodes: must hold one number for each segment, got {shown(segment_nodes)}")
     shapes = twists.reshape(-1, *twists.shape[-2:])
     parts = zip(flat_segments(arm), shapes.split(counts, -2), strict=True)
-    found = [_segment(cross_sections(own[:, None], part), relative, hull, samples) for own, part in parts]
+    found = [_segment(cross_sections(own[:, None], part).for_sets(), relative, hull, samples) for own, part in parts]
     most = max(vertices.shape[-2] for vertices, _ in found)
     vertices = torch.cat([_repeated(vertices, most) for vertices, _ in found], -3)
     before, rows = 0, []

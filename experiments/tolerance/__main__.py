@@ -1,0 +1,3 @@
+from experiments.tolerance.run import main
+
+main()

@@ -1,0 +1,265 @@
+"""`torcharm tolerance`: how far off the arms of a study will be once they are built, and what decides that."""
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from torcharm.cli.report import heading
+from torcharm.cli.tables import LONGEST_WORD, Column, print_table
+from torcharm.cli.terminal import (
+    FIGURE_FORMATS,
+    asked_about,
+    check_ending,
+    check_outputs,
+    count,
+    finish,
+    mistakes,
+    numbered,
+    open_console,
+    progress,
+    save_all,
+    say,
+)
+from torcharm.files import check_writable
+
+if TYPE_CHECKING:
+    from torcharm.design.tolerance_result import BuiltArms
+    from torcharm.study import NamedArm, NamedTask, Study
+    from torcharm.study.data import Manufacture
+
+
+@dataclass(frozen=True)
+class Found:
+    """What is found of one arm on one task."""
+
+    arm: "NamedArm"
+    task: "NamedTask"
+    built: "BuiltArms"
+
+
+def tolerance(
+    study: Annotated[
+        Path | None,
+        typer.Argument(help="A study, as TOML; its table [tolerance] says what is scattered, unless options do."),
+    ] = None,
+    radii: Annotated[str | None, typer.Option("--radii", help="Of offsets: '1 mm'.")] = None,
+    length: Annotated[str | None, typer.Option("--length", help="Of neutral lengths: '2 mm'.")] = None,
+    limits: Annotated[str | None, typer.Option("--limits", help="Of pressure limits: '1 kPa'.")] = None,
+    force: Annotated[str | None, typer.Option("--force", help="Of the forces' scale: '5 %'.")] = None,
+    force_offset: Annotated[str | None, typer.Option("--force-offset", help="Added to forces: '0.2 N'.")] = None,
+    bending: Annotated[str | None, typer.Option("--bending", help="Of the bending moments' scale: '10 %'.")] = None,
+    model_covariance: Annotated[
+        bool, typer.Option("--model-covariance", help="Scatter fitted models by the covariance of their fit.")
+    ] = False,
+    uniform: Annotated[
+        bool, typer.Option("--uniform", help="Values are half widths that nothing exceeds, not standard deviations.")
+    ] = False,
+    compensated: Annotated[
+        bool,
+        typer.Option("--compensated", help="Find each built arm's own best pressures, not the drawn arm's."),
+    ] = False,
+    samples: Annotated[int | None, typer.Option("--samples", help="Built arms.", show_default="1000")] = None,
+    seed: Annotated[int | None, typer.Option("--seed", help="Of the samples.", show_default="0")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Write a row for every arm, task and load, to a file .csv or .json.")
+    ] = None,
+    figure: Annotated[
+        Path | None,
+        typer.Option("--figure", help=f"Draw percentiles and shares, to a file ending in {', '.join(FIGURE_FORMATS)}."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the rows of --out as JSON, and no tables.")] = False,
+) -> None:
+    """Predict the tip errors of built arms: percentiles, yields, and which tolerance decides them.
+
+    Options of what is scattered replace the table [tolerance] of the study as a whole. Ctrl-C ends the work and shows
+    what was found until then.
+    """
+    with mistakes():
+        check_outputs(study, out, figure)
+        from torcharm.study import RESULT_FORMATS, example_study, load_study
+
+        check_ending("--out", out, RESULT_FORMATS)
+        plan = example_study() if study is None else asked_about(load_study(study))
+        sizes = {"radii": radii, "length": length, "limits": limits, "force": force}
+        sizes |= {"force_offset": force_offset, "bending": bending}
+        how = _manufacture(plan, sizes, model_covariance, uniform)
+        how = replace(how, compensated=compensated or how.compensated)
+        how = replace(how, samples=how.samples if samples is None else samples)
+        how = replace(how, seed=how.seed if seed is None else seed)
+        for path in numbered(figure, len(plan.tasks)):
+            check_writable(path, "--figure")
+        found: list[Found] = []
+        refused: dict[str, list[str]] = {}
+        interrupted = False
+        try:
+            _find(plan, how, found, refused)
+        except KeyboardInterrupt:  # what is finished is shown and written all the same
+            interrupted = True
+        if found:
+            if as_json:
+                typer.echo(json.dumps(list(_rows(found)), indent=1))
+            else:
+                _tell(plan, found)
+            save_all(open_console(), _outputs(plan, found, out, figure))
+        finish(interrupted, found, refused)
+
+
+def _manufacture(
+    plan: "Study", sizes: Mapping[str, str | None], model_covariance: bool, uniform: bool
+) -> "Manufacture":
+    """How arms are built: by options where there are any, else by the study."""
+    from torcharm.design.scatter import UNITS, Scatter
+    from torcharm.study.units import FORCE, LENGTH, PRESSURE, SHARE, numbers_in
+
+    units = {"m": LENGTH, "kPa": PRESSURE, "1": SHARE, "N": FORCE}
+    given: dict[str, float] = {}
+    for name, text in sizes.items():
+        if text is not None:
+            try:
+                (given[name],) = numbers_in(text, [units[UNITS[name]]])
+            except ValueError as error:
+                raise ValueError(f"--{name.replace('_', '-')}: {error}") from None
+    if not given and not model_covariance:
+        if plan.manufacture.scatter is None:
+            raise ValueError(
+                "tolerance: must say what is scattered: by options such as --radii '1 mm' --force '5 %', "
+                "or by a table [tolerance] of the study"
+            )
+        scatter = plan.manufacture.scatter
+        return replace(plan.manufacture, scatter=replace(scatter, distribution="uniform") if uniform else scatter)
+    kind = "uniform" if uniform else "normal"
+    return replace(plan.manufacture, scatter=Scatter(**given, model_covariance=model_covariance, distribution=kind))  # type: ignore[arg-type]
+
+
+def _find(plan: "Study", how: "Manufacture", found: list[Found], refused: dict[str, list[str]]) -> None:
+    """Append to `found` what is found, task by task; arms that are refused by why they are."""
+    from torcharm.design.tolerance import built_as
+
+    assert how.scatter is not None
+    pairs = [(arm, task) for task in plan.tasks for arm in plan.arms_of(task)]
+    with progress("building", len(pairs) * how.samples) as move:
+        for index, (arm, task) in enumerate(pairs):
+            before, name = index * how.samples, arm.name
+
+            def told(done: int, _: int, before: int = before, name: str = name) -> None:
+                move(to=before + done, words=name)
+
+            try:
+                built = built_as(
+                    arm.design,
+                    task.task,
+                    how.scatter,
+                    how.compensated,
+                    how.samples,
+                    how.seed,
+                    tolerance=plan.settings.tolerance,
+                    callback=told,
+                )
+            except ValueError as error:  # costs this arm alone
+                refused.setdefault(str(error), []).append(arm.name)
+                continue
+            found.append(Found(arm, task, built))
+
+
+def _tell(plan: "Study", found: Sequence[Found]) -> None:
+    console = open_console()
+    for task in plan.tasks:
+        own = [one for one in found if one.task is task]
+        if not own:
+            continue
+        console.print(heading(task, own[0].built.tip_error.shape[-1]))
+        console.print()
+        print_table(list(_columns(own)))
+        for one in own:
+            say(console, f"{one.arm.name}: {one.built.agreement}.")
+        console.print()
+    for line in _legend(plan, found[0].built):
+        say(console, line)
+
+
+def _columns(found: Sequence[Found]) -> Iterator[Column]:
+    """A row for each arm."""
+    import numpy as np
+
+    from torcharm.inputs import three_digits
+    from torcharm.plot.tolerance import SOURCE_WORDS
+
+    every = [one.built for one in found]
+    yield Column("arm", [one.arm.name for one in found], LONGEST_WORD)
+    drawn = [1e3 * float(np.median(built.nominal_tip_error)) for built in every]
+    yield Column("tip off, drawn\n[mm]", [three_digits(value) for value in drawn])
+    for percent in (50, 95):
+        values = [1e3 * float(built.pooled_percentile(percent)) for built in every]
+        yield Column(f"{percent} % within\n[mm]", [three_digits(value) for value in values])
+    each = [100 * float(built.within.double().mean()) for built in every]
+    yield Column("yield,\neach load [%]", [f"{value:.1f}" for value in each])
+    whole = [built.yield_of_all for built in every]
+    yield Column(
+        "yield,\nall loads [%]", [f"{100 * one.value:.1f} ({100 * one.low:.1f}-{100 * one.high:.1f})" for one in whole]
+    )
+    yield Column("beyond\nrange [%]", [f"{100 * built.extrapolated:.0f}" for built in every])
+    shares = [
+        ",\n".join(
+            f"{SOURCE_WORDS[name]} {100 * share:.0f} %"
+            for name, share in sorted(built.shares.items(), key=lambda pair: -pair[1])
+        )
+        for built in every
+    ]
+    yield Column("what scatters the tip", shares, LONGEST_WORD)
+
+
+def _legend(plan: "Study", built: "BuiltArms") -> Iterator[str]:
+    """What the columns mean, in a line each."""
+    import math
+
+    kept = "found anew for each built arm" if built.compensated else "the drawn arm's, kept"
+    size = "half widths" if built.scatter.distribution == "uniform" else "standard deviations"
+    yield f"{count(len(built.tip_error), 'built arm')}; tolerances are {size}; pressures are {kept}."
+    tip = plan.settings.tolerance.tip
+    near = "2 % of the drawn arm's length" if tip is None else f"{1e3 * tip:g} mm"
+    yield f"yield: tip and shape within {near}, turned within {math.degrees(built.tolerance.rotation):.3g}°;"
+    yield "in brackets its bounds with 95 % confidence. drawn: median over loads."
+    yield "beyond range: strains or limits that were not characterised, where force models guess."
+    yield "what scatters the tip: shares in its variance, by gradients at the drawn arm."
+
+
+def _rows(found: Sequence[Found]) -> Iterator[dict[str, Any]]:
+    """A row for each arm, task and load."""
+    from math import isfinite
+
+    for one in found:
+        columns = one.built.to_dict()
+        for index in range(len(columns["task"])):
+            row: dict[str, Any] = {"arm": one.arm.name, "task": one.task.name, "load": index + 1}
+            for name, values in columns.items():
+                if name == "task":
+                    continue
+                length = "tip_error" in name
+                value = values[index] * (1e3 if length else 1.0)
+                row[f"{name}_mm" if length else name] = value if isfinite(value) else None
+            yield row
+
+
+def _outputs(
+    plan: "Study", found: Sequence[Found], out: Path | None, figure: Path | None
+) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
+    from torcharm.study import check_format, write_rows
+
+    if out is not None:
+        rows, ending = list(_rows(found)), f".{check_format(out)}"
+        yield out, lambda path: write_rows(path, rows, ending), f" ({count(len(rows), 'row')})."
+    for place, task in zip(numbered(figure, len(plan.tasks)), plan.tasks, strict=False):
+        own = [one for one in found if one.task is task]
+        if own:
+            yield place, partial(_draw, task=task, found=own), f" ({task.name})."
+
+
+def _draw(path: Path, task: "NamedTask", found: Sequence[Found]) -> None:
+    from torcharm.plot import tolerance_figure
+
+    tolerance_figure([(one.arm.name, one.built) for one in found], task.name).savefig(path, dpi=150)

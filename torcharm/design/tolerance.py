@@ -1,0 +1,237 @@
+"""`tolerance`: what the errors of a design will be once it is built."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torcharm.arm import ArmDesign
+from torcharm.arm_series import ArmSeries
+from torcharm.attainability import PREDICTED, PoseTolerance, evaluate_search
+from torcharm.attainability.evaluation import as_tolerance
+from torcharm.attainability.verdict import judge, over_tolerance
+from torcharm.design.scatter import Scatter, Sizes, Source, built_arms, normal_numbers, scattered
+from torcharm.design.sensitivity import fitted_slopes, tip_places, tip_slopes, variances
+from torcharm.design.space import Arm
+from torcharm.design.tolerance_result import BuiltArms
+from torcharm.inputs import check_count, check_flag, shown
+from torcharm.pressure.kept_pressure import error_at_pressure
+from torcharm.pressure.pose_cost import PoseCost
+from torcharm.pressure.predicted_error import PredictedError, predict_error
+from torcharm.task import Task, task_list
+from torcharm.wrench_sets.design_task_grid import fitted
+
+SAMPLES = 1000
+"""Built arms: 95 % of yields are then known to within 3 percentage points."""
+AT_ONCE = 4096
+"""Pairs of a built arm and a task that are worked on together: some 100 MB of an arm in space."""
+
+Told = Callable[[int, int], object]
+"""Is told how many built arms are done, and of how many."""
+
+
+def tolerance(
+    arm: ArmDesign | ArmSeries,
+    task: Task | Sequence[Task],
+    *,
+    radii: Sizes = 0.0,
+    length: Sizes = 0.0,
+    limits: Sizes = 0.0,
+    force: Sizes = 0.0,
+    force_offset: Sizes = 0.0,
+    bending: Sizes = 0.0,
+    model_covariance: bool = False,
+    distribution: str = "normal",
+    correlated: Mapping[str, float] | None = None,
+    compensated: bool = False,
+    samples: int = SAMPLES,
+    seed: int = 0,
+    tolerance: PoseTolerance | float | None = None,
+    pose_cost: PoseCost | None = None,
+    margin: bool = False,
+    callback: Told | None = None,
+) -> BuiltArms:
+    """How far off a design's tip will be once it is built, how often it is within tolerance, and what decides that.
+
+    "Good to 1 mm" is a standard deviation, unless `distribution="uniform"` makes it a half width. Built arms are drawn
+    by scrambled Sobol' numbers and evaluated together; beside them stand slopes at the drawn arm by exact gradients.
+
+    Args:
+        arm: one design; in the plane or in space, or segments in series.
+        task: tasks of any batch shape, or several such; T in all.
+        radii, length, limits, force, force_offset, bending, model_covariance, distribution, correlated: what is
+            scattered and how far, as of `Scatter`: offsets and lengths [m], limits [kPa], the force's scale in parts of
+            1, an offset of the force [N], the bending moment's scale in parts of 1, and fitted models by their own
+            covariance.
+        compensated: False keeps the pressures that are best for the drawn arm: each built arm goes where loading from
+            rest leads at these. True finds the best pressures of each built arm: what a calibrated controller reaches.
+        samples: S, built arms.
+        seed: of the samples.
+        tolerance: how far off a pose may be for an arm to count in the yield, as for `torcharm.evaluate`; without it
+            2 % of the drawn arm's length, and 5°.
+        pose_cost: what pressures minimise; None is `PoseCost()`.
+        margin: whether to measure the capacity margin of each built arm, too, which costs more than all else.
+        callback: is told how many built arms are done, and of how many.
+
+    Raises:
+        ValueError: an argument is none of those allowed, or arm and tasks do not fit.
+    """
+    spread = (radii, length, limits, force, force_offset, bending)
+    scatter = Scatter(*spread, model_covariance, distribution, {} if correlated is None else correlated)
+    check_flag("compensated", compensated)
+    check_flag("margin", margin)
+    options: dict[str, Any] = {"tolerance": tolerance, "pose_cost": pose_cost, "margin": margin, "callback": callback}
+    return built_as(arm, task, scatter, compensated, samples, seed, **options)
+
+
+def built_as(
+    arm: Arm,
+    task: Task | Sequence[Task],
+    scatter: Scatter,
+    compensated: bool,
+    samples: int = SAMPLES,
+    seed: int = 0,
+    *,
+    tolerance: PoseTolerance | float | None = None,
+    pose_cost: PoseCost | None = None,
+    margin: bool = False,
+    callback: Told | None = None,
+) -> BuiltArms:
+    """The same for a `Scatter`; arguments and errors as of `tolerance`."""
+    tasks = checked_tasks(arm, task)
+    sources = scatter.sources(arm)
+    normal = normal_numbers(sources, check_count("samples", samples, 2), check_count("seed", seed, 0))
+    how = Evaluation(tasks, nominal_tolerance(arm, tolerance), pose_cost, margin)
+    with torch.no_grad():
+        drawn = [predict_error(arm, one, pose_cost) for one in tasks]
+        kept = None if compensated else [found.pressure for found in drawn]
+        if kept is not None:  # the drawn arm is loaded from rest, as the built ones are
+            drawn = [error_at_pressure(arm, one, own, pose_cost) for one, own in zip(tasks, kept, strict=True)]
+        nominal = how.of_found(arm, drawn)
+        built = how.of_samples(arm, sources, normal, kept, callback)
+    both = [
+        tip_slopes(arm, one, sources, found, pose_cost, compensated=compensated)
+        for one, found in zip(tasks, drawn, strict=True)
+    ]
+    slopes = [torch.cat([part.reshape(-1, *part.shape[-2:]) for part in column]) for column in zip(*both, strict=True)]
+    return _result(arm, scatter, sources, normal, how.tolerance, compensated, nominal, built, slopes)
+
+
+def _result(
+    arm: Arm,
+    scatter: Scatter,
+    sources: Sequence[Source],
+    normal: Tensor,
+    tolerance: PoseTolerance,
+    compensated: bool,
+    nominal: Mapping[str, Tensor],
+    built: Mapping[str, Tensor],
+    slopes: Sequence[Tensor],
+) -> BuiltArms:
+    """All of it together, with the fit to the samples."""
+    fits = [fitted_slopes(built["tip"][:, t], sources, normal) for t in range(built["tip"].shape[1])]
+    by_samples = torch.stack([variances(own, sources) for own, _ in fits], -1)
+    return BuiltArms(
+        tip_error=built["tip_error"],
+        within=built["within"],
+        verdict_code=built["verdict"],
+        tip=built["tip"],
+        margin=built.get("margin"),
+        nominal_tip_error=nominal["tip_error"][0],
+        nominal_within=nominal["within"][0],
+        nominal_verdict_code=nominal["verdict"][0],
+        sources=tuple(source.name for source in sources),
+        slopes=tuple(slopes),
+        variance_by_gradient=variances(slopes, sources),
+        variance_by_samples=by_samples,
+        explained=torch.stack([share for _, share in fits]),
+        scatter=scatter,
+        tolerance=tolerance,
+        compensated=compensated,
+        arm=arm,
+    )
+
+
+def checked_tasks(arm: object, task: Task | Sequence[Task]) -> tuple[Task, ...]:
+    """The tasks that one design is to meet.
+
+    Raises:
+        ValueError: it is a batch, or they do not fit.
+    """
+    if not isinstance(arm, (ArmDesign, ArmSeries)) or arm.batch_shape:
+        raise ValueError(f"arm: must be one ArmDesign or ArmSeries, as arm[0] of a batch, got {shown(arm)}")
+    tasks = task_list(task)
+    if any(0 in one.batch_shape for one in tasks):
+        raise ValueError("task: must hold at least one task, got none")
+    return tuple(fitted(arm, one)[1] for one in tasks)
+
+
+def nominal_tolerance(arm: Arm, tolerance: PoseTolerance | float | None) -> PoseTolerance:
+    """What counts as held, in metres: by the drawn arm's length, which built ones do not change."""
+    given = as_tolerance(tolerance)
+    tip, shape = given.lengths(arm)
+    return replace(given, tip=float(tip), shape=float(shape))
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What is found of arms on all tasks, flattened to T.
+
+    Attributes:
+        tasks: batches of tasks.
+        tolerance: what counts as within, in metres.
+        pose_cost: what pressures minimise.
+        margin: whether capacity margins are measured.
+    """
+
+    tasks: tuple[Task, ...]
+    tolerance: PoseTolerance
+    pose_cost: PoseCost | None
+    margin: bool
+
+    def of_samples(
+        self, arm: Arm, sources: Sequence[Source], normal: Tensor, kept: Sequence[Tensor] | None, told: Told | None
+    ) -> dict[str, Tensor]:
+        """Of built arms, chunk by chunk: columns (S, T, ...).
+
+        Args:
+            normal: (S, ΣL) from which they are built.
+            kept: for each batch of tasks the pressures (*task batch, M) [kPa]; None finds the best of each arm.
+        """
+        count = sum(task.batch_shape.numel() for task in self.tasks)
+        step, parts = max(1, AT_ONCE // count), list[dict[str, Tensor]]()
+        for first in range(0, len(normal), step):
+            built = built_arms(arm, sources, scattered(sources, normal[first : first + step]))
+            found: list[PredictedError] = []
+            for index, task in enumerate(self.tasks):
+                if kept is None:
+                    found.append(predict_error(built, task, self.pose_cost))
+                else:
+                    found.append(error_at_pressure(built, task, kept[index], self.pose_cost))
+            parts.append(self.of_found(built, found))
+            if told is not None:
+                told(min(first + step, len(normal)), len(normal))
+        return {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
+
+    def of_found(self, arm: Arm, found: Sequence[PredictedError]) -> dict[str, Tensor]:
+        """Columns (B, T, ...) of what was found of arms (B,), or of one, for each batch of tasks."""
+        parts = [self._of_batch(arm, task, one) for task, one in zip(self.tasks, found, strict=True)]
+        return {name: torch.cat([part[name] for part in parts], 1) for name in parts[0]}
+
+    def _of_batch(self, arm: Arm, task: Task, found: PredictedError) -> dict[str, Tensor]:
+        metrics = ("absolute",) if self.margin else (PREDICTED,)
+        options: dict[str, Any] = {"signed": True} if self.margin else {}
+        seen = evaluate_search(arm, task, found, metrics, tolerance=self.tolerance, **options)  # type: ignore[arg-type]
+        close = (over_tolerance(arm, found, self.tolerance) <= 1).all(0)
+        columns = {
+            "tip_error": found.tip_error,
+            "within": close & found.stable & found.reached & found.possible,
+            "verdict": judge(arm, found, self.tolerance, seen.in_range, seen.impossible),
+        }
+        if seen.capacity_margin is not None:
+            columns["margin"] = seen.capacity_margin
+        designs = arm.batch_shape.numel()
+        flat = {name: column.reshape(designs, -1) for name, column in columns.items()}
+        return flat | {"tip": tip_places(found.pose_errors).reshape(designs, -1, arm.dimension)}
