@@ -32,6 +32,7 @@ ROOMS = (
     "equilibrium",
     "pressure",
     "attainability",
+    "workspaces",
     "design",
     "characterise",
     "study",

@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from torcharm.statics.external_load import required_wrench
     from torcharm.sweeps import SweepResult, open_sweep, sweep
     from torcharm.task import Task, sample_loads
+    from torcharm.workspaces import Workspace, workspace
     from torcharm.wrench_sets.capacity import LoadCapacity, load_capacity
     from torcharm.wrench_sets.hull_distance import HullDistance, kkt_residuals
     from torcharm.wrench_sets.qp import qp_distance
@@ -105,6 +106,7 @@ __all__ = [
     "SweepResult",
     "Task",
     "TensorPolynomial",
+    "Workspace",
     "WrenchHulls",
     "affine_curvature",
     "align",
@@ -155,6 +157,7 @@ __all__ = [
     "standard_deviation",
     "sweep",
     "verify_design",
+    "workspace",
     "wrench_hulls",
 ]
 
@@ -195,6 +198,7 @@ _LATER = {
     "SweepResult": "sweeps",
     "Task": "task",
     "TensorPolynomial": "actuators.uncertainty",
+    "Workspace": "workspaces",
     "WrenchHulls": "wrench_sets.wrench_set",
     "affine_curvature": "shapes",
     "align": "actuators.alignment",
@@ -245,6 +249,7 @@ _LATER = {
     "standard_deviation": "actuators.uncertainty",
     "sweep": "sweeps",
     "verify_design": "design",
+    "workspace": "workspaces",
     "wrench_hulls": "wrench_sets.wrench_set",
 }
 

@@ -20,8 +20,9 @@ def box_steps(gradient: Array, curvature: Array, place: Array, damping: float) -
         place: (B, M) in the box.
         damping: d.
     """
-    step, given = np.zeros(gradient.shape), map(np.ascontiguousarray, (gradient, curvature, place))
-    _write_all(*given, float(damping), make_box_step(gradient.shape[1]), step)
+    step = np.zeros(gradient.shape)
+    first, second, at = map(np.ascontiguousarray, (gradient, curvature, place))
+    _write_all(first, second, at, float(damping), make_box_step(gradient.shape[1]), step)
     return step
 
 

@@ -36,21 +36,27 @@ Array = NDArray[np.float64]
 Callback = Callable[[int, int], object]
 """Is told how many states are known, and of how many; returns True to stop."""
 
-FIRST_SHARE = 0.5
-"""Of the states, spread over the box of pressures; the others look for the boundary from these."""
+SPREAD = 0.2
+"""Of the states, over the whole box of pressures."""
+MIXED = 0.1
+"""Of the states, between those of them that are reached, of which the box may hold few."""
 OVERHANG = 0.25
 """By which random pressures overshoot each end of their range, where they are held: a third lie on the box's faces, by
 which most of a workspace is bounded."""
 AT_ONCE = 2000
 """States solved between two looks at the clock: at most a second's work in space."""
-STATES_A_CELL = 2.0
-"""In the box around all tips, by which the resolution is chosen."""
-THIN = 0.02
-"""Of the arm's length, as which thinner boxes count."""
-
-
 ROUNDS = 12
-FEW = 5e-3
+"""In which each region grows, at most: by then those of the ready planar arms have their size to a thousandth."""
+FURTHER = 3
+"""Pushes of a round, one from where the other got to: as many resolutions at most."""
+FEW = 5e-4
+"""Of the states: a round with fewer is a region's last."""
+TYPICAL = 0.95
+"""Of the states have as many neighbours as a simplex has corners within the resolution."""
+FINER = {2: 0.5, 3: 0.9}
+"""Times the distance within which they do: so much denser states become. In space most go to the boundary."""
+THIN = 1e-3
+"""Of the arm's length: no resolution is finer."""
 
 
 class _Stopped(Exception):
@@ -77,9 +83,10 @@ def workspace(
     a snap, those where it would not stay, and those whose strains or pressures leave the characterised range are told
     apart, and are no part of it.
 
-    Half of the states are spread over the box, its corners, edges and faces. The others follow the boundary: where a
-    first-order model promises that pressures take the tip beyond the region reached, that is tried; as pressures
-    mostly outnumber coordinates, the boundary is not the image of the box's. What is left is spread again.
+    A fifth of the states is spread over the box, its corners, edges and faces, and a tenth among those that are
+    reached. Others follow the boundary: where a first-order model promises that pressures take the tip beyond the
+    region reached, that is tried; as pressures mostly outnumber coordinates, the boundary is not the image of the
+    box's. What is left is spread among those reached.
 
     Each state knows the largest factor by which its payload could grow if its shape were kept and every node had
     pressures of its own: see `load_capacity`. It is at least 1, as the state itself shows.
@@ -110,9 +117,11 @@ def workspace(
     run = _Run(scene, states, check_above_zero("resolution", resolution), callback)
     stopped = "finished"
     try:
-        run.spread(int(FIRST_SHARE * states), seed)
+        run.spread(int(SPREAD * states), seed)
+        run.choose_resolution()
+        run.mix(int((SPREAD + MIXED) * states), seed)
         run.follow_boundary()
-        run.spread(states, seed + 1)
+        run.mix(states, seed + 1)
     except KeyboardInterrupt:
         stopped = "interrupted"
     except _Stopped:
@@ -155,38 +164,59 @@ class _Run:
         place[:, driven] = np.concatenate((corners, inside.clip(0, 1)))
         self.add(place)
 
+    def choose_resolution(self) -> None:
+        """Unless it is given, that at which hardly any state lies alone."""
+        self.resolution = self.resolution or _resolution(joined(self.batches), self.scene)
+
+    def mix(self, until: int, seed: int) -> None:
+        """Solve states between pairs of those reached, or if none is, all over the box; up to so many in all."""
+        states = joined(self.batches)
+        own = states.place[states.code == REACHED].numpy()
+        if not len(own):
+            self.spread(until, seed + 1)
+            return
+        draw = np.random.default_rng(seed)
+        one, other = own[draw.integers(len(own), size=(2, max(until - self.count, 0)))]
+        self.add(one + draw.random((len(one), 1)) * (other - one))
+
     def follow_boundary(self) -> None:
         """Solve states beyond the boundary while there are any, first of the region in range."""
-        one = np.ones(self.scene.arm.actuator_count)
-        frontiers = [
-            Frontier((REACHED,), *_range_of_places(self.scene), True),
-            Frontier((REACHED, EXCLUDED), 0 * one, one, False),
-        ]
-        slopes = KnownSlopes(self.scene)
-        while frontiers and self.count < self.wanted:
-            states = joined(self.batches)
-            if self.resolution is None:
-                self.resolution = _resolution(states, self.scene, self.wanted)
-            most = max(1, (self.wanted - self.count) // 2)
-            place = frontiers[0].places_beyond(slopes, states, self.resolution, most)
-            self.add(place)
-            frontiers[0].rounds += 1
-            if len(place) < FEW * self.wanted or frontiers[0].rounds == ROUNDS:
-                del frontiers[0]
+        states = joined(self.batches)
+        assert self.resolution is not None
+        known, one = KnownSlopes(self.scene), np.ones(self.scene.arm.actuator_count)
+        for share, frontier in (
+            (0.5, Frontier(known, self.resolution, (REACHED,), *_range_of_places(self.scene), True)),
+            (1.0, Frontier(known, self.resolution, (REACHED, EXCLUDED), 0 * one, one, False)),
+        ):
+            end = self.count + int(share * (self.wanted - self.count))
+            for _ in range(ROUNDS):
+                before = self.count
+                push = frontier.push(states, (end - before) // 2)
+                for _ in range(FURTHER):
+                    self.add(push.place)
+                    states = joined(self.batches)
+                    push = frontier.push_on(states, push, (end - self.count) // 2)
+                if self.count - before < FEW * self.wanted:
+                    break
 
     def result(self, stopped: str) -> Workspace:
         """What is known."""
         states = joined(self.batches or [solve_states(self.scene, np.zeros((0, self.scene.arm.actuator_count)), False)])
-        resolution = self.resolution or _resolution(states, self.scene, self.wanted)
+        resolution = self.resolution or _resolution(states, self.scene)
         return Workspace.of(self.scene, states, resolution, stopped)
 
 
-def _resolution(states: Batch, scene: Problem, wanted: int) -> float:
-    """By which there are so many states a cell in the box around the tips."""
-    position = states.position[states.code.numpy() <= EXCLUDED]
-    least = THIN * float(scene.arm.neutral_length)
-    extent = np.maximum(np.ptp(position, 0), least) if len(position) else np.full(2, least)
-    return float((np.prod(extent) * STATES_A_CELL / wanted) ** (1 / len(extent)))
+def _resolution(states: Batch, scene: Problem) -> float:
+    """At which hardly any state lies alone."""
+    from scipy.spatial import cKDTree
+
+    least, position = THIN * float(scene.arm.neutral_length), states.position
+    position = np.unique(position[states.code.numpy() <= EXCLUDED], axis=0)
+    corners = position.shape[1] + 1
+    if len(position) <= corners:
+        return least
+    away = cKDTree(position).query(position, corners + 1)[0][:, -1]
+    return float(max(FINER[corners - 1] * np.quantile(away, TYPICAL), least))
 
 
 def _range_of_places(scene: Problem) -> tuple[Array, Array]:

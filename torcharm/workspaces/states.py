@@ -153,12 +153,11 @@ class KnownSlopes:
         """Of states at an index (b,) into all that are known."""
         self.row = np.concatenate((self.row, np.full(len(states) - len(self.row), -1)))
         new = np.unique(index[self.row[index] < 0])
-        if len(new):
+        if len(new) or self.slopes is None:
             known = 0 if self.slopes is None else len(self.slopes.tip)
             self.row[new] = np.arange(known, known + len(new))
             found = slopes_of(self.scene, states.place[new], states.twists[new])
             self.slopes = found if self.slopes is None else self.slopes.with_more(found)
-        assert self.slopes is not None
         return self.slopes.at(self.row[index])
 
 
