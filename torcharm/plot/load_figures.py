@@ -12,11 +12,13 @@ from torcharm.attainability import evaluate
 from torcharm.design.space import Arm
 from torcharm.inputs import check_choice
 from torcharm.plot._common import Array, array, one_design, one_shape
-from torcharm.plot.loads import load_grid, load_map
+from torcharm.plot.loads import colour_bar, load_grid, load_map
 from torcharm.task import Task
 from torcharm.wrench_sets.capacity import load_capacity
 
 QUANTITIES = {"tip error": "mm", "payload factor": "times the load"}
+LOST = {"tip error": "without an equilibrium", "payload factor": "borne by no factor"}
+"""Of forces that have no value."""
 HIGHEST_FACTOR = 4.0
 """Of the colours: by how much more a load could grow hardly matters."""
 HIGHEST_ERROR = 0.9
@@ -56,20 +58,42 @@ def load_figure(
     with torch.no_grad():
         found = [_values(one_design(name, arm, task), loaded, quantity) for name, arm in arms]
     top = _top(quantity, [value for value, _ in found]) if highest is None else highest
-    figure = Figure(figsize=(PANEL * len(arms), 0.95 * PANEL), layout="constrained", dpi=130)
+    figure = Figure(figsize=(PANEL * len(arms) + 1.0, PANEL + 0.6), layout="constrained", dpi=130)
     panels: Any = figure.subplots(1, len(arms), squeeze=False)[0]
+    labels: dict[str, Any] = {}
     for axes, (name, _), (value, line) in zip(panels, arms, found, strict=True):
+        axes.set_title(f"{name}\n{_counted(quantity, value, line)}", fontsize="medium")
         if not np.isfinite(value).any():
             axes.set_axis_off()
-            axes.set_title(f"{name}: no {quantity} is known")
             continue
-        word = f"tolerance, {line:.3g} mm" if quantity == "tip error" else "as it is"
-        how: dict[str, Any] = {"quantity": quantity, "unit": QUANTITIES[quantity], "contour": line}
-        load_map(grid, value, **how, contour_label=word, lowest=0.0, highest=top, ax=axes)
-        within = value <= line if quantity == "tip error" else value >= line
-        what = "held within the tolerance" if quantity == "tip error" else "not excluded"
-        axes.set_title(f"{name}: {within.sum()} of {within.size} forces {what}", pad=34, fontsize="medium")
+        word = f"tolerance, {line:.3g} mm" if quantity == "tip error" else "payload factor 1"
+        how: dict[str, Any] = {"contour": line, "contour_label": word, "lowest": 0.0, "highest": top, "bar": False}
+        load_map(grid, value, ax=axes, **how)
+        labels |= {
+            _label(quantity, label): handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+        }
+        axes.get_legend().remove()
+    shades = next((axes.collections[0] for axes in panels if axes.collections), None)
+    if shades is not None:
+        lines = {line for _, line in found}
+        common = lines.pop() if len(lines) == 1 else None
+        colour_bar(figure, shades, panels.tolist(), f"{quantity} [{QUANTITIES[quantity]}]", common)
+        figure.legend(labels.values(), labels.keys(), loc="outside lower center", ncols=4, frameon=False)
     return figure
+
+
+def _label(quantity: str, label: str) -> str:
+    """Of the legend, without what differs between arms."""
+    word = label.split(":")[0]
+    return LOST[quantity] if word == "not known" else word
+
+
+def _counted(quantity: str, value: Array, line: float) -> str:
+    """How many forces are within the line, and how many are not known."""
+    within = int((value <= line if quantity == "tip error" else value >= line).sum())
+    lost = int(np.isnan(value).sum())
+    what = f"tip within {line:.3g} mm" if quantity == "tip error" else "borne, shape kept"
+    return f"{what}: {within} of {value.size} forces" + (f", {lost} {LOST[quantity]}" if lost else "")
 
 
 def _top(quantity: str, values: Sequence[Array]) -> float:
@@ -93,5 +117,5 @@ def _values(arm: Arm, task: Task, quantity: str) -> tuple[Array, float]:
         return factor, 1.0
     found = evaluate(arm, task, ("predicted_error",))
     assert found.tip_error is not None
-    error = np.where(array(found.converged.double()) > 0, 1e3 * array(found.tip_error), np.nan)
-    return error, 1e3 * float(found.tolerance.lengths(arm)[0].max())
+    error = 1e3 * array(found.tip_error)
+    return np.where(np.isfinite(error), error, np.nan), 1e3 * float(found.tolerance.lengths(arm)[0].max())

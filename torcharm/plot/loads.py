@@ -106,6 +106,7 @@ def load_map(
     contour_label: str | None = None,
     lowest: float | None = None,
     highest: float | None = None,
+    bar: bool = True,
     ax: Axes | None = None,
 ) -> Axes:
     """Any quantity that depends on the tip load, over a grid of tip forces: shades, and a contour where it matters.
@@ -121,6 +122,7 @@ def load_map(
         contour_label: of the line, in the legend; None takes the value.
         lowest, highest: ends of the colour scale; values beyond get its first or last shade. None takes the least and
             the largest value.
+        bar: whether to draw a colour bar.
         ax: 2-D axes to draw in; None makes some.
 
     Raises:
@@ -140,17 +142,25 @@ def load_map(
     ends = value[finite].min() < levels[0], value[finite].max() > levels[-1]
     extend = {(False, False): "neither", (True, False): "min", (False, True): "max"}.get(ends, "both")
     shades = axes.contourf(x, y, shown, levels=levels, norm=norm, cmap=colours, extend=extend)
-    bar = axes.figure.colorbar(shades, ax=axes, label=f"{quantity} [{unit}]", shrink=0.8)
-    bar.set_ticks(_ticks(float(levels[0]), float(levels[-1])))
-    if contour is not None and value[finite].min() < contour < value[finite].max():
+    drawn = contour is not None and value[finite].min() < contour < value[finite].max()
+    if bar:
+        colour_bar(axes.figure, shades, axes, f"{quantity} [{unit}]", contour if drawn else None)
+    if drawn:
         axes.contour(x, y, shown, levels=[contour], colors="black", linewidths=2.2)
         axes.plot([], [], color="black", linewidth=2.2, label=contour_label or f"{quantity} = {contour:g} {unit}")
-        bar.ax.axhline(contour, color="black", linewidth=2.2)
     if not finite.all():
         axes.set_facecolor(LOST_COLOUR)
         axes.plot([], [], "s", color=LOST_COLOUR, label=f"not known: {(~finite).sum()} of {finite.size}")
     _label(axes, labels)
     return axes
+
+
+def colour_bar(figure: Any, shades: Any, axes: Any, label: str, line: float | None) -> None:
+    """A colour bar of the shades of a map, beside axes, with round numbers, and a line where the map has one."""
+    bar = figure.colorbar(shades, ax=axes, label=label, shrink=0.8)
+    bar.set_ticks(_ticks(float(shades.levels[0]), float(shades.levels[-1])))
+    if line is not None:
+        bar.ax.axhline(line, color="black", linewidth=2.2)
 
 
 def verdict_map(loads: TensorLike, verdict: Sequence[Any] | NDArray[Any], *, ax: Axes | None = None) -> Axes:
