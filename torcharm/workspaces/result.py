@@ -96,7 +96,7 @@ class Workspace(HoldsTensors):
         return self.tip_pose[:, 2] if self.dimension == 2 else self.tip_pose[:, 1, 0].clamp(-1, 1).asin()
 
     @property
-    def status(self) -> NDArray[np.str_]:
+    def status(self) -> NDArray[Any]:
         """(S,) what to think of each state, a word of `STATES`."""
         return np.array(STATES)[self.code.numpy(force=True)]
 
