@@ -34,6 +34,7 @@ ROOMS = (
     "equilibrium",
     "pressure",
     "attainability",
+    "workspaces",
     "design",
     "study",
     "sweeps",

@@ -64,6 +64,7 @@ if TYPE_CHECKING:
     from torcharm.statics.external_load import required_wrench
     from torcharm.sweeps import SweepResult, open_sweep, sweep
     from torcharm.task import Task, sample_loads
+    from torcharm.workspaces import Workspace, workspace
     from torcharm.wrench_sets.capacity import LoadCapacity, load_capacity
     from torcharm.wrench_sets.hull_distance import HullDistance, kkt_residuals
     from torcharm.wrench_sets.qp import qp_distance
@@ -114,6 +115,7 @@ __all__ = [
     "SweepResult",
     "Task",
     "TensorPolynomial",
+    "Workspace",
     "WrenchHulls",
     "affine_curvature",
     "align",
@@ -165,6 +167,7 @@ __all__ = [
     "sweep",
     "tolerance",
     "verify_design",
+    "workspace",
     "wrench_hulls",
 ]
 
@@ -209,6 +212,7 @@ _LATER = {
     "SweepResult": "sweeps",
     "Task": "task",
     "TensorPolynomial": "characterise.uncertainty",
+    "Workspace": "workspaces",
     "WrenchHulls": "wrench_sets.wrench_set",
     "affine_curvature": "shapes",
     "align": "characterise.alignment",
@@ -260,6 +264,7 @@ _LATER = {
     "sweep": "sweeps",
     "tolerance": "design.tolerance",
     "verify_design": "design",
+    "workspace": "workspaces",
     "wrench_hulls": "wrench_sets.wrench_set",
 }
 

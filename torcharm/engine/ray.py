@@ -95,10 +95,8 @@ def go_to(simplex, ray, t):  # type: ignore[no-untyped-def]
     return size
 
 
-def leave_part(D: int) -> Any:
-    """`leave` for wrenches of D components."""
-    ask = curve_support(D)
-    nearest = nearest_part(D, ask)
+def leave_part(D: int, ask: Any, nearest: Any) -> Any:
+    """`leave` for wrenches of D components, of support points and nearest points as from `distance`."""
     sharpen = sharpen_part(D)
 
     @part
@@ -178,11 +176,25 @@ def leave_part(D: int) -> Any:
 @cache
 def ray_kernel(dimension: int) -> Any:
     """The kernel for wrenches of so many components."""
-    leave = leave_part(dimension)
+    ask = curve_support(dimension)
+    nearest = nearest_part(dimension, ask)
+    leave = leave_part(dimension, ask, nearest)
+
+    @part
+    def holds(curves, simplex, ray, extent, t):  # type: ignore[no-untyped-def]
+        """Whether the set holds the ray's point at t."""
+        size = extent + go_to(simplex, ray, t)
+        distance, _, _ = nearest(curves, simplex, size)
+        return distance == 0.0
 
     @kernel
-    def ends_of_rays(sections, start, direction, still, relative, begin, end, room, ray, ends):  # type: ignore[no-untyped-def]
-        """Of designs from `begin` to `end`; starts and directions (P, L, N, D), of which `still` are none."""
+    def ends_of_rays(sections, start, direction, still, relative, least, begin, end, room, ray, ends):  # type: ignore[no-untyped-def]
+        """Of designs from `begin` to `end`; starts and directions (P, L, N, D), of which `still` are none.
+
+        Args:
+            least: whether of all nodes only the least exit is wanted: where a set holds the point of the least exit of
+                the nodes before, its own is left infinite, and no entry is looked for.
+        """
         curves = room.change if relative else room.own
         simplex = room.simplex
         wanted = len(ends.normal) > 0
@@ -196,9 +208,18 @@ def ray_kernel(dimension: int) -> Any:
                         write_direction(ray, direction, h, l, i, relative)
                         for c in range(dimension):
                             ray.start[c] = simplex.target[c]
+                        lowest = math.inf
+                        for before in range(i if least else 0):
+                            lowest = min(lowest, ends.factor[2 * b + 1, h, l, before])
+                        passed = math.isfinite(lowest) and holds(curves, simplex, ray, extent, lowest)
                         for side in range(2):
                             at = (2 * b + side, h, l, i)
                             sign = 1.0 if side == 1 else -1.0
+                            if passed or (least and side == 0):
+                                ends.factor[at], ends.slack[at], ends.gap[at] = sign * math.inf, 0.0, 0.0
+                                for c in range(dimension):
+                                    ray.direction[c] = -ray.direction[c]
+                                continue
                             for c in range(dimension):
                                 ray.direction[c] = -ray.direction[c]
                             t, slack, left, became = leave(curves, simplex, ray, extent, still[h, l, i], wanted)

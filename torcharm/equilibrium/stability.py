@@ -67,7 +67,7 @@ def strain_excess(problem: Problem, twists: Tensor) -> tuple[Tensor, Tensor]:
     lie within theirs."""
     excess, first = twists.new_zeros(twists.shape[:-2]), 0
     within = torch.ones_like(excess, dtype=torch.bool)
-    for segment, (own, beyond, _) in zip(segments_of(problem.arm)[0], _beyond_range(problem, twists), strict=True):
+    for segment, (own, beyond, _, _) in zip(segments_of(problem.arm)[0], beyond_range(problem, twists), strict=True):
         excess = torch.maximum(excess, beyond.clamp(min=0).amax((-1, -2)))
         pressure = problem.pressure[..., first : first + segment.actuator_count]
         first += segment.actuator_count
@@ -86,18 +86,21 @@ def share_beyond_range(problem: Problem, twists: Tensor) -> Tensor:
 
     Differentiable. A range without an end, or without any width, counts as one of 1.
     """
-    shares = [(beyond / width).amax((-1, -2)) for _, beyond, width in _beyond_range(problem, twists)]
+    shares = [(beyond / width).amax((-1, -2)) for _, beyond, width, _ in beyond_range(problem, twists)]
     return torch.stack(torch.broadcast_tensors(*shares)).amax(0)
 
 
-def _beyond_range(problem: Problem, twists: Tensor) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-    """Of each segment strains (*batch, N, M), how far they lie beyond their characterised range, and its width."""
+def beyond_range(problem: Problem, twists: Tensor) -> Iterator[tuple[Tensor, Tensor, Tensor, Tensor]]:
+    """Of each segment strains (*batch, N, M), how far they lie beyond the nearer end of their characterised range, its
+    width, and which end that is: 1 for the upper, -1 for the lower."""
     for segment, shape in zip(segments_of(problem.arm)[0], twists.split(problem.nodes, -2), strict=True):
         across = segment.radii if segment.dimension == 2 else segment.offsets
         own = strain(actuator_lengths(shape, across), segment.length.unsqueeze(-2))
         low, high = (per_actuator([model.strain_range[end] for model in segment.actuators], own) for end in (0, 1))
         width = high - low
-        yield own, torch.maximum(low - own, own - high), torch.where(width.isfinite() & (width > 0), width, 1.0)
+        beyond = torch.maximum(low - own, own - high)
+        finite = torch.where(width.isfinite() & (width > 0), width, 1.0)
+        yield own, beyond, finite, torch.where(beyond == own - high, 1.0, -1.0)
 
 
 def buckles_in_torsion(problem: Problem, twists: Tensor) -> Tensor:

@@ -18,6 +18,7 @@ from torcharm.plot._common import (
 from torcharm.plot.arms import arm_shape
 from torcharm.plot.histograms import unattainability_histogram
 from torcharm.plot.hulls import hull_projections, hulls_along_arm, node_hull
+from torcharm.plot.load_figures import load_figure
 from torcharm.plot.loads import (
     attainable_load_map,
     force_directions,
@@ -30,6 +31,7 @@ from torcharm.plot.optimisation import optimisation_figure
 from torcharm.plot.shape_figures import plan_figure, search_figure
 from torcharm.plot.study import study_figure
 from torcharm.plot.tolerance import tolerance_figure
+from torcharm.plot.workspaces import workspace, workspace_figure
 
 __all__ = [
     "ARM_COLOURS",
@@ -45,6 +47,7 @@ __all__ = [
     "force_directions",
     "hull_projections",
     "hulls_along_arm",
+    "load_figure",
     "load_grid",
     "load_map",
     "node_hull",
@@ -56,4 +59,6 @@ __all__ = [
     "tolerance_figure",
     "unattainability_histogram",
     "verdict_map",
+    "workspace",
+    "workspace_figure",
 ]

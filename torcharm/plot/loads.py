@@ -104,7 +104,9 @@ def load_map(
     unit: str = "N",
     contour: float | None = 0.0,
     contour_label: str | None = None,
+    lowest: float | None = None,
     highest: float | None = None,
+    bar: bool = True,
     ax: Axes | None = None,
 ) -> Axes:
     """Any quantity that depends on the tip load, over a grid of tip forces: shades, and a contour where it matters.
@@ -118,7 +120,9 @@ def load_map(
         quantity, unit: of the values, for the colour bar.
         contour: the value at which to draw a line; None draws none.
         contour_label: of the line, in the legend; None takes the value.
-        highest: end of the colour scale; larger values get its last shade. None takes the largest value.
+        lowest, highest: ends of the colour scale; values beyond get its first or last shade. None takes the least and
+            the largest value.
+        bar: whether to draw a colour bar.
         ax: 2-D axes to draw in; None makes some.
 
     Raises:
@@ -134,20 +138,29 @@ def load_map(
         raise ValueError("values: must hold at least one finite value, got none")
     axes = axes_or_new(ax)
     shown = np.ma.masked_where(~finite, value)
-    norm, levels, colours = _scale(value[finite], highest)
-    extend = "max" if value[finite].max() > levels[-1] else "neither"
+    norm, levels, colours = _scale(value[finite], lowest, highest)
+    ends = value[finite].min() < levels[0], value[finite].max() > levels[-1]
+    extend = {(False, False): "neither", (True, False): "min", (False, True): "max"}.get(ends, "both")
     shades = axes.contourf(x, y, shown, levels=levels, norm=norm, cmap=colours, extend=extend)
-    bar = axes.figure.colorbar(shades, ax=axes, label=f"{quantity} [{unit}]", shrink=0.8)
-    bar.set_ticks(_ticks(float(levels[0]), float(levels[-1])))
-    if contour is not None and value[finite].min() < contour < value[finite].max():
+    drawn = contour is not None and value[finite].min() < contour < value[finite].max()
+    if bar:
+        colour_bar(axes.figure, shades, axes, f"{quantity} [{unit}]", contour if drawn else None)
+    if drawn:
         axes.contour(x, y, shown, levels=[contour], colors="black", linewidths=2.2)
         axes.plot([], [], color="black", linewidth=2.2, label=contour_label or f"{quantity} = {contour:g} {unit}")
-        bar.ax.axhline(contour, color="black", linewidth=2.2)
     if not finite.all():
         axes.set_facecolor(LOST_COLOUR)
         axes.plot([], [], "s", color=LOST_COLOUR, label=f"not known: {(~finite).sum()} of {finite.size}")
     _label(axes, labels)
     return axes
+
+
+def colour_bar(figure: Any, shades: Any, axes: Any, label: str, line: float | None) -> None:
+    """A colour bar of the shades of a map, beside axes, with round numbers, and a line where the map has one."""
+    bar = figure.colorbar(shades, ax=axes, label=label, shrink=0.8)
+    bar.set_ticks(_ticks(float(shades.levels[0]), float(shades.levels[-1])))
+    if line is not None:
+        bar.ax.axhline(line, color="black", linewidth=2.2)
 
 
 def verdict_map(loads: TensorLike, verdict: Sequence[Any] | NDArray[Any], *, ax: Axes | None = None) -> Axes:
@@ -271,9 +284,9 @@ def attainable_load_map(
     return axes
 
 
-def _scale(values: Array, highest: float | None) -> tuple[Normalize, Array, str]:
+def _scale(values: Array, lowest: float | None, highest: float | None) -> tuple[Normalize, Array, str]:
     """A norm, the bounds of the shades, and the colours' name."""
-    low, high = float(values.min()), float(values.max()) if highest is None else float(highest)
+    low, high = (float(own if end is None else end) for own, end in ((values.min(), lowest), (values.max(), highest)))
     if high - low <= 1e-9 * max(abs(low), 1e-9):  # one value everywhere, or a scale that ends below them all
         high = low + max(abs(low), 1.0) * 1e-3
     if low < 0 < high:

@@ -73,13 +73,14 @@ def balance_residual(
     for segment, shape in zip(segments, shapes, strict=True):
         own = pressure[..., None, first : first + segment.actuator_count]
         first += segment.actuator_count
-        parts.append(_reaction(segment, shape, own, shear_stiffness)[..., columns])
+        parts.append(segment_reaction(segment, shape, own, shear_stiffness)[..., columns])
     batch = torch.broadcast_shapes(*(part.shape[:-2] for part in parts))
     return torch.cat([part.expand(*batch, *part.shape[-2:]) for part in parts], -2) - required[..., columns]
 
 
-def _reaction(segment: ArmDesign, twists: Tensor, pressure: Tensor, shear_stiffness: float | None) -> Tensor:
-    """What one segment's sections provide (..., N, 3 or 6); 0 in the components that are constraints."""
+def segment_reaction(segment: ArmDesign, twists: Tensor, pressure: Tensor, shear_stiffness: float | None) -> Tensor:
+    """What one segment's sections provide (..., N, 3 or 6) at pressures (..., N or 1, M); 0 in the components that are
+    constraints."""
     sections = cross_sections(segment, twists)
     force, *moments = sections.reaction(pressure).unbind(-1)
     stiffness = 0.0 if shear_stiffness is None else shear_stiffness * segment.actuator_count

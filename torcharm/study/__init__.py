@@ -26,6 +26,7 @@ from torcharm.study.results import (
     write_rows,
 )
 from torcharm.study.task_writing import task_to_toml
+from torcharm.study.workspaces import workspace_rows
 from torcharm.study.writing import arm_to_toml, study_to_toml
 
 __all__ = [
@@ -49,6 +50,7 @@ __all__ = [
     "study_to_toml",
     "summarise",
     "task_to_toml",
+    "workspace_rows",
     "write_results",
     "write_rows",
 ]

@@ -158,6 +158,19 @@ def load_capacity(
     check_choice("metric", metric, METRICS)
     if chunk_size is not None:
         check_count("chunk_size", chunk_size, 1)
+    arm, task, grid, direction = _prepared(arm, task)
+    ends = _per_node(grid, direction, metric == "relative", chunk_size)
+    low, high, slack, converged, excess, impossible = (grid.unflatten(part) for part in ends)
+    asked = {"arm": arm, "task": task, "metric": metric}
+    return _over_nodes(low, high, slack, converged, excess, impossible, limits_in_range(grid), asked)
+
+
+def _prepared(arm: ArmDesign | ArmSeries, task: Task) -> tuple[ArmDesign | ArmSeries, Task, DesignTaskGrid, Tensor]:
+    """Arm and task, once they are known to fit; the sets and wrenches without the payload; and what that adds to them.
+
+    Raises:
+        ValueError: they do not fit, or there is no payload.
+    """
     arm, task = fitted(arm, task)
     if task.load.tip is None and not task.load.points:
         raise ValueError("load: must hold a payload to scale, a tip load or point loads, got none")
@@ -166,10 +179,35 @@ def load_capacity(
     own = Task(task.twists, None, task.base_pose, weight, task.wrench_at, task.segment_nodes)
     grid = design_task_grid(arm, own)
     direction = design_task_grid(without_link_masses(arm), task).required.external
-    ends = _per_node(grid, direction, metric == "relative", chunk_size)
-    low, high, slack, converged, excess, impossible = (grid.unflatten(part) for part in ends)
-    asked = {"arm": arm, "task": task, "metric": metric}
-    return _over_nodes(low, high, slack, converged, excess, impossible, limits_in_range(grid), asked)
+    return arm, task, grid, direction
+
+
+@torch.no_grad()
+def held_factor(arm: ArmDesign | ArmSeries, task: Task) -> Tensor:
+    """The `factor` of `load_capacity` at shapes that are known to be held under the payload as it is, such as
+    equilibria: at least 1, in a quarter of the time, and without gradients.
+
+    Where no pressures but one hold a shape, rounding may leave a set without the very requirement: that counts as 1.
+
+    Returns:
+        (*design batch, *task batch).
+
+    Raises:
+        ValueError: as of `load_capacity`.
+    """
+    _, _, grid, direction = _prepared(arm, task)
+    whole, found = slice(None), torch.full(grid.sizes, torch.inf, dtype=grid.twists.dtype)
+    for segment, nodes in enumerate(grid.nodes):
+        start = grid.required.part(whole, whole, whole, nodes)
+        sections, _ = possible_sections(grid.sections(segment, whole, whole))
+        own = direction[..., nodes, :]
+        ends = find_ends(sections, start, own, relative=False, points=any_sampled(sections), least=True)
+        leave = ends.factor[:, 1]
+        passive = (sections.limit == 0).all(-1, keepdim=True)
+        if bool(passive.any()):
+            leave = torch.where(passive, meet_points(sections, start, own, relative=False)[1], leave)
+        found = torch.minimum(found, leave.amin(-1))
+    return grid.unflatten(found.clamp(min=1.0))
 
 
 def _over_nodes(

@@ -49,7 +49,13 @@ class RayEnds:
 
 @torch.no_grad()
 def find_ends(
-    sections: CrossSections, start: RequiredWrench, direction: Tensor, *, relative: bool, points: bool
+    sections: CrossSections,
+    start: RequiredWrench,
+    direction: Tensor,
+    *,
+    relative: bool,
+    points: bool,
+    least: bool = False,
 ) -> RayEnds:
     """Ask the engine for the ends of rays, in float64 on the CPU.
 
@@ -59,6 +65,8 @@ def find_ends(
         direction: (P, L, N, C) what the wrenches change by as t grows by 1.
         relative: whether all are differences from the first node.
         points: whether to tell normals, weights and pressures.
+        least: whether only the least exit of all nodes matters, which is quicker: entries are infinite then, and exits
+            may be that are not the least.
     """
     models, data = engine_sections(sections, start, (1.0, 1.0))
     components, actuators = data.lever.shape[-1], data.lever.shape[-2]
@@ -72,7 +80,7 @@ def find_ends(
 
     def work(first: int, last: int) -> None:
         room = make_room(models, components, change.shape[1], data.samples)
-        kernel(data, begin, change, still, relative, first, last, room, make_ray(components), ends)
+        kernel(data, begin, change, still, relative, least, first, last, room, make_ray(components), ends)
 
     spread(designs, work)
     found = [torch.from_numpy(part).to(sections.strain).unflatten(0, (-1, 2)) for part in ends if part.size or points]

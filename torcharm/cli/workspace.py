@@ -1,0 +1,225 @@
+"""`torcharm workspace`: where the arms of a study can reach with a payload."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from torcharm.cli.tables import LONGEST_WORD, Column, print_table
+from torcharm.cli.terminal import (
+    FIGURE_FORMATS,
+    asked_about,
+    check_ending,
+    check_outputs,
+    count,
+    finish,
+    mistakes,
+    open_console,
+    progress,
+    save_all,
+    say,
+)
+
+if TYPE_CHECKING:
+    from torcharm.study import NamedArm
+    from torcharm.workspaces import Workspace
+
+    Found = Sequence[tuple[NamedArm, Workspace]]
+
+
+def workspace(
+    study: Annotated[
+        Path | None, typer.Argument(help="A study, as TOML. Without one, the example of torcharm init.")
+    ] = None,
+    payload: Annotated[
+        str | None,
+        typer.Option(
+            "--payload",
+            help="At the tip: a mass, 0.2 [kg] or '200 g'; or force x, force y [N], moment [N·m]; in space six.",
+            show_default="none",
+        ),
+    ] = None,
+    arm: Annotated[str | None, typer.Option("--arm", help="The name of one.", show_default="all")] = None,
+    states: Annotated[int, typer.Option("--states", help="Equilibria of each arm.")] = 20_000,
+    nodes: Annotated[int, typer.Option("--nodes", help="Elements of the arm, or of each segment.")] = 10,
+    base: Annotated[str, typer.Option("--base", help="How the arm is mounted: hanging, upright, horizontal.")] = (
+        "hanging"
+    ),
+    gravity: Annotated[bool, typer.Option(help="Let the arm, its links and the payload weigh.")] = True,
+    show: Annotated[
+        str | None,
+        typer.Option(
+            "--show",
+            help="What the figure's colours tell: payload factor, angle range, or reached for none.",
+            show_default="payload factor, if there is one",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Write a row for every arm and state, to a file .csv or .json.")
+    ] = None,
+    figure: Annotated[
+        Path | None,
+        typer.Option("--figure", help=f"Draw the arms side by side, to a file ending in {', '.join(FIGURE_FORMATS)}."),
+    ] = None,
+) -> None:
+    """Where can the tip be with a payload, over all pressures, loading from rest? And what could it carry there?
+
+    Ctrl-C ends it and shows what was found until then.
+    """
+    with mistakes():
+        check_outputs(study, out, figure)
+        from torcharm.inputs import check_choice, check_count
+        from torcharm.study import RESULT_FORMATS, example_study, load_study
+
+        check_ending("--out", out, RESULT_FORMATS)
+        check_count("--states", states, 100)
+        plan = example_study() if study is None else asked_about(load_study(study))
+        names = [one.name for one in plan.arms]
+        if arm is not None:
+            check_choice("--arm", arm, names)
+        chosen = [one for one in plan.arms if arm in (None, one.name)]
+        _check_figure(chosen, figure, payload, show)
+        found: list[tuple[NamedArm, Workspace]] = []
+        refused: dict[str, list[str]] = {}
+        started = time.perf_counter()
+        options = {"states": states, "nodes": nodes, "base_pose": base, "gravity": gravity}
+        interrupted = _find(chosen, payload, options, found, refused)
+        if found:
+            _report(found, time.perf_counter() - started)
+            save_all(open_console(), _outputs(found, show, out, figure))
+        finish(interrupted, found, refused)
+
+
+def _check_figure(arms: Sequence["NamedArm"], figure: Path | None, payload: str | None, show: str | None) -> None:
+    """Raise a ValueError about a figure that cannot be drawn, before the work is done."""
+    from torcharm.inputs import check_choice
+
+    if show is not None:
+        check_choice("--show", show, ("payload factor", "angle range", "reached"))
+        if show == "payload factor" and payload is None:
+            raise ValueError("--show: payload factor needs a --payload")
+    if figure is not None and len({one.design.dimension for one in arms}) > 1:
+        raise ValueError("--figure: must be of arms all in the plane or all in space; choose by --arm")
+
+
+def _find(
+    arms: Sequence["NamedArm"],
+    payload: str | None,
+    options: dict[str, object],
+    found: list[tuple["NamedArm", "Workspace"]],
+    refused: dict[str, list[str]],
+) -> bool:
+    """Append what is found of the arms, those refused by why they are; whether Ctrl-C came."""
+    from torcharm.workspaces import workspace as find_workspace
+
+    wanted = int(str(options["states"]))
+    with progress("workspace", wanted * len(arms)) as move:
+        for index, one in enumerate(arms):
+            try:
+                given = None if payload is None else _payload(payload, one.design.dimension)
+                told = _teller(move, index * wanted, one.name)
+                result = find_workspace(one.design, given, callback=told, **options)  # type: ignore[arg-type]
+            except ValueError as error:  # costs this arm alone
+                refused.setdefault(str(error), []).append(one.name)
+                continue
+            except KeyboardInterrupt:
+                return True
+            found.append((one, result))
+            if result.stopped == "interrupted":
+                return True
+    return False
+
+
+def _teller(move: Callable[..., None], before: int, name: str) -> Callable[[int, int], None]:
+    return lambda done, _: move(to=before + done, words=name)
+
+
+def _payload(text: str, dimension: int) -> float | list[float]:
+    """A mass [kg] or a wrench [N, N·m]."""
+    from torcharm.study.units import FORCE, MASS, MOMENT, numbers_in
+
+    wrench = (FORCE, FORCE, MOMENT) if dimension == 2 else (FORCE,) * 3 + (MOMENT,) * 3
+    try:
+        numbers = numbers_in(text, wrench if "," in text else (MASS,))
+    except ValueError as error:
+        raise ValueError(f"--payload: {error}") from None
+    return numbers if "," in text else numbers[0]
+
+
+def _report(found: "Found", seconds: float) -> None:
+    """A row for each arm, and what the columns mean."""
+    console = open_console()
+    print_table(list(_columns(found)))
+    console.print()
+    say(console, "reached: by stable equilibria that loading from rest leads to, within characterised strains and")
+    say(console, "pressures; extrapolated: beyond these, too. furthest: from the base; lowest, highest: y.")
+    shares = [one.shares for _, one in found]
+    for word, meaning in MEANINGS.items():
+        if any(own[word] > 0 for own in shares):
+            say(console, f"{word}: {meaning}.")
+    if any(one.has_payload for _, one in found):
+        say(console, "payload x: the largest factor by which the payload could grow anywhere, shape kept.")
+    states = sum(len(one.code) for _, one in found)
+    say(console, f"{count(states, 'state')} in {seconds:.2g} s.")
+
+
+MEANINGS = {
+    "excluded by range": "share of states beyond characterised strains or pressures",
+    "snapped": "share of states that the arm gets to by a jump only",
+    "unstable": "share of states where the arm would not stay",
+    "not converged": "share of pressures for which no equilibrium was found",
+    "impossible": "share of pressures for which the only one found leaves a length below 0",
+}
+
+
+def _columns(found: "Found") -> Iterator[Column]:
+    from torcharm.inputs import three_digits
+    from torcharm.study.results import MM
+
+    yield Column("arm", [arm.name for arm, _ in found], LONGEST_WORD)
+    for dimension, unit, scale in ((2, "cm²", 1e4), (3, "dm³", 1e3)):
+        own = [one if one.dimension == dimension else None for _, one in found]
+        if any(own):
+            cells = ["-" if one is None else three_digits(scale * one.size) for one in own]
+            yield Column(f"reached\n[{unit}]", cells)
+            cells = ["-" if one is None else three_digits(scale * one.extrapolated_region.size) for one in own]
+            yield Column(f"extrapolated\n[{unit}]", cells)
+    yield Column("furthest\n[mm]", [_rounded(MM * one.reach) for _, one in found])
+    for index, word in enumerate(("lowest", "highest")):
+        yield Column(f"{word}\n[mm]", [_rounded(MM * one.heights[index]) for _, one in found])
+    for word in MEANINGS:
+        shares = [one.shares[word] for _, one in found]
+        if any(shares):
+            title = word.replace("excluded by range", "excluded\nby range").replace("not conv", "not\nconv")
+            yield Column(f"{title} [%]" if "\n" in title else f"{title}\n[%]", [_percent(share) for share in shares])
+    if any(one.has_payload for _, one in found):
+        best = [one.payload_factor[one.reached] for _, one in found]
+        yield Column("payload\nx", [three_digits(float(own.max())) if len(own) else "-" for own in best])
+
+
+def _rounded(value: float) -> str:
+    return "-" if value != value else f"{value:.0f}"
+
+
+def _percent(share: float) -> str:
+    return "0" if share == 0 else "<0.1" if share < 1e-3 else f"{100 * share:.3g}"
+
+
+def _outputs(
+    found: "Found", show: str | None, out: Path | None, figure: Path | None
+) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
+    from torcharm.study import check_format, workspace_rows, write_rows
+
+    if out is not None:
+        rows = [row for arm, one in found for row in workspace_rows(arm, one)]
+        yield out, lambda path: write_rows(path, rows, f".{check_format(out)}"), f" ({count(len(rows), 'row')})."
+    if figure is not None:
+        yield figure, lambda path: _draw(path, found, show), "."
+
+
+def _draw(path: Path, found: "Found", show: str | None) -> None:
+    from torcharm.plot import workspace_figure
+
+    workspace_figure([(arm.name, one) for arm, one in found], show).savefig(path)

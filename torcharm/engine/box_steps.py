@@ -1,0 +1,35 @@
+"""Least squares in the box [0, 1]^M for many problems at once: see `box_step`."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torcharm.engine.box_step import make_box_step, write_box_step
+from torcharm.engine.compilation import kernel
+
+Array = NDArray[Any]
+
+
+def box_steps(gradient: Array, curvature: Array, place: Array, damping: float) -> Array:
+    """The steps (B, M) that minimise `g·s + ½ s·(H + d 1) s` with `place + s` in the box.
+
+    Args:
+        gradient: (B, M) g.
+        curvature: (B, M, M) H, symmetric.
+        place: (B, M) in the box.
+        damping: d.
+    """
+    step = np.zeros(gradient.shape)
+    first, second, at = map(np.ascontiguousarray, (gradient, curvature, place))
+    _write_all(first, second, at, float(damping), make_box_step(gradient.shape[1]), step)
+    return step
+
+
+@kernel
+def _write_all(gradient, curvature, place, damping, box, step):  # type: ignore[no-untyped-def]
+    """Write the steps, one problem after the other."""
+    for b in range(len(gradient)):
+        write_box_step(box, gradient[b], curvature[b], curvature[b], False, place[b], damping)
+        for m in range(gradient.shape[1]):
+            step[b, m] = box.step[m]

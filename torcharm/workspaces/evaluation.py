@@ -1,0 +1,266 @@
+"""Where an arm can reach: the states of its whole box of pressures, more of them where the boundary lies."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from torcharm.arm import ArmDesign
+from torcharm.arm_series import ArmSeries
+from torcharm.equilibrium import solve_equilibrium
+from torcharm.equilibrium.problem import Problem
+from torcharm.inputs import (
+    TensorLike,
+    as_floating,
+    check_above_zero,
+    check_at_least,
+    check_count,
+    check_finite,
+    check_flag,
+    plain_number,
+    shown,
+)
+from torcharm.load import ExternalLoad, PointLoad, check_tip
+from torcharm.pressure.starts import spread_points
+from torcharm.task import WRENCH_AT
+from torcharm.workspaces.frontier import Frontier
+from torcharm.workspaces.result import Workspace
+from torcharm.workspaces.states import EXCLUDED, REACHED, Batch, KnownSlopes, has_payload, joined, solve_states
+
+Array = NDArray[np.float64]
+
+Callback = Callable[[int, int], object]
+"""Is told how many states are known, and of how many; returns True to stop."""
+
+SPREAD = 0.2
+"""Of the states, over the whole box of pressures."""
+MIXED = 0.1
+"""Of the states, between those of them that are reached, of which the box may hold few."""
+OVERHANG = 0.25
+"""By which random pressures overshoot each end of their range, where they are held: a third lie on the box's faces, by
+which most of a workspace is bounded."""
+AT_ONCE = 2000
+"""States solved between two looks at the clock: at most a second's work in space."""
+ROUNDS = 12
+"""In which each region grows, at most: by then those of the ready planar arms have their size to a thousandth."""
+FURTHER = 3
+"""Pushes of a round, one from where the other got to: as many resolutions at most."""
+FEW = 5e-4
+"""Of the states: a round with fewer is a region's last."""
+TYPICAL = 0.95
+"""Of the states have as many neighbours as a simplex has corners within the resolution."""
+FINER = {2: 0.5, 3: 0.9}
+"""Times the distance within which they do: so much denser states become. In space most go to the boundary."""
+THIN = 1e-3
+"""Of the arm's length: no resolution is finer."""
+
+
+class _Stopped(Exception):
+    """The callback wants no more."""
+
+
+def workspace(
+    arm: ArmDesign | ArmSeries,
+    payload: TensorLike | ExternalLoad | None = None,
+    *,
+    gravity: bool = True,
+    states: int = 20_000,
+    nodes: int = 10,
+    base_pose: TensorLike | str | None = None,
+    wrench_at: str = WRENCH_AT,
+    resolution: float | None = None,
+    seed: int = 0,
+    callback: Callback | None = None,
+) -> Workspace:
+    """Where an arm's tip can be with a payload, over all pressures of its box.
+
+    A workspace is the set of the tip's poses at stable equilibria that loading from rest leads to: first the pressures
+    rise, each up to its limit, then weight and payload, as for `solve_equilibrium`. Equilibria that the arm gets to by
+    a snap, those where it would not stay, and those whose strains or pressures leave the characterised range are told
+    apart, and are no part of it.
+
+    A fifth of the states is spread over the box, its corners, edges and faces, and a tenth among those that are
+    reached. Others follow the boundary: where a first-order model promises that pressures take the tip beyond the
+    region reached, that is tried; as pressures mostly outnumber coordinates, the boundary is not the image of the
+    box's. What is left is spread among those reached.
+
+    Each state knows the largest factor by which its payload could grow if its shape were kept and every node had
+    pressures of its own: see `load_capacity`. It is at least 1, as the state itself shows.
+
+    Args:
+        arm: one design, or segments in series, in the plane or in space.
+        payload: at the tip: a mass [kg]; a wrench in the world frame (3,) or (6,) [N, N·m]; or an ExternalLoad, which
+            is all that loads the arm. None is none.
+        gravity: whether the arm and a payload's mass weigh; an ExternalLoad says so itself.
+        states: how many equilibria are solved.
+        nodes: elements of the arm, or of each segment.
+        base_pose: (3,) or (4, 4) pose of node 1 [m, rad], or "hanging" (None), "upright" or "horizontal".
+        wrench_at: where an element's wrench is taken, as of `Task`.
+        resolution: α of the region's alpha shape [m]: gaps between states narrower than twice that belong to it. None
+            chooses it by the states and how far they lie apart.
+        seed: of the random pressures.
+        callback: is told how many states are known and how many are wanted, from time to time; returning True stops.
+
+    After Ctrl-C, or where the callback stops it, the result is of the states known by then.
+
+    Raises:
+        ValueError: an argument is none of those allowed, the arm is a batch, has no driven actuator, or does not fit
+            the payload.
+    """
+    scene = _checked(arm, payload, gravity, nodes, base_pose, wrench_at)
+    check_count("states", states, 100)
+    check_count("seed", seed, 0)
+    run = _Run(scene, states, check_above_zero("resolution", resolution), callback)
+    stopped = "finished"
+    try:
+        run.spread(int(SPREAD * states), seed)
+        run.choose_resolution()
+        run.mix(int((SPREAD + MIXED) * states), seed)
+        run.follow_boundary()
+        run.mix(states, seed + 1)
+    except KeyboardInterrupt:
+        stopped = "interrupted"
+    except _Stopped:
+        stopped = "callback"
+    return run.result(stopped)
+
+
+@dataclass
+class _Run:
+    """States that become more."""
+
+    scene: Problem
+    wanted: int
+    resolution: float | None
+    callback: Callback | None
+    batches: list[Batch] = field(default_factory=list)
+
+    @property
+    def count(self) -> int:
+        return sum(map(len, self.batches))
+
+    def add(self, place: Array) -> None:
+        """Solve the states at normalised pressures."""
+        payload = has_payload(self.scene.load)
+        for part in np.split(place, range(AT_ONCE, len(place), AT_ONCE)):
+            if len(part):
+                self.batches.append(solve_states(self.scene, part, payload))
+            if self.callback is not None and self.callback(self.count, self.wanted) is True:
+                raise _Stopped
+
+    def spread(self, until: int, seed: int) -> None:
+        """Solve states all over the box, up to so many in all."""
+        driven = self.scene.arm.max_pressure.numpy() > 0
+        count, size = until - self.count, int(driven.sum())
+        if count <= 0:
+            return
+        corners = np.array(list(product((0.0, 1.0), repeat=size))) if 2**size <= count // 4 else np.zeros((0, size))
+        inside = spread_points(count - len(corners), size, seed) * (1 + 2 * OVERHANG) - OVERHANG
+        place = np.zeros((count, len(driven)))
+        place[:, driven] = np.concatenate((corners, inside.clip(0, 1)))
+        self.add(place)
+
+    def choose_resolution(self) -> None:
+        """Unless it is given, that at which hardly any state lies alone."""
+        self.resolution = self.resolution or _resolution(joined(self.batches), self.scene)
+
+    def mix(self, until: int, seed: int) -> None:
+        """Solve states between pairs of those reached, or if none is, all over the box; up to so many in all."""
+        states = joined(self.batches)
+        own = states.place[states.code == REACHED].numpy()
+        if not len(own):
+            self.spread(until, seed + 1)
+            return
+        draw = np.random.default_rng(seed)
+        one, other = own[draw.integers(len(own), size=(2, max(until - self.count, 0)))]
+        self.add(one + draw.random((len(one), 1)) * (other - one))
+
+    def follow_boundary(self) -> None:
+        """Solve states beyond the boundary while there are any, first of the region in range."""
+        states = joined(self.batches)
+        assert self.resolution is not None
+        known, one = KnownSlopes(self.scene), np.ones(self.scene.arm.actuator_count)
+        for share, frontier in (
+            (0.5, Frontier(known, self.resolution, (REACHED,), *_range_of_places(self.scene), True)),
+            (1.0, Frontier(known, self.resolution, (REACHED, EXCLUDED), 0 * one, one, False)),
+        ):
+            end = self.count + int(share * (self.wanted - self.count))
+            for _ in range(ROUNDS):
+                before = self.count
+                push = frontier.push(states, (end - before) // 2)
+                for _ in range(FURTHER):
+                    self.add(push.place)
+                    states = joined(self.batches)
+                    push = frontier.push_on(states, push, (end - self.count) // 2)
+                if self.count - before < FEW * self.wanted:
+                    break
+
+    def result(self, stopped: str) -> Workspace:
+        """What is known."""
+        states = joined(self.batches or [solve_states(self.scene, np.zeros((0, self.scene.arm.actuator_count)), False)])
+        resolution = self.resolution or _resolution(states, self.scene)
+        return Workspace.of(self.scene, states, resolution, stopped)
+
+
+def _resolution(states: Batch, scene: Problem) -> float:
+    """At which hardly any state lies alone."""
+    from scipy.spatial import cKDTree
+
+    least, position = THIN * float(scene.arm.neutral_length), states.position
+    position = np.unique(position[states.code.numpy() <= EXCLUDED], axis=0)
+    corners = position.shape[1] + 1
+    if len(position) <= corners:
+        return least
+    away = cKDTree(position).query(position, corners + 1)[0][:, -1]
+    return float(max(FINER[corners - 1] * np.quantile(away, TYPICAL), least))
+
+
+def _range_of_places(scene: Problem) -> tuple[Array, Array]:
+    """(M,) the lowest and the highest normalised pressure in range."""
+    limit = scene.arm.max_pressure
+    ranges = limit.new_tensor([[plain_number(end) for end in model.pressure_range] for model in scene.arm.actuators])
+    places = torch.where(limit[:, None] > 0, ranges / limit[:, None], 0.0).clamp(0.0, 1.0)
+    return places[:, 0].numpy(), places[:, 1].numpy()
+
+
+def _checked(arm: Any, payload: Any, gravity: Any, nodes: Any, base_pose: Any, wrench_at: Any) -> Problem:
+    """The arm under its load, without pressure, once everything is known to make sense."""
+    if not isinstance(arm, (ArmDesign, ArmSeries)):
+        raise ValueError(f"arm: must be an ArmDesign or an ArmSeries, got {shown(arm)}")
+    if arm.batch_shape:
+        raise ValueError(f"arm: must be one design, as arm[0] of a batch, got batch shape {tuple(arm.batch_shape)}")
+    if not bool((arm.max_pressure > 0).any()):
+        raise ValueError("arm: must have an actuator that is driven, got pressure limits of 0 alone")
+    load = _load(payload, gravity)
+    if load.batch_shape:
+        raise ValueError(f"payload: must be one, got batch shape {tuple(load.batch_shape)}")
+    with torch.no_grad():
+        rest = solve_equilibrium(arm, 0.0, load, nodes, base_pose=base_pose, wrench_at=wrench_at)
+    scene = rest._problem
+    if scene.batch:
+        raise ValueError(f"base_pose: must be one pose, got batch shape {tuple(scene.batch)}")
+    return scene
+
+
+def _load(payload: Any, gravity: Any) -> ExternalLoad:
+    """All that loads the arm."""
+    if isinstance(payload, ExternalLoad):
+        return payload
+    check_flag("gravity", gravity)
+    if payload is None:
+        return ExternalLoad(gravity=gravity)
+    (given,) = as_floating(payload=payload)
+    if given.ndim == 1:
+        check_tip("payload", given)
+        return ExternalLoad(given, gravity)
+    if given.ndim:
+        raise ValueError(f"payload: must be a mass [kg] or a wrench (3,) or (6,), got shape {tuple(given.shape)}")
+    check_finite("payload", given)
+    check_at_least("payload", given, 0.0, unit="kg")
+    if not gravity and bool(given > 0):
+        raise ValueError("payload: a mass has no weight with gravity=False, which must be True; or give a wrench")
+    return ExternalLoad(gravity=gravity, points=[PointLoad(mass=given)])

@@ -1,0 +1,198 @@
+"""States of an arm under one load: the equilibria at many pressures, what to think of each, and how each moves."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torcharm.equilibrium.problem import Problem
+from torcharm.equilibrium.sensitivity import pressure_sensitivity
+from torcharm.equilibrium.solve import Equilibrium, solved
+from torcharm.equilibrium.stability import beyond_range
+from torcharm.geometry import rod
+from torcharm.load import ExternalLoad
+from torcharm.statics.balance import segments_of
+from torcharm.task import Task
+from torcharm.wrench_sets.capacity import held_factor
+
+STATES = ("reached", "excluded by range", "snapped", "unstable", "not converged", "impossible")
+"""Reached: a stable equilibrium to which loading from rest leads along one branch, with strains and pressures that were
+characterised. Excluded by range: the same, but for strains or pressures beyond that, where figures extrapolate.
+Snapped: stable, but on another branch than the one that leads from rest, which has ended before. Unstable: the arm
+would not stay. Not converged, impossible: as of an equilibrium."""
+REACHED, EXCLUDED, SNAPPED, UNSTABLE, NOT_CONVERGED, IMPOSSIBLE = range(len(STATES))
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """S states, in float64.
+
+    Attributes:
+        place: (S, M) normalised pressures.
+        twists: (S, N, K).
+        tip_pose: (S, 3) or (S, 4, 4).
+        code: (S,) indices into `STATES`.
+        strain_excess: (S,) the largest strain beyond its characterised range.
+        payload_factor: (S,), infinite without a payload; NaN of states that are not stable.
+    """
+
+    place: Tensor
+    twists: Tensor
+    tip_pose: Tensor
+    code: Tensor
+    strain_excess: Tensor
+    payload_factor: Tensor
+
+    def __len__(self) -> int:
+        return len(self.place)
+
+    @property
+    def position(self) -> Array:
+        """(S, D) where the tips are [m]."""
+        return position_of(self.tip_pose).numpy()
+
+
+def joined(batches: Sequence[Batch]) -> Batch:
+    """All states of some batches, one after the other."""
+    return Batch(*(torch.cat([getattr(one, own.name) for one in batches]) for own in fields(Batch)))
+
+
+def position_of(pose: Tensor) -> Tensor:
+    """(..., D) of poses (..., 3) or (..., 4, 4) [m]."""
+    return pose[..., :3, 3] if pose.shape[-2:] == (4, 4) else pose[..., :2]
+
+
+@torch.no_grad()
+def solve_states(scene: Problem, place: Array, payload: bool) -> Batch:
+    """The states at normalised pressures (S, M).
+
+    Args:
+        scene: the arm and what loads it.
+        payload: whether that holds a payload.
+    """
+    places = torch.from_numpy(place)
+    found = solved(at_places(scene, places))
+    code = _codes(found)
+    factor = torch.full(found.stable.shape, torch.inf, dtype=torch.float64)
+    stable = code <= SNAPPED
+    if payload and bool(stable.any()):
+        factor[stable] = _payload_factors(scene, found.twists[stable])
+    factor[~stable] = torch.nan
+    return Batch(places, found.twists, found.poses[:, -1], code, found.strain_excess, factor)
+
+
+def at_places(scene: Problem, place: Tensor) -> Problem:
+    """The scene at normalised pressures (S, M)."""
+    return replace(scene, pressure=place * scene.arm.max_pressure, batch=(len(place),))
+
+
+def _codes(found: Equilibrium) -> Tensor:
+    """Indices into `STATES`."""
+    code = torch.full(found.stable.shape, REACHED)
+    for flag, word in (
+        (found.in_range, EXCLUDED),
+        (found.continued, SNAPPED),
+        (found.stable, UNSTABLE),
+        (found.converged, NOT_CONVERGED),
+        (found.possible, IMPOSSIBLE),
+    ):
+        code = torch.where(flag, code, word)
+    return code
+
+
+def _payload_factors(scene: Problem, twists: Tensor) -> Tensor:
+    """(S,) by what the payload can grow at equilibria under it."""
+    nodes = scene.nodes if len(scene.nodes) > 1 else None
+    task = Task(twists, None, scene.base_pose, scene.load, scene.wrench_at, nodes)
+    return held_factor(scene.arm, task)
+
+
+def has_payload(load: ExternalLoad) -> bool:
+    """Whether there is anything to scale beside the arm's own weight."""
+    return any(bool((value != 0).any()) for value in load.tensors().values())
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """How b states move with their normalised pressures, to first order.
+
+    Attributes:
+        tip: (b, D, M) of the tip's position [m].
+        beyond: (b, M) by how much of its width each actuator's strain leaves its characterised range at its worst node;
+            negative within.
+        beyond_slope: (b, M, M) of that.
+    """
+
+    tip: Array
+    beyond: Array
+    beyond_slope: Array
+
+    def at(self, index: NDArray[np.intp]) -> "Slopes":
+        """Of states at an index."""
+        return Slopes(self.tip[index], self.beyond[index], self.beyond_slope[index])
+
+    def with_more(self, other: "Slopes") -> "Slopes":
+        """And of others behind them."""
+        return Slopes(*(np.concatenate((getattr(self, one.name), getattr(other, one.name))) for one in fields(Slopes)))
+
+
+@dataclass
+class KnownSlopes:
+    """Slopes of some of the states of a scene, which become more: none is worked out twice."""
+
+    scene: Problem
+    row: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    slopes: Slopes | None = None
+
+    def of(self, states: Batch, index: NDArray[np.intp]) -> Slopes:
+        """Of states at an index (b,) into all that are known."""
+        self.row = np.concatenate((self.row, np.full(len(states) - len(self.row), -1)))
+        new = np.unique(index[self.row[index] < 0])
+        if len(new) or self.slopes is None:
+            known = 0 if self.slopes is None else len(self.slopes.tip)
+            self.row[new] = np.arange(known, known + len(new))
+            found = slopes_of(self.scene, states.place[new], states.twists[new])
+            self.slopes = found if self.slopes is None else self.slopes.with_more(found)
+        return self.slopes.at(self.row[index])
+
+
+def slopes_of(scene: Problem, place: Tensor, twists: Tensor) -> Slopes:
+    """The slopes at states, by their normalised pressures (b, M) and twists (b, N, K)."""
+    problem = at_places(scene, place)
+    rate = pressure_sensitivity(problem, twists) * scene.arm.max_pressure[:, None, None]
+    beyond, slope = _range_slopes(problem, twists, rate)
+    return Slopes(_tip_slope(scene, twists, rate).numpy(), beyond.numpy(), slope.numpy())
+
+
+def _tip_slope(scene: Problem, twists: Tensor, rate: Tensor) -> Tensor:
+    """(b, D, M), for changes (b, M, N, K) of the twists."""
+    links = [None if link is None else link.end(scene.arm.dimension) for link in segments_of(scene.arm)[1]]
+    with torch.enable_grad():
+        at = twists.detach().clone().requires_grad_()
+        poses = rod.poses(at, scene.base_pose, segment_nodes=scene.nodes, links=links)
+        tip = position_of(poses[:, -1])
+        rows = [torch.autograd.grad(one.sum(), at, retain_graph=True)[0] for one in tip.unbind(-1)]
+    return torch.einsum("bdnk,bmnk->bdm", torch.stack(rows, 1), rate)
+
+
+def _range_slopes(problem: Problem, twists: Tensor, rate: Tensor) -> tuple[Tensor, Tensor]:
+    """How far strains leave their range (b, M), and the slope of that (b, M, M)."""
+    values, slopes, node = [], [], 0
+    every = zip(segments_of(problem.arm)[0], beyond_range(problem, twists), strict=True)
+    for segment, (_, beyond, width, side) in every:
+        here = slice(node, node + beyond.shape[1])
+        node = here.stop
+        across = segment.radii if segment.dimension == 2 else segment.offsets
+        change = rod.actuator_lengths(rate[:, :, here], across) / segment.length  # lengths are linear in the twists
+        worst = (beyond / width).max(1)
+        values.append(worst.values)
+        own = (change * (side / width).unsqueeze(1)).gather(
+            2, worst.indices[:, None, None].expand(-1, change.shape[1], 1, -1)
+        )
+        slopes.append(own[:, :, 0].mT)
+    return torch.cat(values, 1), torch.cat(slopes, 1)
