@@ -37,6 +37,7 @@ ROOMS = (
     "study",
     "sweeps",
     "plot",
+    "report",
     "cli",
 )
 

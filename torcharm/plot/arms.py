@@ -28,7 +28,6 @@ from torcharm.plot._common import (
     axes_or_new,
     kind_styles,
     legend_below,
-    median_place,
     one_design,
     one_shape,
     projection_of,
@@ -263,17 +262,6 @@ def arrow_scale(arm: Arm, task: Task) -> float:
     sizes = [float(np.linalg.norm(force, axis=-1).max()) for _, _, force, _ in _loads(arm, task.load, at)]
     reach = sum(float(np.linalg.norm(np.diff(line[:, :3, 3], axis=0), axis=-1).sum()) for line in at.segments)
     return (max(sizes, default=0.0) or 1.0) / (LONGEST_ARROW * reach)  # a moment alone has no length
-
-
-def median_case(found: Attainability) -> tuple[int, Tensor | None]:
-    """The task of the median of the errors over their tolerances, and where the arm is predicted to be under it."""
-    over = found.over_tolerance
-    index = None if over is None else median_place(array(over).ravel())
-    if index is None or found.prediction is None:
-        return 0, None
-    twists = found.prediction.twists.detach()
-    twists = twists.reshape(-1, *twists.shape[-2:])[index]
-    return index, twists if bool(twists.isfinite().all()) else None
 
 
 def draw_poses(axes: Any, base: Array, tip: Array, half: float) -> None:

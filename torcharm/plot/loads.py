@@ -104,6 +104,7 @@ def load_map(
     unit: str = "N",
     contour: float | None = 0.0,
     contour_label: str | None = None,
+    lowest: float | None = None,
     highest: float | None = None,
     ax: Axes | None = None,
 ) -> Axes:
@@ -115,10 +116,10 @@ def load_map(
         loads: (R, C, 3) or (R, C, 6) of `load_grid`, `polar_load_grid` or `force_directions`, or any grid with four
             neighbours to a load, of which two force components differ, or forces of one size in all directions.
         values: (R, C) one for each load; what is not finite is grey, and counted in the legend.
-        quantity, unit: of the values, for the colour bar.
+        quantity, unit: of the values, for the colour bar; "" is no unit.
         contour: the value at which to draw a line; None draws none.
         contour_label: of the line, in the legend; None takes the value.
-        highest: end of the colour scale; larger values get its last shade. None takes the largest value.
+        lowest, highest: ends of the colour scale; larger values get its last shade. None takes those of the values.
         ax: 2-D axes to draw in; None makes some.
 
     Raises:
@@ -134,14 +135,16 @@ def load_map(
         raise ValueError("values: must hold at least one finite value, got none")
     axes = axes_or_new(ax)
     shown = np.ma.masked_where(~finite, value)
-    norm, levels, colours = _scale(value[finite], highest)
+    norm, levels, colours = _scale(value[finite], lowest, highest)
     extend = "max" if value[finite].max() > levels[-1] else "neither"
     shades = axes.contourf(x, y, shown, levels=levels, norm=norm, cmap=colours, extend=extend)
-    bar = axes.figure.colorbar(shades, ax=axes, label=f"{quantity} [{unit}]", shrink=0.8)
+    bar = axes.figure.colorbar(shades, ax=axes, label=f"{quantity} [{unit}]" if unit else quantity, shrink=0.8)
     bar.set_ticks(_ticks(float(levels[0]), float(levels[-1])))
     if contour is not None and value[finite].min() < contour < value[finite].max():
         axes.contour(x, y, shown, levels=[contour], colors="black", linewidths=2.2)
-        axes.plot([], [], color="black", linewidth=2.2, label=contour_label or f"{quantity} = {contour:g} {unit}")
+        axes.plot(
+            [], [], color="black", linewidth=2.2, label=contour_label or f"{quantity} = {contour:g} {unit}".rstrip()
+        )
         bar.ax.axhline(contour, color="black", linewidth=2.2)
     if not finite.all():
         axes.set_facecolor(LOST_COLOUR)
@@ -271,9 +274,10 @@ def attainable_load_map(
     return axes
 
 
-def _scale(values: Array, highest: float | None) -> tuple[Normalize, Array, str]:
+def _scale(values: Array, lowest: float | None, highest: float | None) -> tuple[Normalize, Array, str]:
     """A norm, the bounds of the shades, and the colours' name."""
-    low, high = float(values.min()), float(values.max()) if highest is None else float(highest)
+    low = float(values.min() if lowest is None else min(lowest, values.min()))
+    high = float(values.max() if highest is None else highest)
     if high - low <= 1e-9 * max(abs(low), 1e-9):  # one value everywhere, or a scale that ends below them all
         high = low + max(abs(low), 1.0) * 1e-3
     if low < 0 < high:
