@@ -33,6 +33,11 @@ class Evaluated:
         return [result for result in self.results if result.task is task]
 
     @property
+    def predicted(self) -> bool:
+        """Whether errors were predicted, and not only sets measured."""
+        return self.results[0].attainability.prediction is not None
+
+    @property
     def tasks(self) -> list[NamedTask]:
         """Those that something was found on."""
         return [task for task in self.study.tasks if self.of_task(task)]
@@ -79,18 +84,19 @@ class Block:
 
     Attributes:
         title: of the part, "" without.
-        points: sentences, each by itself.
+        points: sentences, each by itself, and what it is about, or "".
         commands: that a person may run, and what each does.
         table: columns of one length.
-        panels: figures beside each other; wide ones stand alone.
+        panels: figures beside each other,
+        columns: at most so many.
     """
 
     title: str = ""
-    points: Sequence[str] = ()
+    points: Sequence[tuple[str, str]] = ()
     commands: Sequence[tuple[str, str]] = ()
     table: Sequence[Column] = ()
     panels: Sequence[Panel] = ()
-    wide: bool = False
+    columns: int = 3
 
 
 @dataclass(frozen=True)

@@ -55,25 +55,27 @@ def design_table(rows: Sequence[Sequence[StudyResult]], sizes: bool = True) -> l
         rows: of each design its results, one or more.
         sizes: whether to say how large the designs are.
     """
-    found = [list(_measures(results, sizes)) for results in rows]
+    several = len({result.task.name for results in rows for result in results}) > 1
+    found = [list(_measures(results, sizes, several)) for results in rows]
     titles = dict.fromkeys((one.title, one.unit) for row in found for one in row if one.title)
     columns = [Column("design", "", [results[0].arm.name for results in rows], numeric=False)]
     for title, unit in titles:
         own = [{(one.title, one.unit): one for one in row}.get((title, unit)) for row in found]
         if any(one is not None and (one.value is not None or one.text is not None) for one in own):
             cells = ["–" if one is None else one.shown for one in own]
-            columns.append(Column(title, unit, cells, numeric=all(isinstance(cell, str) for cell in cells)))
+            words = any(one is not None and isinstance(one.value, str) for one in own)
+            columns.append(Column(title, unit, cells, not words and all(isinstance(cell, str) for cell in cells)))
     return columns
 
 
 def design_csv(rows: Sequence[Sequence[StudyResult]]) -> str:
     """The same as text of a CSV file, with columns in the words of other files."""
-    named = [{one.name: one.value for one in _measures(results, True) if one.name} for results in rows]
+    named = [{one.name: one.value for one in _measures(results) if one.name} for results in rows]
     return csv_text([{"arm": results[0].arm.name, **row} for results, row in zip(rows, named, strict=True)])
 
 
-def _measures(results: Sequence[StudyResult], sizes: bool) -> Iterator[Measure]:
-    """What the table says of one design, over all loads of its results."""
+def _measures(results: Sequence[StudyResult], sizes: bool = True, several: bool = True) -> Iterator[Measure]:
+    """What the table says of one design, over all loads of its results; `several` names tasks."""
     loads = sum(result.loads for result in results)
     yield Measure("", "", "loads", loads)
     yield from _verdicts(results, loads)
@@ -83,7 +85,7 @@ def _measures(results: Sequence[StudyResult], sizes: bool) -> Iterator[Measure]:
         ("shape off", "shape_error", MM),
     ):
         yield from _errors(results, title, name, scale)
-    yield from _sets(results)
+    yield from _sets(results, several)
     in_range = int(sum(result.attainability.in_range.sum() for result in results))
     yield Measure("in range", "", "in_range", in_range, f"{in_range} of {loads}")
     if sizes:
@@ -120,15 +122,14 @@ def _errors(results: Sequence[StudyResult], title: str, name: str, scale: float)
         yield Measure(f"{title}, largest", unit, f"{name}_largest_{ending}", _finite(errors.max()))
 
 
-def _sets(results: Sequence[StudyResult]) -> Iterator[Measure]:
+def _sets(results: Sequence[StudyResult], several: bool) -> Iterator[Measure]:
     """The node that lacks most on average over the loads of a task, and the least margin of all loads."""
     summaries = {result.task.name: summarise(result) for result in results}
     if any(summary.not_excluded is not None for summary in summaries.values()):
         task, worst = max(summaries.items(), key=lambda item: item[1].worst_miss)
         node = worst.worst_node
-        where = "–" if node is None else f"{node}" if len(summaries) == 1 else f"{task}: {node}"
-        yield Measure("", "", "worst_task", None if node is None else task)
-        yield Measure("worst node", "", "worst_node", node, where)
+        yield Measure("worst task" if several else "", "", "worst_task", None if node is None else task)
+        yield Measure("worst node", "", "worst_node", node)
         yield Measure("lacks there", "N", "worst_node_mean_miss_N", worst.worst_miss if node is not None else None)
     margin = _pooled(results, "capacity_margin")
     if margin is not None:

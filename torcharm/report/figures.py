@@ -19,6 +19,8 @@ from torcharm.study import StudyResult, summarise
 
 PANEL = 3.7
 """Width of a figure [inch]: three of them stand beside each other on a page of paper laid wide."""
+IN_SPACE = 4.8
+"""Width of one with axes in space, whose numbers need more room; it is shown as wide as the others."""
 WIDE = 9.5
 """Width of one that stands alone."""
 LEGEND = 7.5
@@ -28,9 +30,9 @@ FEWEST = 2
 
 
 def new_axes(height: float, projection: str = "rectilinear") -> Any:
-    """Axes in a figure of their own."""
-    figure = Figure(figsize=(PANEL, height), layout="constrained")
-    return figure.add_subplot(projection=projection)
+    """Axes in a figure of their own, whose height is given over its width."""
+    width = IN_SPACE if projection == "3d" else PANEL
+    return Figure(figsize=(width, height * width), layout="constrained").add_subplot(projection=projection)
 
 
 def to_panel(figure: Any, result: StudyResult, evaluated: Evaluated, what: str, caption: str) -> Panel:
@@ -45,7 +47,7 @@ def arm_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Iterator
     drawn: list[tuple[StudyResult, Any, int | None]] = []
     for result in results:
         task = result.task.task
-        axes = new_axes(PANEL * 1.15, projection_of(task))
+        axes = new_axes(1.15, projection_of(task))
         shown = draw_median_case(axes, "arm", result.arm.design, task, result.attainability)
         put_legend_below(axes)
         drawn.append((result, axes, shown))
@@ -62,7 +64,7 @@ def error_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Iterat
     edges = tip_error_edges([one.attainability for one in known]) if known else None
     drawn = []
     for result in known:
-        axes = new_axes(PANEL * 0.85)
+        axes = new_axes(0.85)
         assert edges is not None
         drawn.append((result, axes, draw_tip_errors(axes, result.attainability, edges)))
         put_legend_below(axes)
@@ -82,7 +84,7 @@ def hull_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Iterato
             continue
         scene, node = make_scene("arm", result.arm.design, median_shape(task, found)), _worst_node(result)
         if task.dimension == 2:
-            panels = [new_axes(PANEL)]
+            panels = [new_axes(1.0)]
         else:
             panels = list(Figure(figsize=(WIDE, PANEL), layout="constrained").subplots(1, len(SIDES)))
         colour = ARM_COLOURS[evaluated.study.arms.index(result.arm) % len(ARM_COLOURS)]

@@ -13,7 +13,7 @@ from torcharm.plot._common import VERDICT_STYLES, array, mark_inks, pick
 from torcharm.plot.loads import attainable_load_map, load_grid, load_map
 from torcharm.plot.median_case import is_lost, median_case
 from torcharm.report.content import Evaluated, Panel
-from torcharm.report.figures import PANEL, new_axes, put_legend_below, to_panel
+from torcharm.report.figures import new_axes, put_legend_below, to_panel
 from torcharm.study import StudyResult
 from torcharm.task import Task
 
@@ -37,7 +37,7 @@ def load_map_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Ite
         found = result.attainability
         if is_lost(found):
             continue
-        axes, (grid, sides) = new_axes(PANEL), _grid(result.task.task)
+        axes, (grid, sides) = new_axes(1.0), _grid(result.task.task)
         task = pick(result.task.task, median_case(found)[0])  # its weight and point loads act beside the tip forces
         if found.prediction is None:
             metric = "relative" if found.absolute is None else "absolute"

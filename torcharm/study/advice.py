@@ -17,15 +17,14 @@ from torcharm.study.results import StudyResult
 MOSTLY = 0.5
 """From which share of the missed loads on a cause is told."""
 
-
-def advice(results: Sequence[StudyResult]) -> Iterator[str]:
-    """What to try with one design, in a sentence each, from what was found of it on one task or several."""
-    for result in results:
-        about = f"{result.task.name}: " if len(results) > 1 else ""
-        yield from (f"{about}{said}" for said in _of_task(result))
+AT_BOUND = (
+    "at the limit: a higher one, or more force there, may help.",
+    "without pressure: one there that acts the other way may help.",
+)
 
 
-def _of_task(result: StudyResult) -> Iterator[str]:
+def advice(result: StudyResult) -> Iterator[str]:
+    """What to try with one design, in a sentence each, from what was found of it on one task."""
     words = result.verdicts
     if words is None:
         excluded = sum(map(bool, result.reasons))
@@ -52,22 +51,28 @@ def _of_task(result: StudyResult) -> Iterator[str]:
 
 def _of_missed(result: StudyResult, missed: "np.typing.NDArray[np.intp]") -> Iterator[str]:
     """Of the loads that are missed, by their indices: which pressures end at a bound, and what sets say."""
-    found, count = result.attainability, len(missed)
+    found, enough = result.attainability, MOSTLY * len(missed)
     assert found.prediction is not None
     pressure = found.prediction.pressure.detach()
     pressure = pressure.reshape(-1, pressure.shape[-1])[missed]
-    full, none = (own.sum(0) >= max(1.0, MOSTLY * count) for own in limits_reached(pressure, _limits(result)))
-    start = f"Of {count} missed"
-    if bool(full.any()):
-        yield f"{start}, most have {listed(full)} at the limit: a higher limit, or more force there, may help."
-    if bool(none.any()):
-        yield f"{start}, most have {listed(none)} without pressure: one there that acts the other way may help."
+    for ended, words in zip(limits_reached(pressure, _limits(result)), AT_BOUND, strict=True):
+        usual = ended.sum(0) >= enough
+        if bool(usual.any()):
+            together = int(ended[:, usual].all(-1).sum())
+            be = "are" if int(usual.sum()) > 1 else "is"
+            yield f"Under {together} of {len(missed)} missed loads {listed(usual)} {be} {words}"
     absolute, relative = (
         None if value is None else (value.reshape(-1, value.shape[-1])[missed] <= 0).all(-1)
         for value in (found.absolute_per_node, found.relative_per_node)
     )
-    if absolute is not None and relative is not None and int((absolute & ~relative).sum()) >= max(1.0, MOSTLY * count):
-        yield f"{start}, most ask of each node what it can do, but not by one pressure: segments in series may help."
+    if absolute is None or relative is None:
+        return
+    apart = int((absolute & ~relative).sum())
+    if apart >= enough:
+        yield (
+            f"{apart} of {len(missed)} missed loads ask of each node what it can do, but by a pressure of its own: "
+            "more segments in series may help."
+        )
 
 
 def _limits(result: StudyResult) -> Tensor:
