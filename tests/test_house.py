@@ -39,6 +39,7 @@ ROOMS = (
     "study",
     "sweeps",
     "plot",
+    "report",
     "cli",
 )
 

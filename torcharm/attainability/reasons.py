@@ -101,16 +101,24 @@ def at_limits(pressure: Tensor, limit: Tensor) -> str:
     Args:
         pressure, limit: (M) of all segments [kPa].
     """
-    driven = limit > 0
-    full = driven & (pressure >= (1 - AT_LIMIT) * limit)
-    none = driven & (pressure <= AT_LIMIT * limit)
-    said = [f"{_listed(full)} at {'its' if int(full.sum()) == 1 else 'their'} limit" if bool(full.any()) else ""]
-    said.append(f"{_listed(none)} without pressure" if bool(none.any()) else "")
+    full, none = limits_reached(pressure, limit)
+    said = [f"{listed(full)} at {'its' if int(full.sum()) == 1 else 'their'} limit" if bool(full.any()) else ""]
+    said.append(f"{listed(none)} without pressure" if bool(none.any()) else "")
     return ", ".join(filter(None, said))
 
 
-def _listed(which: Tensor) -> str:
-    """`actuator 1`, `actuators 1, 4`."""
+def limits_reached(pressure: Tensor, limit: Tensor) -> tuple[Tensor, Tensor]:
+    """Whether driven actuators are at their limit, and whether they are without pressure, both (..., M).
+
+    Args:
+        pressure, limit: (..., M) of all segments [kPa].
+    """
+    driven = limit > 0
+    return driven & (pressure >= (1 - AT_LIMIT) * limit), driven & (pressure <= AT_LIMIT * limit)
+
+
+def listed(which: Tensor) -> str:
+    """`actuator 1`, `actuators 1, 4`: those of a mask (M), counted from 1."""
     numbers = [str(index + 1) for index in which.nonzero().flatten().tolist()]
     return f"actuator{'s' * (len(numbers) > 1)} {', '.join(numbers)}"
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from torcharm.cli import evaluate, fit, init, optimise, plan, search, shape, sweep, tolerance, workspace
+from torcharm.cli import evaluate, fit, init, optimise, plan, report, search, shape, sweep, tolerance, workspace
 from torcharm.cli.terminal import INTERRUPTED, fail
 
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]  # click's own, which newer typers hold inside
@@ -96,6 +96,7 @@ def _without_markup(text: str | None) -> str | None:
 for _function, _example in (
     (init.init, "torcharm init --out arms.toml"),
     (evaluate.evaluate, "torcharm evaluate study.toml --out results.csv --figure picture.png"),
+    (report.report, "torcharm report study.toml --out report.html"),
     (fit.fit, "torcharm fit --instron run.csv --pressure run.txt --actuators 4 --out my_bellows.toml"),
     (search.search, "torcharm search study.toml --out pressures.csv --figure reached.png"),
     (shape.shape, "torcharm shape --pressure 20,30,20,25 --load 2,-3,0.1 --figure shape.png"),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from torcharm.cli.report import heading, summary_columns, verdict_legend, why_not
+from torcharm.cli.summaries import heading, summary_columns
 from torcharm.cli.tables import print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
@@ -53,23 +53,14 @@ def evaluate(
         if paper and study is not None:
             raise ValueError(f"--paper: stands alone, got the study {study} too")
         check_outputs(study, out, figure)
-        from torcharm.study import RESULT_FORMATS, evaluate_study, example_study, load_study, paper_study
+        from torcharm.study import RESULT_FORMATS, example_study, load_study, paper_study
 
         check_ending("--out", out, RESULT_FORMATS)
         plan = paper_study() if paper else example_study() if study is None else asked_about(load_study(study))
         for path in numbered(figure, len(plan.tasks)):
             check_writable(path, "--figure")
         started = time.perf_counter()
-        results: list[StudyResult] = []
-        refused: dict[str, list[str]] = {}
-        total, interrupted = sum(len(plan.arms_of(task)) for task in plan.tasks), False
-        with progress("evaluating", total) as advance:
-            try:
-                for result in evaluate_study(plan, lambda arm, why: refused.setdefault(why, []).append(arm.name)):
-                    results.append(result)
-                    advance()
-            except KeyboardInterrupt:  # what is finished is shown and written all the same
-                interrupted = True
+        results, refused, interrupted = evaluate_all(plan)
         if results:  # nothing is worth a file that may be there
             console = open_console()
             if as_json:
@@ -82,15 +73,33 @@ def evaluate(
         finish(interrupted, results, refused)
 
 
+def evaluate_all(plan: "Study") -> "tuple[list[StudyResult], dict[str, list[str]], bool]":
+    """What is found of all arms on their tasks, who was refused by why, and whether Ctrl-C came between."""
+    from torcharm.study import evaluate_study
+
+    results: list[StudyResult] = []
+    refused: dict[str, list[str]] = {}
+    with progress("evaluating", sum(len(plan.arms_of(task)) for task in plan.tasks)) as advance:
+        try:
+            for result in evaluate_study(plan, lambda arm, why: refused.setdefault(why, []).append(arm.name)):
+                results.append(result)
+                advance()
+        except KeyboardInterrupt:  # what is finished is shown and written all the same
+            return results, refused, True
+    return results, refused, False
+
+
 def _next_steps(study: Path | None, results: Sequence["StudyResult"]) -> Iterator[str]:
     """What a person may try now."""
+    from torcharm.study.words import next_commands
+
     yield ""
     if study is None:
         yield "Next: torcharm init writes this example, with comments, to study.toml: put in your own"
         yield "arms and tasks. torcharm evaluate study.toml --figure picture.png draws them."
-    elif any(word in ("missed", "excluded by range") for result in results for word in result.verdicts or ()):
-        yield f"Next: torcharm optimise {study} looks for radii and lengths that come nearer,"
-        yield f"torcharm search {study} for the pressures that do, loading from rest."
+        return
+    said = ",\n".join(f"{command} {does}" for command, does in next_commands(str(study), results))
+    yield from f"Next: {said}.".splitlines() if said else ()
 
 
 def _print_json(results: Sequence["StudyResult"]) -> None:
@@ -124,6 +133,7 @@ def _report(console: "Console", plan: "Study", results: Sequence["StudyResult"],
     from rich.text import Text
 
     from torcharm.study import summarise
+    from torcharm.study.words import why_not
 
     console.print(Text(plan.name, style="bold").append(plan.description and f"  {plan.description}", style="not bold"))
     for task in plan.tasks:
@@ -148,6 +158,8 @@ def _report(console: "Console", plan: "Study", results: Sequence["StudyResult"],
 
 def _legend(plan: "Study", results: Sequence["StudyResult"], sums: bool) -> Iterator[str]:
     """What the columns mean, in a line each."""
+    from torcharm.study.words import verdict_legend, worst_node_legend
+
     if not results:
         return
     found = results[0].attainability
@@ -157,18 +169,14 @@ def _legend(plan: "Study", results: Sequence["StudyResult"], sums: bool) -> Iter
     else:
         yield "not excluded: no node lacks a wrench, which is necessary but not sufficient."
     if found.node_miss is not None:
-        yield f"worst node: lacks most, on average, of the wrench that it needs, {_counted(plan)}; 1 is the base."
+        yield worst_node_legend(plan.settings)
     if sums or found.prediction is None:
         yield f"sums over nodes: {_sums(plan)}."
 
 
 def _sums(plan: "Study") -> str:
+    from torcharm.study.words import as_one_distance
+
     settings = plan.settings
     what = "squared distances" if settings.power == 2 else "distances"
-    return f"{what} from attainable wrenches, {_counted(plan)}"
-
-
-def _counted(plan: "Study") -> str:
-    """How forces and moments are one distance."""
-    force, moment = plan.settings.weights
-    return "1 N·m as 1 N" if force == moment == 1 else f"{force:g} f² + {moment:g} m²"
+    return f"{what} from attainable wrenches, {as_one_distance(plan.settings)}"

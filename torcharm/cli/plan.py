@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torcharm.cli.report import error_columns, verdict_legend
+from torcharm.cli.summaries import error_columns
 from torcharm.cli.tables import LONGEST_WORD, Column, print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
@@ -152,6 +152,8 @@ TWISTS = {
 
 
 def _tell(read: "Study", found: Sequence[Found], sums: bool) -> None:
+    from torcharm.study.words import verdict_legend
+
     console = open_console()
     for wanted in read.plans:
         shown = [one for one in found if one.wanted is wanted]

@@ -1,106 +1,55 @@
-"""What commands say of arms on tasks: a heading, a table of verdicts, sentences on what is not held, and a legend."""
+"""`torcharm report`: a study's designs compared in one file, to be mailed."""
 
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from torcharm.cli.tables import LONGEST_WORD, Column
-from torcharm.cli.terminal import count
+import typer
+
+from torcharm.cli.evaluate import evaluate_all
+from torcharm.cli.terminal import (
+    asked_about,
+    check_ending,
+    check_outputs,
+    count,
+    finish,
+    mistakes,
+    open_console,
+    progress,
+    save_all,
+)
 
 if TYPE_CHECKING:
-    from rich.text import Text
-
-    from torcharm.study import NamedTask, Settings, StudyResult, Summary
+    from torcharm.report import Evaluated
 
 
-def heading(task: "NamedTask", loads: int) -> "Text":
-    """Above the tables of a task."""
-    from rich.text import Text
+def report(
+    study: Annotated[Path, typer.Argument(help="A study, as TOML.")],
+    out: Annotated[Path, typer.Option("--out", help="Where to write the report, a file ending in .html.")],
+) -> None:
+    """Compare the arms of a study in one file: numbers, arms, errors, load maps, attainable sets, what to try next.
 
-    what = f", {count(task.task.nodes, 'node')}, {count(loads, 'load')}"
-    return Text("Task ").append(task.name, style="bold").append(what)
+    The file needs no network and nothing beside it: mail it, print it, copy its numbers as CSV.
+    """
+    with mistakes():
+        check_outputs(study, out, None)
+        check_ending("--out", out, ("html", "htm"))
+        from torcharm.report import Evaluated, with_margins
+        from torcharm.study import load_study
 
-
-def summary_columns(rows: Sequence[tuple["StudyResult", "Summary"]], sums: bool = False) -> Iterator[Column]:
-    """A row for each arm: how many loads are held, and medians over the loads; with the paper's sums on request."""
-    yield Column("arm", [result.arm.name for result, _ in rows], LONGEST_WORD)
-    found = [_cells(summary, sums) for _, summary in rows]
-    for title in found[0]:
-        if title == "not held" and all(cells[title] == "-" for cells in found):
-            continue
-        yield Column(title, [cells[title] for cells in found], LONGEST_WORD if title == "not held" else 0)
-
-
-def _cells(summary: "Summary", sums: bool) -> dict[str, str]:
-    """The cells of a row by their titles; medians over loads."""
-    from torcharm.inputs import three_digits
-
-    median, cells = summary.median, {}
-    if summary.verdicts is not None:
-        cells["held"] = f"{summary.held} of {summary.loads}"
-        cells["tip off\n[mm]"] = three_digits(1e3 * median["tip_error"])
-        cells["turned\n[°]"] = three_digits(math.degrees(median["tip_rotation_error"]))
-        cells["shape\n[mm]"] = three_digits(1e3 * median["shape_error"])
-    elif summary.not_excluded is not None:
-        cells["not\nexcluded"] = f"{summary.not_excluded} of {summary.loads}"
-    if summary.not_excluded is not None:
-        worst = "-" if summary.worst_node is None else f"{summary.worst_node}: {summary.worst_miss:.2g}"
-        cells["worst node:\nlacks [N]"] = worst
-    if summary.verdicts is not None:
-        cells["not held"] = _not_held(summary.verdicts)
-    if sums or summary.verdicts is None:
-        cells |= {f"{name}\nsum [N]": three_digits(median[name]) for name in ("absolute", "relative") if name in median}
-    return cells
+        plan = with_margins(asked_about(load_study(study)))
+        started = time.perf_counter()
+        results, refused, interrupted = evaluate_all(plan)
+        if results:
+            html = _drawn(Evaluated(plan, results, refused, study.name))
+            told = f" ({count(len(plan.arms), 'arm')}, {time.perf_counter() - started:.2g} s)."
+            save_all(open_console(), [(out, lambda path: path.write_text(html, encoding="utf-8"), told)])
+        finish(interrupted, results, refused)
 
 
-def _not_held(verdicts: Mapping[str, int]) -> str:
-    return ",\n".join(f"{many} {word}" for word, many in verdicts.items() if word != "held") or "-"
+def _drawn(evaluated: "Evaluated") -> str:
+    """The report, a step of the bar for each of its sections."""
+    from torcharm.report import SECTIONS, study_report
 
-
-def error_columns(rows: Sequence[Mapping[str, Any]], sums: bool = False) -> Iterator[Column]:
-    """The verdict and the errors of one load in each row, rows as of files; with the paper's sums on request."""
-    from torcharm.inputs import three_digits
-
-    if any(row.get("verdict") is not None for row in rows):
-        yield Column("verdict", [str(row.get("verdict") or "-") for row in rows], LONGEST_WORD)
-    shown = {"tip off\n[mm]": "tip_error_mm", "turned\n[°]": "tip_rotation_error_deg", "shape\n[mm]": "shape_error_mm"}
-    for title, name in shown.items():
-        if not any(name in row for row in rows):
-            continue
-        yield Column(title, _numbers(rows, name, three_digits))
-    for name in ("absolute", "relative") if sums else ():
-        if any(f"{name}_N" in row for row in rows):
-            yield Column(f"{name}\nsum [N]", _numbers(rows, f"{name}_N", three_digits))
-
-
-def _numbers(rows: Sequence[Mapping[str, Any]], name: str, words: Callable[[float], str]) -> list[str]:
-    values = [row.get(name) for row in rows]
-    return ["-" if value is None else words(value) for value in values]
-
-
-def why_not(summary: "Summary", load: int, verdict: str, reason: str) -> str:
-    """The sentence on the load that stands for those not held, after the arm's name."""
-    alike = 0 if summary.verdicts is None else summary.verdicts[verdict]
-    which = f", the furthest off of {alike} {verdict}" if alike > 1 else ""
-    about = f", load {load} of {summary.loads}{which}" if summary.loads > 1 else ""
-    return f"{about}: {reason}{'' if reason.endswith('?') else '.'}"
-
-
-def verdict_legend(settings: "Settings", results: Sequence["StudyResult"]) -> Iterator[str]:
-    """What the verdicts mean that were given, in a line each."""
-    tip = settings.tolerance.tip
-    near = "2 % of the length" if tip is None else f"{1e3 * tip:g} mm"
-    turn = math.degrees(settings.tolerance.rotation)
-    yield f"held: tip and shape within {near}, turned within {turn:.3g}°."
-    words = {word for result in results for word in result.verdicts or ()}
-    for word, meaning in MEANINGS.items():
-        if word in words:
-            yield f"{word}: {meaning}."
-
-
-MEANINGS = {
-    "missed": "the least error that was found is beyond that",
-    "excluded by range": "beyond characterised strains or pressures: figures extrapolate",
-    "undecided": "a better pressure may exist, or no stable shape that loading leads to",
-    "impossible": "an actuator would have no length",
-}
+    with progress("drawing", len(SECTIONS)) as advance:
+        return study_report(evaluated, advance)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torcharm.cli.report import error_columns, heading, summary_columns, verdict_legend
+from torcharm.cli.summaries import error_columns, heading, summary_columns
 from torcharm.cli.tables import LONGEST_WORD, Column, print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
@@ -229,6 +229,8 @@ def _actuator(column: str) -> int:
 
 def _legend(settings: "Settings", results: "Sequence[tuple[NamedTask, Found]]") -> Iterator[str]:
     """What the tables mean, in a line each."""
+    from torcharm.study.words import verdict_legend
+
     found = [result for _, one in results for result in one]
     if not found:
         return

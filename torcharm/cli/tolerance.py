@@ -114,7 +114,8 @@ def _manufacture(
 ) -> "Manufacture":
     """How arms are built: by options where there are any, else by the study."""
     from torcharm.design.scatter import UNITS, Scatter
-    from torcharm.study.units import FORCE, LENGTH, PRESSURE, SHARE, numbers_in
+    from torcharm.study.units import numbers_in
+    from torcharm.units import FORCE, LENGTH, PRESSURE, SHARE
 
     units = {"m": LENGTH, "kPa": PRESSURE, "1": SHARE, "N": FORCE}
     given: dict[str, float] = {}

@@ -138,7 +138,8 @@ def _teller(move: Callable[..., None], before: int, name: str) -> Callable[[int,
 
 def _payload(text: str, dimension: int) -> float | list[float]:
     """A mass [kg] or a wrench [N, N·m]."""
-    from torcharm.study.units import FORCE, MASS, MOMENT, numbers_in
+    from torcharm.study.units import numbers_in
+    from torcharm.units import FORCE, MASS, MOMENT
 
     wrench = (FORCE, FORCE, MOMENT) if dimension == 2 else (FORCE,) * 3 + (MOMENT,) * 3
     try:

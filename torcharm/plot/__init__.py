@@ -14,6 +14,7 @@ from torcharm.plot._common import (
     OTHER_STYLES,
     SMOOTHING,
     UNATTAINABLE,
+    VERDICT_STYLES,
 )
 from torcharm.plot.arms import arm_shape
 from torcharm.plot.histograms import unattainability_histogram
@@ -42,6 +43,7 @@ __all__ = [
     "OTHER_STYLES",
     "SMOOTHING",
     "UNATTAINABLE",
+    "VERDICT_STYLES",
     "arm_shape",
     "attainable_load_map",
     "force_directions",

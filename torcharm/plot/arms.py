@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import FancyArrowPatch
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 from mpl_toolkits.mplot3d import proj3d  # type: ignore[import-untyped]
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 from torch import Tensor
@@ -28,7 +28,6 @@ from torcharm.plot._common import (
     axes_or_new,
     kind_styles,
     legend_below,
-    median_place,
     one_design,
     one_shape,
     projection_of,
@@ -51,6 +50,7 @@ NUMBER["path_effects"] = [withStroke(linewidth=2, foreground="white")]
 """How they look."""
 SEEN: dict[str, Any] = {
     "color": UNATTAINABLE,
+    "fontsize": "small",
     "ha": "center",
     "va": "top",
     "zorder": 6,
@@ -59,6 +59,8 @@ SEEN: dict[str, Any] = {
 """How words look that may lie over a shape."""
 LEAST_SIDE = 0.5
 """Of the longest side of a box in space, the shortest that has room for its numbers."""
+CORNER = 0.2
+"""Of the depth of a box in space, the part that has no number: at the corner nearest to the viewer are those of x."""
 LINK = "#555555"
 """Colour of rigid links and of the base."""
 
@@ -145,7 +147,7 @@ def draw_wanted(axes: Any, arm: Arm, task: Task, words: str) -> None:
     _draw_line(axes, wanted.points, ATTAINABLE, "-", "full", ("task", "its tip"))
     _limit(axes, wanted.points, PLATE)
     place = axes.text2D if axes.name == "3d" else axes.text
-    place(0.5, 0.97, textwrap.fill(words, 44), transform=axes.transAxes, **SEEN)
+    place(0.5, 0.97, textwrap.fill(words, 40), transform=axes.transAxes, **SEEN)
 
 
 def _draw_line(axes: Any, points: Array, ink: str, dashes: str, fill: str, labels: tuple[str, str]) -> None:
@@ -265,17 +267,6 @@ def arrow_scale(arm: Arm, task: Task) -> float:
     return (max(sizes, default=0.0) or 1.0) / (LONGEST_ARROW * reach)  # a moment alone has no length
 
 
-def median_case(found: Attainability) -> tuple[int, Tensor | None]:
-    """The task of the median of the errors over their tolerances, and where the arm is predicted to be under it."""
-    over = found.over_tolerance
-    index = None if over is None else median_place(array(over).ravel())
-    if index is None or found.prediction is None:
-        return 0, None
-    twists = found.prediction.twists.detach()
-    twists = twists.reshape(-1, *twists.shape[-2:])[index]
-    return index, twists if bool(twists.isfinite().all()) else None
-
-
 def draw_poses(axes: Any, base: Array, tip: Array, half: float) -> None:
     """Where an arm begins and is to end, by poses (4, 4)."""
     draw_plate(axes, base, half, "base")
@@ -320,4 +311,6 @@ def _limit(axes: Any, points: Array, wide: float) -> None:
         # A short axis has no room for as many numbers as a long one, and its name lies beyond them.
         axis.set_major_locator(MaxNLocator(max(1, round(5 * span / max(spans)) - 1), steps=(1, 2, 5, 10)))
         axis.labelpad = 12 if axis is axes.zaxis else 8  # its numbers lie beside each other
+    end = high[2] - CORNER * spans[1]
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda depth, _: f"{depth:g}" if depth < end else ""))
     axes.tick_params(labelsize="small")

@@ -1,13 +1,21 @@
 """How far arms miss their tasks."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from torch import Tensor
 
-from torcharm.plot._common import ARM_COLOURS, ARM_LINES, array, axes_or_new
+from torcharm.attainability import Attainability
+from torcharm.inputs import three_digits
+from torcharm.plot._common import ARM_COLOURS, ARM_LINES, VERDICT_STYLES, Array, array, axes_or_new
+
+BINS = 24
+"""Of the histograms of several arms, which share them."""
+LEAST = 0.01
+"""What the tip is off by less [mm] is counted there: a logarithmic axis has no zero."""
 
 
 def unattainability_histogram(values: Mapping[str, Tensor], *, ax: Axes | None = None, unit: str = "N") -> Axes:
@@ -43,3 +51,63 @@ def unattainability_histogram(values: Mapping[str, Tensor], *, ax: Axes | None =
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.legend(loc="upper right", fontsize="small", frameon=False, handlelength=3.5)
     return axes
+
+
+def tip_error_edges(evaluated: Sequence[Attainability]) -> Array:
+    """Edges of bins [mm] for the tip's errors of several arms, on a logarithmic axis, with their tolerances among them.
+
+    Raises:
+        ValueError: a result has no predicted error.
+    """
+    errors = np.concatenate([_tip_errors(found) for found in evaluated])
+    known = np.concatenate([errors[np.isfinite(errors)], [_tolerance(found) for found in evaluated]])
+    return np.asarray(np.geomspace(known.min() / 1.1, known.max() * 1.1, BINS + 1))
+
+
+def draw_tip_errors(axes: Axes, found: Attainability, edges: Array) -> int:
+    """How far off the tip is predicted over the loads: bars by verdict, the median and the tolerance as lines.
+
+    Args:
+        axes: 2-D ones.
+        found: of one arm, with a predicted error.
+        edges: of the bins [mm], as of `tip_error_edges`.
+
+    Returns:
+        How many loads have no error, as no shape was found: they are in no bar.
+    """
+    errors, words = _tip_errors(found), np.ravel(np.asarray(found.verdict))
+    known = np.isfinite(errors)
+    below = np.zeros(len(edges) - 1)
+    for word, (colour, _, filled) in VERDICT_STYLES.items():
+        counts = np.histogram(errors[known & (words == word)], edges)[0]
+        if counts.any():
+            inks: dict[str, Any] = {"facecolor": colour} if filled else {"facecolor": "none", "hatch": "////"}
+            full = counts > 0
+            left, wide = edges[:-1][full], np.diff(edges)[full]
+            axes.bar(left, counts[full], wide, below[full], align="edge", edgecolor=colour, label=word, **inks)
+        below = below + counts
+    if known.any():
+        middle = float(np.median(np.where(known, errors, np.inf)))
+        if np.isfinite(middle):
+            axes.axvline(middle, color="#0072B2", linewidth=2, label=f"median, {three_digits(middle)} mm")
+    tolerance = _tolerance(found)
+    axes.axvline(tolerance, color="black", linestyle=":", label=f"tolerance, {three_digits(tolerance)} mm")
+    axes.set(xscale="log", xlim=(edges[0], edges[-1]), xlabel="tip off by [mm]", ylabel="number of loads")
+    close = edges[-1] < 100 * edges[0]  # few powers of ten to be named
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if close else (1.0,)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    return int((~known).sum())
+
+
+def _tip_errors(found: Attainability) -> Array:
+    """[mm], none below LEAST; what is not finite, no shape was found for."""
+    if found.tip_error is None:
+        raise ValueError("found: must hold predicted errors, got none")
+    return np.maximum(1e3 * array(found.tip_error).ravel(), LEAST)
+
+
+def _tolerance(found: Attainability) -> float:
+    """Of the tip [mm]."""
+    return 1e3 * float(found.tolerance.lengths(found.arm)[0].max())

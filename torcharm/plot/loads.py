@@ -117,7 +117,7 @@ def load_map(
         loads: (R, C, 3) or (R, C, 6) of `load_grid`, `polar_load_grid` or `force_directions`, or any grid with four
             neighbours to a load, of which two force components differ, or forces of one size in all directions.
         values: (R, C) one for each load; what is not finite is grey, and counted in the legend.
-        quantity, unit: of the values, for the colour bar.
+        quantity, unit: of the values, for the colour bar; "" is no unit.
         contour: the value at which to draw a line; None draws none.
         contour_label: of the line, in the legend; None takes the value.
         lowest, highest: ends of the colour scale; values beyond get its first or last shade. None takes the least and
@@ -144,10 +144,12 @@ def load_map(
     shades = axes.contourf(x, y, shown, levels=levels, norm=norm, cmap=colours, extend=extend)
     drawn = contour is not None and value[finite].min() < contour < value[finite].max()
     if bar:
-        colour_bar(axes.figure, shades, axes, f"{quantity} [{unit}]", contour if drawn else None)
+        colour_bar(axes.figure, shades, axes, f"{quantity} [{unit}]" if unit else quantity, contour if drawn else None)
     if drawn:
         axes.contour(x, y, shown, levels=[contour], colors="black", linewidths=2.2)
-        axes.plot([], [], color="black", linewidth=2.2, label=contour_label or f"{quantity} = {contour:g} {unit}")
+        axes.plot(
+            [], [], color="black", linewidth=2.2, label=contour_label or f"{quantity} = {contour:g} {unit}".rstrip()
+        )
     if not finite.all():
         axes.set_facecolor(LOST_COLOUR)
         axes.plot([], [], "s", color=LOST_COLOUR, label=f"not known: {(~finite).sum()} of {finite.size}")

@@ -25,8 +25,8 @@ from torcharm.plot.arms import (
     draw_plate,
     draw_poses,
     draw_wanted,
-    median_case,
 )
+from torcharm.plot.median_case import median_case
 from torcharm.pressure.search import PressureSearch
 from torcharm.task import Task
 

@@ -18,15 +18,11 @@ from torcharm.plot._common import (
     VERDICT_STYLES,
     Array,
     array,
-    like_shape,
     mark_inks,
-    one_design,
-    pick,
     projection_of,
 )
-from torcharm.plot._shapes import why_impossible
-from torcharm.plot.arms import draw_arm, draw_wanted, median_case
 from torcharm.plot.hulls import SIDES, Scene, draw_node, make_scene
+from torcharm.plot.median_case import draw_median_case, is_lost, median_shape
 from torcharm.task import Task
 
 LEAST = 0.01
@@ -56,7 +52,7 @@ def study_figure(
     _check(results, evaluated, prod(task.batch_shape))
     columns, flat = len(results), task.dimension == 2
     figure = Figure(figsize=(max(9.0, 5.5 * columns), 11.0 + 0.3 * columns), layout="constrained")
-    lost = [_is_lost(found, median_case(found)[0]) for found in evaluated]
+    lost = list(map(is_lost, evaluated))
     heights = (1.2 + 0.4 * columns, 5.0 if flat else 6.0, *([] if all(lost) else [3.2]))
     rows: Any = figure.subfigures(len(heights), 1, height_ratios=heights)
     figure.suptitle(task_name, fontsize="large", fontweight="bold")
@@ -65,16 +61,11 @@ def study_figure(
     cells = None if all(lost) else rows[2].subplots(1, panels, squeeze=False)[0].reshape(columns, -1)
     scenes, views = [], []
     for column, ((name, arm), found) in enumerate(zip(results, evaluated, strict=True)):
-        index, reached = median_case(found)
         axes = rows[1].add_subplot(1, columns, column + 1, projection=projection_of(task))
-        drawn = "" if reached is None else f"\ndrawn: load {index + 1} of {prod(task.batch_shape)}"
-        shared = np.flatnonzero(like_shape(task, index)).tolist()
-        if lost[column]:
-            arm = one_design(f"results[{column}]", arm, task)
-            draw_wanted(axes, arm, pick(task, index), f"impossible: {why_impossible(arm, pick(task, index))}")
-        else:
-            scenes.append(make_scene(f"results[{column}]", arm, pick(task, shared)))
-            draw_arm(axes, arm, pick(task, shared if reached is None else index), reached)
+        shown = draw_median_case(axes, f"results[{column}]", arm, task, found)
+        drawn = "" if shown is None else f"\ndrawn: load {shown + 1} of {prod(task.batch_shape)}"
+        if not lost[column]:
+            scenes.append(make_scene(f"results[{column}]", arm, median_shape(task, found)))
         axes.set_title(f"{textwrap.fill(f'{name}: {_counts(found)}', 60)}{drawn}", fontsize="medium")
         below = -0.12 if flat else 0.0
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, below), ncols=2, fontsize="small", frameon=False)
@@ -88,19 +79,14 @@ def study_figure(
             panel.set_title(f"{textwrap.fill(name, 26)}\n{counted}", fontsize="small")
             views.append((panel, sides))
     if views:
-        _limit(views, scenes)
+        limit_views(views, scenes)
         handles, labels = views[0][0].get_legend_handles_labels()
         labels = [label.split(":")[0] for label in labels]  # how many is in the titles
         rows[2].legend(handles, labels, loc="outside lower center", ncols=3, fontsize="small", frameon=False)
     return figure
 
 
-def _is_lost(found: Attainability, index: int) -> bool:
-    """Whether a task leaves the arm's centreline or an actuator no length."""
-    return bool(_words(found)[index] == "impossible") or bool(found.impossible.reshape(-1)[index])
-
-
-def _limit(views: Sequence[tuple[Axes, tuple[int, int]]], scenes: Sequence[Scene]) -> None:
+def limit_views(views: Sequence[tuple[Axes, tuple[int, int]]], scenes: Sequence[Scene]) -> None:
     """The same limits for all panels, around the sets and most of what is required: some loads ask for far more."""
     size = len(scenes[0].labels)
     sets = np.concatenate([scene.corners.reshape(-1, size) for scene in scenes])

@@ -1,6 +1,7 @@
 """A study evaluated: every arm on each of its tasks, summed up in tables and written to files."""
 
 import csv
+import io
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -143,9 +144,10 @@ def write_results(path: str | PathLike[str], results: Sequence[StudyResult], end
 
     Columns: arm; task; load, counted from 1; force_x_N, force_y_N and moment_Nm at the tip (in space six); verdict and
     reason; tip_error_mm, tip_rotation_error_deg and shape_error_mm; worst_node, counted from 1, and worst_miss_N;
-    absolute_N and relative_N, the paper's sums, which mix N and N·m by the weights as the miss does; in_range,
-    strain_excess and status, as in `Attainability`; and the pressure that comes nearest, pressure_1_kPa and so on, one
-    for each actuator that is driven: passive ones, of limit 0, have none.
+    absolute_N and relative_N, the paper's sums, which mix N and N·m by the weights as the miss does; capacity_margin_N,
+    above 0 inside, where the settings are signed; in_range, strain_excess and status, as in `Attainability`; and the
+    pressure that comes nearest, pressure_1_kPa and so on, one for each actuator that is driven: passive ones, of limit
+    0, have none.
 
     Raises:
         ValueError: the ending is none of `RESULT_FORMATS`.
@@ -174,16 +176,20 @@ def write_rows(path: str | PathLike[str], rows: Sequence[Mapping[str, Any]], end
         OSError: the file cannot be written.
     """
     json_wanted = check_format(path if ending is None else f"results{ending}") == "json"
-    header = list(dict.fromkeys(name for row in rows for name in row))
+    text = f"{json.dumps(list(rows), indent=1)}\n" if json_wanted else csv_text(rows)
     with atomic_write(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
-        if json_wanted:
-            json.dump(list(rows), file, indent=1)
-            file.write("\n")
-            return len(rows)
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows([_cell(row.get(name)) for name in header] for row in rows)
+        file.write(text)
     return len(rows)
+
+
+def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """The rows of a table as the text of a CSV file, as `write_rows` has it."""
+    header = list(dict.fromkeys(name for row in rows for name in row))
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows([_cell(row.get(name)) for name in header] for row in rows)
+    return text.getvalue()
 
 
 def check_format(path: str | PathLike[str]) -> str:
@@ -229,6 +235,8 @@ def result_rows(result: StudyResult, first: int = 1) -> Iterator[dict[str, Any]]
         value = getattr(found, name)
         if value is not None:
             columns |= {f"{name}_N": _numbers(value)}
+    if found.capacity_margin is not None:
+        columns |= {"capacity_margin_N": _numbers(found.capacity_margin)}
     columns |= {"in_range": found.in_range.flatten().tolist(), "strain_excess": _numbers(found.strain_excess)}
     columns |= {"status": [str(word) for word in np.ravel(np.asarray(found.status))]}
     if found.prediction is not None:

@@ -1,0 +1,130 @@
+"""The report's figures: small ones beside each other, a design in each, alike in their scales."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from torcharm.plot import ARM_COLOURS
+from torcharm.plot._common import array, projection_of
+from torcharm.plot.histograms import draw_tip_errors, tip_error_edges
+from torcharm.plot.hulls import SIDES, draw_node, make_scene
+from torcharm.plot.median_case import draw_median_case, is_lost, median_shape
+from torcharm.plot.study import limit_views
+from torcharm.report.content import Evaluated, Panel
+from torcharm.report.svg import inline_svg
+from torcharm.study import StudyResult, summarise
+
+PANEL = 3.7
+"""Width of a figure [inch]: three of them stand beside each other on a page of paper laid wide."""
+IN_SPACE = 4.8
+"""Width of one with axes in space, whose numbers need more room; it is shown as wide as the others."""
+WIDE = 9.5
+"""Width of one that stands alone."""
+LEGEND = 7.5
+"""Size of its text [pt]: two entries beside each other."""
+FEWEST = 2
+"""Loads that a histogram is drawn of."""
+
+
+def new_axes(height: float, projection: str = "rectilinear") -> Any:
+    """Axes in a figure of their own, whose height is given over its width."""
+    width = IN_SPACE if projection == "3d" else PANEL
+    return Figure(figsize=(width, height * width), layout="constrained").add_subplot(projection=projection)
+
+
+def to_panel(figure: Any, result: StudyResult, evaluated: Evaluated, what: str, caption: str) -> Panel:
+    """A finished figure of one design on one task; what it shows is one word."""
+    places = evaluated.study.arms.index(result.arm), evaluated.study.tasks.index(result.task)
+    name, words = f"{what}-{places[0]}-{places[1]}", f"{what}: {result.arm.name}, {result.task.name}"
+    return Panel(result.arm.name, caption, inline_svg(figure, name, words))
+
+
+def arm_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Iterator[Panel]:
+    """Each design on one task, under its load of the median error, where it is predicted to be; in the plane alike."""
+    drawn: list[tuple[StudyResult, Any, int | None]] = []
+    for result in results:
+        task = result.task.task
+        axes = new_axes(1.15, projection_of(task))
+        shown = draw_median_case(axes, "arm", result.arm.design, task, result.attainability)
+        put_legend_below(axes)
+        drawn.append((result, axes, shown))
+    if results[0].task.task.dimension == 2:
+        share_limits([axes for _, axes, _ in drawn])
+    for result, axes, shown in drawn:
+        caption = f"under load {shown + 1} of {result.loads}, of the median error" if shown is not None else ""
+        yield to_panel(axes.figure, result, evaluated, "arm", caption)
+
+
+def error_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Iterator[Panel]:
+    """How far off each design's tip is over the loads of one task, over the same bins."""
+    known = [one for one in results if one.attainability.prediction is not None and one.loads >= FEWEST]
+    edges = tip_error_edges([one.attainability for one in known]) if known else None
+    drawn = []
+    for result in known:
+        axes = new_axes(0.85)
+        assert edges is not None
+        drawn.append((result, axes, draw_tip_errors(axes, result.attainability, edges)))
+        put_legend_below(axes)
+    highest = max((axes.get_ylim()[1] for _, axes, _ in drawn), default=1.0)
+    for result, axes, lost in drawn:
+        axes.set_ylim(0, highest)
+        words = f"without a number, as no shape was found: {lost} of {result.loads}"
+        yield to_panel(axes.figure, result, evaluated, "errors", words if lost else "")
+
+
+def hull_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Iterator[Panel]:
+    """What pressures provide and the loads require at the node that lacks most on average, or has the least margin."""
+    drawn, views, scenes = [], list[tuple[Axes, tuple[int, int]]](), []
+    for result in results:
+        task, found = result.task.task, result.attainability
+        if is_lost(found):
+            continue
+        scene, node = make_scene("arm", result.arm.design, median_shape(task, found)), _worst_node(result)
+        if task.dimension == 2:
+            panels = [new_axes(1.0)]
+        else:
+            panels = list(Figure(figsize=(WIDE, PANEL), layout="constrained").subplots(1, len(SIDES)))
+        colour = ARM_COLOURS[evaluated.study.arms.index(result.arm) % len(ARM_COLOURS)]
+        for axes, pair in zip(panels, SIDES, strict=False):
+            draw_node(axes, scene, node, pair, colour)
+            views.append((axes, pair))
+        scenes.append(scene)
+        drawn.append((result, panels, node, scene.inside[:, node]))
+    if views:
+        limit_views(views, scenes)
+    for result, panels, node, inside in drawn:
+        put_legend_below(panels[0], ncols=1 if len(panels) == 1 else 3)
+        caption = f"node {node + 1} of {result.task.task.nodes}: {inside.sum()} of {len(inside)} loads inside"
+        yield to_panel(panels[0].figure, result, evaluated, "hull", caption)
+
+
+def put_legend_below(axes: Any, ncols: int = 2) -> None:
+    """The legend of axes below their figure, in place of one that they may have."""
+    if axes.get_legend() is not None:
+        axes.get_legend().remove()
+    how: dict[str, Any] = {"loc": "outside lower center", "fontsize": LEGEND, "frameon": False}
+    axes.figure.legend(*axes.get_legend_handles_labels(), ncols=ncols, **how)
+
+
+def share_limits(many: Sequence[Any]) -> None:
+    """The same limits, around all, for axes of figures of one size."""
+    for side in ("xlim", "ylim"):
+        ends = np.array([getattr(axes, f"get_{side}")() for axes in many])
+        for axes in many:
+            axes.set_aspect("equal", adjustable="box")  # else the limits would give way to the aspect
+            axes.set(**{side: (ends.min(), ends.max())})
+
+
+def _worst_node(result: StudyResult) -> int:
+    """The node that lacks most on average, from 0; where none lacks, that with the least margin, or the last."""
+    worst = summarise(result).worst_node
+    if worst is not None:
+        return worst - 1
+    found = result.attainability
+    per_node = found.relative_per_node if found.absolute_per_node is None else found.absolute_per_node
+    if per_node is None or not found.signed:
+        return result.task.task.nodes - 1
+    return int(array(per_node).reshape(-1, per_node.shape[-1]).mean(0).argmax())

@@ -1,0 +1,130 @@
+"""The report's sections, in order: each from what was evaluated, or None where there is nothing to show.
+
+Another one is a function of the same kind in `SECTIONS`.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+
+from torcharm.report.content import Block, Evaluated, Panel, Section
+from torcharm.report.designs import design_csv, design_table
+from torcharm.report.figures import arm_panels, error_panels, hull_panels
+from torcharm.report.load_maps import load_map_panels
+from torcharm.study import Study, StudyResult, csv_text, result_rows, summarise
+from torcharm.study.advice import advice
+from torcharm.study.words import next_commands, verdict_legend, worst_node_legend
+
+Panels = Callable[[Sequence[StudyResult], Evaluated], Iterable[Panel]]
+
+
+def with_margins(study: Study) -> Study:
+    """The study with capacity margins, where how it measures sets has them: they cost next to nothing."""
+    how = study.settings
+    sets = how.hull == "exact" and how.distance == "gjk" and "absolute" in how.metrics
+    return replace(study, settings=replace(how, signed=True)) if sets else study
+
+
+def designs(evaluated: Evaluated) -> Section | None:
+    """One row a design over all of its tasks, and on each task where there are several."""
+    rows = [own for arm in evaluated.study.arms if (own := evaluated.of_arm(arm))]
+    blocks = [Block(table=design_table(rows))]
+    if len(evaluated.tasks) > 1:
+        blocks[0] = replace(blocks[0], title="All tasks")
+        for task in evaluated.tasks:
+            single = design_table([[result] for result in evaluated.of_task(task)], sizes=False)
+            blocks.append(Block(title=task.name, table=single))
+    blocks.append(Block(points=[("", said) for said in _legend(evaluated)]))
+    return Section("Designs", blocks, csv=design_csv(rows))
+
+
+def _legend(evaluated: Evaluated) -> Iterator[str]:
+    """What the columns mean, as far as they are there."""
+    settings = evaluated.study.settings
+    if evaluated.predicted:
+        yield from verdict_legend(settings, evaluated.results)
+        yield "tip off, turned, shape off: errors of the predicted equilibrium, over the loads."
+    else:
+        yield "not excluded: no node lacks a wrench, which is necessary but not sufficient."
+    if any(summarise(result).worst_node is not None for result in evaluated.results):
+        yield worst_node_legend(settings)
+    if evaluated.results[0].attainability.capacity_margin is not None:
+        yield "least margin: from what loads require of nodes to the boundary of what pressures give; above 0 inside."
+
+
+def next_steps(evaluated: Evaluated) -> Section | None:
+    """What to try with each design."""
+    blocks = []
+    for arm in evaluated.study.arms:
+        found = evaluated.of_arm(arm)
+        points = [(result.task.name * (len(found) > 1), said) for result in found for said in advice(result)]
+        blocks += [Block(title=arm.name, points=points)] if points else []
+    commands = list(next_commands(evaluated.source, evaluated.results))
+    blocks += [Block(title="All designs", commands=commands)] if commands else []
+    return Section("What to try next", blocks) if blocks else None
+
+
+def arms(evaluated: Evaluated) -> Section | None:
+    """The arms where they are predicted to be."""
+    predicted = (
+        "The task's centreline is solid, the one reached dashed; each design under its load of the median error."
+    )
+    text = predicted if evaluated.predicted else "Each design at the task's shape, with all of its loads."
+    return _drawn(evaluated, "Arms", text, arm_panels, in_space=2)
+
+
+def errors(evaluated: Evaluated) -> Section | None:
+    """Histograms of the tip's error."""
+    text = "Under how many loads the tip is predicted to be how far off; bars not filled: figures not to be relied on."
+    return _drawn(evaluated, "Tip errors", text, error_panels)
+
+
+def load_maps(evaluated: Evaluated) -> Section | None:
+    """Maps over tip forces."""
+    predicted = (
+        "How far off each design is at the task's shape under tip forces without a moment: within the black line all "
+        "errors are within the tolerance."
+    )
+    sets = "Which tip forces, without a moment, each design bears at the task's shape, as far as sets can tell."
+    marks = "Marks are the study's own loads; they may have moments and, in space, a third force, which maps have not."
+    text = f"{predicted if evaluated.predicted else sets} {marks}"
+    return _drawn(evaluated, "Load maps", text, load_map_panels)
+
+
+def hulls(evaluated: Evaluated) -> Section | None:
+    """Attainable sets at the worst nodes."""
+    text = (
+        "What pressures can provide at the node that lacks most on average, or is nearest to it, and what the loads "
+        "require there. In space seen along each axis: a point within all outlines may still be outside."
+    )
+    return _drawn(evaluated, "Attainable wrenches at the worst node", text, hull_panels, in_space=1)
+
+
+def loads(evaluated: Evaluated) -> Section | None:
+    """All numbers, load by load."""
+    rows = [row for result in evaluated.results for row in result_rows(result)]
+    text = f"One row for each design, task and load, {len(rows)} in all, with the columns of torcharm evaluate --out."
+    return Section("Every load", (), text, csv_text(rows))
+
+
+SECTIONS: tuple[Callable[[Evaluated], Section | None], ...] = (
+    designs,
+    next_steps,
+    arms,
+    errors,
+    load_maps,
+    hulls,
+    loads,
+)
+
+
+def _drawn(evaluated: Evaluated, title: str, text: str, panels: Panels, in_space: int = 3) -> Section | None:
+    """A section of figures, task by task; of tasks in space so many beside each other."""
+    blocks = list(_blocks(evaluated, panels, in_space))
+    return Section(title, blocks, text) if blocks else None
+
+
+def _blocks(evaluated: Evaluated, panels: Panels, in_space: int) -> Iterator[Block]:
+    for task in evaluated.tasks:
+        drawn = list(panels(evaluated.of_task(task), evaluated))
+        if drawn:
+            yield Block(title=task.name, panels=drawn, columns=in_space if task.task.dimension == 3 else 3)

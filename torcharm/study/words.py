@@ -1,0 +1,53 @@
+"""What results of a study say in sentences: what verdicts mean, why a load is not held, and what to run next."""
+
+import math
+from collections.abc import Iterator, Sequence
+
+from torcharm.study.data import Settings
+from torcharm.study.results import StudyResult, Summary
+
+MEANINGS = {
+    "missed": "the least error that was found is beyond that",
+    "excluded by range": "beyond characterised strains or pressures: figures extrapolate",
+    "undecided": "a better pressure may exist, or no stable shape that loading leads to",
+    "impossible": "an actuator would have no length",
+}
+
+
+def why_not(summary: Summary, load: int, verdict: str, reason: str) -> str:
+    """The sentence on the load that stands for those not held, after the arm's name."""
+    alike = 0 if summary.verdicts is None else summary.verdicts[verdict]
+    which = f", the furthest off of {alike} {verdict}" if alike > 1 else ""
+    about = f", load {load} of {summary.loads}{which}" if summary.loads > 1 else ""
+    return f"{about}: {reason}{'' if reason.endswith('?') else '.'}"
+
+
+def verdict_legend(settings: Settings, results: Sequence[StudyResult]) -> Iterator[str]:
+    """What the verdicts mean that were given, in a line each."""
+    tip = settings.tolerance.tip
+    near = "2 % of the length" if tip is None else f"{1e3 * tip:g} mm"
+    turn = math.degrees(settings.tolerance.rotation)
+    yield f"held: tip and shape within {near}, turned within {turn:.3g}°."
+    words = {word for result in results for word in result.verdicts or ()}
+    for word, meaning in MEANINGS.items():
+        if word in words:
+            yield f"{word}: {meaning}."
+
+
+def worst_node_legend(settings: Settings) -> str:
+    """What the worst node is, in a line."""
+    counted = as_one_distance(settings)
+    return f"worst node: lacks most, on average, of the wrench that it needs, {counted}; 1 is the base."
+
+
+def as_one_distance(settings: Settings) -> str:
+    """How forces and moments are one distance."""
+    force, moment = settings.weights
+    return "1 N·m as 1 N" if force == moment == 1 else f"{force:g} f² + {moment:g} m²"
+
+
+def next_commands(study: str, results: Sequence[StudyResult]) -> Iterator[tuple[str, str]]:
+    """Commands that may bring a study's arms nearer to what they miss, and what each does."""
+    if any(word in ("missed", "excluded by range") for result in results for word in result.verdicts or ()):
+        yield f"torcharm optimise {study}", "looks for radii and lengths that come nearer"
+        yield f"torcharm search {study}", "for the pressures that do, loading from rest"
