@@ -17,6 +17,7 @@ ROOT = Path(torcharm.__file__).parent
 
 ROOMS = (
     "inputs",
+    "extras",
     "files",
     "geometry",
     "shapes",
@@ -37,6 +38,7 @@ ROOMS = (
     "study",
     "sweeps",
     "plot",
+    "page",
     "cli",
 )
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from torcharm.cli import evaluate, fit, init, optimise, plan, search, shape, sweep
+from torcharm.cli import evaluate, explore, fit, init, optimise, plan, search, shape, sweep
 from torcharm.cli.terminal import INTERRUPTED, fail
 
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]  # click's own, which newer typers hold inside
@@ -88,6 +88,7 @@ for _function, _example in (
     (shape.shape, "torcharm shape --pressure 20,30,20,25 --load 2,-3,0.1 --figure shape.png"),
     (optimise.optimise, "torcharm optimise study.toml --out best.toml --figure best.png"),
     (plan.plan, "torcharm plan study.toml --out shapes.csv --figure shapes.png"),
+    (explore.explore, "torcharm explore study.toml --out better.toml"),
     (sweep.sweep, "torcharm sweep study.toml --count 1e6 --out run"),
 ):
     app.command(cls=_Command, epilog=f"Example: {_example}")(_function)
