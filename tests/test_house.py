@@ -18,6 +18,7 @@ ROOT = Path(torcharm.__file__).parent
 ROOMS = (
     "inputs",
     "units",
+    "extras",
     "files",
     "geometry",
     "shapes",
@@ -40,6 +41,7 @@ ROOMS = (
     "sweeps",
     "plot",
     "report",
+    "page",
     "cli",
 )
 

@@ -11,7 +11,20 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from torcharm.cli import evaluate, fit, init, optimise, plan, report, search, shape, sweep, tolerance, workspace
+from torcharm.cli import (
+    evaluate,
+    explore,
+    fit,
+    init,
+    optimise,
+    plan,
+    report,
+    search,
+    shape,
+    sweep,
+    tolerance,
+    workspace,
+)
 from torcharm.cli.terminal import INTERRUPTED, fail
 
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]  # click's own, which newer typers hold inside
@@ -103,6 +116,7 @@ for _function, _example in (
     (optimise.optimise, "torcharm optimise study.toml --out best.toml --figure best.png"),
     (workspace.workspace, "torcharm workspace study.toml --payload '200 g' --figure reach.png"),
     (plan.plan, "torcharm plan study.toml --out shapes.csv --figure shapes.png"),
+    (explore.explore, "torcharm explore study.toml --out better.toml"),
     (sweep.sweep, "torcharm sweep study.toml --count 1e6 --out run"),
     (tolerance.tolerance, "torcharm tolerance study.toml --radii '1 mm' --force '5 %' --figure built.png"),
 ):

@@ -1,7 +1,6 @@
 """`torcharm optimise`: every arm of a study made better on all its tasks together."""
 
 import math
-import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -218,29 +217,15 @@ def _write(path: Path, study: Path, out: Path, plan: "Study", results: Found, en
 
 def _toml(study: Path, out: Path, plan: "Study", results: Found) -> str:
     """The best arms as a study: rounded as one builds, on the same tasks."""
-    from torcharm.study import NamedArm, study_to_toml
+    from torcharm.study import NamedArm, moved_files, study_to_toml
 
     ends = "" if all(arm.name.endswith(OPTIMISED) for arm, _ in results) else OPTIMISED
     arms = {
-        arm.name: NamedArm(f"{arm.name}{ends}", result.buildable, _moved(arm.files, study, out))
+        arm.name: NamedArm(f"{arm.name}{ends}", result.buildable, moved_files(arm.files, study, out))
         for arm, result in results
     }
     name = plan.name if plan.name.endswith(OPTIMISED) else f"{plan.name}{OPTIMISED}"
     return study_to_toml(plan, name, arms, {arm.name: result.status for arm, result in results})
-
-
-def _moved(files: Sequence[str | None], study: Path, out: Path) -> tuple[str | None, ...]:
-    """Paths of force models, which start at the study's folder, from the folder of the file of --out."""
-    if study.parent.resolve() == out.parent.resolve() or is_stream(out):
-        return tuple(files)
-
-    def moved(name: str) -> str:
-        try:
-            return Path(os.path.relpath(study.parent / name, out.parent)).as_posix()
-        except ValueError:  # on another drive
-            return (study.parent / name).resolve().as_posix()
-
-    return tuple(name if name is None or Path(name).is_absolute() else moved(name) for name in files)
 
 
 def _rows(results: Found) -> Iterator[dict[str, Any]]:

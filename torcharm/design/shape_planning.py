@@ -20,7 +20,7 @@ from torcharm.geometry import rod
 from torcharm.inputs import HoldsTensors, TensorLike, as_floating, check_count, check_finite, check_number, shown
 from torcharm.load import ExternalLoad
 from torcharm.statics.balance import segments_of
-from torcharm.task import check_segments
+from torcharm.task import Task, check_segments
 
 TIP_TOLERANCE = 1e-8
 """By how much a tip may miss its pose [m, rad] for a plan to count as one."""
@@ -137,6 +137,34 @@ def plan_shape(
     options: Any = {"weights": judge.weights, "power": judge.power} if isinstance(judge, Objective) else {}
     error = float(np.abs(problem.tip_miss(best)).max())
     return PlannedShape("found", twists, error, min(values), evaluate(arm, problem.task(twists, whole), **options))
+
+
+def nearest_shape(arm: Arm, task: Task, tip_pose: TensorLike) -> Tensor | None:
+    """The shape nearest to a task's whose tip is at a pose: what a dragged tip leaves of it, in milliseconds.
+
+    Newton's method by the least change of lengths (in units of 0.1 m) and bends (in rad), without shear and torsion.
+    Strains are not limited, and no load is looked at: `plan_shape` does both.
+
+    Args:
+        arm: one design, or segments in series with their links.
+        task: one shape, and where its base is.
+        tip_pose: (3,) or (4, 4), as of `plan_shape`.
+
+    Returns:
+        (N, 3) or (N, 6) twists; None where none was found, or where an actuator would have no length.
+
+    Raises:
+        ValueError: arm, task and pose do not fit.
+    """
+    nodes = task.segment_nodes or (task.nodes,)
+    problem, _ = _problem(arm, tip_pose, task.load, PAPER_SHAPES[0], nodes, task.base_pose, False)
+    near = problem.onto_tip(problem.unknowns(task.twists))
+    if not problem.violation(near) < TIP_TOLERANCE:
+        return None
+    twists = problem.twists(torch.from_numpy(near)).to(task.twists)
+    segments = zip(segments_of(arm)[0], twists.split(nodes), strict=True)
+    lengths = [rod.actuator_lengths(own, part.radii if arm.dimension == 2 else part.offsets) for part, own in segments]
+    return twists if all(bool((length > 0).all()) for length in (twists[:, 0], *lengths)) else None
 
 
 def _problem(

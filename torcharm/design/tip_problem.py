@@ -76,6 +76,11 @@ class TipProblem:
         whole[:, HULL[whole.shape[-1]]] = values * values.new_tensor((LENGTH_UNIT, *[1.0] * (self.arm.dimension - 1)))
         return whole
 
+    def unknowns(self, twists: Tensor) -> Array:
+        """Those of twists (N, 3 or 6), whose shear and torsion are passed over."""
+        scale = twists.new_tensor((LENGTH_UNIT, *[1.0] * (self.arm.dimension - 1)))
+        return np.asarray((twists.detach()[:, HULL[twists.shape[-1]]] / scale).double().cpu().T.reshape(-1))
+
     def task(self, twists: Tensor, load: ExternalLoad) -> Task:
         """A shape (N, 3 or 6) as the task to hold it under loads."""
         nodes = self.nodes if len(self.nodes) > 1 else None

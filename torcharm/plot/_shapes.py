@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
+from torcharm.arm import ArmDesign
 from torcharm.attainability import Attainability
 from torcharm.attainability.reasons import NO_CENTRELINE, out_of_range
 from torcharm.design.space import Arm
@@ -18,6 +19,11 @@ from torcharm.pressure.predicted_error import PredictedError
 from torcharm.pressure.search import PressureSearch
 from torcharm.statics.balance import segments_of
 from torcharm.task import Task
+
+AROUND = 12
+"""Sides of a tube."""
+SLIM = 0.35
+"""A tube's radius over the least distance of two actuators, where no diameter is known."""
 
 Shape = Tensor | Equilibrium | PressureSearch | PredictedError | Attainability
 """What a shape may be given as."""
@@ -90,6 +96,23 @@ def centreline(arm: Arm, twists: Tensor, task: Task) -> Centreline:
         if link is not None:
             start = group.compose(start, link.end(arm.dimension).detach().reshape(start.shape).to(start))
     return Centreline(found, in_space(array(start)))
+
+
+def tubes(segment: ArmDesign, line: Array) -> list[Array]:
+    """Of each actuator of a segment the skin (P, AROUND + 1, 3) of a tube where it lies, by the poses (P, 4, 4) of the
+    segment's centreline."""
+    offsets = array(segment.offsets)
+    apart = [np.linalg.norm(a - b) for i, a in enumerate(offsets) for b in offsets[:i]]
+    slim = SLIM * min([float(one) for one in apart if one > 0] or [0.03])
+    radii = [slim] * len(offsets) if segment.diameter is None else (0.5 * array(segment.diameter)).tolist()
+    return [skin_of(line, y, z, radius) for (y, z), radius in zip(offsets, radii, strict=True)]
+
+
+def skin_of(line: Array, y: float, z: float, radius: float) -> Array:
+    """(P, AROUND + 1, 3) a tube along poses (P, 4, 4), whose axis is at (y, z) across them."""
+    turn = np.linspace(0, 2 * np.pi, AROUND + 1)
+    own = np.stack((0 * turn, y + radius * np.cos(turn), z + radius * np.sin(turn), 1 + 0 * turn))
+    return np.moveaxis((line @ own)[:, :3], 1, -1)
 
 
 def in_space(poses: Array) -> Array:

@@ -32,14 +32,10 @@ from torcharm.plot._common import (
     one_shape,
     projection_of,
 )
-from torcharm.plot._shapes import Centreline, Shape, centreline, task_of, twists_of
+from torcharm.plot._shapes import AROUND, Centreline, Shape, centreline, task_of, tubes, twists_of
 from torcharm.statics.balance import segments_of
 from torcharm.task import Task
 
-AROUND = 12
-"""Sides of a tube."""
-SLIM = 0.35
-"""A tube's radius over the least distance of two actuators, where no diameter is known."""
 TIP_WANTED = "tip pose wanted"
 PLATE = 0.04
 """Half the width, at least, of the plate that stands for a pose, and how long the stem is on which it sits [m]."""
@@ -174,20 +170,15 @@ def _draw_actuators(
     axes: Any, segment: ArmDesign, line: Array, styles: dict[str, tuple[str, float]], alpha: float
 ) -> None:
     """Every actuator of one segment, in the colour of its kind: a line in the plane, a tube in space."""
-    offsets, turn = array(segment.offsets), np.linspace(0, 2 * np.pi, AROUND + 1)
-    apart = [np.linalg.norm(a - b) for i, a in enumerate(offsets) for b in offsets[:i]]
-    slim = SLIM * min([float(one) for one in apart if one > 0] or [0.03])
-    radii = [slim] * len(offsets) if segment.diameter is None else (0.5 * array(segment.diameter)).tolist()
-    for (y, z), model, radius in zip(offsets, segment.actuators, radii, strict=True):
-        kind = model_name(model)
+    kinds = list(map(model_name, segment.actuators))
+    if axes.name == "3d":
+        for skin, kind in zip(tubes(segment, line), kinds, strict=True):
+            axes.plot_surface(*seen(axes, skin), color=styles[kind][0], alpha=alpha, linewidth=0, shade=True)
+        return
+    for (y, z), kind in zip(array(segment.offsets), kinds, strict=True):
         colour, width = styles[kind]
-        if axes.name == "3d":
-            own = np.stack((0 * turn, y + radius * np.cos(turn), z + radius * np.sin(turn), 1 + 0 * turn))
-            skin = np.moveaxis((line @ own)[:, :3], 1, -1)
-            axes.plot_surface(*seen(axes, skin), color=colour, alpha=alpha, linewidth=0, shade=True)
-        else:
-            points = (line @ np.array((0.0, y, z, 1.0)))[:, :3]
-            axes.plot(*seen(axes, points), color=colour, linewidth=width, solid_capstyle="butt", gid=kind)
+        points = (line @ np.array((0.0, y, z, 1.0)))[:, :3]
+        axes.plot(*seen(axes, points), color=colour, linewidth=width, solid_capstyle="butt", gid=kind)
 
 
 def _number_actuators(axes: Any, segment: ArmDesign, line: Array, first: int) -> None:
@@ -210,7 +201,7 @@ def _draw_links(axes: Any, arm: Arm, at: Centreline) -> None:
 def _draw_loads(axes: Any, arm: Arm, load: ExternalLoad, at: Centreline, scale: float) -> Array:
     """Loads and weights as arrows, their sizes in the legend; returns where the arrows end (A, 3)."""
     ends = [at.points[-1:]]
-    for name, place, force, moment in _loads(arm, load, at):
+    for name, place, force, moment in loads_on(arm, load, at):
         size = np.linalg.norm(force, axis=-1)
         start = seen(axes, np.broadcast_to(place, force.shape))
         if axes.name == "3d":
@@ -227,7 +218,7 @@ def _draw_loads(axes: Any, arm: Arm, load: ExternalLoad, at: Centreline, scale: 
     return np.concatenate(ends)
 
 
-def _loads(arm: Arm, load: ExternalLoad, at: Centreline) -> Any:
+def loads_on(arm: Arm, load: ExternalLoad, at: Centreline) -> Any:
     """Of each load its name, its place (3,), and its forces and moments (L, 3) in the world frame."""
     if load.tip is not None and bool((load.tip != 0).any()):
         yield "tip load", at.tip[:3, 3], *_in_world(load.tip, np.eye(3))
@@ -262,7 +253,7 @@ def _in_world(wrench: Tensor, turn: Array) -> tuple[Array, Array]:
 def arrow_scale(arm: Arm, task: Task) -> float:
     """By which the largest force of a task of one shape is an arrow of LONGEST_ARROW of its centreline [N/m]."""
     at = centreline(arm, task.twists, task)
-    sizes = [float(np.linalg.norm(force, axis=-1).max()) for _, _, force, _ in _loads(arm, task.load, at)]
+    sizes = [float(np.linalg.norm(force, axis=-1).max()) for _, _, force, _ in loads_on(arm, task.load, at)]
     reach = sum(float(np.linalg.norm(np.diff(line[:, :3, 3], axis=0), axis=-1).sum()) for line in at.segments)
     return (max(sizes, default=0.0) or 1.0) / (LONGEST_ARROW * reach)  # a moment alone has no length
 

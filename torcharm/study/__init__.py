@@ -28,7 +28,7 @@ from torcharm.study.results import (
 )
 from torcharm.study.task_writing import task_to_toml
 from torcharm.study.workspaces import workspace_rows
-from torcharm.study.writing import arm_to_toml, study_to_toml
+from torcharm.study.writing import arm_to_toml, moved_files, study_to_toml
 
 __all__ = [
     "RESULT_FORMATS",
@@ -46,6 +46,7 @@ __all__ = [
     "example_text",
     "key_reference",
     "load_study",
+    "moved_files",
     "paper_study",
     "parse_study",
     "result_rows",

@@ -1,6 +1,7 @@
 """From designs to the text of a study file."""
 
 import math
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ from torcharm.actuators.ready import USUAL_STRAINS
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries, RigidLink
 from torcharm.characterise.toml_text import toml_entry
+from torcharm.files import is_stream
 from torcharm.inputs import plain_number, shown
 from torcharm.statics.balance import segments_of
 from torcharm.study.arm_reading import make_actuator
@@ -105,6 +107,20 @@ def study_to_toml(study: Study, name: str, arms: Mapping[str, NamedArm], notes: 
             texts.append(_text("[[task]]", {**table, "arms": named} if "arms" in table else table))
     texts += [_text(f"[{key}]", study.tables[key]) for key in KEPT if study.tables.get(key)]
     return "\n".join(texts).lstrip()
+
+
+def moved_files(files: Sequence[str | None], study: Path, out: Path) -> tuple[str | None, ...]:
+    """Paths of force models, which start at the study's folder, from the folder of the file of --out."""
+    if study.parent.resolve() == out.parent.resolve() or is_stream(out):
+        return tuple(files)
+
+    def moved(name: str) -> str:
+        try:
+            return Path(os.path.relpath(study.parent / name, out.parent)).as_posix()
+        except ValueError:  # on another drive
+            return (study.parent / name).resolve().as_posix()
+
+    return tuple(name if name is None or Path(name).is_absolute() else moved(name) for name in files)
 
 
 def _text(heading: str, table: Mapping[str, Any]) -> str:

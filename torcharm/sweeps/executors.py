@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from multiprocessing import connection, get_context, parent_process
 from typing import Any
 
+from torcharm.extras import extra
 from torcharm.inputs import check_count, shown
-from torcharm.sweeps.extras import extra
 from torcharm.sweeps.shards import Done, Job, compute_packed, compute_shard, load_engine
 
 ATTEMPTS = 3
@@ -213,7 +213,7 @@ def _check_attempts(lost: Sequence[int], attempts: Counter[int], workers: Worker
 @contextmanager
 def _client(address: str) -> Iterator[Any]:
     """A client of the Dask scheduler at an address."""
-    distributed = extra("distributed")
+    distributed = extra("distributed", "sweep")
     try:
         client = distributed.Client(address, timeout=ANSWER, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
@@ -231,7 +231,7 @@ def _of_dask(client: Any) -> Workers:
     return Workers(
         lambda packed, shard: executor.submit(compute_packed, packed, shard),
         lambda: sum(client.nthreads().values()) or 1,
-        pack=extra("cloudpickle").dumps,
+        pack=extra("cloudpickle", "sweep").dumps,
     )
 
 

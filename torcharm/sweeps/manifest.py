@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from torcharm.design.space import Arm
+from torcharm.extras import extra
 from torcharm.files import StrPath, atomic_write, read_file
 from torcharm.sweeps.designs import DesignPoints, points_from_json
-from torcharm.sweeps.extras import extra
 
 KIND = "torcharm sweep, 1"
 """Of the folder; another number stands for other files in it."""
@@ -142,7 +142,7 @@ def prepare_folder(folder: Path) -> None:
 
 def make_manifest(folder: Path, arm: Arm, decide: Callable[[], Manifest]) -> Manifest:
     """The manifest that is there, or one that is decided upon now; of several processes at once, one decides."""
-    with extra("filelock").FileLock(folder / ".manifest.lock"):
+    with extra("filelock", "sweep").FileLock(folder / ".manifest.lock"):
         if not (folder / MANIFEST).exists():
             made = decide()
             with atomic_write(folder / ARM) as partial:
@@ -161,7 +161,7 @@ def locked(folder: Path, part: Part | None) -> Iterator[None]:
     Raises:
         ValueError: another process holds it.
     """
-    filelock = extra("filelock")
+    filelock = extra("filelock", "sweep")
 
     def take(path: Path) -> Any:
         lock = filelock.FileLock(path)

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from torcharm.design.space import FIELDS, Arm
+from torcharm.extras import extra
 from torcharm.files import StrPath
 from torcharm.inputs import check_choice, check_count, shown
 from torcharm.sweeps.designs import DesignPoints, Indices
-from torcharm.sweeps.extras import extra
 from torcharm.sweeps.manifest import Manifest, read_manifest, stored_arm
 from torcharm.sweeps.measures import SIZE
 from torcharm.sweeps.ranking import KEPT, Rows, best_places, pareto_places, rankings, taken
@@ -66,7 +66,7 @@ class SweepRows:
         Raises:
             ValueError: pandas is not installed.
         """
-        frame: DataFrame = extra("pandas", "pip install pandas").DataFrame(self.columns)
+        frame: DataFrame = extra("pandas", "sweep", "pip install pandas").DataFrame(self.columns)
         return frame
 
     def __repr__(self) -> str:
@@ -224,7 +224,7 @@ class SweepResult:
         """
         wanted = [self.column(name) for name in (self.columns if columns is None else columns)]
         stored = list(dict.fromkeys(("design", *(name for name in wanted if name in self.columns))))
-        parquet, arrow = extra("pyarrow.parquet"), extra("pyarrow")
+        parquet, arrow = extra("pyarrow.parquet", "sweep"), extra("pyarrow", "sweep")
         made = [name for name in wanted if name in self.free_values]
         for shard in sorted(self.summary.shards):
             try:
@@ -253,7 +253,7 @@ class SweepResult:
         Raises:
             ValueError: as for `blocks`, or pandas is not installed.
         """
-        pandas = extra("pandas", "pip install pandas")
+        pandas = extra("pandas", "sweep", "pip install pandas")
         wanted = [self.column(name) for name in (self.columns if columns is None else columns)]
         frames = [pandas.DataFrame(block) for block in self.blocks(columns, filter)]
         found: DataFrame = pandas.concat(frames, ignore_index=True) if frames else pandas.DataFrame(columns=wanted)
@@ -300,7 +300,7 @@ def open_sweep(folder: StrPath, arm: Arm | None = None) -> SweepResult:
     Raises:
         ValueError: the folder holds no sweep that this torcharm wrote, the arm is another, or a package is missing.
     """
-    extra("pyarrow")
+    extra("pyarrow", "sweep")
     path = Path(folder)
     manifest = read_manifest(path)
     actuators = manifest.design_points.free.base.shape[-1]

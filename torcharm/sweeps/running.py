@@ -15,12 +15,12 @@ from torcharm.design.checkpoint import describe
 from torcharm.design.feasible import feasible_designs
 from torcharm.design.objective import Objective
 from torcharm.design.space import Arm, DesignSpace
+from torcharm.extras import extra
 from torcharm.files import StrPath
 from torcharm.inputs import check_count, check_flag, shown
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.sweeps.designs import DesignPoints, IndexedDesigns, sampler_of
 from torcharm.sweeps.executors import run_shards, usable_cores, workers_of
-from torcharm.sweeps.extras import extra
 from torcharm.sweeps.manifest import (
     MANIFEST,
     Manifest,
@@ -121,7 +121,7 @@ def sweep(
         OSError: a file cannot be written, as where the disk is full: what is finished is kept.
     """
     for name in ("pyarrow", "filelock"):
-        extra(name)
+        extra(name, "sweep")
     space = DesignSpace() if space is None else space
     tasks = check_arguments(arm, space, task)
     measures = check_measures(metrics, reduce, tolerance, weights, power, pose_cost)

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 import torch
 
+from torcharm.extras import extra
 from torcharm.files import atomic_write
 from torcharm.sweeps.designs import IndexedDesigns
-from torcharm.sweeps.extras import extra
 from torcharm.sweeps.manifest import SHARDS, Manifest
 from torcharm.sweeps.measures import SIZE, Found, Measures, sizes
 from torcharm.sweeps.ranking import Places, Rows, needed_rows, value_range
@@ -140,7 +140,7 @@ def one_thread() -> Iterator[None]:
 
 def table_of(rows: Rows) -> Any:
     """Rows as a table of Arrow; what was not evaluated is empty."""
-    arrow = extra("pyarrow")
+    arrow = extra("pyarrow", "sweep")
     absent = ~rows["feasible"]
     arrays = {
         name: arrow.array(values, mask=absent if name not in ("design", "feasible") else None)
@@ -190,7 +190,7 @@ def write_table(path: Path, table: Any, texts: Mapping[bytes, bytes]) -> None:
     }
     with (
         atomic_write(path) as partial,
-        extra("pyarrow.parquet").ParquetWriter(partial, table.schema, **options) as file,
+        extra("pyarrow.parquet", "sweep").ParquetWriter(partial, table.schema, **options) as file,
     ):
         file.write_table(table)
         file.add_key_value_metadata(dict(texts))
@@ -199,18 +199,18 @@ def write_table(path: Path, table: Any, texts: Mapping[bytes, bytes]) -> None:
 def packed(table: Any) -> bytes:
     """A small table as text, to stand in a file's metadata."""
     target = BytesIO()
-    extra("pyarrow.parquet").write_table(table, target, compression=COMPRESSION, store_schema=False)
+    extra("pyarrow.parquet", "sweep").write_table(table, target, compression=COMPRESSION, store_schema=False)
     return base64.b64encode(target.getvalue())
 
 
 def read_about(path: Path, manifest: Manifest) -> dict[str, Any] | None:
     """What a shard's file says of itself; None if there is none, or it is no whole shard of this sweep."""
-    parquet = extra("pyarrow.parquet")
+    parquet = extra("pyarrow.parquet", "sweep")
     try:
         texts = parquet.read_metadata(path).metadata or {}
         about: dict[str, Any] = json.loads(texts[ABOUT])
         return about if about["manifest"] == manifest.digest and shard_named(path) == about["shard"] else None
-    except (OSError, ValueError, KeyError, TypeError, extra("pyarrow").ArrowException):
+    except (OSError, ValueError, KeyError, TypeError, extra("pyarrow", "sweep").ArrowException):
         return None
 
 
@@ -222,6 +222,6 @@ def shard_named(path: Path) -> int | None:
 
 def read_needed(path: Path) -> Rows:
     """The rows of a shard that any summary needs, from its metadata if it is a large one."""
-    parquet = extra("pyarrow.parquet")
+    parquet = extra("pyarrow.parquet", "sweep")
     text = (parquet.read_metadata(path).metadata or {}).get(BEST)
     return rows_of(parquet.read_table(path if text is None else BytesIO(base64.b64decode(text)), use_threads=False))

@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from torcharm.sweeps.extras import extra
+from torcharm.extras import extra
 from torcharm.sweeps.manifest import SHARDS, SUMMARY, Manifest
 from torcharm.sweeps.ranking import Rows, merged
 from torcharm.sweeps.shards import ABOUT, read_about, read_needed, rows_of, shard_named, table_of, write_table
@@ -89,8 +89,8 @@ class Summary:
 
     def _read(self, folder: Path) -> None:
         """Take up what the folder keeps, if it is of this sweep."""
-        parquet = extra("pyarrow.parquet")
-        with suppress(OSError, ValueError, KeyError, TypeError, extra("pyarrow").ArrowException):
+        parquet = extra("pyarrow.parquet", "sweep")
+        with suppress(OSError, ValueError, KeyError, TypeError, extra("pyarrow", "sweep").ArrowException):
             about: dict[str, Any] = json.loads(parquet.read_metadata(folder / SUMMARY).metadata[ABOUT])
             if about["manifest"] != self.manifest.digest:
                 return

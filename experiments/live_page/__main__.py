@@ -1,0 +1,3 @@
+from experiments.live_page.run import main
+
+main()

@@ -1,0 +1,71 @@
+"""`torcharm explore`: a page on which an arm answers while sliders are moved."""
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from torcharm.cli.terminal import asked_about, check_ending, check_outputs, compiling_told, mistakes, open_console, say
+
+
+def explore(
+    study: Annotated[
+        Path | None, typer.Argument(help="A study, as TOML. Without one, the example of torcharm init.")
+    ] = None,
+    out: Annotated[
+        Path, typer.Option("--out", help="The one file that the page's buttons save to and load from, .toml.")
+    ] = Path("explored.toml"),
+    port: Annotated[int, typer.Option("--port", min=0, max=65535, help="Or the next free one; 0 takes any.")] = 8080,
+    host: Annotated[
+        str,
+        typer.Option(
+            "--host",
+            help="The address to serve at. By default none but this machine reaches the page; with another, such as "
+            "0.0.0.0, whoever reaches this machine may see the study, move the arm and overwrite the file of --out.",
+        ),
+    ] = "127.0.0.1",
+    no_open: Annotated[bool, typer.Option("--no-open", help="Open no browser.")] = False,
+) -> None:
+    """Open a page with the arm in 3-D that answers while it is changed: shape, errors, verdict, sets and margins.
+
+    Each browser that opens it has a page of its own. Ctrl-C ends all.
+    """
+    with mistakes():
+        check_outputs(study, out, None)
+        check_ending("--out", out, ("toml",))
+        from torcharm.extras import extra
+
+        extra("viser", "explore")
+        from torcharm.page.answers import answer
+        from torcharm.page.server import LOOPBACK, Server
+        from torcharm.page.state import opened
+        from torcharm.study import example_study, load_study
+
+        plan = example_study() if study is None else asked_about(load_study(study))
+        if not plan.tasks:
+            raise ValueError(f"{study}: task: must hold at least one table that begins with [[task]], got none")
+        state = opened(plan, study)
+        console = open_console()
+        with compiling_told():
+            answer(state)  # else the first page would wait for the engine, in silence
+        server = Server(state, out, host, port)
+        try:
+            say(console, f"{plan.name}: {server.url}")
+            if host not in LOOPBACK:
+                say(console, f"Whoever reaches this machine at {host} may see it, move the arm and overwrite {out}.")
+            say(console, f"Its button saves to {out}. Ctrl-C ends it.")
+            if not no_open:
+                _open(server.url)
+            while True:
+                time.sleep(3600)
+        except KeyboardInterrupt:
+            say(console, "Ended.")
+        finally:
+            server.stop()
+
+
+def _open(url: str) -> None:
+    import webbrowser
+
+    webbrowser.open(url)

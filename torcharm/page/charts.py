@@ -1,0 +1,87 @@
+"""Two charts of an answer: a node's set in the plane, and the margins of all nodes."""
+
+from typing import Any
+
+import numpy as np
+
+from torcharm.page.answers import Answer, NodeSet
+from torcharm.plot._common import Array
+
+HEIGHT = 230
+"""Of a chart [pixels]."""
+WIDTH = 64
+"""Of the numbers beside a chart [pixels]."""
+INK, BAND, OUTSIDE = "#0072B2", "rgba(0, 114, 178, 0.25)", "#D55E00"
+"""As in the figures: a set is blue, a requirement vermillion."""
+
+
+class Charts:
+    """The charts of one browser.
+
+    Args:
+        gui: viser's, of one client, where they are to lie.
+        uplot: viser's words for charts.
+        dimension: of the arm; a set in space is no chart, but in the scene.
+    """
+
+    def __init__(self, gui: Any, uplot: Any, dimension: int) -> None:
+        none = np.zeros(1)
+        how: dict[str, Any] = {"height": HEIGHT, "legend": uplot.Legend(show=True, live=False)}
+        how["scales"] = {"x": uplot.Scale(time=False)}
+        self._set = None
+        if dimension == 2:
+            lines: Any = (
+                uplot.Series(label="force"),
+                uplot.Series(label="least moment", stroke=INK, width=1.5, points={"show": False}),
+                uplot.Series(label="largest moment", stroke=INK, width=1.5, points={"show": False}),
+                uplot.Series(label="required", stroke=OUTSIDE, points={"show": True, "size": 10, "fill": OUTSIDE}),
+            )
+            axes = (uplot.Axis(label="force [N]"), uplot.Axis(label="moment [N·m]", size=WIDTH))
+            bands = (uplot.Band(series=(2, 1), fill=BAND),)
+            self._set = gui.add_uplot((none,) * 4, lines, bands=bands, axes=axes, **how)
+        series = (
+            uplot.Series(label="node"),
+            uplot.Series(label="margin", stroke=INK, width=2, points={"show": True, "size": 6}),
+            uplot.Series(
+                label="0: below it a node lacks", stroke=OUTSIDE, width=1, dash=(6, 4), points={"show": False}
+            ),
+        )
+        below: Any = (uplot.Axis(label="node, base to tip"), uplot.Axis(label="margin [N]", size=WIDTH))
+        self._margins = gui.add_uplot((none,) * 3, series, axes=below, **how)
+
+    def show(self, found: Answer) -> None:
+        """Draw them anew."""
+        if self._set is not None:
+            self._set.scales = {"x": {"time": False, **_range(0, found)}, "y": _range(1, found)}
+            self._set.data = outline(found.node_set)
+        self._margins.data = margins(found)
+
+
+def _range(component: int, found: Answer) -> dict[str, Any]:
+    """From where to where an axis goes, with some room; the chart's own would not see past what is missing."""
+    values = np.append(found.node_set.corners[:, component], found.node_set.required[component])
+    room = 0.08 * float(np.ptp(values)) or 1.0
+    return {"range": (float(values.min()) - room, float(values.max()) + room)}
+
+
+def outline(shown: NodeSet) -> tuple[Array, Array, Array, Array]:
+    """A set in the plane over forces in ascending order: its least and its largest moment, and the moment required.
+
+    Returns:
+        Forces, least, largest and required (P,); NaN where there is none.
+    """
+    corners, (force, moment) = shown.corners, shown.required
+    start, end = int(corners[:, 0].argmin()), int(corners[:, 0].argmax())
+    around = np.roll(corners, -start, 0)
+    turn = (end - start) % len(corners)
+    lower, upper = around[: turn + 1], np.concatenate((around[turn:], around[:1]))[::-1]
+    forces = np.unique(np.append(corners[:, 0], force))
+    inside = (forces >= corners[:, 0].min()) & (forces <= corners[:, 0].max())
+    least, largest = (np.where(inside, np.interp(forces, side[:, 0], side[:, 1]), np.nan) for side in (lower, upper))
+    return forces, least, largest, np.where(forces == force, moment, np.nan)
+
+
+def margins(found: Answer) -> tuple[Array, Array, Array]:
+    """Nodes, counted from 1, their margins, and the line below which a node lacks something (N,)."""
+    known = np.where(np.isfinite(found.margins), found.margins, np.nan)
+    return np.arange(1.0, len(known) + 1), known, np.zeros_like(known)

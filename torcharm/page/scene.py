@@ -1,0 +1,267 @@
+"""What there is to see of an answer: meshes, lines, arrows and words in the world, in metres, by names.
+
+Names are the page's own, so that nothing of a study is ever one. What keeps its name from one answer to the next is
+the same thing, moved.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib import colormaps
+
+from torcharm.actuators import is_passive
+from torcharm.design.space import Arm
+from torcharm.inputs import three_digits
+from torcharm.page.answers import Answer, NodeSet, place_of_node
+from torcharm.page.state import State, design_of, tip_range
+from torcharm.plot._common import Array, array
+from torcharm.plot._shapes import Centreline, centreline, in_space, skin_of, tubes
+from torcharm.plot.arms import loads_on
+from torcharm.statics.balance import segments_of
+from torcharm.wrench_sets.wrench_set import hull_faces
+
+Colour = tuple[int, int, int]
+BLACK, VERMILLION, BLUE, GREY, PLATE = (0, 0, 0), (213, 94, 0), (0, 114, 178), (153, 153, 153), (85, 85, 85)
+"""As in the figures: what is attainable is black, the rest vermillion, and sets are blue."""
+COLOURS = colormaps["viridis"]
+"""Of pressures, from none to the limit."""
+ARROW = 0.35
+"""Of the largest tip force that a slider gives, as a share of the arm's length."""
+SHORTEST = 0.01
+"""An arrow that is not drawn, as a share of the arm's length: it would be all head."""
+SHADE = 0.15
+"""How opaque the shade of the shape that is asked for is."""
+VISIBLE = 1e-3
+"""An error of the tip [m] that is drawn: below it is one place to the eye."""
+BOX, BOX_PLACE = 0.22, (0.45, 0.8)
+"""Half the width of the box that shows a set in space, and where its middle is: along the base's heading, and across.
+Shares of the arm's length."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles (F, 3) of points (V, 3)."""
+
+    points: Array
+    faces: Array
+    colour: Colour
+    opacity: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """Straight from point to point (P, 3), so many pixels wide."""
+
+    points: Array
+    colour: Colour
+    width: float = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Arrow:
+    """From one point to another (2, 3), with a shaft of a radius."""
+
+    ends: Array
+    colour: Colour
+    radius: float
+
+
+@dataclass(frozen=True, eq=False)
+class Ball:
+    """A sphere around a point (3,)."""
+
+    place: Array
+    radius: float
+    colour: Colour
+
+
+@dataclass(frozen=True, eq=False)
+class Label:
+    """Words at a point (3,)."""
+
+    text: str
+    place: Array
+
+
+Element = Mesh | Line | Arrow | Ball | Label
+Scene = Mapping[str, Element]
+
+
+@dataclass(frozen=True, eq=False)
+class Handles:
+    """Where a person can take hold of a scene.
+
+    Attributes:
+        tip: (4, 4) where the task's shape ends.
+        load: (3,) the head of the tip load's arrow, and
+        load_start: (3,) its start.
+        newtons: of the force for each metre of the arrow.
+    """
+
+    tip: Array
+    load: Array
+    load_start: Array
+    newtons: float
+
+
+def draw(found: Answer) -> Scene:
+    """All there is to see, by name."""
+    wanted = centreline(found.arm, found.task.twists, found.task)
+    at = wanted if found.twists is None else centreline(found.arm, found.twists.to(found.task.twists), found.task)
+    length = float(found.arm.neutral_length)
+    parts = (
+        _base(found.arm, at),
+        () if found.twists is None else _arm(found, at),
+        _target(found, wanted, at, length),
+        _loads(found, at, length),
+        _node(found, at, length),
+        _set_in_space(found.node_set, wanted, length) if found.arm.dimension == 3 else (),
+    )
+    return {name: element for part in parts for name, element in part}
+
+
+def handles(found: Answer) -> Handles:
+    """Where the tip and the load are, to be dragged."""
+    wanted = centreline(found.arm, found.task.twists, found.task)
+    at = wanted if found.twists is None else centreline(found.arm, found.twists.to(found.task.twists), found.task)
+    newtons = newtons_per_metre(found.state)
+    force = np.zeros(3)
+    force[: found.arm.dimension] = found.state.tip[: found.arm.dimension]
+    start = at.tip[:3, 3]
+    return Handles(wanted.tip, start + force / newtons, start, newtons)
+
+
+def newtons_per_metre(state: State) -> float:
+    """Of the arrows of forces: the slider's largest is as long as `ARROW` says."""
+    return tip_range(state)[0] / (ARROW * float(state.named_arm.design.neutral_length))
+
+
+def camera(state: State) -> tuple[Array, Array]:
+    """Where to look from and at: the whole arm, which bends to its left, and in space the box of sets beside it."""
+    base = in_space(array(state.given.base_pose))
+    length, spatial = float(design_of(state).neutral_length), state.named_arm.design.dimension == 3
+    aside = np.array([-base[1, 0], base[0, 0], 0.0])
+    middle: Array = base[:3, 3] + length * (0.5 * base[:3, 0] + (0.48 if spatial else 0.15) * aside)
+    away = np.array([0.35, 0.3, 1.0]) if spatial else np.array([0.0, 0.0, 1.0])
+    eye: Array = middle + (2.9 if spatial else 2.2) * length * away / float(np.linalg.norm(away))
+    return eye, middle
+
+
+def colour_of(pressure: float, limit: float, *, passive: bool) -> Colour:
+    """Of an actuator at its pressure; grey where there is none to have."""
+    if passive or limit <= 0 or not math.isfinite(pressure):
+        return GREY
+    red, green, blue = COLOURS(min(max(pressure / limit, 0.0), 1.0))[:3]
+    return round(255 * red), round(255 * green), round(255 * blue)
+
+
+def _mesh(skin: Array, colour: Colour, opacity: float | None = None) -> Mesh:
+    """A tube (P, K, 3), closed at its ends."""
+    count, around = skin.shape[:2]
+    here = np.arange(count - 1)[:, None] * around + np.arange(around - 1)
+    quads = np.stack((here, here + 1, here + around + 1, here + around), -1).reshape(-1, 4)
+    ends = [
+        np.stack((np.full(around - 2, first), *(first + np.arange(around - 2) + step for step in (1, 2))), -1)
+        for first in (0, (count - 1) * around)
+    ]
+    faces = np.concatenate((quads[:, [0, 1, 2]], quads[:, [0, 2, 3]], *ends))
+    return Mesh(skin.reshape(-1, 3), faces, colour, opacity)
+
+
+def _base(arm: Arm, at: Centreline) -> Iterator[tuple[str, Element]]:
+    wide, pose = 1.4 * _width(arm), at.segments[0][0]
+    back = pose.copy()
+    back[:3, 3] -= 0.12 * wide * pose[:3, 0]
+    yield "base", _mesh(skin_of(np.stack((back, pose)), 0.0, 0.0, wide), PLATE)
+
+
+def _width(arm: Arm) -> float:
+    """The largest offset [m], and some."""
+    return max(max(float(array(one.offsets).__abs__().max()) for one in segments_of(arm)[0]), 0.005)
+
+
+def _arm(found: Answer, at: Centreline) -> Iterator[tuple[str, Element]]:
+    """Tubes, in the colours of their pressures, their numbers, and links."""
+    number, limits = 0, found.arm.max_pressure.tolist()
+    segments, links = segments_of(found.arm)
+    following = [*(line[0] for line in at.segments[1:]), at.tip]
+    for segment, line, link, after in zip(segments, at.segments, links, following, strict=True):
+        shares = np.linspace(0.3, 0.7, segment.actuator_count)
+        for skin, model, share in zip(tubes(segment, line), segment.actuators, shares, strict=True):
+            passive = is_passive(model)
+            yield f"actuator_{number}", _mesh(skin, colour_of(found.pressure[number], limits[number], passive=passive))
+            place = skin[round(share * (len(skin) - 1)), :-1].mean(0)
+            yield f"number_{number}", Label(str(number + 1), place)
+            number += 1
+        if link is not None:
+            yield f"link_{number}", _mesh(skin_of(np.stack((line[-1], after)), 0.0, 0.0, 0.8 * _width(segment)), PLATE)
+
+
+def _target(found: Answer, wanted: Centreline, at: Centreline, length: float) -> Iterator[tuple[str, Element]]:
+    """The shape of the task as a shade of the arm around its centreline, and how far off the tip is."""
+    for number, (segment, line) in enumerate(zip(segments_of(found.arm)[0], wanted.segments, strict=True)):
+        yield f"task_{number}", _mesh(skin_of(line, 0.0, 0.0, _width(segment)), GREY, SHADE)
+    yield "task_line", Line(wanted.points, BLACK, 3.0)
+    yield "task_tip", Ball(wanted.tip[:3, 3], 0.016 * length, BLACK)
+    off = float(np.linalg.norm((wanted.tip - at.tip)[:3, 3]))
+    if found.twists is not None and off > VISIBLE:
+        yield "tip", Ball(at.tip[:3, 3], 0.016 * length, VERMILLION)
+        ends = np.stack((wanted.tip[:3, 3], at.tip[:3, 3]))
+        yield "error", Line(ends, VERMILLION, 3.0)
+        yield "error_words", Label(f"{three_digits(1e3 * off)} mm off", ends.mean(0))
+
+
+def _loads(found: Answer, at: Centreline, length: float) -> Iterator[tuple[str, Element]]:
+    """Forces as arrows, with their sizes."""
+    newtons = newtons_per_metre(found.state)
+    for number, (name, place, force, moment) in enumerate(loads_on(found.arm, found.task.load, at)):
+        size, turn = (float(np.linalg.norm(value[0])) for value in (force, moment))
+        end = place + force[0] / newtons
+        if size / newtons > SHORTEST * length:
+            yield f"load_{number}", Arrow(np.stack((place, end)), BLACK, 0.006 * length)
+        if size > 0 or turn > 0:
+            words = [f"{three_digits(size)} N"] if size > 0 else []
+            words += [f"{three_digits(turn)} N·m"] if turn > 0 else []
+            yield f"load_words_{number}", Label(f"{name} {', '.join(words)}", end)
+
+
+def _node(found: Answer, at: Centreline, length: float) -> Iterator[tuple[str, Element]]:
+    """Where the node is whose set is shown: the start of its element."""
+    number, node = place_of_node(found.task, found.node_set.node)
+    segment, line = segments_of(found.arm)[0][number], at.segments[number]
+    pose = line[round(node * (len(line) - 1) / (found.task.segment_nodes or (found.task.nodes,))[number])]
+    ahead, wide = pose.copy(), _width(segment)
+    ahead[:3, 3] += 0.006 * length * pose[:3, 0]
+    yield "node", _mesh(skin_of(np.stack((pose, ahead)), 0.0, 0.0, 1.25 * wide), BLUE, 0.5)
+    yield "node_words", Label(f"node {found.node_set.node + 1}", pose[:3, 3] - 1.5 * wide * pose[:3, 1])
+
+
+def _set_in_space(shown: NodeSet, wanted: Centreline, length: float) -> Iterator[tuple[str, Element]]:
+    """The set of a node in a box beside the arm: each axis is as long as the set is wide along it."""
+    base = wanted.segments[0][0]
+    along, across = BOX_PLACE
+    aside = np.array([-base[1, 0], base[0, 0], 0.0])
+    middle = base[:3, 3] + length * (along * base[:3, 0] + across * aside)
+    whole = np.concatenate((shown.corners, shown.required[None]))
+    low, high = whole.min(0), whole.max(0)
+    span = np.where(high - low > 1e-9, high - low, 1.0)
+
+    def placed(values: Array) -> Array:
+        return middle + BOX * length * (2 * (values - low) / span - 1)
+
+    corners, faces = placed(shown.corners), hull_faces(shown.corners)
+    if len(faces):
+        yield "set", Mesh(corners, faces, BLUE, 0.35)
+    else:  # a set without volume
+        yield "set", Line(corners, BLUE, 3.0)
+    origin = placed(low)
+    for axis, (name, unit) in enumerate((("f_x", "N"), ("m_y", "N·m"), ("m_z", "N·m"))):
+        end = origin.copy()
+        end[axis] += 2 * BOX * length
+        yield f"axis_{axis}", Line(np.stack((origin, end)), BLACK, 2.0)
+        yield f"axis_words_{axis}", Label(f"{name} {low[axis]:.3g} to {high[axis]:.3g} {unit}", end)
+    inside = "inside" if shown.inside else "outside"
+    yield "required", Ball(placed(shown.required), 0.018 * length, BLACK if shown.inside else VERMILLION)
+    yield "required_words", Label(f"required, {inside}", placed(shown.required))

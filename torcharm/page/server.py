@@ -1,0 +1,136 @@
+"""Pages of a study on this machine, by viser: one for each browser that opens it."""
+
+import io
+import socket
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from torcharm.extras import extra
+from torcharm.page.state import State
+from torcharm.page.view import View
+from torcharm.plot._common import array
+
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+"""Names of this machine that no other one reaches."""
+GRID = 0.1
+"""Width of a cell of the grid behind the arms [m]."""
+
+
+class Server:
+    """Serves pages of a study until it is stopped; each browser has one of its own, which ends with it.
+
+    Args:
+        state: with which each page begins.
+        out: the one file that pages write and read.
+        host: the address to listen at.
+        port: the port, or a free one after it if it is taken; 0 takes any.
+
+    Raises:
+        ValueError: viser is not installed, or the host is no address of this machine.
+    """
+
+    def __init__(self, state: State, out: Path, host: str = LOOPBACK[0], port: int = 8080) -> None:
+        viser = extra("viser", "explore")
+        _check_host(host)
+
+        # No page may ask viser to have a server elsewhere forward it to the world.
+        local = type("Local", (viser.ViserServer,), {"request_share_url": lambda *_, **__: None})
+        with redirect_stdout(io.StringIO()):  # the command says where the page is
+            self._server: Any = local(host, port, label=state.study.name, verbose=False)
+        self._viser, self._host, self._state, self._out = viser, host, state, out
+        self.views: dict[int, View] = {}
+        self._prepare()
+
+    @property
+    def url(self) -> str:
+        """Where a browser on this machine finds the page."""
+        host = f"[{self._host}]" if ":" in self._host else self._host
+        return f"http://{'localhost' if self._host in ('0.0.0.0', '::') else host}:{self._server.get_port()}"
+
+    def stop(self) -> None:
+        """End all pages, and the server."""
+        for view in self.views.values():
+            view.session.close()
+        with redirect_stdout(io.StringIO()):
+            self._server.stop()
+
+    def _prepare(self) -> None:
+        """What all pages share, and what happens when one comes and goes."""
+        server = self._server
+        server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+        server.gui.main_panel.dock_right()
+        server.scene.set_up_direction("+y")
+        server.scene.world_axes.visible = False
+        depth = float(array(self._state.named_arm.design.neutral_length))
+        server.scene.add_grid(
+            "/grid", 40.0 * depth, 40.0 * depth, plane="xy", position=(0.0, 0.0, -depth), **_grid_cells(depth)
+        )
+
+        server.on_client_connect(self._opened)
+        server.on_client_disconnect(self._closed)
+
+    async def _opened(self, client: Any) -> None:
+        if self._from_here(client):
+            self.views[client.client_id] = View(client, self._viser, self._state, self._out)
+
+    async def _closed(self, client: Any) -> None:
+        view = self.views.pop(client.client_id, None)
+        if view is not None:
+            view.session.close()
+
+    def _from_here(self, client: Any) -> bool:
+        """Whether a page is this server's own, and not one of another site that the same browser shows.
+
+        A browser lets any site open a connection to this machine, and says in `Origin` which did.
+        """
+        connection = self._server._websock_server._live_connections.get(client.client_id)
+        request = getattr(connection, "request", None)
+        headers = {} if request is None else request.headers
+        origin = headers.get("Origin")
+        if origin is None:  # no browser
+            return True
+        return own_origin(origin, headers.get("Host", ""), self._host)
+
+
+def own_origin(origin: str, asked: str, host: str) -> bool:
+    """Whether a page is one of a server's own.
+
+    Args:
+        origin: of the page, such as http://localhost:8080.
+        asked: the host and port that the browser asked for.
+        host: at which the server listens.
+    """
+    try:
+        page = urlsplit(origin)
+        name = page.hostname
+    except ValueError:
+        return False
+    if host in LOOPBACK:  # a name that someone else has let point here is none of these
+        return name in LOOPBACK
+    return page.netloc == asked
+
+
+def _grid_cells(length: float) -> dict[str, Any]:
+    """Cells of 10 mm for small arms, of 100 mm for others, ten to a section."""
+    cell = GRID if length > 0.2 else GRID / 10
+    return {
+        "cell_size": cell,
+        "section_size": 10 * cell,
+        "cell_color": (225, 225, 225),
+        "section_color": (190, 190, 190),
+        "fade_distance": 12.0 * length,
+    }
+
+
+def _check_host(host: str) -> None:
+    """Raise unless something can listen there; viser would wait for ever."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as tried:
+            tried.bind(address)
+    except OSError as error:
+        raise ValueError(
+            f"--host: must be an address of this machine, got {host} ({error.strerror or error})"
+        ) from None

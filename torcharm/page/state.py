@@ -1,0 +1,355 @@
+"""What a page shows, as numbers, and what each event makes of it.
+
+Every function here takes a state and returns another; nothing is computed but what the numbers stand for: a design and
+a task. Values that leave their range are brought to its end, and what is no number changes nothing, as a page's
+messages may hold anything.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from torcharm.actuators import model_name
+from torcharm.arm import ArmDesign
+from torcharm.arm_series import ArmSeries
+from torcharm.design.space import Arm
+from torcharm.load import GRAVITY, ExternalLoad, PointLoad
+from torcharm.plot._common import pick
+from torcharm.statics.balance import segments_of
+from torcharm.study import NamedArm, NamedTask, Study
+from torcharm.task import Task
+
+BEST, BY_HAND = "best for the task", "by hand"
+"""Where pressures come from: a prediction for the task, or sliders."""
+SHARES = {"distance": (0.2, 2.0), "length": (0.5, 1.5), "limit": (0.1, 1.5)}
+"""Of a study's value, from where to where a slider goes."""
+BEYOND = 2.0
+"""By how much the range of a load exceeds the study's largest."""
+LEAST_FORCE = 0.5
+"""Half the range of a force [N] of tasks without any."""
+LEAST_MOMENT = 0.05
+"""Half the range of a moment [N·m] of tasks without any."""
+STEPS_BACK = 200
+"""States that can be undone."""
+
+
+@dataclass(frozen=True)
+class Values:
+    """Of actuators that are changed together: their distance from the centreline [m], length [m] and limit [kPa]."""
+
+    distance: float
+    length: float
+    limit: float
+
+
+@dataclass(frozen=True)
+class Group:
+    """Actuators of one segment of a study's arm that are alike, and are changed together.
+
+    Attributes:
+        segment: its number, from 0.
+        members: their places in the segment, from 0.
+        first: the number of the segment's first actuator in the arm, from 0.
+        kind: of their force model.
+        values: as the study has them.
+    """
+
+    segment: int
+    members: tuple[int, ...]
+    first: int
+    kind: str
+    values: Values
+
+
+@dataclass(frozen=True)
+class State:
+    """What one page shows. Numbers are in metres, newtons, kilograms and kilopascals.
+
+    Attributes:
+        study: whose arms and tasks these are; equal numbers of other studies are told apart by `same`.
+        source: its file, from whose folder on force models' files are named; None of a study that is from none.
+        arm: the number of the arm, and
+        task: that of the task among the arm's, and
+        load: that of one of its loads, all from 0.
+        designs: of every arm the values of its groups.
+        mode: BEST or BY_HAND.
+        pressure: of each actuator; in the mode BEST what was found last.
+        tip: the tip load, 3 or 6 numbers in the world frame.
+        payload: a further mass at the tip, which counts under gravity.
+        gravity: whether masses weigh.
+        twists: rows of a shape in place of the task's, or None.
+        node: whose set is shown, from 0.
+    """
+
+    study: Study = field(compare=False)
+    source: Path | None = field(compare=False)
+    arm: int
+    task: int
+    load: int
+    designs: tuple[tuple[Values, ...], ...]
+    mode: str
+    pressure: tuple[float, ...]
+    tip: tuple[float, ...]
+    payload: float
+    gravity: bool
+    twists: tuple[tuple[float, ...], ...] | None
+    node: int
+
+    @property
+    def named_arm(self) -> NamedArm:
+        """The arm as the study has it."""
+        return self.study.arms[self.arm]
+
+    @property
+    def named_task(self) -> NamedTask:
+        """The task as the study has it."""
+        return self.study.tasks_of(self.named_arm)[self.task]
+
+    @property
+    def given(self) -> Task:
+        """The task of one load, as the study has it."""
+        return pick(self.named_task.task, self.load)
+
+
+def groups(arm: Arm) -> tuple[Group, ...]:
+    """Alike are actuators of one model, distance, length and limit."""
+    found: dict[tuple[int, str, Values], list[int]] = {}
+    firsts, first = [], 0
+    for number, segment in enumerate(segments_of(arm)[0]):
+        firsts.append(first)
+        first += segment.actuator_count
+        columns = (segment.offsets.norm(dim=-1), segment.length, segment.max_pressure)
+        rows = torch.stack(columns, -1).tolist()
+        for place, (model, row) in enumerate(zip(segment.actuators, rows, strict=True)):
+            values = Values(*(float(f"{value:.9g}") for value in row))
+            found.setdefault((number, model_name(model), values), []).append(place)
+    return tuple(
+        Group(number, tuple(members), firsts[number], kind, values) for (number, kind, values), members in found.items()
+    )
+
+
+def opened(study: Study, source: Path | None = None) -> State:
+    """The page of a study: its first arm on the first of its tasks."""
+    designs = tuple(tuple(group.values for group in groups(arm.design)) for arm in study.arms)
+    blank = State(study, source, 0, 0, 0, designs, BEST, (), (), 0.0, False, None, 0)
+    return with_arm(blank, 0)
+
+
+def with_arm(state: State, arm: int) -> State:
+    """Another arm of the study, on its first task; what was changed of the design before stays."""
+    if not 0 <= arm < len(state.study.arms):
+        return state
+    count = state.study.arms[arm].design.actuator_count
+    return with_task(replace(state, arm=arm, mode=BEST, pressure=(0.0,) * count), 0)
+
+
+def with_task(state: State, task: int) -> State:
+    """Another task of the arm, under the first of its loads."""
+    if not 0 <= task < len(state.study.tasks_of(state.named_arm)):
+        return state
+    return with_load(replace(state, task=task, twists=None, payload=0.0), 0)
+
+
+def with_load(state: State, load: int) -> State:
+    """Another of the task's loads."""
+    if not 0 <= load < max(state.named_task.task.batch_shape.numel(), 1):
+        return state
+    given = replace(state, load=load).given
+    node = min(state.node, given.nodes - 1)
+    return replace(state, load=load, tip=tuple(given.tip_load.tolist()), gravity=given.load.gravity, node=node)
+
+
+def value_range(group: Group, name: str) -> tuple[float, float]:
+    """From where to where a value of a group may go; the same twice if it cannot change."""
+    low, high = SHARES[name]
+    value = getattr(group.values, name)
+    return low * value, high * value
+
+
+def with_value(state: State, group: int, name: str, value: float) -> State:
+    """A value of one group of the arm's actuators."""
+    number = within(value, *value_range(groups(state.named_arm.design)[group], name))
+    if number is None:
+        return state
+    own = list(state.designs[state.arm])
+    own[group] = replace(own[group], **{name: number})
+    designs = (*state.designs[: state.arm], tuple(own), *state.designs[state.arm + 1 :])
+    return replace(state, designs=designs)
+
+
+def tip_range(state: State) -> tuple[float, ...]:
+    """By how much each component of the tip load may be above or below 0."""
+    forces = state.named_arm.design.dimension
+    most = state.named_task.task.tip_load.detach().abs().reshape(-1, len(state.tip)).amax(0).tolist()
+    force = max(BEYOND * max(most[:forces]), LEAST_FORCE)
+    moment = max(BEYOND * max(most[forces:]), LEAST_MOMENT)
+    return (round_up(force),) * forces + (round_up(moment),) * (len(most) - forces)
+
+
+def payload_range(state: State) -> float:
+    """The heaviest payload: what weighs as much as the largest force."""
+    return round_up(tip_range(state)[0] / GRAVITY)
+
+
+def with_tip(state: State, component: int, value: float) -> State:
+    """A component of the tip load."""
+    most = tip_range(state)[component]
+    number = within(value, -most, most)
+    if number is None:
+        return state
+    return replace(state, tip=(*state.tip[:component], number, *state.tip[component + 1 :]))
+
+
+def with_force(state: State, force: Sequence[float]) -> State:
+    """The force of the tip load (x, y, z), of which the plane takes two; moments stay."""
+    for component, value in enumerate(force[: state.named_arm.design.dimension]):
+        state = with_tip(state, component, value)
+    return state
+
+
+def with_payload(state: State, mass: float) -> State:
+    """A further mass at the tip."""
+    number = within(mass, 0.0, payload_range(state))
+    return state if number is None else replace(state, payload=number)
+
+
+def with_gravity(state: State, gravity: bool) -> State:
+    """Whether masses weigh."""
+    return replace(state, gravity=bool(gravity))
+
+
+def with_mode(state: State, mode: str) -> State:
+    """Where pressures come from; by hand they begin with those that were found."""
+    return replace(state, mode=mode) if mode in (BEST, BY_HAND) else state
+
+
+def with_pressure(state: State, actuator: int, value: float) -> State:
+    """The pressure of one actuator, by hand; it ends at the limit."""
+    number = within(value, 0.0, limits(state)[actuator])
+    if number is None or state.mode != BY_HAND:
+        return state
+    return replace(state, pressure=(*state.pressure[:actuator], number, *state.pressure[actuator + 1 :]))
+
+
+def with_found(state: State, pressure: Sequence[float]) -> State:
+    """The pressures that were found for the task, where they are asked for."""
+    return replace(state, pressure=tuple(pressure)) if state.mode == BEST else state
+
+
+def with_node(state: State, node: int) -> State:
+    """Whose set is shown."""
+    number = within(node, 0, state.given.nodes - 1)
+    return state if number is None else replace(state, node=round(number))
+
+
+def with_shape(state: State, twists: Tensor | None) -> State:
+    """A shape in place of the task's, or the task's."""
+    return replace(state, twists=None if twists is None else tuple(map(tuple, twists.tolist())))
+
+
+def as_given(state: State) -> State:
+    """The same arm, task and load, all as the study has them."""
+    return with_load(with_task(with_arm(opened(state.study, state.source), state.arm), state.task), state.load)
+
+
+def limits(state: State) -> list[float]:
+    """Of each actuator of the arm, the pressure limit."""
+    return design_of(state).max_pressure.tolist()
+
+
+def design_of(state: State, arm: int | None = None) -> Arm:
+    """The design that the page shows, or another arm's as it was changed."""
+    number = state.arm if arm is None else arm
+    given = state.study.arms[number].design
+    segments, links = segments_of(given)
+    parts = list(segments)
+    for group, values in zip(groups(given), state.designs[number], strict=True):
+        if values != group.values:
+            parts[group.segment] = _changed(parts[group.segment], group, values)
+    return ArmSeries(tuple(parts), links) if isinstance(given, ArmSeries) else parts[0]
+
+
+def _changed(segment: ArmDesign, group: Group, values: Values) -> ArmDesign:
+    members = list(group.members)
+    radii, length, limit = segment.radii.clone(), segment.length.clone(), segment.max_pressure.clone()
+    across = None if segment.out_of_plane is None else segment.out_of_plane.clone()
+    scale = values.distance / group.values.distance if group.values.distance else 1.0
+    for offset in (radii, across):
+        if offset is not None:
+            offset[members] *= scale
+    length[members], limit[members] = values.length, values.limit
+    return segment.with_values(radii, length, limit, across)
+
+
+def task_of(state: State) -> Task:
+    """The task that the page shows: one shape under one load."""
+    given = state.given
+    points = list(given.load.points)
+    if not state.gravity:  # masses do not weigh then, and only wrenches are left
+        points = [PointLoad(one.wrench, one.segment, one.at, one.frame) for one in points if one.wrench is not None]
+    elif state.payload:
+        points.append(PointLoad(mass=state.payload))
+    load = ExternalLoad(list(state.tip), state.gravity, points)
+    twists = given.twists if state.twists is None else torch.tensor(state.twists, dtype=torch.float64)
+    return Task(twists, None, given.base_pose, load, given.wrench_at, given.segment_nodes)
+
+
+def pressure_of(state: State) -> list[float]:
+    """Pressures by hand, none above its limit."""
+    return [min(value, limit) for value, limit in zip(state.pressure, limits(state), strict=True)]
+
+
+def changed_task(state: State) -> bool:
+    """Whether the task is another than the study's."""
+    given = state.given
+    as_it_was = (tuple(given.tip_load.tolist()), 0.0, given.load.gravity, None)
+    return (state.tip, state.payload, state.gravity, state.twists) != as_it_was
+
+
+def within(value: float, low: float, high: float) -> float | None:
+    """A number brought into a range; None of what is none."""
+    return min(max(float(value), low), high) if math.isfinite(value) else None
+
+
+def round_up(value: float) -> float:
+    """The next of 1, 2, 5, 10, ..."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(step * power for step in (1, 2, 5, 10) if step * power >= value * (1 - 1e-9))
+
+
+@dataclass(frozen=True)
+class History:
+    """A state, and those before it.
+
+    Attributes:
+        now: the state.
+        past: from which it came, the newest last.
+        control: what changed last; changes of one control in a row are undone at once.
+    """
+
+    now: State
+    past: tuple[State, ...] = ()
+    control: str = ""
+
+
+def same(one: State, other: State) -> bool:
+    """Whether nothing has changed."""
+    return one.study is other.study and one == other
+
+
+def moved_on(history: History, control: str, state: State) -> History:
+    """What a control has changed, which can be undone."""
+    if same(history.now, state):
+        return history
+    if control == history.control:
+        return replace(history, now=state)
+    return History(state, (*history.past, history.now)[-STEPS_BACK:], control)
+
+
+def undone(history: History) -> History:
+    """The state before the last change."""
+    return History(history.past[-1], history.past[:-1]) if history.past else history

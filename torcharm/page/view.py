@@ -1,0 +1,188 @@
+"""The page of one browser: its controls, its scene and its words, kept as the newest answer is."""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from torcharm.page import words
+from torcharm.page.answers import Answer
+from torcharm.page.canvas import Canvas
+from torcharm.page.charts import Charts
+from torcharm.page.controls import Control, controls, structure
+from torcharm.page.gizmo import LOAD, NOTHING, TIP, Gizmo
+from torcharm.page.saving import load, save
+from torcharm.page.scene import camera, draw
+from torcharm.page.session import Session
+from torcharm.page.state import State
+
+CLOSE = 1e-9
+"""A difference of a control's value that is rounding, as a share of it."""
+FIELD_OF_VIEW = 0.65
+"""Of the camera [rad]: narrow, so that what is near does not look much larger."""
+WIDTH = 340
+"""Of the panel of results [pixels]."""
+
+
+class View:
+    """What one browser shows: results at the left, the arm, and what there is to move at the right.
+
+    Args:
+        client: viser's handle of the browser.
+        viser: the package.
+        state: with which the page begins.
+        out: the one file that the page writes and reads.
+    """
+
+    def __init__(self, client: Any, viser: Any, state: State, out: Path) -> None:
+        self._client, self._viser, self._out = client, viser, out
+        self._canvas = Canvas(client.scene)
+        self._built: tuple[Any, ...] = ()
+        self._roots: list[Any] = []
+        self._inputs: dict[str, tuple[Control, Any]] = {}
+        self._applied: dict[str, Any] = {}
+        panel = client.gui.add_panel()
+        with (tab := panel.add_tab("Results")):
+            self._results, self._note = client.gui.add_html(""), client.gui.add_html("")
+            client.gui.add_html(words.legend())
+        panel.dock_left()
+        panel.set_width(WIDTH)
+        client.camera.fov = FIELD_OF_VIEW
+        self._tab = tab
+        self.session = Session(state, self._show, self._tell)
+        self._gizmo = Gizmo(client.scene, viser.transforms, self.session)
+        self.session.start()
+
+    def _show(self, found: Answer) -> None:
+        scene = draw(found)
+        with self._client.atomic():
+            if structure(found.state) != self._built:
+                self._build(found.state)
+            self._canvas.show(scene)
+            self._gizmo.show(found)
+            self._results.content = words.results(found)
+            self._charts.show(found)
+            self._set_inputs(found.state)
+        self._client.flush()
+
+    def _tell(self, text: str) -> None:
+        self._note.content = words.note(text)
+
+    def _build(self, state: State) -> None:
+        """All controls of an arm and a task, in place of those before, and the view of the arm."""
+        for root in self._roots:
+            root.remove()
+        gui, self._built = self._client.gui, structure(state)
+        self._roots, self._inputs, self._applied = [], {}, {}
+        folders: dict[tuple[str, ...], Any] = {}
+        for control in controls(state):
+            self._add(control, state, self._folder(control.folders, folders))
+        with folders[("Task",)]:
+            self._add_handle()
+        with folders[("Node",)]:
+            self._charts = Charts(gui, self._viser.uplot, state.named_arm.design.dimension)
+        with self._folder(("Study",), folders):
+            self._add_buttons()
+        position, target = camera(state)
+        view = self._client.camera
+        view.position, view.look_at, view.up_direction = position, target, (0.0, 1.0, 0.0)
+
+    def _folder(self, path: tuple[str, ...], folders: dict[tuple[str, ...], Any]) -> Any:
+        """The folder of some names, from the outermost on, which is made where there is none."""
+        if path not in folders:
+            if len(path) > 1:
+                with self._folder(path[:-1], folders):
+                    folders[path] = self._client.gui.add_folder(path[-1])
+            elif path == ("Node",):  # beside the results that it belongs to
+                with self._tab:
+                    folders[path] = self._client.gui.add_folder(path[-1])
+            else:
+                folders[path] = self._client.gui.add_folder(path[-1])
+            self._roots += [folders[path]] if len(path) == 1 else []
+        return folders[path]
+
+    def _add(self, control: Control, state: State, folder: Any) -> None:
+        """The input of one control, and what it does."""
+        gui, value = self._client.gui, control.value(state)
+        how = {"hint": control.hint or None, "disabled": not control.enabled(state)}
+        with folder:
+            if control.options:
+                handle = gui.add_dropdown(control.label, control.options, initial_value=value, **how)
+            elif control.ends is None:
+                handle = gui.add_checkbox(control.label, value, **how)
+            else:
+                low, high = control.ends
+                handle = gui.add_slider(control.label, low, high, control.step, min(max(value, low), high), **how)
+        self._inputs[control.key] = control, handle
+        self._applied[control.key] = value
+
+        async def moved(event: Any) -> None:  # on the event loop, so that moves keep their order
+            if event.client is not None:  # else it was set here
+                self.session.move(control.key, partial(self._written, control, handle.value))
+
+        handle.on_update(moved)
+
+    def _written(self, control: Control, value: Any, state: State) -> State:
+        """The state after a control was moved in the browser, which shows the value that it was moved to."""
+        self._applied[control.key] = value
+        return control.write(state, value)
+
+    def _set_inputs(self, state: State) -> None:
+        """Bring the browser's controls to what the state says, where they are not."""
+        for key, (control, handle) in self._inputs.items():
+            value = control.value(state)
+            if not _alike(value, self._applied[key]):
+                self._applied[key] = value
+                handle.value = value
+            handle.disabled = not control.enabled(state)
+
+    def _add_handle(self) -> None:
+        self._gizmo.take(NOTHING)
+        hint = "A handle in the picture moves it; the shape follows a tip."
+        choice = self._client.gui.add_dropdown("drag", (NOTHING, TIP, LOAD), initial_value=NOTHING, hint=hint)
+
+        async def chosen(event: Any) -> None:
+            self._gizmo.take(choice.value)
+
+        choice.on_update(chosen)
+        self._button("plan the best shape", "Through the tip, the shape that the arm holds best.", self.session.plan)
+
+    def _add_buttons(self) -> None:
+        self._button("save the study", f"To {self._out}.", self._save)
+        self._button("load what was saved", f"From {self._out}.", self._load)
+        self._button("undo", "The last change.", self.session.undo)
+        self._button("reset", "Arm, task and load as the study has them.", self.session.reset)
+
+    def _button(self, label: str, hint: str, work: Callable[[], None]) -> None:
+        async def clicked(event: Any) -> None:
+            work()
+
+        self._client.gui.add_button(label, hint=hint).on_click(clicked)
+
+    def _save(self) -> None:
+        """In the session's thread, when all that was moved before is in the state."""
+
+        def write(state: State) -> State:
+            try:
+                save(state, self._out)
+            except OSError as error:
+                raise ValueError(f"{self._out}: cannot be written: {error.strerror or error}") from None
+            self._tell(f"Saved to {self._out}.")
+            return state
+
+        self.session.move("save", write)
+
+    def _load(self) -> None:
+        def read(state: State) -> State:
+            found = load(state, self._out)
+            self._tell(f"Loaded {self._out}.")
+            return found
+
+        self.session.move("load", read)
+
+
+def _alike(one: Any, other: Any) -> bool:
+    """Whether two values of a control are the same but for rounding."""
+    if isinstance(one, bool | str) or isinstance(other, bool | str):
+        return bool(one == other)
+    return abs(one - other) <= CLOSE * max(abs(one), abs(other), 1.0)
