@@ -83,7 +83,7 @@ def timed(page: Page, moves: int, draw_random: random.Random) -> list[float]:
     for _ in range(moves):
         before = page.pictures
         move_slider(page, draw_random)
-        found.append(page.until(lambda before=before: page.pictures > before, WAIT))  # type: ignore[misc]
+        found.append(page.until(lambda before=before: page.pictures > before, WAIT))
     return found
 
 
@@ -201,7 +201,7 @@ def rows(moves: int, tell: Callable[[str], None], events: int) -> Iterator[Row]:
                 before = page.pictures
                 page.move(page.find("arm"), name)
                 if before > 1:
-                    page.until(lambda before=before: page.pictures > before, WAIT)  # type: ignore[misc]
+                    page.until(lambda before=before: page.pictures > before, WAIT)
                 yield measure(f"{where}: {name}", server, page, moves)
             different = at_random(server, page, events)
             wrong = "Something went wrong" in page.words

@@ -14,12 +14,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm.actuators.characterisation import FittedActuator
 from torcharm.actuators.deviation import ForceDeviation
 from torcharm.actuators.inspection import same_model
 from torcharm.actuators.protocol import is_moulded
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
+from torcharm.characterise.fit import FittedActuator
 from torcharm.design.space import Arm, Array
 from torcharm.inputs import check_choice, check_flag, check_number, shown
 from torcharm.statics.balance import segments_of
