@@ -162,6 +162,19 @@ def test_a_tester_without_pressures_needs_a_log(fit):
     assert fit().startswith("torcharm: --instron: is missing, must name a tester's file; or --table")
 
 
+def test_vacuum_is_refused_or_taken_by_its_depth(fit):
+    p = layouts.pressure_at(layouts.TIME) * -40 / 60
+    columns = (layouts.TIME, 100 * layouts.STRAIN, -(1.2 * p - 30 * layouts.STRAIN), p)
+    text = layouts.text("Time (ms),Strain (%),Force (N),Pressure (kPa)", layouts.lines(*columns))
+    said = fit("--tester", "tester.txt", "--smoothing", 0, "--degree", 1, tester=text)
+    assert isinstance(said, str)
+    assert re.match(r"torcharm: pressure: must be gauge .* vacuum is not supported as such; .*--vacuum", said)
+    model, shown = fit("--tester", "tester.txt", "--smoothing", 0, "--degree", 1, "--vacuum", tester=text)
+    assert_law(model, {(1, 0): -30.0, (0, 1): -1.2})
+    assert model.pressure_range == (0.0, pytest.approx(40.0, rel=1e-3))
+    assert "Pressures: depths of vacuum" in shown
+
+
 # Tables
 
 TABLES = {"long": layouts.LONG, "wide": layouts.WIDE, "turned": layouts.TURNED}
