@@ -91,9 +91,10 @@ def test_notes_say_what_was_left_out_averaged_and_assumed(fit):
     model, shown = fit(
         *RUN, tester=layouts.TESTERS["words in three lines"][0], log=layouts.LOGS["two samples in one line"][0]
     )
-    assert "Notes on tester.txt: lines 53, 84 damaged, left out" in shown
+    words = "1 line of words or with empty cells passed over; line 84 damaged, left out"
+    assert f"Notes on tester.txt: {words}" in shown
     assert "Notes on log.txt: line 201 damaged, left out; names no unit: read time in ms and pressure in psi" in shown
-    assert dict(model.provenance)["notes on tester.txt"] == "lines 53, 84 damaged, left out"
+    assert dict(model.provenance)["notes on tester.txt"] == words
     text = layouts.LOGS["three samples a stamp, no closing line"][0]
     _, shown = fit(*RUN, tester=layouts.TESTERS["stamps that repeat"][0], log=text)
     assert "Notes on tester.txt: 10 of 410 stamps repeat or step back, averaged with those before them" in shown

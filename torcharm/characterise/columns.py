@@ -23,7 +23,7 @@ _NAMED = {
 """What the names of columns hold, in lower case and without units."""
 _SYMBOLS = {"time": ("t",), "strain": ("ε", "eps", "epsilon"), "force": ("f",), "pressure": ("p",)}
 """What they are called alone."""
-_SET_POINT = re.compile(r"set ?point|target|command|demand|desired|reference|\bset\b|soll")
+_SET_POINT = re.compile(r"set ?point|target|command|demand|desired|reference|\bref\b|\bset\b|\bsp\b|soll")
 """What was asked for is no measurement."""
 _TOLD_BY_UNIT = ("time", "force", "pressure")
 """Quantities whose units are those of nothing else that a bench records."""

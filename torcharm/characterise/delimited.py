@@ -137,26 +137,37 @@ def numbers(
         said.append(f"line {places[-1]} has no end and may be cut, left out")
         rows, places = rows[:-1], places[:-1]
     fits = [len(row) == sheet.form.width or _fits(row, sheet.form.width) for row in rows]
-    if not all(fits):
-        rows = [row if fit else [] for row, fit in zip(rows, fits, strict=True)]
-    table = _fast(rows, columns, sheet.form.decimal)
-    if table is None:
-        found = [
-            [number(row[k] if k < len(row) else LACKING, sheet.form.decimal, sparse=sparse) for k in columns]
-            for row in rows
-        ]
-        table = np.array(found).reshape(len(rows), len(columns))
+    whole = rows if all(fits) else [row if fit else [] for row, fit in zip(rows, fits, strict=True)]
+    table = _table(whole, columns, sheet.form.decimal, sparse=sparse)
     good = np.isfinite(table).all(-1) if not sparse else ~np.isposinf(table).any(-1)
-    bad = sorted([*sheet.damaged, *(places[i] for i in np.flatnonzero(~good))])
+    off = np.flatnonzero(~good).tolist()
+    void = {k for k in off if _is_void(rows[k], columns if fits[k] else ())}
+    bad = sorted([*sheet.damaged, *(places[k] for k in off if k not in void)])
     if not len(good):
         raise ValueError(
             f"{sheet.source}: line {sheet.places[-1]}: is the last line, must be followed by whole lines of numbers"
         )
     if len(bad) > max(min(FEW, len(rows) / 10), MOST_DAMAGED * len(rows)) or not good.any():
-        raise _too_damaged(sheet, bad, columns)
+        raise _too_damaged(sheet, bad or [places[0]], columns)
+    if void:
+        said.append(f"{len(void)} line{'s' * (len(void) > 1)} of words or with empty cells passed over")
     if bad:
         said.append(f"line{'s' * (len(bad) > 1)} {_listed(bad)} damaged, left out")
     return table[good], [place for place, fine in zip(places, good.tolist(), strict=True) if fine], tuple(said)
+
+
+def _table(rows: Sequence[Row], columns: Sequence[int], decimal: str, *, sparse: bool) -> Array:
+    """The numbers (n, k) of some columns, NaN where there is none; where cells may be empty inf for what is none."""
+    found = _fast(rows, columns, decimal)
+    if found is None:
+        cells = [[number(row[k] if k < len(row) else LACKING, decimal, sparse=sparse) for k in columns] for row in rows]
+        found = np.array(cells).reshape(len(rows), len(columns))
+    return found
+
+
+def _is_void(row: Row, columns: Sequence[int]) -> bool:
+    """Whether a line means to hold no sample: it is words alone, or a cell that would hold a number is empty."""
+    return (not any(map(is_number, row)) and _is_words(row)) or any(not row[k].strip() for k in columns)
 
 
 def _too_damaged(sheet: Sheet, bad: Sequence[int], columns: Sequence[int]) -> ValueError:
