@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from torcharm.arm_series import ArmSeries, RigidLink, series
     from torcharm.attainability import Attainability, PoseTolerance, evaluate
     from torcharm.characterise.alignment import Recording, align, pool
+    from torcharm.characterise.choice import best_fit
     from torcharm.characterise.fit import FitQuality, FittedActuator, fit_force_model, fit_recording
+    from torcharm.characterise.force_table import read_table
     from torcharm.characterise.gridded_fit import fit_gridded_model
     from torcharm.characterise.model_file import load_actuator, save_actuator
     from torcharm.characterise.monotonicity import Monotonicity, monotonicity
@@ -123,6 +125,7 @@ __all__ = [
     "antagonistic_ring",
     "arc_to",
     "bellows_arm",
+    "best_fit",
     "chamber",
     "coefficient_tensor",
     "constant_curvature",
@@ -152,6 +155,7 @@ __all__ = [
     "qp_distance",
     "reaction_wrench",
     "read_pressure",
+    "read_table",
     "read_tester",
     "required_wrench",
     "ring",
@@ -220,6 +224,7 @@ _LATER = {
     "antagonistic_ring": "ready_arms",
     "arc_to": "shapes",
     "bellows_arm": "ready_arms",
+    "best_fit": "characterise.choice",
     "chamber": "actuators",
     "coefficient_tensor": "characterise.uncertainty",
     "constant_curvature": "shapes",
@@ -249,6 +254,7 @@ _LATER = {
     "qp_distance": "wrench_sets.qp",
     "reaction_wrench": "statics.cross_section",
     "read_pressure": "characterise.recordings",
+    "read_table": "characterise.force_table",
     "read_tester": "characterise.recordings",
     "required_wrench": "statics.external_load",
     "ring": "arm",

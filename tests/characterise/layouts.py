@@ -162,6 +162,20 @@ TESTERS = {
         ),
         [],
     ),
+    "words between every few lines": (
+        text(
+            ["Time,Strain,Force", "(ms),(%),(N)"],
+            [line for row in rows for line in ([row, "valve, open"] if row[-2] in "05" else [row])],
+        ),
+        [],
+    ),
+    "empty cells where another was sampled": (
+        text(
+            ["Time,Strain,Force,Temperature", "(ms),(%),(N),(K)"],
+            [line for row in rows for line in (row + ",", f"{row.split(',')[0]}1,,,293.5")],
+        ),
+        [],
+    ),
     "blanks, and forces that push": (
         text("Time[ms]  Strain[%]  Force[N]", lines(TIME, 100 * STRAIN, -PULL, separator="   ")),
         ["--positive", "push"],

@@ -91,9 +91,10 @@ def test_notes_say_what_was_left_out_averaged_and_assumed(fit):
     model, shown = fit(
         *RUN, tester=layouts.TESTERS["words in three lines"][0], log=layouts.LOGS["two samples in one line"][0]
     )
-    assert "Notes on tester.txt: lines 53, 84 damaged, left out" in shown
+    words = "1 line of words or with empty cells passed over; line 84 damaged, left out"
+    assert f"Notes on tester.txt: {words}" in shown
     assert "Notes on log.txt: line 201 damaged, left out; names no unit: read time in ms and pressure in psi" in shown
-    assert dict(model.provenance)["notes on tester.txt"] == "lines 53, 84 damaged, left out"
+    assert dict(model.provenance)["notes on tester.txt"] == words
     text = layouts.LOGS["three samples a stamp, no closing line"][0]
     _, shown = fit(*RUN, tester=layouts.TESTERS["stamps that repeat"][0], log=text)
     assert "Notes on tester.txt: 10 of 410 stamps repeat or step back, averaged with those before them" in shown
@@ -160,6 +161,19 @@ def test_a_tester_without_pressures_needs_a_log(fit):
         "torcharm: --pressure: is missing, as tester.txt names no column of pressure"
     )
     assert fit().startswith("torcharm: --instron: is missing, must name a tester's file; or --table")
+
+
+def test_vacuum_is_refused_or_taken_by_its_depth(fit):
+    p = layouts.pressure_at(layouts.TIME) * -40 / 60
+    columns = (layouts.TIME, 100 * layouts.STRAIN, -(1.2 * p - 30 * layouts.STRAIN), p)
+    text = layouts.text("Time (ms),Strain (%),Force (N),Pressure (kPa)", layouts.lines(*columns))
+    said = fit("--tester", "tester.txt", "--smoothing", 0, "--degree", 1, tester=text)
+    assert isinstance(said, str)
+    assert re.match(r"torcharm: pressure: must be gauge .* vacuum is not supported as such; .*--vacuum", said)
+    model, shown = fit("--tester", "tester.txt", "--smoothing", 0, "--degree", 1, "--vacuum", tester=text)
+    assert_law(model, {(1, 0): -30.0, (0, 1): -1.2})
+    assert model.pressure_range == (0.0, pytest.approx(40.0, rel=1e-3))
+    assert "Pressures: depths of vacuum" in shown
 
 
 # Tables

@@ -91,7 +91,6 @@ BAD_TESTERS = {
         "line 4: must be 4 cells with finite numbers in columns 1, 3, 4, got '20.0 0.6 1.0 NaN'$",
     ),
     "few": (HEAD + "\r\n".join([ROWS[0], '"20.0","0.6"', ROWS[2]]) + "\r\n", "line 4: must be 4 cells with"),
-    "blank field": (HEAD + '"0.0","0.0","","1.5"\r\n"20","0","0","2"\r\n', "line 3: must be 4 cells with"),
     "cut in a number": (HEAD + "\r\n".join(ROWS)[:-3], "line 5: must be a whole line of 4 cells, .* it is cut short"),
     "cut in a line": (HEAD + "\r\n".join(ROWS)[:-8], "line 5: must be a whole line of 4 cells, .* it is cut short"),
     "back": (

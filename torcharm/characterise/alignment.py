@@ -1,7 +1,7 @@
 """Recordings of one run or several: pressure smoothed and brought to the tester's time stamps, runs pooled."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -157,6 +157,12 @@ def pool(recordings: Sequence[Recording]) -> Recording:
         tuple(source for one in recordings for source in one.sources),
         (*shared, *own),
     )
+
+
+def by_depth(recording: Recording) -> Recording:
+    """The same with pressures below zero as depths of vacuum, which are positive: what limits and results then are."""
+    settings = (*recording.settings, ("pressures", "depths of vacuum"))
+    return replace(recording, pressure=-recording.pressure, settings=settings)
 
 
 def is_table(recording: Recording) -> bool:

@@ -4,7 +4,8 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from torcharm.characterise.delimited import Row, Sheet, is_number, short
+from torcharm.characterise.cells import Row, is_number
+from torcharm.characterise.delimited import Sheet, short
 from torcharm.inputs import check_choice, shown
 from torcharm.units import MEASURED, unit_named
 
@@ -22,7 +23,7 @@ _NAMED = {
 """What the names of columns hold, in lower case and without units."""
 _SYMBOLS = {"time": ("t",), "strain": ("ε", "eps", "epsilon"), "force": ("f",), "pressure": ("p",)}
 """What they are called alone."""
-_SET_POINT = re.compile(r"set ?point|target|command|demand|desired|reference|\bset\b|soll")
+_SET_POINT = re.compile(r"set ?point|target|command|demand|desired|reference|\bref\b|\bset\b|\bsp\b|soll")
 """What was asked for is no measurement."""
 _TOLD_BY_UNIT = ("time", "force", "pressure")
 """Quantities whose units are those of nothing else that a bench records."""
@@ -87,7 +88,9 @@ def header_of(sheet: Sheet) -> Header:
     names: Row = []
     if rows and sum(1 for cell in rows[0][1] if cell.strip() and not is_number(cell)) >= 2:
         line, names = rows[0]
-    filled = [tuple(cell.strip() for cell in (row + [""] * sheet.width)[: sheet.width]) for row in (names, units)]
+    filled = [
+        tuple(cell.strip() for cell in (row + [""] * sheet.form.width)[: sheet.form.width]) for row in (names, units)
+    ]
     return Header(line, filled[0], filled[1])
 
 
@@ -196,9 +199,9 @@ def _allowed(quantity: str) -> str:
 def _chosen(sheet: Sheet, header: Header, quantity: str, text: str) -> int:
     """The place of a column by its number, or by its name with or without unit."""
     if text.isdigit() and text not in header.names:
-        if not 1 <= int(text) <= sheet.width:
+        if not 1 <= int(text) <= sheet.form.width:
             raise ValueError(
-                f"columns: {quantity}: must be from 1 to {sheet.width}, as many as {sheet.source} has, got {text}"
+                f"columns: {quantity}: must be from 1 to {sheet.form.width}, as many as {sheet.source} has, got {text}"
             )
         return int(text) - 1
     names = {"name": [_plain(name) for name in header.names], "short": [_base(name) for name in header.names]}
@@ -223,7 +226,7 @@ def _not_one(sheet: Sheet, header: Header, quantity: str, found: Sequence[int], 
 
 def _candidates(sheet: Sheet, header: Header, quantity: str) -> list[int]:
     """Columns of numbers that may hold a quantity: by name, those named so alone first; or else by unit."""
-    numeric = [i for i in range(sheet.width) if sheet.numeric[i] and not _is_foreign(header, i, quantity)]
+    numeric = [i for i in range(sheet.form.width) if sheet.form.numeric[i] and not _is_foreign(header, i, quantity)]
     bases = {i: _base(header.names[i]) for i in numeric}
     own = {i: name for i, name in bases.items() if not _SET_POINT.search(name)}
     symbols = _SYMBOLS.get(quantity, ())

@@ -217,7 +217,7 @@ def check_informative(strain: Array, pressure: Array, force: Array) -> None:
     if deepest < 0 and -deepest > VACUUM_SHARE * (highest - deepest):
         raise ValueError(
             f"pressure: must be gauge pressures from 0 up, got {deepest:g} to {highest:g} kPa: vacuum is not supported "
-            "as such; give its depth as the pressure, which is then positive, as will be limits and results"
+            "as such; give its depth as the pressure (torcharm fit --vacuum), positive as limits and results will be"
         )
     for name, values, least, unit in (
         ("strain", strain, LEAST_STRAIN, ""),

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from torcharm.characterise.alignment import Recording, noted
+from torcharm.characterise.cells import number
 from torcharm.characterise.columns import Columns, find_columns, has_column, named_by, told
-from torcharm.characterise.delimited import Array, Sheet, number, numbers, read_sheet
+from torcharm.characterise.delimited import Array, Sheet, numbers, read_sheet
 from torcharm.characterise.recordings import POSITIVE, stretch_quantity
 from torcharm.files import StrPath
 from torcharm.inputs import check_choice
@@ -90,13 +91,13 @@ def _columns_of_header(sheet: Sheet) -> list[tuple[float, str]] | None:
     """The number and the unit of each column but the first; None: some have none, or words are about forces."""
     if not sheet.above or has_column(sheet, "force", None):
         return None
-    cells = (sheet.above[-1][1] + [""] * sheet.width)[1 : sheet.width]
+    cells = (sheet.above[-1][1] + [""] * sheet.form.width)[1 : sheet.form.width]
     if len(cells) < 2:
         return None
     found = []
     for cell in cells:
         match = _HEAD.fullmatch(cell)
-        if match is None or not np.isfinite(value := number(match[1], sheet.decimal)):
+        if match is None or not np.isfinite(value := number(match[1], sheet.form.decimal)):
             return None
         found.append((value, match[2]))
     return found
@@ -117,7 +118,7 @@ def _wide(sheet: Sheet, columns: list[tuple[float, str]], unit: str | None) -> S
     if len(units) > 1:
         raise ValueError(f"{where}: must name one unit of {other}, got {' and '.join(sorted(units))}")
     inside = _BRACKETS.findall(corner)
-    table, _, notes = numbers(sheet, range(sheet.width), sparse=True)
+    table, _, notes = numbers(sheet, range(sheet.form.width), sparse=True)
     across = np.array([value for value, _ in columns])
     axes = {
         lead: table[:, 0] * _factor(where, lead, inside, unit, table[:, 0]),

@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
+from torcharm.characterise.cells import number
 from torcharm.characterise.columns import Column, Columns, find_columns, has_column, told
-from torcharm.characterise.delimited import Sheet, number, numbers, read_sheet
+from torcharm.characterise.delimited import Sheet, numbers, read_sheet
 from torcharm.files import StrPath
 from torcharm.inputs import check_choice, check_number
 from torcharm.units import PRESSURE
@@ -174,7 +175,7 @@ def as_pressure_record(
     """
     if unit is not None:
         check_choice("unit", unit, PRESSURE)
-    if not told(columns) and not sheet.above and sheet.width == 2:
+    if not told(columns) and not sheet.above and sheet.form.width == 2:
         columns = {"time": 1, "pressure": 2}
     defaults = (LOG_UNITS if alone else {}) | ({"pressure": unit} if unit else {}) | _clock_unit(sheet, columns)
     found = find_columns(sheet, ("time", "pressure"), columns, defaults, option)
@@ -184,7 +185,7 @@ def as_pressure_record(
             f"unit: must be left out or be {pressure.unit}, which {sheet.source} or {option} names, got {unit}"
         )
     table, notes = _in_time(sheet, found, truncated=truncated)
-    if not sheet.closing and len(found) == sheet.width:
+    if not sheet.closing and len(found) == sheet.form.width:
         notes = (*notes, "has no closing line, taken as whole")
     low, high = PLAUSIBLE_PRESSURE
     most = float(table["pressure"].max())
@@ -240,7 +241,7 @@ def _clock_unit(sheet: Sheet, columns: Columns | None) -> dict[str, str]:
 
 def _first_number(sheet: Sheet, column: Column) -> float:
     """The first number of a column; NaN without one."""
-    values = (number(row[column.index], sheet.decimal) for row in sheet.rows[:50] if len(row) > column.index)
+    values = (number(row[column.index], sheet.form.decimal) for row in sheet.rows[:50] if len(row) > column.index)
     return next((value for value in values if np.isfinite(value)), np.nan)
 
 

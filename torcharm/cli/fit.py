@@ -69,6 +69,9 @@ def fit(
             show_default="the file's, or psi",
         ),
     ] = None,
+    vacuum: Annotated[
+        bool, typer.Option("--vacuum", help="Take pressures below zero by their depth, which is positive.")
+    ] = False,
     smoothing: Annotated[float, typer.Option(help="σ of the log's Gaussian smoothing, in samples; 0 for none.")] = 40.0,
     offset: Annotated[
         list[float] | None,
@@ -116,11 +119,14 @@ def fit(
     """Fit a force model to recordings of a tensile tester and a pressure log, or to a data sheet's table."""
     with mistakes(), _warnings_on_stderr():
         check_outputs(None, out, figure)
+        from torcharm.characterise.alignment import by_depth
+
         given = _Runs(instron or [], pressure or [], offset or [], find_offset)
         given.check(table, out)
         reading = _Reading(columns, pressure_columns, _length(gauge_length), positive, unit, truncated=truncated)
         alignment = {"actuators": actuators, "smoothing": smoothing, "max_gap": max_gap}
         recording = reading.table(table) if table else reading.runs(given, degree, alignment)
+        recording = by_depth(recording) if vacuum else recording
         options = {"loss": loss, "monotonic": monotonic, "max_pressure": max_pressure, "bending_stiffness": bending}
         compared, found = _fitted(recording, model or ("best" if table else "polynomial"), degree, options)
         console = open_console()

@@ -109,5 +109,5 @@ def _reading(recording: "Recording") -> Iterator[str]:
     for name, value in recording.settings:
         if name.startswith("offset"):
             yield f"O{name[1:]}: {value:.1f}"
-        elif name.startswith(("notes", "certainty", "positive")):
+        elif name.startswith(("notes", "certainty", "positive", "pressures")):
             yield f"{name[0].upper()}{name[1:]}: {value}"
