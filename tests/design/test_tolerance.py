@@ -122,6 +122,15 @@ def test_gradients_and_samples_agree_where_the_tip_moves_in_proportion():
     assert result.sensitivity("radii").shape == (2, 4)
 
 
+def test_where_no_shape_is_stable_nothing_is_told_to_decide():
+    coiled = ta.Task(ta.affine_curvature(0.0, 9.0, length=0.5), [0.0, 0.0, 0.0])
+    result = ta.tolerance(ARM, coiled, **SPREAD, samples=8)
+    assert (result.decisive, result.yield_of_all.value) == ("", 0.0)
+    assert bool(result.percentiles().isinf().all())
+    assert "no task has a stable shape" in result.agreement
+    assert "decides" not in repr(result)
+
+
 def test_of_few_samples_no_fit_is_told():
     result = ta.tolerance(ARM, TASK, **SPREAD, samples=4)
     assert all(math.isnan(share) for share in result.shares_by_samples.values())
