@@ -184,8 +184,9 @@ class BuiltArms(HoldsTensors):
 
     @property
     def decisive(self) -> str:
-        """The source with the largest share."""
-        return max(self.shares, key=lambda name: self.shares[name])
+        """The source with the largest share; empty where no task has a stable shape."""
+        known = {name: share for name, share in self.shares.items() if math.isfinite(share)}
+        return max(known, key=lambda name: known[name], default="")
 
     def sensitivity(self, name: str) -> Tensor:
         """(T, K) how far the tip moves with each parameter of a source, to first order: m per m, kPa, N or 1.
@@ -249,7 +250,8 @@ class BuiltArms(HoldsTensors):
     def __repr__(self) -> str:
         """Counts and the yield, no tensors."""
         samples, tasks = self.tip_error.shape
-        return f"BuiltArms({samples} arms on {tasks} tasks, yield {self.yield_of_all}, {self.decisive} decides)"
+        decides = f", {self.decisive} decides" if self.decisive else ""
+        return f"BuiltArms({samples} arms on {tasks} tasks, yield {self.yield_of_all}{decides})"
 
 
 def _place(share: float, count: int) -> int:
