@@ -46,6 +46,7 @@ COMMANDS = {
     "plan": ("begin with [[plan]]", "to a file .csv or .json"),
     "search": ("to a file .csv or .json", "--figure"),
     "sweep": ("table [optimise]", "[[arm]]", "--shard", "[default: (1e6)]"),
+    "workspace": ("0.2 [kg] or '200 g'", "to a file .csv or .json"),
     "shape": ("force y [N], moment [N·m]",),
 }
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from torcharm.geometry.alpha_shape import AlphaShape, alpha_shape
-from torcharm.inputs import check_choice, shown
+from torcharm.inputs import check_choice, check_count, shown
 from torcharm.plot._common import ATTAINABLE, UNATTAINABLE, Array, array, axes_or_new
 from torcharm.workspaces import STATES, Workspace
 from torcharm.workspaces.states import position_of
@@ -92,15 +92,20 @@ def workspace(
 
 
 def workspace_figure(
-    results: Sequence[tuple[str, Workspace]], show: str | None = None, *, highest: float | None = None
+    results: Sequence[tuple[str, Workspace]],
+    show: str | None = None,
+    *,
+    columns: int | None = None,
+    highest: float | None = None,
 ) -> Figure:
     """Workspaces of several arms side by side, at the same scale and in the same colours, for `figure.savefig(path)`.
 
-    A column for each arm; of arms in space seen from before and from above.
+    Arms in space are seen from before and, below that, from above.
 
     Args:
         results: names, and what `torcharm.workspace` found.
         show, highest: as of `workspace`.
+        columns: how many stand beside each other; None is all.
 
     Raises:
         ValueError: there is no result, arms of the plane and of space are mixed, or as of `workspace`.
@@ -109,21 +114,23 @@ def workspace_figure(
         raise ValueError("results: must hold at least one workspace, got none")
     if len({found.dimension for _, found in results}) > 1:
         raise ValueError("results: must be all of the plane or all of space, got both")
+    across = len(results) if columns is None else check_count("columns", columns, 1)
     planes = ("xy", "xz") if results[0][1].dimension == 3 else (None,)
     what = _what(results[0][1], show)
-    top = highest
-    if top is None and what != "reached":
-        tops = [_top(_values(found, _plane(found, plane), what)) for _, found in results for plane in planes]
-        top = max(tops, default=1.0)
-    size = (PANEL * max(len(results), 1) + 1.4, 1.1 * PANEL * len(planes))
-    figure = Figure(figsize=size, layout="constrained", dpi=130)
-    grid: Any = figure.subplots(len(planes), len(results), squeeze=False)
-    for row, plane in zip(grid, planes, strict=True):
-        for axes, (name, found) in zip(row, results, strict=True):
+    top = _common_top(results, planes, what) if highest is None else highest
+    lines = [results[first : first + across] for first in range(0, len(results), across)]
+    figure = Figure(layout="constrained", dpi=130)
+    grid: Any = figure.subplots(len(lines) * len(planes), across, squeeze=False)
+    for place, row in enumerate(grid):
+        plane, line = planes[place % len(planes)], lines[place // len(planes)]
+        for axes in row[len(line) :]:
+            axes.set_axis_off()
+        for axes, (name, found) in zip(row, line, strict=False):
             workspace(found, what, plane=plane, highest=top, bar=False, ax=axes)
             axes.get_legend().remove()
-            axes.set_title(f"{name}\n{_words(found)}" if plane != "xz" else "", fontsize="medium")
-        _same_limits(row)
+            axes.set_title("" if plane == "xz" else f"{name}\n{_words(found)}", fontsize="medium")
+    heights = [_same_limits([axes for axes in part.ravel() if axes.axison]) for part in _views(grid, len(planes))]
+    figure.set_size_inches(PANEL * across + 1.4, PANEL * sum(heights) * len(lines) + 1.2 * len(grid))
     if what != "reached":
         _bar(figure, ScalarMappable(_scale(what, top), COLOURS), grid.ravel().tolist(), what)
     labels: dict[str, Any] = {}
@@ -132,6 +139,17 @@ def workspace_figure(
             labels.setdefault(label.split(":")[0], handle)
     figure.legend(labels.values(), labels.keys(), loc="outside lower center", ncols=5, fontsize="small", frameon=False)
     return figure
+
+
+def _views(grid: Any, count: int) -> list[Any]:
+    """The panels of each view."""
+    return [grid[first::count] for first in range(count)]
+
+
+def _common_top(results: Sequence[tuple[str, Workspace]], planes: Sequence[str | None], show: str) -> float:
+    """The end of the colours for all."""
+    tops = [_top(_values(found, _plane(found, plane), show)) for _, found in results for plane in planes]
+    return max(tops, default=1.0)
 
 
 def _plane(found: Workspace, plane: str | None) -> tuple[int, int]:
@@ -244,11 +262,13 @@ def _words(found: Workspace) -> str:
     return f"{size} reached" if bool(found.reached.any()) else "nothing reached in range"
 
 
-def _same_limits(row: Any) -> None:
-    """One scale for all panels."""
-    boxes = torch.tensor([[*axes.dataLim.min, *axes.dataLim.max] for axes in row])
+def _same_limits(panels: Sequence[Any]) -> float:
+    """One scale for all panels; how much higher than wide they are."""
+    boxes = torch.tensor([[*axes.dataLim.min, *axes.dataLim.max] for axes in panels])
     low, high = boxes[:, :2].amin(0), boxes[:, 2:].amax(0)
     room = ROOM * float((high - low).max())
-    for axes in row:
+    for axes in panels:
         ends = low[1] - room, high[1] + room
         axes.set(xlim=(low[0] - room, high[0] + room), ylim=ends[::-1] if axes.yaxis.get_inverted() else ends)
+    wide, tall = (high - low + 2 * room).tolist()
+    return float(tall / wide)

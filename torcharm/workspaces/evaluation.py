@@ -53,7 +53,7 @@ FEW = 5e-4
 """Of the states: a round with fewer is a region's last."""
 TYPICAL = 0.95
 """Of the states have as many neighbours as a simplex has corners within the resolution."""
-FINER = {2: 0.5, 3: 0.9}
+FINER = {2: 0.4, 3: 0.9}
 """Times the distance within which they do: so much denser states become. In space most go to the boundary."""
 THIN = 1e-3
 """Of the arm's length: no resolution is finer."""

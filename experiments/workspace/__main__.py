@@ -1,0 +1,3 @@
+from experiments.workspace.run import main
+
+main()
