@@ -29,7 +29,7 @@ def inline_svg(figure: Figure, name: str, words: str) -> Markup:
                 artist.set_rasterized(True)
     file = io.StringIO()
     with matplotlib.rc_context({"svg.fonttype": "path", "svg.hashsalt": name}):
-        figure.savefig(file, format="svg", transparent=True, dpi=DOTS, metadata=NO_METADATA)
+        figure.savefig(file, format="svg", facecolor="none", dpi=DOTS, metadata=NO_METADATA)
     text = file.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<!--.*?-->|<metadata>.*?</metadata>|<style.*?</style>", "", text, flags=re.DOTALL)
