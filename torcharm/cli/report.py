@@ -1,6 +1,5 @@
 """`torcharm report`: a study's designs compared in one file, to be mailed."""
 
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -38,11 +37,10 @@ def report(
         from torcharm.study import load_study
 
         plan = with_margins(asked_about(load_study(study)))
-        started = time.perf_counter()
         results, refused, interrupted = evaluate_all(plan)
         if results:
             html = _drawn(Evaluated(plan, results, refused, study.name))
-            told = f" ({count(len(plan.arms), 'arm')}, {time.perf_counter() - started:.2g} s)."
+            told = f" ({count(len(plan.arms), 'arm')}, {len(html.encode()) / 1e6:.1f} MB)."
             save_all(open_console(), [(out, lambda path: path.write_text(html, encoding="utf-8"), told)])
         finish(interrupted, results, refused)
 

@@ -40,6 +40,8 @@ KIND_STYLES = {  # colour, width
 """Of the models that torcharm has, by the words that tables and studies have for them."""
 OTHER_STYLES = (("#999999", 3.5), ("#CC79A7", 3.5), ("#0072B2", 3.5), ("#F0E442", 3.5))
 """Of other models, in the order in which an arm has them."""
+PLAIN: dict[str, Any] = {"parse_math": False}
+"""Of texts that hold names: dollar signs in them enclose no formula."""
 SMOOTHING = 8  # points drawn on each element, so that one of constant curvature is seen to be an arc
 LONGEST_ARROW = 0.3  # of the largest force, as a share of the centreline's length
 

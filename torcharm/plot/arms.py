@@ -302,6 +302,6 @@ def _limit(axes: Any, points: Array, wide: float) -> None:
         # A short axis has no room for as many numbers as a long one, and its name lies beyond them.
         axis.set_major_locator(MaxNLocator(max(1, round(5 * span / max(spans)) - 1), steps=(1, 2, 5, 10)))
         axis.labelpad = 12 if axis is axes.zaxis else 8  # its numbers lie beside each other
-    end = high[2] - CORNER * spans[1]
+    end = high[2] - CORNER * (high[2] - low[2])
     axes.yaxis.set_major_formatter(FuncFormatter(lambda depth, _: f"{depth:g}" if depth < end else ""))
     axes.tick_params(labelsize="small")

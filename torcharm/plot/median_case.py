@@ -46,9 +46,8 @@ def draw_median_case(axes: Any, field: str, arm: Arm, task: Task, found: Attaina
         task: of any batch shape.
         found: of the arm on the task; where that is impossible, its centreline is drawn, and why.
     """
-    index, reached = median_case(found)
+    arm, (index, reached) = one_design(field, arm, task), median_case(found)
     if is_lost(found):
-        arm = one_design(field, arm, task)
         draw_wanted(axes, arm, pick(task, index), f"impossible: {why_impossible(arm, pick(task, index))}")
     else:
         draw_arm(axes, arm, median_shape(task, found) if reached is None else pick(task, index), reached)

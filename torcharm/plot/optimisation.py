@@ -13,7 +13,7 @@ from torcharm.arm import ArmDesign
 from torcharm.design.result import OptimisedDesign
 from torcharm.design.task_errors import TaskErrors
 from torcharm.inputs import three_digits
-from torcharm.plot._common import ATTAINABLE, UNATTAINABLE, array, kind_styles, mark_inks
+from torcharm.plot._common import ATTAINABLE, PLAIN, UNATTAINABLE, array, kind_styles, mark_inks
 from torcharm.statics.balance import segments_of
 
 FEW = 12
@@ -33,7 +33,7 @@ def optimisation_figure(result: OptimisedDesign, title: str = "") -> Figure:
     figure = Figure(figsize=(10, 4.4), layout="constrained")
     errors, section = figure.subplots(1, 2)
     _draw_errors(errors, result.before, result.after, "shape" if result.objective.unit == "m" else "tip")
-    errors.set_title(title)
+    errors.set_title(title, **PLAIN)
     planar = result.best.dimension == 2
     names = ("radius [mm]", "neutral length [mm]") if planar else ("offset y [mm]", "offset z [mm]")
     styles = kind_styles(result.best.actuators)

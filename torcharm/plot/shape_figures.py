@@ -15,7 +15,7 @@ from torcharm.design.shape_planning import PlannedShape
 from torcharm.design.space import Arm
 from torcharm.inputs import TensorLike, three_digits
 from torcharm.load import ExternalLoad
-from torcharm.plot._common import Array, array, median_place, one_design, pick, projection_of, ranked_places
+from torcharm.plot._common import PLAIN, Array, array, median_place, one_design, pick, projection_of, ranked_places
 from torcharm.plot._shapes import in_space, why_impossible
 from torcharm.plot.arms import (
     PLATE,
@@ -72,7 +72,7 @@ def search_figure(
     pairs = [(arm, load) for arm, row in zip(arms, drawn, strict=True) for load in row.values()]
     scale = max((arrow_scale(arm, pick(task, load)) for arm, load in pairs), default=0.0)
     figure = Figure(layout="constrained", dpi=130)
-    figure.suptitle(f"{task_name}: how near the best pressures bring the tip", fontweight="bold")
+    figure.suptitle(f"{task_name}: how near the best pressures bring the tip", fontweight="bold", **PLAIN)
     grid = _panels(figure, len(results), len(ranks), task)
     for (name, _, found), arm, error, chosen, row in zip(results, arms, errors, drawn, grid, strict=True):
         twists = found.twists.detach().reshape(-1, *found.twists.shape[-2:])
@@ -85,13 +85,13 @@ def search_figure(
             draw_arm(axes, arm, at, twists[load], scale)
             off = f"tip off by {three_digits(1e3 * off_by[load])} mm, turned by {three_digits(turned[load])}°"
             which = _which(rank, len(error) - lost, lost)
-            axes.set_title(f"{name}: {which}\n{off}\n{_load(at, load)}", fontsize="medium")
+            axes.set_title(f"{name}: {which}\n{off}\n{_load(at, load)}", fontsize="medium", **PLAIN)
         if not chosen:
             row[0].set_axis_on()
             possible, wanted = bool(found.possible.any()), pick(task, 0)
             words = "no equilibrium was found" if possible else "impossible"
             draw_wanted(row[0], arm, wanted, words if possible else f"impossible: {why_impossible(arm, wanted)}")
-            row[0].set_title(f"{name}: {words}", fontsize="medium")
+            row[0].set_title(f"{name}: {words}", fontsize="medium", **PLAIN)
     _share(figure, grid)
     return figure
 
@@ -150,7 +150,7 @@ def plan_figure(
     line = torch.eye(3 * shapes[0][1].dimension - 3)[:1]
     goal, start = (Task(line, None, pose, ExternalLoad()) for pose in (tip_pose, base_pose))
     figure = Figure(layout="constrained", dpi=130)
-    figure.suptitle(f"{plan_name}: shapes through the tip pose", fontweight="bold")
+    figure.suptitle(f"{plan_name}: shapes through the tip pose", fontweight="bold", **PLAIN)
     grid = _panels(figure, 1, len(shapes), start)
     tip, base = (in_space(array(one.base_pose)) for one in (goal, start))
     half = max(PLATE, 0.08 * float(np.linalg.norm((tip - base)[:3, 3])))  # seen from afar
@@ -158,7 +158,7 @@ def plan_figure(
         result = shape.attainability
         if result is None:
             draw_poses(axes, base, tip, half)
-            axes.set_title(f"{name}: {shape.status.split(':')[0]}", fontsize="medium")
+            axes.set_title(f"{name}: {shape.status.split(':')[0]}", fontsize="medium", **PLAIN)
             continue
         index, reached = median_case(result)
         draw_arm(axes, one_design(name, arm, start), pick(result.task, index), reached)
@@ -166,7 +166,7 @@ def plan_figure(
         words = "planned" if result.verdict is None else str(np.ravel(result.verdict)[index])
         if reached is not None and result.tip_error is not None:
             words += f"\npredicted tip off by {three_digits(1e3 * float(result.tip_error.reshape(-1)[index]))} mm"
-        axes.set_title(f"{name}: {words}", fontsize="medium")
+        axes.set_title(f"{name}: {words}", fontsize="medium", **PLAIN)
     _share(figure, grid)
     return figure
 

@@ -15,6 +15,7 @@ from torcharm.design.space import Arm
 from torcharm.inputs import three_digits
 from torcharm.plot._common import (
     ARM_COLOURS,
+    PLAIN,
     VERDICT_STYLES,
     Array,
     array,
@@ -55,7 +56,7 @@ def study_figure(
     lost = list(map(is_lost, evaluated))
     heights = (1.2 + 0.4 * columns, 5.0 if flat else 6.0, *([] if all(lost) else [3.2]))
     rows: Any = figure.subfigures(len(heights), 1, height_ratios=heights)
-    figure.suptitle(task_name, fontsize="large", fontweight="bold")
+    figure.suptitle(task_name, fontsize="large", fontweight="bold", **PLAIN)
     _draw_errors(rows[0].add_subplot(), [name for name, _ in results], evaluated)
     panels = columns * (2 if flat else 3)
     cells = None if all(lost) else rows[2].subplots(1, panels, squeeze=False)[0].reshape(columns, -1)
@@ -66,7 +67,7 @@ def study_figure(
         drawn = "" if shown is None else f"\ndrawn: load {shown + 1} of {prod(task.batch_shape)}"
         if not lost[column]:
             scenes.append(make_scene(f"results[{column}]", arm, median_shape(task, found)))
-        axes.set_title(f"{textwrap.fill(f'{name}: {_counts(found)}', 60)}{drawn}", fontsize="medium")
+        axes.set_title(f"{textwrap.fill(f'{name}: {_counts(found)}', 60)}{drawn}", fontsize="medium", **PLAIN)
         below = -0.12 if flat else 0.0
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, below), ncols=2, fontsize="small", frameon=False)
         for panel, (node, sides) in zip([] if cells is None else cells[column], _views(found, task), strict=False):
@@ -76,7 +77,7 @@ def study_figure(
             draw_node(panel, scenes[-1], node, sides, ARM_COLOURS[column % len(ARM_COLOURS)])
             inside = scenes[-1].inside[:, node]
             counted = f"node {node + 1} of {task.nodes}\n{inside.sum()} of {len(inside)} inside"
-            panel.set_title(f"{textwrap.fill(name, 26)}\n{counted}", fontsize="small")
+            panel.set_title(f"{textwrap.fill(name, 26)}\n{counted}", fontsize="small", **PLAIN)
             views.append((panel, sides))
     if views:
         limit_views(views, scenes)
@@ -148,7 +149,7 @@ def _draw_errors(axes: Any, names: Sequence[str], evaluated: Sequence[Attainabil
     axes.xaxis.set_minor_formatter(NullFormatter())
     least = max(LEAST, finite[finite > 0].min(initial=1.0 if predicted else most))
     axes.set(xlim=(least / 1.5, 1.3 * most), ylim=(len(names) - 0.45, -0.75), yticks=range(len(names)))
-    axes.set_yticklabels(names)
+    axes.set_yticklabels(names, **PLAIN)
     errors = "predicted error over its tolerance, the largest of tip, turn and shape"
     what = errors if predicted else "absolute unattainability [N]"
     edge = "" if len(finite) == sum(map(len, values)) else "; at the right edge, none was found"

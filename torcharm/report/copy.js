@@ -1,11 +1,12 @@
 for (const button of document.querySelectorAll("button.copy")) {
-  const text = button.parentElement.querySelector("textarea");
+  const details = button.parentElement.querySelector("details");
+  const text = details.querySelector("textarea");
   button.hidden = false;
   button.addEventListener("click", async () => {
     try {
       await navigator.clipboard.writeText(text.value);
     } catch {
-      button.parentElement.open = true;
+      details.open = true;
       text.select();
       document.execCommand("copy");
     }

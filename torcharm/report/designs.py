@@ -45,7 +45,7 @@ class Measure:
             return self.text
         if self.value is None:
             return "–"
-        return self.value if isinstance(self.value, str) else three_digits(self.value)
+        return self.value if isinstance(self.value, str) else three_digits(self.value + 0.0)  # which makes -0 0
 
 
 def design_table(rows: Sequence[Sequence[StudyResult]], sizes: bool = True) -> list[Column]:

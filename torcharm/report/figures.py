@@ -80,9 +80,10 @@ def hull_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Iterato
     drawn, views, scenes = [], list[tuple[Axes, tuple[int, int]]](), []
     for result in results:
         task, found = result.task.task, result.attainability
-        if is_lost(found):
+        if is_lost(found) or found.node_miss is None:
             continue
-        scene, node = make_scene("arm", result.arm.design, median_shape(task, found)), _worst_node(result)
+        relative, node = found.absolute is None, _worst_node(result)
+        scene = make_scene("arm", result.arm.design, median_shape(task, found), relative)
         if task.dimension == 2:
             panels = [new_axes(1.0)]
         else:

@@ -65,9 +65,7 @@ def next_steps(evaluated: Evaluated) -> Section | None:
 
 def arms(evaluated: Evaluated) -> Section | None:
     """The arms where they are predicted to be."""
-    predicted = (
-        "The task's centreline is solid, the one reached dashed; each design under its load of the median error."
-    )
+    predicted = "The task's centreline is solid, the one reached dashed; under each design's load of the median error."
     text = predicted if evaluated.predicted else "Each design at the task's shape, with all of its loads."
     return _drawn(evaluated, "Arms", text, arm_panels, in_space=2)
 

@@ -29,11 +29,13 @@ def inline_svg(figure: Figure, name: str, words: str) -> Markup:
                 artist.set_rasterized(True)
     file = io.StringIO()
     with matplotlib.rc_context({"svg.fonttype": "path", "svg.hashsalt": name}):
-        figure.savefig(file, format="svg", transparent=True, dpi=DOTS, metadata=NO_METADATA)
+        figure.savefig(file, format="svg", facecolor="none", dpi=DOTS, metadata=NO_METADATA)
     text = file.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<!--.*?-->|<metadata>.*?</metadata>|<style.*?</style>", "", text, flags=re.DOTALL)
-    text = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", text)
+    referred = set(re.findall(r'(?:href="#|url\(#)([^")]+)', text))
+    text = re.sub(r' id="([^"]*)"', lambda found: found[0] if found[1] in referred else "", text)
+    text = re.sub(r'( id="|href="#|url\(#)', rf"\g<1>{name}-", text)
     text = re.sub(r"\s*\n\s*", "\n", text)
     wide = 96 * figure.get_figwidth()
     start = f'<svg role="img" aria-label="{escape(words)}" style="max-width:{wide:.0f}px"'
