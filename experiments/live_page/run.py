@@ -22,7 +22,7 @@ from rich.table import Table
 from experiments.live_page.socket import Page
 from experiments.rows import write_rows
 from torcharm.page.answers import answer
-from torcharm.page.scene import Ball, Label, Mesh, draw
+from torcharm.page.scene import Ball, Label, Line, Mesh, draw
 from torcharm.page.server import Server
 from torcharm.page.state import opened
 from torcharm.study import example_text, parse_study
@@ -132,10 +132,12 @@ def anything(page: Page, draw_random: random.Random) -> None:
         place = [draw_random.uniform(-0.6, 0.6) for _ in range(3)]
         page.drag("/handle", place, [draw_random.uniform(-1, 1) for _ in range(4)])
         return
-    movable = [uuid for uuid, part in page.controls.items() if "Slider" in part.kind or "options" in part.props]
+    movable = [uuid for uuid, part in page.controls.items() if part.kind in MOVABLE]
     uuid = draw_random.choice(movable)
     props = page.controls[uuid].props
-    if "options" in props:
+    if page.controls[uuid].kind == "GuiCheckboxMessage":
+        page.move(uuid, draw_random.random() < 0.5)
+    elif "options" in props:
         page.move(uuid, draw_random.choice(props["options"]))
     elif choice > 0.95:
         page.move(uuid, draw_random.choice([math.inf, -math.inf, 1e300, -1.0, 0.0]))
@@ -160,12 +162,15 @@ def stale(server: Server, page: Page) -> list[str]:
             alike = part.props["text"] == element.text and _same(part.place, element.place)
         elif isinstance(element, Ball):
             alike = _same(part.place, element.place)
+        elif isinstance(element, Line):
+            alike = _same(part.props["points"], np.stack((element.points[:-1], element.points[1:]), 1))
         else:
-            alike = True
+            alike = _same(part.props["points"], element.ends)
         different += [] if alike else [name]
     return different
 
 
+MOVABLE = ("GuiSliderMessage", "GuiDropdownMessage", "GuiCheckboxMessage")
 KINDS = ("MeshMessage", "LineSegmentsMessage", "ArrowMessage", "IcosphereMessage", "LabelMessage")
 """What the page's scene is made of."""
 
@@ -204,8 +209,9 @@ def rows(moves: int, tell: Callable[[str], None], events: int) -> Iterator[Row]:
                     page.until(lambda before=before: page.pictures > before, WAIT)
                 yield measure(f"{where}: {name}", server, page, moves)
             different = at_random(server, page, events)
-            wrong = "Something went wrong" in page.words
-            tell(f"{where}: {events} random events, stale after them: {different or 'nothing'}, errors: {wrong}")
+            (view,) = server.views.values()
+            errors = view.session.failures
+            tell(f"{where}: {events} random events, {errors} errors, stale after them: {different or 'nothing'}")
 
 
 def main() -> None:

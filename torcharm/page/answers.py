@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torcharm.attainability import Attainability, evaluate, evaluate_search
-from torcharm.attainability.reasons import differences, out_of_range
+from torcharm.attainability.reasons import differences
 from torcharm.design.shape_planning import nearest_shape, plan_shape
 from torcharm.design.space import Arm
 from torcharm.equilibrium.problem import Problem
@@ -157,12 +157,10 @@ def _reason(state: State, found: Attainability, twists: Tensor | None) -> str:
 
 
 def _warnings(state: State, found: Attainability, twists: Tensor | None, buckled: bool) -> Iterator[str]:
-    prediction, task = found.prediction, found.task
+    prediction = found.prediction
     assert prediction is not None
-    nodes, segments = task.segment_nodes or (task.nodes,), segments_of(design_of(state))[0]
     if not bool(found.in_range) and not bool(found.impossible):
-        shape = task.twists if not bool(found.shape_in_range) or twists is None else twists
-        yield f"Out of range: {out_of_range(segments, shape.detach(), nodes)}; there the force models are extrapolated."
+        yield "Out of range: there the force models are extrapolated."
     if twists is None:
         yield "No stable equilibrium was found: the task's shape alone is shown."
     elif state.mode == BEST and not bool(prediction.reached):
@@ -175,17 +173,18 @@ def _warnings(state: State, found: Attainability, twists: Tensor | None, buckled
 
 def followed(state: State, pose: Array) -> Tensor | None:
     """The shape nearest to the state's whose tip is at a pose (4, 4), dragged there; None if there is none."""
-    task = task_of(state)
-    return nearest_shape(design_of(state), task, _in_group(state, pose, _tip_heading(state)))
+    arm, task = design_of(state), task_of(state)
+    heading = float(_tip_of(arm, task)[2]) if arm.dimension == 2 else None
+    return nearest_shape(arm, task, _in_group(pose, heading))
 
 
 def planned(state: State) -> tuple[Tensor | None, str]:
-    """The shape through the state's tip that the arm holds best, or None, and in words what came of it."""
+    """A shape through the state's tip that lacks as little as any, or None, and in words what came of it."""
     arm, task = design_of(state), task_of(state)
     nodes = task.segment_nodes or (task.nodes,)
-    found = plan_shape(arm, _tip(state), task.load, nodes=nodes, base_pose=task.base_pose, starts=1)
+    found = plan_shape(arm, _tip_of(arm, task), task.load, nodes=nodes, base_pose=task.base_pose, starts=1)
     return (
-        (found.twists, "Planned: the shape through this tip that the arm holds best.")
+        (found.twists, "Planned: a shape through this tip whose nodes lack as little as any.")
         if found.found
         else (
             None,
@@ -194,21 +193,16 @@ def planned(state: State) -> tuple[Tensor | None, str]:
     )
 
 
-def _tip(state: State) -> Tensor:
-    """Where the task's shape ends, links included."""
-    arm, task = design_of(state), task_of(state)
+def _tip_of(arm: Arm, task: Task) -> Tensor:
+    """Where a task's shape ends, links included."""
     links = [None if link is None else link.end(arm.dimension).to(task.twists) for link in segments_of(arm)[1]]
     return rod.poses(task.twists, task.base_pose, segment_nodes=task.segment_nodes, links=links)[-1]
 
 
-def _tip_heading(state: State) -> float:
-    return float(_tip(state)[2]) if state.named_arm.design.dimension == 2 else 0.0
-
-
-def _in_group(state: State, pose: Array, near: float) -> Tensor:
-    """A pose of space as one of the arm's: in the plane (x, y, θ), θ within half a turn of another."""
-    if state.named_arm.design.dimension == 3:
-        return torch.from_numpy(np.ascontiguousarray(pose, dtype=float))
+def _in_group(pose: Array, near: float | None) -> Tensor:
+    """A pose (4, 4) as one of an arm in space, or in the plane: (x, y, θ), with θ within half a turn of another."""
+    if near is None:
+        return torch.from_numpy(np.ascontiguousarray(pose, np.float64))
     heading = math.atan2(pose[1, 0], pose[0, 0])
     turns = round((near - heading) / (2 * math.pi))
     return torch.tensor([pose[0, 3], pose[1, 3], heading + 2 * math.pi * turns], dtype=torch.float64)

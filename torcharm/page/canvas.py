@@ -43,7 +43,13 @@ class Canvas:
 
 def _mesh(mesh: Mesh) -> dict[str, Any]:
     points, faces = np.asarray(mesh.points, np.float32), np.asarray(mesh.faces, np.uint32)
-    return {"vertices": points, "faces": faces, "color": mesh.colour, "opacity": mesh.opacity}
+    return {
+        "vertices": points,
+        "faces": faces,
+        "color": mesh.colour,
+        "opacity": mesh.opacity,
+        "flat_shading": mesh.flat,
+    }
 
 
 def _line(line: Line) -> dict[str, Any]:
@@ -82,7 +88,7 @@ _ADDERS: dict[type[Element], str] = {
     Label: "add_label",
 }
 _FIXED: dict[type, dict[str, Any]] = {
-    Mesh: {"side": "double", "cast_shadow": False, "receive_shadow": False},
+    Mesh: {"side": "front", "cast_shadow": False, "receive_shadow": False},
     Line: {"thickness_units": "screen"},
     Ball: {"cast_shadow": False, "receive_shadow": False},
     Label: {"anchor": "center-center", "font_screen_scale": 1.0},

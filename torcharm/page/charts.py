@@ -74,11 +74,20 @@ def outline(shown: NodeSet) -> tuple[Array, Array, Array, Array]:
     start, end = int(corners[:, 0].argmin()), int(corners[:, 0].argmax())
     around = np.roll(corners, -start, 0)
     turn = (end - start) % len(corners)
-    lower, upper = around[: turn + 1], np.concatenate((around[turn:], around[:1]))[::-1]
+    sides = (around[: turn + 1], np.minimum), (np.concatenate((around[turn:], around[:1])), np.maximum)
     forces = np.unique(np.append(corners[:, 0], force))
     inside = (forces >= corners[:, 0].min()) & (forces <= corners[:, 0].max())
-    least, largest = (np.where(inside, np.interp(forces, side[:, 0], side[:, 1]), np.nan) for side in (lower, upper))
+    least, largest = (np.where(inside, _along(side, further, forces), np.nan) for side, further in sides)
     return forces, least, largest, np.where(forces == force, moment, np.nan)
+
+
+def _along(side: Array, further: np.ufunc, forces: Array) -> Array:
+    """The moments of one side of a set at forces; where it goes straight up, those that are further out."""
+    places, group = np.unique(side[:, 0], return_inverse=True)
+    moments = np.full(len(places), -np.inf if further is np.maximum else np.inf)
+    further.at(moments, group, side[:, 1])
+    found: Array = np.interp(forces, places, moments)
+    return found
 
 
 def margins(found: Answer) -> tuple[Array, Array, Array]:

@@ -80,9 +80,9 @@ class Control:
         return found if self.ends is None else round(found, DIGITS_BEYOND - math.floor(math.log10(self.step)))
 
 
-def structure(state: State) -> tuple[Any, ...]:
-    """What decides which controls there are: they are others where it is another."""
-    return id(state.study), state.arm, state.task
+def same_controls(one: State, other: State) -> bool:
+    """Whether two states have the same controls, so that one's may move the other."""
+    return one.study is other.study and (one.arm, one.task) == (other.arm, other.task)
 
 
 def controls(state: State) -> tuple[Control, ...]:
@@ -133,7 +133,7 @@ def _task(state: State) -> Iterator[Control]:
             ("Task",),
             f"load, of {loads}",
             lambda one: one.load + 1,
-            lambda one, value: with_load(one, round(value) - 1),
+            lambda one, value: with_load(one, value - 1),
             ends=(1, loads),
             hint="Which of the task's loads.",
         )
@@ -205,7 +205,7 @@ def _node(state: State) -> Iterator[Control]:
         ("Node",),
         "node",
         lambda one: one.node + 1,
-        lambda one, value: with_node(one, round(value) - 1),
+        lambda one, value: with_node(one, value - 1),
         ends=(1, state.given.nodes),
         hint="Whose attainable set is shown; 1 is at the base.",
     )

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib import colormaps
+from numpy.typing import NDArray
 
 from torcharm.actuators import is_passive
 from torcharm.design.space import Arm
@@ -29,12 +30,13 @@ COLOURS = colormaps["viridis"]
 """Of pressures, from none to the limit."""
 ARROW = 0.35
 """Of the largest tip force that a slider gives, as a share of the arm's length."""
-SHORTEST = 0.01
-"""An arrow that is not drawn, as a share of the arm's length: it would be all head."""
+SHORTEST, LONGEST = 0.01, 0.6
+"""Shares of the arm's length: an arrow that is not drawn, as it would be all head; and what no arrow exceeds, as a
+weight may that is far above the largest tip force."""
 SHADE = 0.15
 """How opaque the shade of the shape that is asked for is."""
-VISIBLE = 1e-3
-"""An error of the tip [m] that is drawn: below it is one place to the eye."""
+VISIBLE = 0.006
+"""An error of the tip that is drawn, as a share of the arm's length: below it is one place to the eye."""
 BOX, BOX_PLACE = 0.22, (0.45, 0.8)
 """Half the width of the box that shows a set in space, and where its middle is: along the base's heading, and across.
 Shares of the arm's length."""
@@ -42,12 +44,13 @@ Shares of the arm's length."""
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles (F, 3) of points (V, 3)."""
+    """Triangles (F, 3) of points (V, 3), of which the outside is seen; flat ones have edges between them."""
 
     points: Array
-    faces: Array
+    faces: NDArray[np.intp]
     colour: Colour
     opacity: float | None = None
+    flat: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,16 +161,19 @@ def colour_of(pressure: float, limit: float, *, passive: bool) -> Colour:
 
 
 def _mesh(skin: Array, colour: Colour, opacity: float | None = None) -> Mesh:
-    """A tube (P, K, 3), closed at its ends."""
+    """A tube (P, K, 3), closed at its ends; from base to tip, and around from y to z, its outside is seen."""
     count, around = skin.shape[:2]
     here = np.arange(count - 1)[:, None] * around + np.arange(around - 1)
     quads = np.stack((here, here + 1, here + around + 1, here + around), -1).reshape(-1, 4)
-    ends = [
-        np.stack((np.full(around - 2, first), *(first + np.arange(around - 2) + step for step in (1, 2))), -1)
-        for first in (0, (count - 1) * around)
-    ]
-    faces = np.concatenate((quads[:, [0, 1, 2]], quads[:, [0, 2, 3]], *ends))
+    fan = np.stack((np.zeros(around - 2, np.intp), *(np.arange(around - 2) + step for step in (1, 2))), -1)
+    faces = np.concatenate((quads[:, [0, 1, 2]], quads[:, [0, 2, 3]], fan[:, ::-1], fan + (count - 1) * around))
     return Mesh(skin.reshape(-1, 3), faces, colour, opacity)
+
+
+def _outward(corners: Array, faces: NDArray[np.intp]) -> NDArray[np.intp]:
+    """The faces (F, 3) of a convex body in the order in which they are seen from outside."""
+    inside = np.linalg.det(corners[faces] - corners.mean(0)) < 0
+    return np.where(inside[:, None], faces[:, ::-1], faces)
 
 
 def _base(arm: Arm, at: Centreline) -> Iterator[tuple[str, Element]]:
@@ -206,7 +212,7 @@ def _target(found: Answer, wanted: Centreline, at: Centreline, length: float) ->
     yield "task_line", Line(wanted.points, BLACK, 3.0)
     yield "task_tip", Ball(wanted.tip[:3, 3], 0.016 * length, BLACK)
     off = float(np.linalg.norm((wanted.tip - at.tip)[:3, 3]))
-    if found.twists is not None and off > VISIBLE:
+    if found.twists is not None and off > VISIBLE * length:
         yield "tip", Ball(at.tip[:3, 3], 0.016 * length, VERMILLION)
         ends = np.stack((wanted.tip[:3, 3], at.tip[:3, 3]))
         yield "error", Line(ends, VERMILLION, 3.0)
@@ -218,7 +224,7 @@ def _loads(found: Answer, at: Centreline, length: float) -> Iterator[tuple[str, 
     newtons = newtons_per_metre(found.state)
     for number, (name, place, force, moment) in enumerate(loads_on(found.arm, found.task.load, at)):
         size, turn = (float(np.linalg.norm(value[0])) for value in (force, moment))
-        end = place + force[0] / newtons
+        end = place + force[0] / max(newtons, size / (LONGEST * length))
         if size / newtons > SHORTEST * length:
             yield f"load_{number}", Arrow(np.stack((place, end)), BLACK, 0.006 * length)
         if size > 0 or turn > 0:
@@ -251,9 +257,9 @@ def _set_in_space(shown: NodeSet, wanted: Centreline, length: float) -> Iterator
     def placed(values: Array) -> Array:
         return middle + BOX * length * (2 * (values - low) / span - 1)
 
-    corners, faces = placed(shown.corners), hull_faces(shown.corners)
+    corners, faces = placed(shown.corners), hull_faces(shown.corners).astype(np.intp)
     if len(faces):
-        yield "set", Mesh(corners, faces, BLUE, 0.35)
+        yield "set", Mesh(corners, _outward(corners, faces), BLUE, 0.4, flat=True)
     else:  # a set without volume
         yield "set", Line(corners, BLUE, 3.0)
     origin = placed(low)
@@ -264,4 +270,4 @@ def _set_in_space(shown: NodeSet, wanted: Centreline, length: float) -> Iterator
         yield f"axis_words_{axis}", Label(f"{name} {low[axis]:.3g} to {high[axis]:.3g} {unit}", end)
     inside = "inside" if shown.inside else "outside"
     yield "required", Ball(placed(shown.required), 0.018 * length, BLACK if shown.inside else VERMILLION)
-    yield "required_words", Label(f"required, {inside}", placed(shown.required))
+    yield "required_words", Label(f"required, {inside}", placed(shown.required) + np.array((0.0, 0.05 * length, 0.0)))

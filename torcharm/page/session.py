@@ -25,6 +25,9 @@ class Session:
         state: with which it begins.
         show: is called in the thread with each answer, and again with the last where a change made no difference.
         tell: is called with a sentence for the person.
+
+    Attributes:
+        failures: changes that were given up for an error that no person can cause.
     """
 
     def __init__(self, state: State, show: Callable[[Answer], None], tell: Callable[[str], None]) -> None:
@@ -33,6 +36,7 @@ class Session:
         self._changes: list[tuple[str, Callable[[History], History]]] = [("", lambda history: history)]
         self._ready = threading.Condition()
         self._busy, self._closed = False, False
+        self.failures = 0
         self._planning = threading.Lock()
         self._last: Answer | None = None
 
@@ -79,9 +83,9 @@ class Session:
         self.move("drag load", lambda state: with_force(state, force.tolist()))
 
     def plan(self) -> None:
-        """Look for the shape through the tip that the arm holds best, beside all else; one at a time."""
+        """Look for a shape through the tip that the arm can hold, beside all else; one at a time."""
         if self._planning.acquire(blocking=False):
-            self._tell("Planning the shape through this tip that the arm holds best, for some seconds.")
+            self._tell("Planning a shape through this tip that the arm can hold, for some seconds.")
             threading.Thread(target=self._plan, args=(self.state,), name="torcharm plan", daemon=True).start()
 
     def wait(self, seconds: float) -> bool:
@@ -123,6 +127,7 @@ class Session:
             self._tell(str(error))
         except Exception:
             if not self._closed:  # else the browser has left
+                self.failures += 1
                 traceback.print_exc(file=sys.stderr)
                 self._tell("Something went wrong; the terminal says what.")
 
@@ -135,7 +140,8 @@ class Session:
             found = answer(state)
             self._history = replace(self._history, now=settled(found))
             self._last = replace(found, state=self._history.now)
-        self._show(self._last)
+        if not self._closed:
+            self._show(self._last)
 
     def _plan(self, asked: State) -> None:
         try:

@@ -154,13 +154,15 @@ def with_task(state: State, task: int) -> State:
     return with_load(replace(state, task=task, twists=None, payload=0.0), 0)
 
 
-def with_load(state: State, load: int) -> State:
+def with_load(state: State, load: float) -> State:
     """Another of the task's loads."""
-    if not 0 <= load < max(state.named_task.task.batch_shape.numel(), 1):
+    number = within(load, 0, max(state.named_task.task.batch_shape.numel(), 1) - 1)
+    if number is None:
         return state
-    given = replace(state, load=load).given
+    changed = replace(state, load=round(number))
+    given = changed.given
     node = min(state.node, given.nodes - 1)
-    return replace(state, load=load, tip=tuple(given.tip_load.tolist()), gravity=given.load.gravity, node=node)
+    return replace(changed, tip=tuple(given.tip_load.tolist()), gravity=given.load.gravity, node=node)
 
 
 def value_range(group: Group, name: str) -> tuple[float, float]:
@@ -240,7 +242,7 @@ def with_found(state: State, pressure: Sequence[float]) -> State:
     return replace(state, pressure=tuple(pressure)) if state.mode == BEST else state
 
 
-def with_node(state: State, node: int) -> State:
+def with_node(state: State, node: float) -> State:
     """Whose set is shown."""
     number = within(node, 0, state.given.nodes - 1)
     return state if number is None else replace(state, node=round(number))

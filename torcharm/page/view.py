@@ -9,7 +9,7 @@ from torcharm.page import words
 from torcharm.page.answers import Answer
 from torcharm.page.canvas import Canvas
 from torcharm.page.charts import Charts
-from torcharm.page.controls import Control, controls, structure
+from torcharm.page.controls import Control, controls, same_controls
 from torcharm.page.gizmo import LOAD, NOTHING, TIP, Gizmo
 from torcharm.page.saving import load, save
 from torcharm.page.scene import camera, draw
@@ -37,7 +37,7 @@ class View:
     def __init__(self, client: Any, viser: Any, state: State, out: Path) -> None:
         self._client, self._viser, self._out = client, viser, out
         self._canvas = Canvas(client.scene)
-        self._built: tuple[Any, ...] = ()
+        self._built: State | None = None
         self._roots: list[Any] = []
         self._inputs: dict[str, tuple[Control, Any]] = {}
         self._applied: dict[str, Any] = {}
@@ -56,7 +56,7 @@ class View:
     def _show(self, found: Answer) -> None:
         scene = draw(found)
         with self._client.atomic():
-            if structure(found.state) != self._built:
+            if self._built is None or not same_controls(found.state, self._built):
                 self._build(found.state)
             self._canvas.show(scene)
             self._gizmo.show(found)
@@ -72,7 +72,7 @@ class View:
         """All controls of an arm and a task, in place of those before, and the view of the arm."""
         for root in self._roots:
             root.remove()
-        gui, self._built = self._client.gui, structure(state)
+        gui, self._built = self._client.gui, state
         self._roots, self._inputs, self._applied = [], {}, {}
         folders: dict[tuple[str, ...], Any] = {}
         for control in controls(state):
@@ -118,12 +118,17 @@ class View:
 
         async def moved(event: Any) -> None:  # on the event loop, so that moves keep their order
             if event.client is not None:  # else it was set here
-                self.session.move(control.key, partial(self._written, control, handle.value))
+                self.session.move(control.key, partial(self._written, control, state, handle.value))
 
         handle.on_update(moved)
 
-    def _written(self, control: Control, value: Any, state: State) -> State:
-        """The state after a control was moved in the browser, which shows the value that it was moved to."""
+    def _written(self, control: Control, built: State, value: Any, state: State) -> State:
+        """The state after a control was moved in the browser, which shows the value that it was moved to.
+
+        A control of another arm or task, which the browser has not yet seen go, moves nothing.
+        """
+        if not same_controls(state, built):
+            return state
         self._applied[control.key] = value
         return control.write(state, value)
 
@@ -145,7 +150,9 @@ class View:
             self._gizmo.take(choice.value)
 
         choice.on_update(chosen)
-        self._button("plan the best shape", "Through the tip, the shape that the arm holds best.", self.session.plan)
+        self._button(
+            "plan a shape", "Through this tip, one that the arm can hold: as torcharm plan.", self.session.plan
+        )
 
     def _add_buttons(self) -> None:
         self._button("save the study", f"To {self._out}.", self._save)

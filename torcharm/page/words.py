@@ -72,7 +72,7 @@ def legend() -> str:
         for share in (0.0, 0.25, 0.5, 0.75, 1.0)
     )
     return (
-        f'<div style="{TOP}"><div style="display:flex;align-items:center;gap:0.5em">no pressure'
+        f'<div style="{TOP}"><div style="display:flex;align-items:center;gap:0.5em;padding-right:0.8em">no pressure'
         f'<span style="flex:1;height:0.8em;background:linear-gradient(to right, {stops})"></span>its limit</div>'
         "<div>Grey shade and black line: the shape that is asked for. Actuators and nodes count from 1.</div></div>"
     )
