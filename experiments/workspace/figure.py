@@ -8,17 +8,15 @@ from typing import Any
 import torcharm as ta
 from torcharm import plot
 
-DRAWN_WEIGHT = 2.0
-"""Of the maps in space [N]."""
 SHAPE = ta.affine_curvature(0.0, 0.5, length=0.5, nodes=10)
 """Of the load maps: a bend by 29° at the arms' length at rest."""
 
 
 def draw(arms: Mapping[str, ta.ArmDesign], weights: Sequence[float], states: int, path: Path | BytesIO) -> None:
-    """Every arm with every weight in the plane; in space all with one of them."""
+    """Every arm with every weight, a row for each."""
     flat = next(iter(arms.values())).dimension == 2
     shown: list[tuple[str, Any]] = []
-    for weight in [one for one in weights if one > 0] if flat else [DRAWN_WEIGHT]:
+    for weight in [one for one in weights if one > 0]:
         for name, arm in arms.items():
             wrench = [0.0, -weight, *[0.0] * (1 if flat else 4)]
             shown.append((f"{name}, {weight:g} N", ta.workspace(arm, wrench, states=states)))

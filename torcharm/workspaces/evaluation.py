@@ -45,11 +45,12 @@ OVERHANG = 0.25
 which most of a workspace is bounded."""
 AT_ONCE = 2000
 """States solved between two looks at the clock: at most a second's work in space."""
-ROUNDS = 12
-"""In which each region grows, at most: by then those of the ready planar arms have their size to a thousandth."""
+ROUNDS = {2: 25, 3: 8}
+"""In which each region grows, at most: by then those of the ready planar arms end within 2 mm of where they can. In
+space all states are used by then."""
 FURTHER = 3
 """Pushes of a round, one from where the other got to: as many resolutions at most."""
-FEW = 5e-4
+FEW = 1e-4
 """Of the states: a round with fewer is a region's last."""
 TYPICAL = 0.95
 """Of the states have as many neighbours as a simplex has corners within the resolution."""
@@ -189,7 +190,7 @@ class _Run:
             (1.0, Frontier(known, self.resolution, (REACHED, EXCLUDED), 0 * one, one, False)),
         ):
             end = self.count + int(share * (self.wanted - self.count))
-            for _ in range(ROUNDS):
+            for _ in range(ROUNDS[self.scene.arm.dimension]):
                 before = self.count
                 push = frontier.push(states, (end - before) // 2)
                 for _ in range(FURTHER):
