@@ -13,11 +13,10 @@ import torch
 from standard_error import without_notice
 
 import torcharm as ta
-from torcharm.cli.optimise import _moved
 from torcharm.cli.plan import TWISTS
 from torcharm.design.objective import task_values
 from torcharm.inputs import three_digits
-from torcharm.study import load_study, parse_study
+from torcharm.study import load_study, moved_files, parse_study
 
 STUDY = """
 name = "try"
@@ -163,8 +162,8 @@ def test_the_best_arms_are_a_study_to_evaluate(tmp_path: Path) -> None:
 def test_models_of_a_study_are_found_from_where_the_best_arms_are_written(tmp_path: Path) -> None:
     study, out = tmp_path / "study.toml", tmp_path / "there" / "best.toml"
     out.parent.mkdir()
-    assert _moved(("models/own.toml", None), study, out) == ("../models/own.toml", None)
-    assert _moved(("models/own.toml", None), study, tmp_path / "best.toml") == ("models/own.toml", None)
+    assert moved_files(("models/own.toml", None), study, out) == ("../models/own.toml", None)
+    assert moved_files(("models/own.toml", None), study, tmp_path / "best.toml") == ("models/own.toml", None)
 
 
 def test_one_plan_without_a_shape_costs_only_its_own_row(tmp_path: Path) -> None:

@@ -45,6 +45,7 @@ COMMANDS = {
     "optimise": ("its table [optimise]", "as a study on the same tasks", ".toml", ".csv"),
     "plan": ("begin with [[plan]]", "to a file .csv or .json"),
     "search": ("to a file .csv or .json", "--figure"),
+    "explore": ("--host", "overwrite the file of --out", "--no-open", "Ctrl-C"),
     "sweep": ("table [optimise]", "[[arm]]", "--shard", "[default: (1e6)]"),
     "workspace": ("0.2 [kg] or '200 g'", "to a file .csv or .json"),
     "shape": ("force y [N], moment [N·m]",),

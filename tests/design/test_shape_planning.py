@@ -9,7 +9,7 @@ import torch
 
 import torcharm as ta
 from torcharm.design import Objective
-from torcharm.design.shape_planning import PAPER_SHAPES, Smoothness, plan_shape
+from torcharm.design.shape_planning import PAPER_SHAPES, Smoothness, nearest_shape, plan_shape
 
 ARM = ta.ArmDesign([-0.04, -0.01, 0.01, 0.04], 0.51, [ta.Bellows(), ta.McKibben(), ta.McKibben(), ta.Bellows()])
 TIP = (0.35, -0.3, 0.0)
@@ -275,3 +275,41 @@ def test_what_has_no_shape_in_series_counts_all_segments_and_links() -> None:
     assert status.startswith("no shape: none of 4 elements")
     assert "(actuators: 0.45 m)" in status
     assert f"the arm at most {most:.3g} m long: try a longer one" in status
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_the_nearest_shape_has_the_tip_and_hardly_changes_more_than_it_must(dimension: int) -> None:
+    arm = ARM if dimension == 2 else ta.antagonistic_ring(length=0.5)
+    bend = ta.affine_curvature(-0.5, 1.0, 0.5, 6, **({} if dimension == 2 else {"direction": 0.3}))
+    task = ta.Task(bend)
+    tip = ta.poses(bend)[-1]
+    assert nearest_shape(arm, task, tip) == pytest.approx(bend, abs=1e-12)
+    moved = tip.clone()
+    (moved[:2] if dimension == 2 else moved[:2, 3]).add_(0.003)
+    found = nearest_shape(arm, task, moved)
+    assert found is not None
+    torch.testing.assert_close(ta.poses(found)[-1], moved, rtol=0, atol=1e-7)
+    columns = [0, 2] if dimension == 2 else [0, 4, 5]
+    scale = torch.tensor([0.1, *[1.0] * (dimension - 1)], dtype=torch.float64)
+    change = ((found - bend)[:, columns] / scale).flatten()
+    # Nearest is a change without a part along which the tip stays; steps towards it leave a little of one.
+    unknowns = (bend[:, columns] / scale).flatten().requires_grad_()
+
+    def tip_of(values: torch.Tensor) -> torch.Tensor:
+        shape = torch.zeros_like(bend).index_copy(1, torch.tensor(columns), values.reshape(6, -1) * scale)
+        pose = ta.poses(shape)[-1]
+        return pose if dimension == 2 else pose[:3].flatten()
+
+    jacobian = torch.autograd.functional.jacobian(tip_of, unknowns)
+    along = jacobian.T @ torch.linalg.lstsq(jacobian.T, change[:, None], driver="gelsd").solution
+    assert float((along[:, 0] - change).norm()) < 0.1 * float(change.norm())
+
+
+@pytest.mark.parametrize("tip", [(0.0, 0.3, -1.5), (0.0, 0.0, -1.57), (5.0, 5.0, 0.0)])
+def test_a_tip_that_no_arm_of_such_a_length_has_has_no_nearest_shape(tip: tuple[float, float, float]) -> None:
+    assert nearest_shape(ARM, ta.Task(ta.constant_curvature(0.5, 0.5, 4)), tip) is None
+
+
+def test_a_tip_of_space_is_none_of_a_planar_arm() -> None:
+    with pytest.raises(ValueError, match="tip_pose"):
+        nearest_shape(ARM, ta.Task(ta.constant_curvature(0.5, 0.5, 4)), torch.eye(4))

@@ -88,8 +88,7 @@ def test_a_dragged_tip_is_followed_by_the_nearest_shape(make):
     np.testing.assert_allclose(in_space(_tip_of(arm, page.task_of(moved)).numpy()), pose, atol=1e-7)
     assert page.changed_task(moved)
     pose[:3, 3] = 1e3
-    far = followed(state, pose)
-    assert far is None or bool(far.isfinite().all())
+    assert followed(state, pose) is None
 
 
 def test_a_plan_has_the_tip_and_lacks_less_than_the_shape_that_was_dragged():

@@ -25,6 +25,9 @@ from torcharm.task import Task, check_segments
 TIP_TOLERANCE = 1e-8
 """By how much a tip may miss its pose [m, rad] for a plan to count as one."""
 
+MOST_STRETCH = 3.0
+"""A length over an arm's that no actuator takes: a shape that needs it is none."""
+
 
 @dataclass(frozen=True)
 class Smoothness:
@@ -142,7 +145,8 @@ def plan_shape(
 def nearest_shape(arm: Arm, task: Task, tip_pose: TensorLike) -> Tensor | None:
     """The shape nearest to a task's whose tip is at a pose: what a dragged tip leaves of it, in milliseconds.
 
-    Newton's method by the least change of lengths (in units of 0.1 m) and bends (in rad), without shear and torsion.
+    Newton's method, of which each step is the least change of lengths (in units of 0.1 m) and bends (in rad); so it is
+    nearest where the tip is moved a little. Without shear and torsion.
     Strains are not limited, and no load is looked at: `plan_shape` does both.
 
     Args:
@@ -151,7 +155,8 @@ def nearest_shape(arm: Arm, task: Task, tip_pose: TensorLike) -> Tensor | None:
         tip_pose: (3,) or (4, 4), as of `plan_shape`.
 
     Returns:
-        (N, 3) or (N, 6) twists; None where none was found, or where an actuator would have no length.
+        (N, 3) or (N, 6) twists; None where none was found, or one that leaves an actuator no length or an element
+        more than three times the arm's.
 
     Raises:
         ValueError: arm, task and pose do not fit.
@@ -164,7 +169,9 @@ def nearest_shape(arm: Arm, task: Task, tip_pose: TensorLike) -> Tensor | None:
     twists = problem.twists(torch.from_numpy(near)).to(task.twists)
     segments = zip(segments_of(arm)[0], twists.split(nodes), strict=True)
     lengths = [rod.actuator_lengths(own, part.radii if arm.dimension == 2 else part.offsets) for part, own in segments]
-    return twists if all(bool((length > 0).all()) for length in (twists[:, 0], *lengths)) else None
+    longest = MOST_STRETCH * float(problem.neutral.max())
+    sound = all(bool((length > 0).all()) for length in lengths) and bool((twists[:, 0] > 0).all())
+    return twists if sound and bool((twists[:, 0] < longest).all()) else None
 
 
 def _problem(

@@ -1,0 +1,80 @@
+"""`torcharm explore`: what it says, what it refuses, and that Ctrl-C ends it."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from test_cli import mistake
+
+ROOT = Path(__file__).parent.parent
+STUDY = """
+name = "small"
+[[arm]]
+name = "mine"
+radii = [-0.03, 0.03]
+length = 0.22
+actuators = "bellows"
+[[task]]
+name = "bend"
+shape = { kind = "constant", curvature = 0.1, length = 0.22, nodes = 3 }
+"""
+
+
+@pytest.fixture
+def study(tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY)
+    return path
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs signals")
+def test_it_serves_until_interrupted_and_says_where_and_what_it_writes(study, tmp_path):
+    pytest.importorskip("viser", reason="needs torcharm[explore]")
+    from experiments.live_page.socket import Page
+
+    out = tmp_path / "better.toml"
+    command = [sys.executable, "-m", "torcharm.cli", "explore", study, "--out", out, "--port", "0", "--no-open"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "200"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
+        assert process.stdout is not None
+        where = re.fullmatch(r"small: (http://127\.0\.0\.1:\d+)\n", process.stdout.readline())
+        assert where is not None
+        assert process.stdout.readline() == f"Its button saves to {out}. Ctrl-C ends it.\n"
+        with Page(where[1]) as page:
+            page.until(lambda: page.pictures)
+            page.press("save the study")
+            page.until(out.exists)
+        process.send_signal(signal.SIGINT)
+        assert process.stdout.read() == "Ended.\n"
+        assert process.wait(30) == 0
+
+
+@pytest.fixture
+def refused(study, tmp_path, monkeypatch, capsys):
+    """The one line that a command with some options ends on."""
+
+    def run(*options, plan=study):
+        return mistake(monkeypatch, capsys, "explore", plan, "--out", tmp_path / "out.toml", "--no-open", *options)
+
+    return run
+
+
+def test_mistakes_are_one_line(study, tmp_path, refused):
+    assert "is the study itself" in refused("--out", study)
+    assert "must end in .toml" in refused("--out", tmp_path / "page.html")
+    assert "does not exist" in refused("--out", tmp_path / "none" / "out.toml")
+    assert "cannot be read" in refused(plan=tmp_path / "none.toml")
+
+
+def test_a_host_that_is_not_this_machine_is_refused(refused):
+    pytest.importorskip("viser", reason="needs torcharm[explore]")
+    assert "--host: must be an address of this machine, got 192.0.2.1" in refused("--host", "192.0.2.1")
+
+
+def test_without_viser_it_says_what_to_install(monkeypatch, refused):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    assert "explore: needs the package viser, which is not installed: pip install 'torcharm[explore]'" in refused()
