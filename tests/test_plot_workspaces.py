@@ -4,6 +4,7 @@ import pytest
 import torch
 
 import torcharm as ta
+from torcharm.inputs import three_digits
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -101,7 +102,7 @@ class TestFigure:
         norms = [coloured(axes, "payload factor").norm for axes in (first, second)]
         assert norms[0].vmax == norms[1].vmax
         assert first.get_title().startswith("muscles\n")
-        assert f"{1e4 * other.size:.3g} cm² reached" in second.get_title()
+        assert f"{three_digits(1e4 * other.size)} cm² reached" in second.get_title()
         assert "payload" in bar.get_ylabel()
 
     def test_space_has_two_views_and_rows_wrap(self, flat, spatial):

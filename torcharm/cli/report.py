@@ -1,7 +1,7 @@
 """`torcharm report`: a study's designs compared in one file, to be mailed."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,18 +17,30 @@ from torcharm.cli.terminal import (
     progress,
     save_all,
 )
+from torcharm.cli.tolerance import find_built
+from torcharm.cli.workspace import find_workspaces
 
 if TYPE_CHECKING:
     from torcharm.report import Evaluated
+    from torcharm.study import NamedArm, Study
+    from torcharm.study.built import BuiltStudy
+    from torcharm.workspaces import Workspace
+
+STATES = 5000
+"""Of each arm: its picture is known from fewer than its numbers to a millimetre."""
 
 
 def report(
     study: Annotated[Path, typer.Argument(help="A study, as TOML.")],
     out: Annotated[Path, typer.Option("--out", help="Where to write the report, a file ending in .html.")],
+    reach: Annotated[
+        bool, typer.Option("--workspace", help="Say where the arms can reach, too; some seconds for each.")
+    ] = False,
 ) -> None:
     """Compare the arms of a study in one file: numbers, arms, errors, load maps, attainable sets, what to try next.
 
-    The file needs no network and nothing beside it: mail it, print it, copy its numbers as CSV.
+    Where the study has a table [tolerance], also what becomes of its arms once they are built. The file needs no
+    network and nothing beside it: mail it, print it, copy its numbers as CSV.
     """
     with mistakes():
         check_outputs(study, out, None)
@@ -39,10 +51,22 @@ def report(
         plan = with_margins(asked_about(load_study(study)))
         results, refused, interrupted = evaluate_all(plan)
         if results:
-            html = _drawn(Evaluated(plan, results, refused, study.name))
+            more = {} if interrupted else _more(plan, reach, refused)
+            html = _drawn(Evaluated(plan, results, refused, study.name, **more))
             told = f" ({count(len(plan.arms), 'arm')}, {len(html.encode()) / 1e6:.1f} MB)."
             save_all(open_console(), [(out, lambda path: path.write_text(html, encoding="utf-8"), told)])
         finish(interrupted, results, refused)
+
+
+def _more(plan: "Study", reach: bool, refused: dict[str, list[str]]) -> dict[str, Any]:
+    """Arms as they are built, where the study says how, and where they can reach, if that is asked for."""
+    built: list[BuiltStudy] = []
+    workspaces: list[tuple[NamedArm, Workspace]] = []
+    if plan.manufacture.scatter is not None:
+        find_built(plan, plan.manufacture, built, refused)
+    if reach:
+        find_workspaces(plan.arms, None, STATES, {}, workspaces, refused)
+    return {"built": built, "workspaces": workspaces}
 
 
 def _drawn(evaluated: "Evaluated") -> str:

@@ -2,10 +2,10 @@
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -29,17 +29,9 @@ from torcharm.files import check_writable
 
 if TYPE_CHECKING:
     from torcharm.design.tolerance_result import BuiltArms
-    from torcharm.study import NamedArm, NamedTask, Study
+    from torcharm.study import NamedTask, Study
+    from torcharm.study.built import BuiltStudy
     from torcharm.study.data import Manufacture
-
-
-@dataclass(frozen=True)
-class Found:
-    """What is found of one arm on one task."""
-
-    arm: "NamedArm"
-    task: "NamedTask"
-    built: "BuiltArms"
 
 
 def tolerance(
@@ -82,6 +74,7 @@ def tolerance(
     with mistakes():
         check_outputs(study, out, figure)
         from torcharm.study import RESULT_FORMATS, example_study, load_study
+        from torcharm.study.built import built_rows
 
         check_ending("--out", out, RESULT_FORMATS)
         plan = example_study() if study is None else asked_about(load_study(study))
@@ -93,16 +86,16 @@ def tolerance(
         how = replace(how, seed=how.seed if seed is None else seed)
         for path in numbered(figure, len(plan.tasks)):
             check_writable(path, "--figure")
-        found: list[Found] = []
+        found: list[BuiltStudy] = []
         refused: dict[str, list[str]] = {}
         interrupted = False
         try:
-            _find(plan, how, found, refused)
+            find_built(plan, how, found, refused)
         except KeyboardInterrupt:  # what is finished is shown and written all the same
             interrupted = True
         if found:
             if as_json:
-                typer.echo(json.dumps(list(_rows(found)), indent=1))
+                typer.echo(json.dumps(list(built_rows(found)), indent=1))
             else:
                 _tell(plan, found)
             save_all(open_console(), _outputs(plan, found, out, figure))
@@ -137,9 +130,10 @@ def _manufacture(
     return replace(plan.manufacture, scatter=Scatter(**given, model_covariance=model_covariance, distribution=kind))  # type: ignore[arg-type]
 
 
-def _find(plan: "Study", how: "Manufacture", found: list[Found], refused: dict[str, list[str]]) -> None:
+def find_built(plan: "Study", how: "Manufacture", found: list["BuiltStudy"], refused: dict[str, list[str]]) -> None:
     """Append to `found` what is found, task by task; arms that are refused by why they are."""
     from torcharm.design.tolerance import built_as
+    from torcharm.study.built import BuiltStudy
 
     assert how.scatter is not None
     pairs = [(arm, task) for task in plan.tasks for arm in plan.arms_of(task)]
@@ -164,10 +158,10 @@ def _find(plan: "Study", how: "Manufacture", found: list[Found], refused: dict[s
             except ValueError as error:  # costs this arm alone
                 refused.setdefault(str(error), []).append(arm.name)
                 continue
-            found.append(Found(arm, task, built))
+            found.append(BuiltStudy(arm, task, built))
 
 
-def _tell(plan: "Study", found: Sequence[Found]) -> None:
+def _tell(plan: "Study", found: Sequence["BuiltStudy"]) -> None:
     console = open_console()
     for task in plan.tasks:
         own = [one for one in found if one.task is task]
@@ -183,35 +177,16 @@ def _tell(plan: "Study", found: Sequence[Found]) -> None:
         say(console, line)
 
 
-def _columns(found: Sequence[Found]) -> Iterator[Column]:
+def _columns(found: Sequence["BuiltStudy"]) -> Iterator[Column]:
     """A row for each arm."""
-    import numpy as np
+    from torcharm.study.built import built_columns
 
-    from torcharm.inputs import three_digits
-    from torcharm.plot.tolerance import SOURCE_WORDS
-
-    every = [one.built for one in found]
     yield Column("arm", [one.arm.name for one in found], LONGEST_WORD)
-    drawn = [1e3 * float(np.median(built.nominal_tip_error)) for built in every]
-    yield Column("tip off, drawn\n[mm]", [three_digits(value) for value in drawn])
-    for percent in (50, 95):
-        values = [1e3 * float(built.pooled_percentile(percent)) for built in every]
-        yield Column(f"{percent} % within\n[mm]", [three_digits(value) for value in values])
-    each = [100 * float(built.within.double().mean()) for built in every]
-    yield Column("yield,\neach load [%]", [f"{value:.1f}" for value in each])
-    whole = [built.yield_of_all for built in every]
-    yield Column(
-        "yield,\nall loads [%]", [f"{100 * one.value:.1f} ({100 * one.low:.1f}-{100 * one.high:.1f})" for one in whole]
-    )
-    yield Column("beyond\nrange [%]", [f"{100 * built.extrapolated:.0f}" for built in every])
-    shares = [
-        ",\n".join(
-            f"{SOURCE_WORDS[name]} {100 * share:.0f} %"
-            for name, share in sorted(built.shares.items(), key=lambda pair: -pair[1])
-        )
-        for built in every
-    ]
-    yield Column("what scatters the tip", shares, LONGEST_WORD)
+    for title, unit, cells in built_columns(found):
+        if unit:
+            yield Column(f"{title}\n[{unit}]", cells)
+        else:
+            yield Column(title, [cell.replace(", ", ",\n") for cell in cells], LONGEST_WORD)
 
 
 def _legend(plan: "Study", built: "BuiltArms") -> Iterator[str]:
@@ -229,30 +204,14 @@ def _legend(plan: "Study", built: "BuiltArms") -> Iterator[str]:
     yield "what scatters the tip: shares in its variance, by gradients at the drawn arm."
 
 
-def _rows(found: Sequence[Found]) -> Iterator[dict[str, Any]]:
-    """A row for each arm, task and load."""
-    from math import isfinite
-
-    for one in found:
-        columns = one.built.to_dict()
-        for index in range(len(columns["task"])):
-            row: dict[str, Any] = {"arm": one.arm.name, "task": one.task.name, "load": index + 1}
-            for name, values in columns.items():
-                if name == "task":
-                    continue
-                length = "tip_error" in name
-                value = values[index] * (1e3 if length else 1.0)
-                row[f"{name}_mm" if length else name] = value if isfinite(value) else None
-            yield row
-
-
 def _outputs(
-    plan: "Study", found: Sequence[Found], out: Path | None, figure: Path | None
+    plan: "Study", found: Sequence["BuiltStudy"], out: Path | None, figure: Path | None
 ) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
     from torcharm.study import check_format, write_rows
+    from torcharm.study.built import built_rows
 
     if out is not None:
-        rows, ending = list(_rows(found)), f".{check_format(out)}"
+        rows, ending = list(built_rows(found)), f".{check_format(out)}"
         yield out, lambda path: write_rows(path, rows, ending), f" ({count(len(rows), 'row')})."
     for place, task in zip(numbered(figure, len(plan.tasks)), plan.tasks, strict=False):
         own = [one for one in found if one.task is task]
@@ -260,7 +219,7 @@ def _outputs(
             yield place, partial(_draw, task=task, found=own), f" ({task.name})."
 
 
-def _draw(path: Path, task: "NamedTask", found: Sequence[Found]) -> None:
+def _draw(path: Path, task: "NamedTask", found: Sequence["BuiltStudy"]) -> None:
     from torcharm.plot import tolerance_figure
 
     tolerance_figure([(one.arm.name, one.built) for one in found], task.name).savefig(path, dpi=150)

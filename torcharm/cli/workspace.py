@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -84,8 +84,8 @@ def workspace(
         found: list[tuple[NamedArm, Workspace]] = []
         refused: dict[str, list[str]] = {}
         started = time.perf_counter()
-        options = {"states": states, "nodes": nodes, "base_pose": base, "gravity": gravity}
-        interrupted = _find(chosen, payload, options, found, refused)
+        options = {"nodes": nodes, "base_pose": base, "gravity": gravity}
+        interrupted = find_workspaces(chosen, payload, states, options, found, refused)
         if found:
             _report(found, time.perf_counter() - started)
             save_all(open_console(), _outputs(found, show, out, figure))
@@ -104,23 +104,23 @@ def _check_figure(arms: Sequence["NamedArm"], figure: Path | None, payload: str 
         raise ValueError("--figure: must be of arms all in the plane or all in space; choose by --arm")
 
 
-def _find(
+def find_workspaces(
     arms: Sequence["NamedArm"],
     payload: str | None,
-    options: dict[str, object],
+    states: int,
+    options: dict[str, Any],
     found: list[tuple["NamedArm", "Workspace"]],
     refused: dict[str, list[str]],
 ) -> bool:
     """Append what is found of the arms, those refused by why they are; whether Ctrl-C came."""
     from torcharm.workspaces import workspace as find_workspace
 
-    wanted = int(str(options["states"]))
-    with progress("workspace", wanted * len(arms)) as move:
+    with progress("workspace", states * len(arms)) as move:
         for index, one in enumerate(arms):
             try:
                 given = None if payload is None else _payload(payload, one.design.dimension)
-                told = _teller(move, index * wanted, one.name)
-                result = find_workspace(one.design, given, callback=told, **options)  # type: ignore[arg-type]
+                told = _teller(move, index * states, one.name)
+                result = find_workspace(one.design, given, states=states, callback=told, **options)
             except ValueError as error:  # costs this arm alone
                 refused.setdefault(str(error), []).append(one.name)
                 continue

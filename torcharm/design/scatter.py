@@ -29,6 +29,16 @@ UNITS = {"radii": "m", "length": "m", "limits": "kPa", "force": "1", "force_offs
 FIELDS = tuple(UNITS)
 MODEL = "model"
 """The name of the source that is a fitted model's own covariance."""
+SOURCE_WORDS = {
+    "radii": "offsets",
+    "length": "lengths",
+    "limits": "limits",
+    "force": "force scale",
+    "force_offset": "force offset",
+    "bending": "bending",
+    "model": "model fit",
+}
+"""What pictures and tables call what is scattered."""
 DISTRIBUTIONS = ("normal", "uniform")
 MOST = {
     "radii": (0.1, "0.1 m (is it in millimetres?)"),

@@ -11,7 +11,7 @@ from torch import Tensor
 from torcharm.attainability import evaluate
 from torcharm.design.space import Arm
 from torcharm.inputs import check_choice
-from torcharm.plot._common import Array, array, one_design, one_shape
+from torcharm.plot._common import PLAIN, Array, array, one_design, one_shape
 from torcharm.plot.loads import colour_bar, load_grid, load_map
 from torcharm.task import Task
 from torcharm.wrench_sets.capacity import load_capacity
@@ -62,7 +62,7 @@ def load_figure(
     panels: Any = figure.subplots(1, len(arms), squeeze=False)[0]
     labels: dict[str, Any] = {}
     for axes, (name, _), (value, line) in zip(panels, arms, found, strict=True):
-        axes.set_title(f"{name}\n{_counted(quantity, value, line)}", fontsize="medium")
+        axes.set_title(f"{name}\n{_counted(quantity, value, line)}", fontsize="medium", **PLAIN)
         if not np.isfinite(value).any():
             axes.set_axis_off()
             continue

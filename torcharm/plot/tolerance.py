@@ -9,20 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
+from torcharm.design.scatter import SOURCE_WORDS
 from torcharm.design.tolerance_result import BuiltArms
 from torcharm.inputs import three_digits
-from torcharm.plot._common import ARM_COLOURS, ARM_LINES, array
+from torcharm.plot._common import ARM_COLOURS, ARM_LINES, PLAIN, array
 
-SOURCE_WORDS = {
-    "radii": "offsets",
-    "length": "lengths",
-    "limits": "limits",
-    "force": "force scale",
-    "force_offset": "force offset",
-    "bending": "bending",
-    "model": "model fit",
-}
-"""What pictures and tables call what is scattered."""
 UNITS = {"radii": (1e3, "mm"), "length": (1e3, "mm"), "limits": (1.0, "kPa"), "force_offset": (1.0, "N")}
 """In which its size is shown; others in percent."""
 FARTHEST = 99.5
@@ -51,7 +42,7 @@ def tolerance_figure(results: Sequence[tuple[str, BuiltArms]], title: str = "") 
     figure = Figure(figsize=(11, max(4.6 + 0.25 * len(results), 2.2 + 0.18 * bars)), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.1, 1.0))
     if title:
-        figure.suptitle(title, fontsize="large", fontweight="bold")
+        figure.suptitle(title, fontsize="large", fontweight="bold", **PLAIN)
     _draw_curves(left, results)
     _draw_shares(right, results)
     return figure
@@ -85,7 +76,7 @@ def _draw_curves(axes: Axes, results: Sequence[tuple[str, BuiltArms]]) -> None:
     axes.set(xscale="log", xlim=(max(LEAST, min(low, *lines)) / 1.3, 1.3 * max(high, LEAST, *lines)), ylim=(0, 100))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.set(xlabel="tip off by at most [mm]   (triangles: drawn arm, median)", ylabel="share of built arms [%]")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), fontsize="small", frameon=False)
+    _put_legend(axes, 1)
 
 
 def _draw_shares(axes: Axes, results: Sequence[tuple[str, BuiltArms]]) -> None:
@@ -114,7 +105,7 @@ def _draw_shares(axes: Axes, results: Sequence[tuple[str, BuiltArms]]) -> None:
     axes.set_yticks(range(len(names)), [_with_size(name, results) for name in names])
     axes.invert_yaxis()
     axes.set(xlim=(0, 108), xlabel="share in the variance of the tip's place [%]")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, fontsize="small", frameon=False)
+    _put_legend(axes, 2)
 
 
 def _with_size(name: str, results: Sequence[tuple[str, BuiltArms]]) -> str:
@@ -126,3 +117,10 @@ def _with_size(name: str, results: Sequence[tuple[str, BuiltArms]]) -> str:
         return words
     scale, unit = UNITS.get(name, (100.0, "%"))
     return f"{words}\n{'±' if results[0][1].scatter.distribution == 'uniform' else 'σ '}{scale * size[0]:g} {unit}"
+
+
+def _put_legend(axes: Axes, ncols: int) -> None:
+    """Below the axes, with names as they are."""
+    how: dict[str, Any] = {"bbox_to_anchor": (0.5, -0.16), "ncols": ncols, "fontsize": "small", "frameon": False}
+    for text in axes.legend(loc="upper center", **how).get_texts():
+        text.set(**PLAIN)

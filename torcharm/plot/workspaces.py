@@ -12,13 +12,13 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from torcharm.geometry.alpha_shape import AlphaShape, alpha_shape
-from torcharm.inputs import check_choice, check_count, shown
-from torcharm.plot._common import ATTAINABLE, UNATTAINABLE, Array, array, axes_or_new
+from torcharm.inputs import check_choice, check_count, shown, three_digits
+from torcharm.plot._common import ATTAINABLE, PLAIN, UNATTAINABLE, Array, array, axes_or_new
 from torcharm.workspaces import STATES, Workspace
 from torcharm.workspaces.states import position_of
 
 SHOWN = {
-    "payload factor": "by what the payload can grow, shape kept (1: as it is)",
+    "payload factor": "factor by which the payload can grow, shape kept (1: as it is)",
     "angle range": "range of the tip's angle [°]",
     "reached": "",
 }
@@ -128,7 +128,7 @@ def workspace_figure(
         for axes, (name, found) in zip(row, line, strict=False):
             workspace(found, what, plane=plane, highest=top, bar=False, ax=axes)
             axes.get_legend().remove()
-            axes.set_title("" if plane == "xz" else f"{name}\n{_words(found)}", fontsize="medium")
+            axes.set_title("" if plane == "xz" else f"{name}\n{_words(found)}", fontsize="medium", **PLAIN)
     heights = [_same_limits([axes for axes in part.ravel() if axes.axison]) for part in _views(grid, len(planes))]
     figure.set_size_inches(PANEL * across + 1.4, PANEL * sum(heights) * len(lines) + 1.2 * len(grid))
     if what != "reached":
@@ -205,7 +205,9 @@ def _fill(axes: Any, region: AlphaShape, values: Array, show: str, highest: floa
     """The region in colours of the values at its points."""
     triangles = region.triangulation.simplices[region.kept]
     if show == "reached":
-        axes.tripcolor(*region.points.T, triangles, facecolors=np.zeros(len(triangles)), cmap=_one_colour(FLAT))
+        axes.tripcolor(
+            *region.points.T, triangles, facecolors=np.zeros(len(triangles)), cmap=_one_colour(FLAT), rasterized=True
+        )
         return
     norm = _scale(show, _top(values) if highest is None else highest)
     shades = np.nan_to_num(values, posinf=norm.vmax)[triangles].max(1)
@@ -232,7 +234,9 @@ def _bar(figure: Any, colours: Any, axes: Any, show: str) -> None:
 def _fill_beyond(axes: Any, beyond: AlphaShape) -> None:
     if beyond.triangulation is not None and beyond.kept.any():
         triangles = beyond.triangulation.simplices[beyond.kept]
-        axes.tripcolor(*beyond.points.T, triangles, facecolors=np.zeros(len(triangles)), cmap=_one_colour(BEYOND))
+        axes.tripcolor(
+            *beyond.points.T, triangles, facecolors=np.zeros(len(triangles)), cmap=_one_colour(BEYOND), rasterized=True
+        )
         _outline(axes, beyond, "--", "excluded by range")
 
 
@@ -258,7 +262,7 @@ def _mark_apart(axes: Any, found: Workspace, seen: tuple[int, int]) -> None:
 
 def _words(found: Workspace) -> str:
     """How large a region is."""
-    size = f"{1e4 * found.size:.3g} cm²" if found.dimension == 2 else f"{1e3 * found.size:.3g} dm³"
+    size = f"{three_digits(1e4 * found.size)} cm²" if found.dimension == 2 else f"{three_digits(1e3 * found.size)} dm³"
     return f"{size} reached" if bool(found.reached.any()) else "nothing reached in range"
 
 

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from markupsafe import Markup
 
 from torcharm.study import NamedArm, NamedTask, Study, StudyResult
+from torcharm.study.built import BuiltStudy
+from torcharm.workspaces import Workspace
 
 
 @dataclass(frozen=True)
@@ -17,12 +19,16 @@ class Evaluated:
         results: of `evaluate_study`, those that there are.
         refused: names of designs that could not be evaluated, by why.
         source: what commands call the study's file.
+        built: what was found of designs as they are built; empty where nothing is scattered.
+        workspaces: where designs can reach, where that was asked for.
     """
 
     study: Study
     results: Sequence[StudyResult]
     refused: Mapping[str, Sequence[str]] = field(default_factory=dict)
     source: str = "study.toml"
+    built: Sequence[BuiltStudy] = ()
+    workspaces: Sequence[tuple[NamedArm, Workspace]] = ()
 
     def of_arm(self, arm: NamedArm) -> list[StudyResult]:
         """What was found of one design, task by task."""

@@ -6,12 +6,14 @@ Another one is a function of the same kind in `SECTIONS`.
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
+from torcharm.report.built import built_panel, built_table, workspace_panels
 from torcharm.report.content import Block, Evaluated, Panel, Section
 from torcharm.report.designs import design_csv, design_table
 from torcharm.report.figures import arm_panels, error_panels, hull_panels
 from torcharm.report.load_maps import load_map_panels
 from torcharm.study import Study, StudyResult, csv_text, result_rows, summarise
 from torcharm.study.advice import advice
+from torcharm.study.built import built_rows
 from torcharm.study.words import next_commands, verdict_legend, worst_node_legend
 
 Panels = Callable[[Sequence[StudyResult], Evaluated], Iterable[Panel]]
@@ -97,6 +99,35 @@ def hulls(evaluated: Evaluated) -> Section | None:
     return _drawn(evaluated, "Attainable wrenches at the worst node", text, hull_panels, in_space=1)
 
 
+def built(evaluated: Evaluated) -> Section | None:
+    """Designs as they are built: percentiles, yields, and what decides them."""
+    if not evaluated.built:
+        return None
+    how = evaluated.built[0].built
+    pressures = "found anew for each built arm" if how.compensated else "those that are best for the drawn arm"
+    text = (
+        f"Tip errors of {len(how.tip_error)} arms built within the study's tolerances, at pressures that are "
+        f"{pressures}. Yields are shares within the tolerance of the task, in brackets with 95 % confidence."
+    )
+    blocks = [
+        Block(title=task.name, table=built_table(own), panels=[built_panel(own, evaluated)], columns=1)
+        for task in evaluated.tasks
+        if (own := [one for one in evaluated.built if one.task is task])
+    ]
+    return Section("As built", blocks, text, csv_text(list(built_rows(evaluated.built))))
+
+
+def reach(evaluated: Evaluated) -> Section | None:
+    """Where designs can reach."""
+    if not evaluated.workspaces:
+        return None
+    text = (
+        "Where tips can be over all pressures, under the arms' own weight: within the black line by stable shapes that "
+        "loading from rest leads to; within the dashed one only if force models may be extrapolated."
+    )
+    return Section("Workspace", [Block(panels=list(workspace_panels(evaluated)), columns=1)], text)
+
+
 def loads(evaluated: Evaluated) -> Section | None:
     """All numbers, load by load."""
     rows = [row for result in evaluated.results for row in result_rows(result)]
@@ -111,6 +142,8 @@ SECTIONS: tuple[Callable[[Evaluated], Section | None], ...] = (
     errors,
     load_maps,
     hulls,
+    built,
+    reach,
     loads,
 )
 

@@ -1,0 +1,61 @@
+"""What is found of a study's arms as they are built, as tables and as rows of a file."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from torcharm.design.scatter import SOURCE_WORDS
+from torcharm.design.tolerance_result import BuiltArms
+from torcharm.inputs import three_digits
+from torcharm.study.data import NamedArm, NamedTask
+from torcharm.study.results import MM
+
+
+@dataclass(frozen=True)
+class BuiltStudy:
+    """What is found of one arm on one task."""
+
+    arm: NamedArm
+    task: NamedTask
+    built: BuiltArms
+
+
+def built_columns(found: Sequence[BuiltStudy]) -> Iterator[tuple[str, str, list[str]]]:
+    """Titles, units and cells of a table with a row for each arm on one task."""
+    every = [one.built for one in found]
+    drawn = [MM * float(np.median(built.nominal_tip_error)) for built in every]
+    yield "tip off, drawn", "mm", [three_digits(value) for value in drawn]
+    for percent in (50, 95):
+        values = [MM * float(built.pooled_percentile(percent)) for built in every]
+        yield f"{percent} % within", "mm", [three_digits(value) for value in values]
+    each = [100 * float(built.within.double().mean()) for built in every]
+    yield "yield, each load", "%", [f"{value:.1f}" for value in each]
+    whole = [built.yield_of_all for built in every]
+    ends = [f"{100 * one.value:.1f} ({100 * one.low:.1f}-{100 * one.high:.1f})" for one in whole]
+    yield "yield, all loads", "%", ends
+    yield "beyond range", "%", [f"{100 * built.extrapolated:.0f}" for built in every]
+    yield "what scatters the tip", "", [_shares(built) for built in every]
+
+
+def _shares(built: BuiltArms) -> str:
+    """The largest first."""
+    ordered = sorted(built.shares.items(), key=lambda pair: -pair[1])
+    return ", ".join(f"{SOURCE_WORDS[name]} {100 * share:.0f} %" for name, share in ordered)
+
+
+def built_rows(found: Sequence[BuiltStudy]) -> Iterator[dict[str, Any]]:
+    """A row for each arm, task and load."""
+    for one in found:
+        columns = one.built.to_dict()
+        for index in range(len(columns["task"])):
+            row: dict[str, Any] = {"arm": one.arm.name, "task": one.task.name, "load": index + 1}
+            for name, values in columns.items():
+                if name == "task":
+                    continue
+                length = "tip_error" in name
+                value = values[index] * (MM if length else 1.0)
+                row[f"{name}_mm" if length else name] = value if math.isfinite(value) else None
+            yield row
