@@ -8,7 +8,7 @@ import torcharm as ta
 from torcharm.page import state as page
 from torcharm.page import words
 from torcharm.page.answers import NodeSet, answer, settled
-from torcharm.page.charts import margins, outline
+from torcharm.page.charts import axis_ends, margins, outline
 from torcharm.page.scene import BLACK, GREY, VERMILLION, Arrow, Label, Line, Mesh, colour_of, draw, handles
 from torcharm.page.state import BY_HAND
 
@@ -78,6 +78,16 @@ def test_a_set_in_the_plane_is_its_outline():
     force, least, _, required = outline(outside)
     assert (force[-1], required[-1]) == (9.0, 0.5)
     assert np.isnan(least[-1])
+
+
+def test_axes_hold_all_and_hardly_move():
+    corners = np.array([[-1.03, -2.0], [3.0, 0.01]])
+    shown = [NodeSet(0, corners, np.array([force, 0.0]), True) for force in (0.0, 3.04, 3.06, 9.0)]
+    ends = [axis_ends(one, 0) for one in shown]
+    assert ends[1] == ends[2]
+    assert all(low < -1.03 and high > max(3.0, one.required[0]) for (low, high), one in zip(ends, shown, strict=True))
+    flat = NodeSet(0, np.zeros((4, 2)), np.zeros(2), True)
+    assert axis_ends(flat, 0) == (-0.05, 0.05)
 
 
 def test_words_give_the_verdict_and_numbers_with_units_and_escape_all_else():

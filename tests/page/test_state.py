@@ -91,7 +91,9 @@ def test_another_task_or_arm_begins_as_the_study_has_it_and_designs_stay():
     assert page.with_arm(other, 0).designs[0][0].length == 0.6
     assert page.with_load(state, 1).tip == (1.0, 0.0, 0.05)
     assert not same_controls(state, other)
-    assert page.as_given(state).designs[0][0].length == 0.5
+    both = page.with_value(other, 0, "length", 0.4)
+    assert page.as_given(both).designs == (state.designs[0], plane().designs[1])
+    assert page.as_given(page.with_mode(state, BY_HAND)) == page.with_node(plane(), state.node)
 
 
 def test_moves_of_one_control_are_undone_at_once():

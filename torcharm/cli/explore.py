@@ -39,7 +39,7 @@ def explore(
         extra("viser", "explore")
         from torcharm.page.answers import answer
         from torcharm.page.server import LOOPBACK, Server
-        from torcharm.page.state import opened
+        from torcharm.page.state import BEST, BY_HAND, opened, with_mode
         from torcharm.study import example_study, load_study
 
         plan = example_study() if study is None else asked_about(load_study(study))
@@ -48,7 +48,8 @@ def explore(
         state = opened(plan, study)
         console = open_console()
         with compiling_told():
-            answer(state)  # else the first page would wait for the engine, in silence
+            for mode in (BEST, BY_HAND):  # else the page would wait for the engine, in silence
+                answer(with_mode(state, mode))
         server = Server(state, out, host, port)
         try:
             say(console, f"{plan.name}: {server.url}")

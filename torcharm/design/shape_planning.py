@@ -163,7 +163,7 @@ def nearest_shape(arm: Arm, task: Task, tip_pose: TensorLike) -> Tensor | None:
     """
     nodes = task.segment_nodes or (task.nodes,)
     problem, _ = _problem(arm, tip_pose, task.load, PAPER_SHAPES[0], nodes, task.base_pose, False)
-    near = problem.onto_tip(problem.unknowns(task.twists))
+    near = problem.onto_tip(problem.unknowns(task.twists), accuracy=0.1 * TIP_TOLERANCE)
     if not problem.violation(near) < TIP_TOLERANCE:
         return None
     twists = problem.twists(torch.from_numpy(near)).to(task.twists)

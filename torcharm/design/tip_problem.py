@@ -120,12 +120,12 @@ class TipProblem:
         rows = [lengths / LENGTH_UNIT, *(turn * lengths / lengths.sum() for turn in turns)]
         return np.concatenate([np.repeat(row, self.nodes) for row in rows])
 
-    def onto_tip(self, unknowns: Array, free: slice = slice(None)) -> Array:
-        """The nearest unknowns, by Newton's method, whose tip is where it should be; some may be held."""
+    def onto_tip(self, unknowns: Array, free: slice = slice(None), accuracy: float = 1e-14) -> Array:
+        """The nearest unknowns, by Newton's method, whose tip is where it should be [m, rad]; some may be held."""
         z = unknowns.copy()
         for _ in range(20):
             miss = self.tip_miss(z)
-            if np.abs(miss).max() < 1e-14 or not np.isfinite(miss).all():
+            if np.abs(miss).max() < accuracy or not np.isfinite(miss).all():
                 break
             z[free] -= np.linalg.pinv(self.tip_jacobian(z)[:, free]) @ miss
         return z

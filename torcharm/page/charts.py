@@ -1,16 +1,20 @@
 """Two charts of an answer: a node's set in the plane, and the margins of all nodes."""
 
+import math
 from typing import Any
 
 import numpy as np
 
 from torcharm.page.answers import Answer, NodeSet
+from torcharm.page.state import round_up
 from torcharm.plot._common import Array
 
 HEIGHT = 230
 """Of a chart [pixels]."""
 WIDTH = 64
 """Of the numbers beside a chart [pixels]."""
+TICKS = 10
+"""Steps of an axis, by which its ends move."""
 INK, BAND, OUTSIDE = "#0072B2", "rgba(0, 114, 178, 0.25)", "#D55E00"
 """As in the figures: a set is blue, a requirement vermillion."""
 
@@ -29,6 +33,7 @@ class Charts:
         how: dict[str, Any] = {"height": HEIGHT, "legend": uplot.Legend(show=True, live=False)}
         how["scales"] = {"x": uplot.Scale(time=False)}
         self._set = None
+        self._ends: tuple[tuple[float, float], ...] = ()
         if dimension == 2:
             lines: Any = (
                 uplot.Series(label="force"),
@@ -52,16 +57,20 @@ class Charts:
     def show(self, found: Answer) -> None:
         """Draw them anew."""
         if self._set is not None:
-            self._set.scales = {"x": {"time": False, **_range(0, found)}, "y": _range(1, found)}
+            ends = tuple(axis_ends(found.node_set, component) for component in (0, 1))
+            if ends != self._ends:  # for other ends a browser makes the chart anew
+                self._ends = ends
+                self._set.scales = {"x": {"time": False, "range": ends[0]}, "y": {"range": ends[1]}}
             self._set.data = outline(found.node_set)
         self._margins.data = margins(found)
 
 
-def _range(component: int, found: Answer) -> dict[str, Any]:
-    """From where to where an axis goes, with some room; the chart's own would not see past what is missing."""
-    values = np.append(found.node_set.corners[:, component], found.node_set.required[component])
-    room = 0.08 * float(np.ptp(values)) or 1.0
-    return {"range": (float(values.min()) - room, float(values.max()) + room)}
+def axis_ends(shown: NodeSet, component: int) -> tuple[float, float]:
+    """From where to where an axis goes, round numbers: the chart's own would not see past what is missing."""
+    values = np.append(shown.corners[:, component], shown.required[component])
+    low, high = float(values.min()), float(values.max())
+    step = round_up((high - low) or 1.0) / TICKS
+    return step * (math.floor(low / step) - 0.5), step * (math.ceil(high / step) + 0.5)
 
 
 def outline(shown: NodeSet) -> tuple[Array, Array, Array, Array]:

@@ -254,8 +254,10 @@ def with_shape(state: State, twists: Tensor | None) -> State:
 
 
 def as_given(state: State) -> State:
-    """The same arm, task and load, all as the study has them."""
-    return with_load(with_task(with_arm(opened(state.study, state.source), state.arm), state.task), state.load)
+    """The same arm, task and load, all as the study has them; other arms stay as they are."""
+    given = opened(state.study, state.source).designs[state.arm]
+    designs = (*state.designs[: state.arm], given, *state.designs[state.arm + 1 :])
+    return with_load(with_task(with_arm(replace(state, designs=designs), state.arm), state.task), state.load)
 
 
 def limits(state: State) -> list[float]:

@@ -74,7 +74,8 @@ def legend() -> str:
     return (
         f'<div style="{TOP}"><div style="display:flex;align-items:center;gap:0.5em;padding-right:0.8em">no pressure'
         f'<span style="flex:1;height:0.8em;background:linear-gradient(to right, {stops})"></span>its limit</div>'
-        "<div>Grey shade and black line: the shape that is asked for. Actuators and nodes count from 1.</div></div>"
+        "<div>Grey shade and black line: the shape that is asked for. Margins: 1 N·m counts as 1 N, unless the study "
+        "weighs them otherwise. Actuators and nodes count from 1.</div></div>"
     )
 
 
