@@ -34,7 +34,7 @@ class Size:
     alone: int
 
 
-FULL, QUICK = Size(10_000_000, 20, 100_000), Size(3000, 1, 1000)
+FULL, QUICK = Size(1_000_000, 20, 100_000), Size(3000, 1, 1000)
 
 
 @dataclass(frozen=True)
