@@ -1,5 +1,8 @@
 """Answers of a page, against what the library says of the same arm and task."""
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -8,7 +11,18 @@ from page_cases import PLANE, plane, space
 import torcharm as ta
 from torcharm.arm_series import ArmSeries
 from torcharm.page import state as page
-from torcharm.page.answers import _buckles, _tip_of, answer, followed, place_of_node, planned, settled
+from torcharm.page.answers import (
+    _buckles,
+    _tip_of,
+    answer,
+    followed,
+    place_of_node,
+    planned,
+    same_reach,
+    settled,
+    swept,
+)
+from torcharm.page.scene import draw
 from torcharm.page.state import BY_HAND, opened
 from torcharm.plot._shapes import in_space
 from torcharm.study import parse_study
@@ -108,3 +122,27 @@ def test_a_plan_has_the_tip_and_lacks_less_than_the_shape_that_was_dragged():
 def test_nodes_count_over_segments():
     task = page.task_of(space())
     assert [place_of_node(task, node) for node in (0, 2, 3, 6)] == [(0, 0), (0, 2), (1, 0), (1, 3)]
+
+
+@pytest.mark.parametrize("make", [plane, space])
+def test_the_workspace_holds_the_tip_and_is_of_arm_and_load(make, monkeypatch):
+    monkeypatch.setattr("torcharm.page.answers.STATES", 400)
+    state = make()
+    region, words = swept(state)
+    assert re.search(r"reaches [\d.]+ (cm²|dm³) under this load", words)
+    found = draw(replace(answer(state), region=region))
+    assert "reach" in found
+    assert found["reach"].faces.max() < len(found["reach"].points)
+    assert ("reach_line_0" in found) == (region.points.shape[1] == 2)
+    assert same_reach(state, page.with_node(state, 0))
+    assert not same_reach(state, page.with_tip(state, 0, 0.123))
+    assert not same_reach(state, page.with_value(state, 0, "length", 0.42))
+
+
+def test_faces_of_a_workspace_in_space_are_seen_from_outside(monkeypatch):
+    monkeypatch.setattr("torcharm.page.answers.STATES", 400)
+    region, _ = swept(space())
+    mesh = draw(replace(answer(space()), region=region))["reach"]
+    corners = mesh.points[mesh.faces]
+    volume = np.linalg.det(corners - mesh.points.mean(0)).sum() / 6
+    assert volume == pytest.approx(region.size)

@@ -1,10 +1,12 @@
 """A session evaluates the newest state, and nothing that goes wrong ends it."""
 
 import threading
+import time
 
 import numpy as np
 from page_cases import plane
 
+from torcharm.geometry.alpha_shape import alpha_shape
 from torcharm.page import state as page
 from torcharm.page.session import Session
 
@@ -108,3 +110,22 @@ def test_a_plan_for_a_shape_that_is_gone_is_dropped(monkeypatch):
         while watched.told[-1] != "Planned.":
             watched.session.wait(30)
         assert np.asarray(watched.session.state.twists)[0, 0] > np.asarray(moved)[0, 0]
+
+
+def test_a_workspace_is_shown_until_the_load_changes(monkeypatch):
+    region = alpha_shape(np.array([[0.0, -0.4], [0.1, -0.5], [-0.1, -0.5]]), 1.0)
+    monkeypatch.setattr("torcharm.page.session.swept", lambda state: (region, "reached"))
+    with Watched() as watched:
+        regions = []
+        watched.session._show = lambda found: regions.append(found.region)
+        watched.session.sweep()
+        until = time.monotonic() + 30
+        while "reached" not in watched.told and time.monotonic() < until:
+            time.sleep(0.01)
+        assert watched.session.wait(30)
+        watched.session.move("node", lambda state: page.with_node(state, 1))
+        assert watched.session.wait(30)
+        assert regions[-1] is region
+        watched.session.move("tip", lambda state: page.with_tip(state, 0, 0.77))
+        assert watched.session.wait(30)
+        assert regions[-1] is None

@@ -16,6 +16,8 @@ from torcharm.design.space import Arm
 from torcharm.equilibrium.problem import Problem
 from torcharm.equilibrium.stability import buckles_in_torsion
 from torcharm.geometry import rod
+from torcharm.geometry.alpha_shape import AlphaShape
+from torcharm.inputs import three_digits
 from torcharm.page.state import BEST, State, design_of, pressure_of, task_of
 from torcharm.plot._common import Array, array
 from torcharm.pressure.at_pressure import errors_at_pressure
@@ -23,7 +25,11 @@ from torcharm.pressure.search import LESS_COMPRESSION
 from torcharm.statics.balance import segments_of
 from torcharm.statics.external_load import HULL, task_wrench
 from torcharm.task import Task
+from torcharm.workspaces import workspace
 from torcharm.wrench_sets.wrench_set import wrench_hulls
+
+STATES = 4000
+"""Of the swept workspace: it is a picture, to be there in a second or, in space, some."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +66,7 @@ class Answer:
         verdict: a word, and
         reason: why, or nothing.
         warnings: what to know before trusting the figures.
+        region: where the tip can be under the state's load, where that was asked for.
     """
 
     state: State
@@ -73,6 +80,7 @@ class Answer:
     verdict: str
     reason: str
     warnings: tuple[str, ...]
+    region: AlphaShape | None = None
 
 
 @torch.no_grad()
@@ -191,6 +199,26 @@ def planned(state: State) -> tuple[Tensor | None, str]:
             f"Not planned, {found.status}.",
         )
     )
+
+
+def swept(state: State) -> tuple[AlphaShape, str]:
+    """Where the tip can be under the state's load, over all pressures, and how large that is in words."""
+    task = task_of(state)
+    how: dict[str, Any] = {"base_pose": task.base_pose, "wrench_at": task.wrench_at}
+    found = workspace(design_of(state), task.load, states=STATES, **how)
+    if not bool(found.reached.any()):
+        return found.region, "Nothing is reached under this load within what was characterised."
+    size = f"{three_digits(1e4 * found.size)} cm²" if found.dimension == 2 else f"{three_digits(1e3 * found.size)} dm³"
+    return found.region, f"The tip reaches {size} under this load, within what was characterised."
+
+
+def same_reach(one: State, other: State) -> bool:
+    """Whether the tip reaches the same places in two states: those of one arm under one load."""
+    keys = [
+        (state.arm, state.task, state.load, state.designs[state.arm], state.tip, state.payload, state.gravity)
+        for state in (one, other)
+    ]
+    return one.study is other.study and keys[0] == keys[1]
 
 
 def _tip_of(arm: Arm, task: Task) -> Tensor:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from torcharm.actuators import is_passive
 from torcharm.design.space import Arm
+from torcharm.geometry.alpha_shape import AlphaShape
 from torcharm.inputs import three_digits
 from torcharm.page.answers import Answer, NodeSet, place_of_node
 from torcharm.page.state import State, design_of, tip_range
@@ -26,6 +27,8 @@ from torcharm.wrench_sets.wrench_set import hull_faces
 Colour = tuple[int, int, int]
 BLACK, VERMILLION, BLUE, GREY, PLATE = (0, 0, 0), (213, 94, 0), (0, 114, 178), (153, 153, 153), (85, 85, 85)
 """As in the figures: what is attainable is black, the rest vermillion, and sets are blue."""
+SAND, REACH = (224, 200, 114), 0.35
+"""The colour of where the tip can be, as in the figures, and how opaque it is."""
 COLOURS = colormaps["viridis"]
 """Of pressures, from none to the limit."""
 ARROW = 0.35
@@ -121,6 +124,7 @@ def draw(found: Answer) -> Scene:
         _loads(found, at, length),
         _node(found, at, length),
         _set_in_space(found.node_set, wanted, length) if found.arm.dimension == 3 else (),
+        () if found.region is None else _reach(found.region, length),
     )
     return {name: element for part in parts for name, element in part}
 
@@ -242,6 +246,29 @@ def _node(found: Answer, at: Centreline, length: float) -> Iterator[tuple[str, E
     ahead[:3, 3] += 0.006 * length * pose[:3, 0]
     yield "node", _mesh(skin_of(np.stack((pose, ahead)), 0.0, 0.0, 1.25 * wide), BLUE, 0.5)
     yield "node_words", Label(f"node {found.node_set.node + 1}", pose[:3, 3] - 1.5 * wide * pose[:3, 1])
+
+
+def _reach(region: AlphaShape, length: float) -> Iterator[tuple[str, Element]]:
+    """Where the tip can be: a sheet behind the arm with its outline, or in space a body."""
+    if region.triangulation is None or not region.kept.any():
+        return
+    if region.points.shape[1] == 3:
+        turned = np.where(_faces_inward(region)[:, None], region.facets[:, ::-1], region.facets)
+        yield "reach", Mesh(region.points, turned, SAND, REACH)
+        return
+    behind = np.full((len(region.points), 1), -0.1 * length)
+    faces = region.triangulation.simplices[region.kept].astype(np.intp)  # against the clock, as seen from before
+    yield "reach", Mesh(np.concatenate((region.points, behind), 1), faces, SAND, REACH)
+    for number, loop in enumerate(region.loops()):
+        depth = np.full((len(loop), 1), behind[0, 0])
+        yield f"reach_line_{number}", Line(np.concatenate((loop, depth), 1), BLACK, 1.5)
+
+
+def _faces_inward(region: AlphaShape) -> NDArray[np.bool_]:
+    """(F,) which facets of a body have their corners in the order in which they are seen from inside."""
+    corners = region.points[region.facets]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray((across * region.normals).sum(1) < 0)
 
 
 def _set_in_space(shown: NodeSet, wanted: Centreline, length: float) -> Iterator[tuple[str, Element]]:

@@ -11,7 +11,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from torcharm.page.answers import Answer, answer, followed, planned, settled
+from torcharm.geometry.alpha_shape import AlphaShape
+from torcharm.page.answers import Answer, answer, followed, planned, same_reach, settled, swept
 from torcharm.page.state import History, State, as_given, moved_on, same, undone, with_force, with_shape
 from torcharm.plot._common import Array
 
@@ -37,7 +38,8 @@ class Session:
         self._ready = threading.Condition()
         self._busy, self._closed = False, False
         self.failures = 0
-        self._planning = threading.Lock()
+        self._planning, self._sweeping = threading.Lock(), threading.Lock()
+        self._reach: tuple[State, AlphaShape] | None = None
         self._last: Answer | None = None
 
     def start(self) -> None:
@@ -87,6 +89,12 @@ class Session:
         if self._planning.acquire(blocking=False):
             self._tell("Planning a shape through this tip that the arm can hold, for some seconds.")
             threading.Thread(target=self._plan, args=(self.state,), name="torcharm plan", daemon=True).start()
+
+    def sweep(self) -> None:
+        """Find where the tip can be under the load, beside all else; it is shown until arm or load change."""
+        if self._sweeping.acquire(blocking=False):
+            self._tell("Looking for where the tip can be under this load, for some seconds.")
+            threading.Thread(target=self._sweep, args=(self.state,), name="torcharm workspace", daemon=True).start()
 
     def wait(self, seconds: float) -> bool:
         """Until all changes are shown, or for so long; whether they are."""
@@ -140,8 +148,9 @@ class Session:
             found = answer(state)
             self._history = replace(self._history, now=settled(found))
             self._last = replace(found, state=self._history.now)
+        known = self._reach is not None and same_reach(self._reach[0], state)
         if not self._closed:
-            self._show(self._last)
+            self._show(replace(self._last, region=self._reach[1] if known and self._reach else None))
 
     def _plan(self, asked: State) -> None:
         try:
@@ -157,3 +166,14 @@ class Session:
             return state if moved or twists is None else with_shape(state, twists)
 
         self.move("plan", take)
+
+    def _sweep(self, asked: State) -> None:
+        try:
+            region, words = swept(asked)
+            self._reach = asked, region
+        except ValueError as error:
+            words = f"No workspace: {error}"
+        finally:
+            self._sweeping.release()
+        self._tell(words)
+        self.refresh()

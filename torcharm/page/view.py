@@ -154,6 +154,10 @@ class View:
             "plan a shape", "Through this tip, one that the arm can hold: as torcharm plan.", self.session.plan
         )
 
+        self._button(
+            "show the workspace", "Where the tip can be under this load, over all pressures.", self.session.sweep
+        )
+
     def _add_buttons(self) -> None:
         self._button("save the study", f"To {self._out}.", self._save)
         self._button("load what was saved", f"From {self._out}.", self._load)
