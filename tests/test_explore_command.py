@@ -39,7 +39,9 @@ def test_it_serves_until_interrupted_and_says_where_and_what_it_writes(study, tm
     out = tmp_path / "better.toml"
     command = [sys.executable, "-m", "torcharm.cli", "explore", study, "--out", out, "--port", "0", "--no-open"]
     environment = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "200"}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
+    options = {"stdout": subprocess.PIPE, "text": True, "env": environment}
+    options["preexec_fn"] = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)  # tests in the background ignore it
+    with subprocess.Popen(command, **options) as process:
         assert process.stdout is not None
         where = re.fullmatch(r"small: (http://127\.0\.0\.1:\d+)\n", process.stdout.readline())
         assert where is not None

@@ -28,7 +28,7 @@ from experiments.rows import write_rows
 from torcharm.wrench_sets.distance import NearestPoints, evaluate_distance, find_nearest
 
 HERE = Path(__file__).parent
-PROBLEMS, QUICK_PROBLEMS = 100_000, 160
+PROBLEMS, QUICK_PROBLEMS = 100_000, 60
 """In each dimension."""
 TOGETHER, QUICK_TOGETHER = 500, 20
 """Problems with the same force models, which are made and solved at once."""

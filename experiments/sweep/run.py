@@ -22,19 +22,19 @@ from experiments.sweep.memory import bytes_of, most_memory
 
 HERE = Path(__file__).parent
 SPACE = ta.DesignSpace(bounds={"radii": (-0.1, 0.1), "length": (0.25, 0.75)})
-STARTS = 8
 
 
 @dataclass(frozen=True)
 class Size:
-    """Of a run: designs, loads a shape, and the designs of the sweep that measures one process."""
+    """Of a run: designs, loads a shape, the designs of the sweep that measures one process, and starts of descents."""
 
     designs: int
     loads: int
     alone: int
+    starts: int
 
 
-FULL, QUICK = Size(1_000_000, 20, 100_000), Size(3000, 1, 1000)
+FULL, QUICK = Size(1_000_000, 20, 100_000, 8), Size(3000, 1, 1000, 2)
 
 
 @dataclass(frozen=True)
@@ -109,11 +109,11 @@ def measured(shape: str, processes: int, size: Size, designs: int) -> Scene:
             callback=lambda _: held.append(most_memory()),
         )
         seconds, cpu = time.perf_counter() - begun, cpu_seconds() - cpu
-        best = found.best(STARTS, "shape_error")
+        best = found.best(size.starts, "shape_error")
         begun = time.perf_counter()
-        descent = ta.optimise_design(arm, task, SPACE, starts=STARTS)
+        descent = ta.optimise_design(arm, task, SPACE, starts=size.starts)
         descent_seconds = time.perf_counter() - begun
-        both = ta.optimise_design(found.designs(best), task, SPACE, starts=STARTS)
+        both = ta.optimise_design(found.designs(best), task, SPACE, starts=size.starts)
         return Scene(
             *(shape, designs, found.feasible, task.batch_shape.numel(), processes),
             *(round(seconds, 1), round(cpu, 1), round(bytes_of(found) / designs, 2)),

@@ -37,7 +37,7 @@ WEIGHTS = (0.0, 2.0, 5.0)
 WEIGHTS_IN_SPACE = (2.0,)
 """of arms in space."""
 STATES, PRESSURES, PRESSURES_IN_SPACE = 20_000, 1_000_000, 20_000
-QUICK = 60
+QUICK = 200
 """By which a smoke run divides them."""
 AT_ONCE = 20_000
 OVERHANG = 0.25

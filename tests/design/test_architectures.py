@@ -194,8 +194,9 @@ def test_infeasible_architectures_are_named() -> None:
     found = optimise_architectures(ARM, TASK, space, NEWTONS, starts=1, iterations=1)
     assert "BBBB" in found.names
     assert "MMMM" in found.infeasible
+    pair = ta.ArmDesign([-0.03, 0.03], 0.5, ["bellows", "mckibben"])
     with pytest.raises(ValueError, match="no architecture"):
-        optimise_architectures(ARM, TASK, DesignSpace(bounds={"length": (0.01, 0.02)}))
+        optimise_architectures(pair, TASK, DesignSpace(bounds={"length": (0.01, 0.02)}))
 
 
 def test_what_cannot_be_tried_is_refused() -> None:

@@ -93,7 +93,9 @@ def sampled(model, strain, limit):
 def test_sampled_pieces_are_good_to_what_they_promise(model, force, strains, limit, count):
     strain = torch.linspace(*strains, count, dtype=torch.float64)
     limits = limit * torch.linspace(0.2, 1.0, count, dtype=torch.float64).roll(count // 3)
-    pressure, value = sampled(model, strain, limits)
+    some = slice(None, None, max(1, count // 500))  # all are made together, and some looked at
+    pressure, value = (found[some] for found in sampled(model, strain, limits))
+    strain, limits = strain[some], limits[some]
     true = force(strain.numpy()[:, None, None], pressure)
     largest = np.abs(true).max((1, 2))
     off = np.abs(value - true).max((1, 2))

@@ -101,7 +101,10 @@ def test_ctrl_c_keeps_what_is_finished_and_says_how_to_go_on(study, tmp_path):
     out = tmp_path / "run"
     command = [sys.executable, "-m", "torcharm.cli", "sweep", study, "--out", out, "--arm", "one", "--count", "5e5"]
     process = subprocess.Popen(
-        [*map(str, command), "--metrics", "absolute", "--workers", "2"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        [*map(str, command), "--metrics", "absolute", "--workers", "2"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # tests in the background ignore it
     )
     until = time.monotonic() + 200
     while not list(out.glob("shards/shard-*")):
