@@ -12,7 +12,7 @@ import torcharm as ta
 from torcharm.design.scatter import built_arms, normal_numbers, scattered
 from torcharm.design.sensitivity import tip_places, tip_slopes
 from torcharm.design.tolerance_result import Yield
-from torcharm.pressure.kept_pressure import error_at_pressure
+from torcharm.pressure.at_pressure import error_at_pressure
 
 ARM = ta.antagonistic_arm()
 TASK = ta.Task(ta.affine_curvature(0.5, 0.5, length=0.5), ta.sample_loads(2, (2, 2, 0.2)))

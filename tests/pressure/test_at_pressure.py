@@ -5,7 +5,7 @@ import torch
 
 import torcharm as ta
 from torcharm.attainability import evaluate_search
-from torcharm.pressure.at_pressure import errors_at_pressure
+from torcharm.pressure.at_pressure import error_at_pressure
 
 PLANE = ta.antagonistic_arm(), ta.Task(ta.affine_curvature(-1.0, 1.5, nodes=5), [0.5, -1.0, 0.05])
 SPACE = (
@@ -19,18 +19,18 @@ SPACE = (
 @pytest.mark.parametrize(("arm", "task"), [PLANE, SPACE], ids=["plane", "space"])
 def test_at_the_pressures_of_a_search_errors_are_the_search_s(arm, task):
     search = ta.search_pressure(arm, task)
-    found, equilibrium = errors_at_pressure(arm, task, search.pressure)
+    found = error_at_pressure(arm, task, search.pressure)
     for name in ("tip_error", "tip_rotation_error", "shape_error", "cost", "per_node", "twists"):
         torch.testing.assert_close(getattr(found, name), getattr(search, name), rtol=1e-6, atol=1e-8)
     torch.testing.assert_close(found.pressure, search.pressure)
-    torch.testing.assert_close(found.twists, equilibrium.twists)
     assert evaluate_search(arm, task, found).verdict == evaluate_search(arm, task, search).verdict
 
 
 @pytest.mark.parametrize(("arm", "task"), [PLANE, SPACE], ids=["plane", "space"])
 def test_elsewhere_they_are_the_distance_of_the_equilibrium_s_tip(arm, task):
     pressure = 0.3 * arm.max_pressure
-    found, equilibrium = errors_at_pressure(arm, task, pressure)
+    found = error_at_pressure(arm, task, pressure)
+    equilibrium = ta.solve_equilibrium(arm, pressure, task.load, task.nodes, base_pose=task.base_pose)
     group = (slice(None, 3), 3) if task.dimension == 3 else slice(None, 2)
     off = (equilibrium.poses[-1] - ta.poses(task.twists, task.base_pose)[-1])[group].norm()
     torch.testing.assert_close(found.tip_error, off, rtol=1e-9, atol=1e-12)
@@ -40,6 +40,6 @@ def test_elsewhere_they_are_the_distance_of_the_equilibrium_s_tip(arm, task):
 def test_a_passive_actuator_s_limit_of_none_is_no_pressure():
     arm = ta.ArmDesign([-0.03, 0.0, 0.03], 0.3, ["bellows", ta.elastic_core(40.0, 2e-3), "bellows"])
     task = ta.Task(ta.constant_curvature(0.2, 0.3, 4))
-    found, _ = errors_at_pressure(arm, task, [10.0, 0.0, 5.0])
+    found = error_at_pressure(arm, task, torch.tensor([10.0, 0.0, 5.0], dtype=torch.float64))
     assert found.pressure.tolist() == [10.0, 0.0, 5.0]
     assert bool(found.tip_error.isfinite())

@@ -140,7 +140,7 @@ def evaluate(
 def evaluate_search(
     arm: ArmDesign | ArmSeries,
     task: Task,
-    found: "PressureSearch",
+    found: "PressureSearch | PredictedError",
     metrics: Sequence[str] = METRICS,
     *,
     tolerance: PoseTolerance | float | None = None,
@@ -155,7 +155,8 @@ def evaluate_search(
 
     Args:
         arm, task: designs and tasks that were searched.
-        found: what `search_pressure` found of them; it takes the place of a prediction.
+        found: what `search_pressure` found of them, or errors at pressures that are given; it takes the place of a
+            prediction.
         metrics: which sets say what nodes lack; "predicted_error" is passed over.
         tolerance, hull, samples, distance, weights, power, signed: as for `evaluate`.
 

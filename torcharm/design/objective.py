@@ -13,8 +13,8 @@ from torcharm.design.feasible import FeasibleDesigns
 from torcharm.design.robust import Draw, Robust
 from torcharm.design.space import Arm, Array
 from torcharm.inputs import check_choice, check_flag, check_number, shown
+from torcharm.pressure.at_pressure import error_at_pressure
 from torcharm.pressure.followed import beyond_range, followed_pressure, followed_twists
-from torcharm.pressure.kept_pressure import error_at_pressure
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.pressure.predicted_error import PredictedError, prediction
 from torcharm.pressure.prepared import prepare

@@ -17,7 +17,7 @@ from torcharm.design.sensitivity import fitted_slopes, tip_places, tip_slopes, v
 from torcharm.design.space import Arm
 from torcharm.design.tolerance_result import BuiltArms
 from torcharm.inputs import check_count, check_flag, shown
-from torcharm.pressure.kept_pressure import error_at_pressure
+from torcharm.pressure.at_pressure import error_at_pressure
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.pressure.predicted_error import PredictedError, predict_error
 from torcharm.task import Task, task_list
@@ -223,7 +223,7 @@ class Evaluation:
     def _of_batch(self, arm: Arm, task: Task, found: PredictedError) -> dict[str, Tensor]:
         metrics = ("absolute",) if self.margin else (PREDICTED,)
         options: dict[str, Any] = {"signed": True} if self.margin else {}
-        seen = evaluate_search(arm, task, found, metrics, tolerance=self.tolerance, **options)  # type: ignore[arg-type]
+        seen = evaluate_search(arm, task, found, metrics, tolerance=self.tolerance, **options)
         close = (over_tolerance(arm, found, self.tolerance) <= 1).all(0)
         columns = {
             "tip_error": found.tip_error,

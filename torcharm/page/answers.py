@@ -20,7 +20,7 @@ from torcharm.geometry.alpha_shape import AlphaShape
 from torcharm.inputs import three_digits
 from torcharm.page.state import BEST, State, design_of, pressure_of, task_of
 from torcharm.plot._common import Array, array
-from torcharm.pressure.at_pressure import errors_at_pressure
+from torcharm.pressure.at_pressure import error_at_pressure
 from torcharm.pressure.search import LESS_COMPRESSION
 from torcharm.statics.balance import segments_of
 from torcharm.statics.external_load import HULL, task_wrench
@@ -112,10 +112,11 @@ def _evaluated(state: State, arm: Arm, task: Task) -> tuple[Attainability, bool]
     """The evaluation, and whether the arm buckles in torsion at the shape that it takes."""
     settings = state.study.settings
     how: dict[str, Any] = {"tolerance": settings.tolerance, "weights": settings.weights, "signed": True}
-    if state.mode != BEST:
-        search, equilibrium = errors_at_pressure(arm, task, pressure_of(state))
-        return evaluate_search(arm, task, search, **how), bool(equilibrium.buckles_in_torsion.any())
-    found = evaluate(arm, task, **how)
+    if state.mode == BEST:
+        found = evaluate(arm, task, **how)
+    else:
+        given = torch.tensor(pressure_of(state), dtype=torch.float64)
+        found = evaluate_search(arm, task, error_at_pressure(arm, task, given), **how)
     prediction = found.prediction
     assert prediction is not None
     return found, bool(prediction.stable) and _buckles(arm, task, prediction.pressure, prediction.twists)
