@@ -117,7 +117,11 @@ COMMANDS = {
 def test_a_failing_save_costs_no_result_and_keeps_the_old_file(folder, monkeypatch, capsys, case):
     args, names, table = COMMANDS[case]
     for name in names:
-        (folder / name).write_text("old")
+        if name == "m.toml":  # only a model is replaced by one
+            ta.save_actuator(folder / name, ta.Bellows())
+        else:
+            (folder / name).write_text("old")
+    old = {name: (folder / name).read_bytes() for name in names}
     before = sorted(folder.iterdir())
     with monkeypatch.context() as patch:
         no_room(patch, folder)
@@ -126,7 +130,7 @@ def test_a_failing_save_costs_no_result_and_keeps_the_old_file(folder, monkeypat
     assert "Wrote" not in shown
     for name in names:
         assert f"{name}: cannot be written: No space left on device" in line
-        assert (folder / name).read_text() == "old"
+        assert (folder / name).read_bytes() == old[name]
     assert sorted(folder.iterdir()) == before
     assert not command(monkeypatch, *args)
     assert all((folder / name).stat().st_size > 100 for name in names)

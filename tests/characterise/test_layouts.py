@@ -9,10 +9,12 @@ import layouts
 import numpy as np
 import pytest
 import torch
+from typer.testing import CliRunner
 
 import torcharm as ta
 from torcharm import cli
 from torcharm.characterise.force_table import read_table
+from torcharm.cli.app import app
 
 FIT = ("--smoothing", 0, "--degree", 2)
 
@@ -268,3 +270,57 @@ def test_ten_megabytes_take_less_than_two_seconds(tmp_path):
     record = ta.read_tester(path)
     assert time.process_time() - started < 2.0
     assert len(record.time) == 240_000
+
+
+# What stands for nothing, or for two things, is no model
+
+
+def test_one_file_s_pressures_are_not_smoothed_unless_told(fit):
+    columns = (layouts.TIME, 100 * layouts.STRAIN, layouts.PULL, layouts.pressure_at(layouts.TIME))
+    text = layouts.text("Time (ms),Strain (%),Force (N),Pressure (kPa)", layouts.lines(*columns))
+    model, _ = fit("--tester", "tester.txt", "--degree", 2, tester=text)
+    assert_law(model, layouts.TRUTH)
+    smoothed, _ = fit("--tester", "tester.txt", "--degree", 2, "--smoothing", 40, tester=text)
+    assert smoothed.quality.rmse > 2 * model.quality.rmse
+
+
+TABLE = (
+    "contraction (%),pressure (bar),force (N)\n0,0,0\n0,2,500\n0,4,1000\n10,0,0\n10,2,350\n10,4,700\n20,0,0\n20,2,200\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("--actuators", 4), ("--smoothing", 5), ("--offset", 3), ("--find-offset", 3), ("--max-gap", 3)],
+)
+def test_options_of_runs_are_refused_with_a_table(fit, option, value):
+    said = fit("--table", "table.txt", option, value, table=TABLE)
+    assert said.startswith(f"torcharm: {option}: must be left out with a --table, for which it means nothing, got")
+
+
+def test_columns_of_a_log_are_refused_without_one(fit):
+    said = fit("--table", "table.txt", "--pressure-columns", "time=1:s", table=TABLE)
+    assert said.startswith("torcharm: --pressure-columns: must be left out with no --pressure")
+
+
+def test_percents_without_a_unit_are_asked_about(fit):
+    said = fit("--table", "table.txt", table=TABLE.replace("contraction (%)", "contraction"))
+    assert "contraction reaches 20 and names no unit" in said
+    assert 'is it in %? --columns "contraction=1:%" says so' in said
+    model, _ = fit("--table", "table.txt", "--columns", "contraction=1:%", table=TABLE.replace(" (%)", ""))
+    assert model.strain_range[0] == pytest.approx(-0.2)
+
+
+def test_one_column_is_not_two_quantities(fit):
+    said = fit("--table", "table.txt", "--columns", "force=2:N", table=TABLE)
+    assert "line 1: force must be in another column than pressure, got 2 for both" in said
+
+
+def test_a_file_that_is_no_model_is_not_replaced(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "table.txt").write_text(TABLE)
+    (tmp_path / "m.toml").write_text('name = "my study"\n')
+    result = CliRunner().invoke(app, ["fit", "--table", "table.txt", "--out", "m.toml"])
+    assert result.exit_code == 2
+    assert (tmp_path / "m.toml").read_text() == 'name = "my study"\n'
+    assert "is there and is no force model, must be another file" in " ".join(result.output.split())

@@ -96,6 +96,24 @@ def test_another_task_or_arm_begins_as_the_study_has_it_and_designs_stay():
     assert page.as_given(page.with_mode(state, BY_HAND)) == page.with_node(plane(), state.node)
 
 
+def test_another_arm_has_the_same_task_and_load_where_it_can():
+    start = plane()
+    for task in range(len(start.study.tasks_of(start.named_arm))):
+        state = page.with_task(start, task)
+        name, other = state.named_task.name, page.with_arm(state, 1)
+        own = [one.name for one in other.study.tasks_of(other.named_arm)]
+        assert other.named_task.name == (name if name in own else own[0])
+    under = page.with_load(start, 1)
+    assert page.with_arm(under, 1).load == 1
+
+
+def test_a_payload_weighs():
+    state = page.with_payload(page.with_gravity(plane(), False), 0.1)
+    assert state.gravity
+    assert state.payload == 0.1
+    assert not page.with_payload(page.with_gravity(plane(), False), 0.0).gravity
+
+
 def test_moves_of_one_control_are_undone_at_once():
     start = plane()
     history = History(start)

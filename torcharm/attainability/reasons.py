@@ -148,7 +148,7 @@ def out_of_range(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[
         return f"actuator {worst.actuator} would have no length at node {worst.node} (strain {worst.value:.3g})"
     if worst.excess > RANGE_SLACK:
         return (
-            f"actuator {worst.actuator} is strained to {worst.value:+.2g} at node {worst.node}, "
+            f"actuator {worst.actuator} is strained to {_told_apart(worst)} at node {worst.node}, "
             f"characterised from {worst.low:+.2g} to {worst.high:+.2g}"
         )
     first = 0
@@ -159,6 +159,13 @@ def out_of_range(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[
                 return f"actuator {first + index + 1} is driven to {limit:g} kPa, characterised to {known:g} kPa"
         first += segment.actuator_count
     return "a pressure, or a strain together with its pressure, lies outside of what was characterised"
+
+
+def _told_apart(strain: "_Strain") -> str:
+    """A strain by as many digits as tell it from the ends of its range."""
+    ends = {f"{end:+.2g}" for end in (strain.low, strain.high)}
+    digits = next((count for count in (2, 3, 4, 6) if f"{strain.value:+.{count}g}" not in ends), 9)
+    return f"{strain.value:+.{digits}g}"
 
 
 def _strains(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[int]) -> list[_Strain]:

@@ -114,7 +114,15 @@ def find_columns(
         ValueError: a column is not found, or more than one; its unit is not known; or the file and a person differ.
     """
     header, choices = header_of(sheet), _choices(columns)
-    return {q: _column(sheet, header, q, choices.get(q), (defaults or {}).get(q, ""), option) for q in quantities}
+    found = {q: _column(sheet, header, q, choices.get(q), (defaults or {}).get(q, ""), option) for q in quantities}
+    taken: dict[int, str] = {}
+    for quantity, column in found.items():
+        if taken.setdefault(column.index, quantity) != quantity:
+            raise ValueError(
+                f"{sheet.source}: line {header.line}: {quantity} must be in another column than "
+                f"{taken[column.index]}, got {column.index + 1} for both; {option} says which"
+            )
+    return found
 
 
 def has_column(sheet: Sheet, quantity: str, columns: Columns | None) -> bool:

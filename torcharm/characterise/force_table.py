@@ -10,7 +10,7 @@ from torcharm.characterise.alignment import Recording, noted
 from torcharm.characterise.cells import number
 from torcharm.characterise.columns import Columns, find_columns, has_column, named_by, told
 from torcharm.characterise.delimited import Array, Sheet, numbers, read_sheet
-from torcharm.characterise.recordings import POSITIVE, stretch_quantity
+from torcharm.characterise.recordings import PLAUSIBLE_STRAIN, POSITIVE, stretch_quantity
 from torcharm.files import StrPath
 from torcharm.inputs import check_choice
 from torcharm.units import FORCE, MEASURED, PRESSURE, unit_named
@@ -68,6 +68,8 @@ def read_table(
     )
 
 
+MOST_WITHOUT_UNIT = {"contraction": 1.0, "strain": PLAUSIBLE_STRAIN}
+"""What parts of 1 may reach: nothing contracts to less than no length; larger numbers are percents."""
 Samples = tuple[Array, Array, Array, bool, tuple[str, ...]]
 """Strain, pressure and force, whether they are of contractions, and notes."""
 
@@ -83,6 +85,11 @@ def _long(sheet: Sheet, unit: str | None, columns: Columns | None, gauge_length:
         )
     table, _, notes = numbers(sheet, [column.index for column in found.values()])
     strain, pressure, force = (table * [column.factor for column in found.values()]).T
+    if not found[stretch].named and np.abs(strain).max() > MOST_WITHOUT_UNIT.get(stretch, np.inf):
+        raise ValueError(
+            f"{sheet.source}: {stretch} reaches {np.abs(strain).max():g} and names no unit, must be a part of 1 or "
+            f'name one: is it in %? --columns "{stretch}={found[stretch].index + 1}:%" says so'
+        )
     factor = {"contraction": -1.0, "extension": 1 / (gauge_length or 1.0)}.get(stretch, 1.0)
     return factor * strain, pressure, force, stretch == "contraction", notes
 

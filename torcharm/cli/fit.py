@@ -2,7 +2,7 @@
 
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +12,7 @@ import typer
 
 from torcharm.cli.fit_report import report
 from torcharm.cli.terminal import FIGURE_FORMATS, check_outputs, count, mistakes, open_console, save_all, say
+from torcharm.inputs import shown
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from torcharm.characterise.choice import Candidate
     from torcharm.characterise.recordings import PressureRecord, TesterRecord
 
+SMOOTHING = 40.0
+"""Samples, of a log of its own, as the paper smooths it; a tester samples no faster than pressures change."""
 KINDS = ("best", "polynomial", "mckibben", "gridded")
 
 
@@ -61,7 +64,9 @@ def fit(
         str | None,
         typer.Option(help="Whether positive forces pull or push.", show_default="pull; in tables of strains they push"),
     ] = None,
-    actuators: Annotated[int, typer.Option(help="How many actuators were pulled in parallel.")] = 1,
+    actuators: Annotated[
+        int | None, typer.Option(help="How many actuators were pulled in parallel.", show_default="1")
+    ] = None,
     unit: Annotated[
         str | None,
         typer.Option(
@@ -72,7 +77,13 @@ def fit(
     vacuum: Annotated[
         bool, typer.Option("--vacuum", help="Take pressures below zero by their depth, which is positive.")
     ] = False,
-    smoothing: Annotated[float, typer.Option(help="σ of the log's Gaussian smoothing, in samples; 0 for none.")] = 40.0,
+    smoothing: Annotated[
+        float | None,
+        typer.Option(
+            help="σ of the log's Gaussian smoothing, in samples; 0 for none.",
+            show_default="40; 0 where the tester's file holds the pressure",
+        ),
+    ] = None,
     offset: Annotated[
         list[float] | None,
         typer.Option(
@@ -123,8 +134,13 @@ def fit(
 
         given = _Runs(instron or [], pressure or [], offset or [], find_offset)
         given.check(table, out)
+        of_runs = {"--actuators": actuators, "--smoothing": smoothing, "--offset": offset, "--find-offset": find_offset}
+        of_runs |= {"--max-gap": max_gap, "--truncated": truncated or None}
+        _check_needed(of_runs if table else {}, "a --table")
+        _check_needed({} if pressure else {"--pressure-columns": pressure_columns}, "no --pressure")
         reading = _Reading(columns, pressure_columns, _length(gauge_length), positive, unit, truncated=truncated)
-        alignment = {"actuators": actuators, "smoothing": smoothing, "max_gap": max_gap}
+        smoothing = smoothing if smoothing is not None else SMOOTHING if pressure else 0.0
+        alignment = {"actuators": 1 if actuators is None else actuators, "smoothing": smoothing, "max_gap": max_gap}
         recording = reading.table(table) if table else reading.runs(given, degree, alignment)
         recording = by_depth(recording) if vacuum else recording
         options = {"loss": loss, "monotonic": monotonic, "max_pressure": max_pressure, "bending_stiffness": bending}
@@ -133,6 +149,25 @@ def fit(
         report(console, found, recording, compared)
         save_all(console, _outputs(found, recording, out, figure))
         _paste(console, out)
+
+
+def _check_needed(options: Mapping[str, object], where: str) -> None:
+    """Raise a ValueError that names an option which is given and stands for nothing there."""
+    for name, value in options.items():
+        if value is not None:
+            raise ValueError(f"{name}: must be left out with {where}, for which it means nothing, got {shown(value)}")
+
+
+def _check_replaceable(out: Path) -> None:
+    """Raise a ValueError about a file that is there and is no force model: a study, say, is not to be lost."""
+    from torcharm.characterise.model_file import load_actuator
+
+    if not out.is_file() or not out.stat().st_size:
+        return
+    try:
+        load_actuator(out)
+    except ValueError:
+        raise ValueError(f"--out: {out}: is there and is no force model, must be another file") from None
 
 
 @dataclass(frozen=True)
@@ -158,6 +193,7 @@ class _Runs:
         for path in (*self.testers, *self.logs, table or out.parent):
             if path.resolve() == out.resolve():
                 raise ValueError(f"--out: {out}: is one of the recordings, must be another file")
+        _check_replaceable(out)
         if self.search is not None and self.offsets:
             raise ValueError("--find-offset: must not stand beside --offset, got both")
         if len(self.offsets) > 1 and len(self.offsets) != len(self.testers):

@@ -199,7 +199,7 @@ def _legend(plan: "Study", built: "BuiltArms") -> Iterator[str]:
     tip = plan.settings.tolerance.tip
     near = "2 % of the drawn arm's length" if tip is None else f"{1e3 * tip:g} mm"
     yield f"yield: tip and shape within {near}, turned within {math.degrees(built.tolerance.rotation):.3g}°;"
-    yield "in brackets its bounds with 95 % confidence. drawn: median over loads."
+    yield "in brackets its bounds with 95 % confidence. drawn: where loading from rest leads, median over loads."
     yield "beyond range: strains or limits that were not characterised, where force models guess."
     yield "what scatters the tip: shares in its variance, by gradients at the drawn arm."
 

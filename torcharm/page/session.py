@@ -17,6 +17,8 @@ from torcharm.page.state import History, State, as_given, moved_on, same, undone
 from torcharm.plot._common import Array
 
 Change = Callable[[State], State]
+SAID = ("", "plan", "save", "load", "drag tip")
+"""Changes that say themselves what came of them, and those without a control."""
 
 
 class Session:
@@ -123,6 +125,8 @@ class Session:
                 if self._closed:
                     return
                 changes, self._changes, self._busy = self._changes, [], True
+            if any(control not in SAID for control, _ in changes):
+                self._tell("")  # what was said was said of the state before
             for _, change in changes:
                 self._safely(partial(self._apply, change))
             self._safely(self._evaluate)
@@ -175,5 +179,6 @@ class Session:
             words = f"No workspace: {error}"
         finally:
             self._sweeping.release()
-        self._tell(words)
+        same = same_reach(asked, self.state)
+        self._tell(words if same else "The workspace was dropped, as arm or load are others now.")
         self.refresh()

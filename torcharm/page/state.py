@@ -140,11 +140,14 @@ def opened(study: Study, source: Path | None = None) -> State:
 
 
 def with_arm(state: State, arm: int) -> State:
-    """Another arm of the study, on its first task; what was changed of the design before stays."""
+    """Another arm of the study, on the same task if it has it; what was changed of the design before stays."""
     if not 0 <= arm < len(state.study.arms):
         return state
     count = state.study.arms[arm].design.actuator_count
-    return with_task(replace(state, arm=arm, mode=BEST, pressure=(0.0,) * count), 0)
+    tasks = [task.name for task in state.study.tasks_of(state.study.arms[arm])]
+    task = tasks.index(state.named_task.name) if state.named_task.name in tasks else 0
+    moved = with_task(replace(state, arm=arm, mode=BEST, pressure=(0.0,) * count), task)
+    return with_load(moved, state.load) if moved.named_task is state.named_task else moved
 
 
 def with_task(state: State, task: int) -> State:
@@ -214,9 +217,9 @@ def with_force(state: State, force: Sequence[float]) -> State:
 
 
 def with_payload(state: State, mass: float) -> State:
-    """A further mass at the tip."""
+    """A further mass at the tip; one that is there weighs."""
     number = within(mass, 0.0, payload_range(state))
-    return state if number is None else replace(state, payload=number)
+    return state if number is None else replace(state, payload=number, gravity=state.gravity or number > 0)
 
 
 def with_gravity(state: State, gravity: bool) -> State:

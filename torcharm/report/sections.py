@@ -107,7 +107,8 @@ def built(evaluated: Evaluated) -> Section | None:
     pressures = "found anew for each built arm" if how.compensated else "those that are best for the drawn arm"
     text = (
         f"Tip errors of {len(how.tip_error)} arms built within the study's tolerances, at pressures that are "
-        f"{pressures}. Yields are shares within the tolerance of the task, in brackets with 95 % confidence."
+        f"{pressures}. Yields are shares within the tolerance of the task, in brackets with 95 % confidence. "
+        "Loading from rest leads there, the drawn arm too: where that is not the shape predicted above, figures differ."
     )
     blocks = [
         Block(title=task.name, table=built_table(own), panels=[built_panel(own, evaluated)], columns=1)

@@ -51,8 +51,8 @@ CHUNK = 4096
 """(design, task) pairs evaluated at once: more are no faster, and take memory."""
 SHARDS_A_WORKER = 4
 """At least, so that no worker is idle for long at the end."""
-FIRST_TRIAL, TRIAL_SECONDS = 16, 0.1
-"""Designs of a first trial, which grows until it takes so long."""
+FIRST_TRIAL, TRIAL_SECONDS = 16, 0.2
+"""Designs of a first trial, which grows until it takes so long, of the processor: others may be at work, too."""
 KEEP_SECONDS = 30.0
 """Between two writings of the summary."""
 
@@ -286,9 +286,9 @@ def _shard_size(
     with one_thread():
         while True:
             for _ in range(2):  # the first may compile
-                begun = time.perf_counter()
+                begun = time.process_time()
                 measured(designs, tasks, measures, 0, end, chunk)
-                seconds = time.perf_counter() - begun
+                seconds = time.process_time() - begun
                 if seconds < TRIAL_SECONDS:
                     break
             if seconds >= TRIAL_SECONDS or end == min(count, LARGEST_SHARD):
