@@ -36,6 +36,19 @@ def test_a_task_that_was_changed_is_added_under_a_name_of_its_own(tmp_path):
     assert names == [f"bend {HOSTILE}", f"bend {HOSTILE}, explored", f"bend {HOSTILE}, explored 2"]
 
 
+def test_what_was_saved_opens_at_the_task_that_was_explored(tmp_path):
+    out = tmp_path / "saved.toml"
+    state = page.with_tip(plane(), 0, 0.7)
+    save(state, out)
+    again = load(state, out)
+    assert again.named_task.name == f"bend {HOSTILE}, explored"
+    assert again.tip == state.tip
+    assert answer(again).found.tip_error.item() == pytest.approx(answer(state).found.tip_error.item(), abs=1e-8)
+    further = page.with_tip(again, 0, 0.1)
+    save(further, out)
+    assert load(further, out).tip == further.tip
+
+
 def test_what_was_saved_opens_at_the_same_arm(tmp_path):
     out = tmp_path / "saved.toml"
     state = page.with_arm(plane(), 1)

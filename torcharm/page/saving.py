@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from torcharm.files import atomic_write
-from torcharm.page.state import State, changed_task, design_of, opened, task_of, with_arm
+from torcharm.page.state import State, changed_task, design_of, opened, task_of, with_arm, with_task
 from torcharm.study import NamedArm, NamedTask, load_study, moved_files, study_to_toml, task_to_toml
 
 EXPLORED = ", explored"
@@ -41,15 +41,18 @@ def save(state: State, out: Path) -> None:
 
 
 def load(state: State, out: Path) -> State:
-    """The page of the study that was saved, at the arm of the same name.
+    """The page of the study that was saved, at the arm of the same name, and at the task that was explored last.
 
     Raises:
         ValueError: the file cannot be read, or holds no study.
     """
     found = opened(load_study(out), out)
     names = [arm.name for arm in found.study.arms]
-    name = state.named_arm.name
-    return with_arm(found, names.index(name)) if name in names else found
+    name, task = state.named_arm.name, state.named_task.name.partition(EXPLORED)[0]
+    found = with_arm(found, names.index(name)) if name in names else found
+    tasks = [one.name for one in found.study.tasks_of(found.named_arm)]
+    own = [place for place, one in enumerate(tasks) if one == task or one.startswith(f"{task}{EXPLORED}")]
+    return with_task(found, own[-1]) if own else found
 
 
 def _new_name(state: State) -> str:
