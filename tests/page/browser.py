@@ -3,14 +3,14 @@
 import base64
 import itertools
 import json
-import shutil
 import subprocess
 import time
 import urllib.request
 from contextlib import suppress
 from pathlib import Path
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+from chromium import CHROMIUM
+
 OPTIONS = (
     *("--headless=new", "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader"),
     *("--enable-unsafe-swiftshader", "--disable-dev-shm-usage", "--no-first-run", "--mute-audio"),

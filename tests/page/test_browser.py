@@ -11,11 +11,12 @@ from torcharm.study import load_study, parse_study
 
 pytest.importorskip("viser", reason="needs torcharm[explore]")
 
-from browser import CHROMIUM, Browser, until
+from browser import Browser, until
+from chromium import needs_chromium
 
 from torcharm.page.server import Server
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium, of Debian's package chromium")
+pytestmark = needs_chromium
 
 
 @contextlib.contextmanager

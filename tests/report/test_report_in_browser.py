@@ -1,17 +1,16 @@
 """The report in headless Chromium: no errors, no hostile name run, no request, in the light, in the dark, on paper."""
 
 import re
-import shutil
 import subprocess
 
 import pytest
+from chromium import CHROMIUM, needs_chromium
 from report_cases import IMAGE, SCRIPT, TASK, TEMPLATE, UNICODE
 
 from torcharm.report import Evaluated, study_report, with_margins
 from torcharm.study import evaluate_study, parse_study
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium: install Debian's package chromium")
+pytestmark = needs_chromium
 OPTIONS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars")
 
 STUDY = f"""

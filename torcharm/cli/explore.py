@@ -1,6 +1,7 @@
 """`torcharm explore`: a page on which an arm answers while sliders are moved."""
 
 import time
+import warnings
 from pathlib import Path
 from typing import Annotated
 
@@ -50,6 +51,8 @@ def explore(
         with compiling_told():
             for mode in (BEST, BY_HAND):  # else the page would wait for the engine, in silence
                 answer(with_mode(state, mode))
+        # A browser may leave while its picture is on the way; this process does nothing but serve.
+        warnings.filterwarnings("ignore", "Queued a .* on a closed connection")
         server = Server(state, out, host, port)
         try:
             say(console, f"{plan.name}: {server.url}")

@@ -139,15 +139,8 @@ class BuiltArms(HoldsTensors):
     @property
     def deviation_by_samples(self) -> Tensor:
         """(T,) root mean square distance of the built arms' tips from their mean [m]; of those that have one."""
-        return (
-            self.tip.nan_to_num()
-            .square()
-            .sum((0, 2))
-            .div(self._known)
-            .sub(self._mean.square().sum(-1))
-            .clamp(min=0)
-            .sqrt()
-        )
+        away = torch.where(self._known, self.tip - self._mean, 0.0)
+        return (away.square().sum((0, 2)) / self._known.sum((0, 2))).sqrt()
 
     @property
     def deviation_by_gradient(self) -> Tensor:
@@ -156,13 +149,13 @@ class BuiltArms(HoldsTensors):
 
     @property
     def _known(self) -> Tensor:
-        """(T,) built arms that have a tip."""
-        return self.tip.isfinite().all(-1).sum(0)
+        """(S, T, 1) which built arms have a tip."""
+        return self.tip.isfinite().all(-1, keepdim=True)
 
     @property
     def _mean(self) -> Tensor:
-        """(T, D)"""
-        return self.tip.nan_to_num().sum(0) / self._known.unsqueeze(-1)
+        """(T, D) of the tips that there are [m]."""
+        return torch.where(self._known, self.tip, 0.0).sum(0) / self._known.sum(0)
 
     @property
     def shares(self) -> dict[str, float]:

@@ -2,7 +2,6 @@
 
 import io
 import socket
-import warnings
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -34,8 +33,6 @@ class Server:
 
     def __init__(self, state: State, out: Path, host: str = LOOPBACK[0], port: int = 8080) -> None:
         viser = extra("viser", "explore")
-        # A browser may leave while its picture is on the way.
-        warnings.filterwarnings("ignore", "Queued a .* on a closed connection")
         _check_host(host)
 
         # No page may ask viser to have a server elsewhere forward it to the world.
