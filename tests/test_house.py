@@ -5,6 +5,10 @@ it, and no modules import each other in a circle. Imports count wherever they st
 """
 
 import ast
+import inspect
+import io
+import textwrap
+import tokenize
 from functools import cache
 from pathlib import Path
 
@@ -46,13 +50,17 @@ ROOMS = (
 )
 
 LONGEST_FILE = 400
+LONGEST_ENTRY = 40
+"""Lines of code, without signature, docstring and comments, in which a public function reads as its algorithm."""
+
+NO_CODE = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
 
 
 @cache
-def modules():
+def modules(package="torcharm"):
     """Paths of all modules, by their dotted names."""
     found = {}
-    for path in sorted(ROOT.rglob("*.py")):
+    for path in sorted((ROOT.parent / package).rglob("*.py")):
         parts = path.relative_to(ROOT.parent).with_suffix("").parts
         found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
     return found
@@ -60,17 +68,17 @@ def modules():
 
 @cache
 def imports_of(module):
-    """The modules of the package that a module imports, by their dotted names."""
-    found = set()
-    for node in ast.walk(ast.parse(modules()[module].read_text(encoding="utf-8"))):
+    """The modules of its own package that a module imports, by their dotted names."""
+    found, package = set(), module.split(".")[0]
+    for node in ast.walk(ast.parse(modules(package)[module].read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names if alias.name.split(".")[0] == "torcharm"}
+            found |= {alias.name for alias in node.names if alias.name.split(".")[0] == package}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{module}: relative import in line {node.lineno}"
-            if (node.module or "").split(".")[0] == "torcharm":
+            if (node.module or "").split(".")[0] == package:
                 for alias in node.names:
                     full = f"{node.module}.{alias.name}"
-                    found.add(full if full in modules() else node.module)
+                    found.add(full if full in modules(package) else node.module)
     return found - {module}
 
 
@@ -140,6 +148,11 @@ def test_no_modules_import_each_other_in_a_circle():
     assert circles({name: imports_of(name) & names for name in names}) == []
 
 
+def test_no_experiments_import_each_other_in_a_circle():
+    assert len(modules("experiments")) > 20
+    assert circles({name: imports_of(name) for name in modules("experiments")}) == []
+
+
 def test_the_test_sees_circles_and_arrows_back():
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == [["b", "c"]]
     assert circles({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
@@ -155,3 +168,18 @@ def test_no_file_is_too_long_to_be_read_at_once(room):
     own = [modules()[module] for module in modules() if room_of(module) == room]
     lengths = {path.name: len(path.read_text(encoding="utf-8").splitlines()) for path in own}
     assert {name: length for name, length in lengths.items() if length > LONGEST_FILE} == {}
+
+
+def code_lines(function):
+    """Lines of code of a function's body."""
+    source = textwrap.dedent(inspect.getsource(inspect.unwrap(function)))
+    (node,) = ast.parse(source).body
+    body = node.body[bool(ast.get_docstring(node)) :]
+    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
+    lines = {n for token in tokens if token.type not in NO_CODE for n in range(token.start[0], token.end[0] + 1)}
+    return len(lines & set(range(body[0].lineno, node.end_lineno + 1)))
+
+
+@pytest.mark.parametrize("name", [name for name in torcharm.__all__ if inspect.isfunction(getattr(torcharm, name))])
+def test_a_public_function_is_short_enough_to_read_as_its_algorithm(name):
+    assert 0 < code_lines(getattr(torcharm, name)) <= LONGEST_ENTRY

@@ -6,7 +6,9 @@ from pathlib import Path
 import pytest
 import torch
 
-README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+CONTRIBUTING = (ROOT / ".github" / "CONTRIBUTING.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 MOST_WORDS = 1300
 
@@ -18,7 +20,14 @@ def test_it_is_read_in_five_minutes():
 def test_links_lead_somewhere():
     targets = re.findall(r"\]\((?!https?:)([^)#]+)", README)
     assert targets
-    assert [target for target in targets if not (Path(__file__).parents[1] / target).exists()] == []
+    assert [target for target in targets if not (ROOT / target).exists()] == []
+
+
+def test_the_contributors_page_is_short_and_names_files_that_there_are():
+    assert len(CONTRIBUTING.splitlines()) <= 40
+    named = re.findall(r"`([\w./]+/[\w.]*)`", CONTRIBUTING)
+    assert len(named) > 20
+    assert [name for name in named if not any((base / name).exists() for base in (ROOT, ROOT / "torcharm"))] == []
 
 
 def test_the_examples_run():

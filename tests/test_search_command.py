@@ -10,7 +10,6 @@ import torch
 from test_cli import invoke, mistake
 
 import torcharm as ta
-from torcharm.attainability import evaluate_search
 
 STUDY = """
 name = "search"
@@ -114,7 +113,7 @@ def test_the_reason_of_a_snap_says_what_to_try(study_file, tmp_path):
         ("not found", {"stable": lost, "tip_error": far}),
     ):
         other = replace(found, **{"continued": ~lost, "stable": ~lost, "in_range": ~lost, **change})
-        judged = evaluate_search(ta.bellows_arm(), task, other)
+        judged = ta.evaluate(ta.bellows_arm(), task, found=other)
         assert set(other.status) == {status}
         assert set(judged.verdict) == {"undecided"}
         for reason in judged.reason:
@@ -122,11 +121,13 @@ def test_the_reason_of_a_snap_says_what_to_try(study_file, tmp_path):
             assert "a lower load, a stiffer arm, or antagonists" in reason
     beyond = ta.Task(ta.affine_curvature(-3.0, 3.0, nodes=4), ta.sample_loads(3))
     snapped = replace(ta.search_pressure(ta.bellows_arm(), beyond, starts=2), continued=lost, stable=~lost)
-    for reason in evaluate_search(ta.bellows_arm(), beyond, snapped).reason:
+    for reason in ta.evaluate(ta.bellows_arm(), beyond, found=snapped).reason:
         assert reason.startswith("actuator 4 is strained to -0.4")
         assert "the arm gets there by a snap" in reason
     with pytest.raises(ValueError, match=r"^found: must have the batch shape \(2,\), got \(3,\)"):
-        evaluate_search(ta.bellows_arm(), ta.Task(task.twists, ta.sample_loads(2)), found)
+        ta.evaluate(ta.bellows_arm(), ta.Task(task.twists, ta.sample_loads(2)), found=found)
+    with pytest.raises(ValueError, match=r"^found: must be left out for a list of tasks"):
+        ta.evaluate(ta.bellows_arm(), [task], found=found)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from experiments.antagonism.run import ARMS, SHAPES, Hull, Result, chosen, twists_of
+from experiments.antagonism.rows import ARMS, SHAPES, Hull, Result, chosen, twists_of
 from experiments.paper import paper_task, paper_wrench
 from torcharm import plot
 

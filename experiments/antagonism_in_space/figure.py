@@ -16,7 +16,7 @@ from experiments.antagonism_in_space.hulls import Hull
 from torcharm import plot
 
 if TYPE_CHECKING:
-    from experiments.antagonism_in_space.run import Length, Result
+    from experiments.antagonism_in_space.rows import Length, Result
 
 COLOURS = dict(zip(("antagonistic", "bellows", "muscles"), plot.ARM_COLOURS, strict=False))
 MARKERS = {"antagonistic": "o", "bellows": "s", "muscles": "^"}
@@ -144,7 +144,7 @@ def _moments(axes: Any, bodies: Sequence[Hull]) -> None:
 
 def draw_claims(results: "Sequence[Result]", sets: Sequence[Claim], path: Path | BytesIO) -> None:
     """Metrics against what searches reach, and by how much sets break the claims."""
-    from experiments.antagonism_in_space.run import ranks
+    from experiments.antagonism_in_space.rows import ranks
 
     figure = Figure(figsize=(16, 10), layout="constrained")
     parts: Any = figure.subfigures(2, 1, height_ratios=(1.15, 1))

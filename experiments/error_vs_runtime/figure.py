@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from experiments.error_vs_runtime.run import Row
+    from experiments.error_vs_runtime.rows import Row
 
 HERE = Path(__file__).parent
 LINES = {

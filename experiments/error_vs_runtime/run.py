@@ -16,6 +16,7 @@ from rich.console import Console
 import torcharm as ta
 from experiments.error_vs_runtime import figure
 from experiments.error_vs_runtime.problems import DESIGNS, METRICS, NODES, SPACES, TASKS, problems, reference
+from experiments.error_vs_runtime.rows import Row
 from experiments.paper import paper_task
 
 HERE = Path(__file__).parent
@@ -33,23 +34,6 @@ class Method:
     designs: int = DESIGNS
     tasks: int = TASKS
     differentiable: bool = True
-
-
-@dataclass(frozen=True)
-class Row:
-    """What was measured: times a problem (a node's distance) [µs], and errors over max|H - w|."""
-
-    space: str
-    metric: str
-    method: str
-    samples: int
-    problems: int
-    forward_us: float
-    gradient_us: float
-    error_p50: float
-    error_p99: float
-    error_max: float
-    converged: float
 
 
 def methods() -> list[Method]:

@@ -14,7 +14,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-u
 
 import torcharm as ta
 from experiments.hull_gallery import scenes
-from experiments.hull_gallery.run import Row, worst
+from experiments.hull_gallery.rows import Row, worst
 from experiments.hull_gallery.scenes import Array
 from experiments.hull_gallery.search import CurveSum, curve_sums, edge_image, examine, extreme_points
 from torcharm import plot

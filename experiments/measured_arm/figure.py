@@ -11,7 +11,7 @@ from torch import Tensor
 from experiments.measured_arm.module import States
 
 if TYPE_CHECKING:
-    from experiments.measured_arm.run import Row
+    from experiments.measured_arm.rows import Row
 
 MEASURED, MODEL = "#000000", "#D55E00"
 GROUPS = {False: ("not pulled", "#0072B2", "o"), True: ("pulled by 0.7 to 0.8 N", "#E69F00", "^")}

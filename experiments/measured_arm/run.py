@@ -7,7 +7,7 @@ limits.csv (the rod against closed forms) and measured_arm.png beside this file.
 import argparse
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from scipy.optimize import minimize_scalar
 from experiments.measured_arm import figure
 from experiments.measured_arm.limits import Limit, limits
 from experiments.measured_arm.module import END_LENGTH, LENGTH, Hypothesis, States, read_states, tips
+from experiments.measured_arm.rows import Row
 from experiments.rows import write_rows
 
 HERE = Path(__file__).parent
@@ -35,19 +36,6 @@ HYPOTHESES: dict[str, tuple[str, tuple[float, float], Hypothesis]] = {
 """Names, the field that is fitted, between which values, and what else is assumed."""
 ACCURACY = 1e-3
 """Of a fitted value."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """One state; with a hypothesis that is fitted, on the other half of the states [mm]."""
-
-    hypothesis: str
-    case: str
-    state: int
-    pulled: bool
-    value: float
-    tip_error_mm: float
-    deflection_mm: float
 
 
 def main() -> None:

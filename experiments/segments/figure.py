@@ -12,7 +12,7 @@ from experiments.segments import scenes
 from torcharm import plot
 
 if TYPE_CHECKING:
-    from experiments.segments.run import Row
+    from experiments.segments.rows import Row
 
 COLOURS = dict(zip(("arc", "S of two arcs", "smooth S", "cubic", "helix"), plot.ARM_COLOURS, strict=False))
 MARKERS = dict(zip(COLOURS, "osv^D", strict=True))

@@ -6,7 +6,6 @@ Writes results.csv (one row an arm, shape, number of segments and aim) and segme
 import argparse
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 
@@ -19,35 +18,9 @@ from scipy.stats import spearmanr
 import torcharm as ta
 from experiments.rows import write_rows
 from experiments.segments import scenes
+from experiments.segments.rows import Row
 
 HERE = Path(__file__).parent
-
-
-@dataclass(frozen=True)
-class Row:
-    """One arm on one shape, with pressures chosen for one aim; errors in mm and degrees, unattainability in N.
-
-    Attributes:
-        predicted_mm, searched_mm: the error of the aim: of the shape, of the tip's pose, or of its place.
-        shape_mm: the shape error of what the search reaches, whatever its aim.
-        tip_mm, tip_deg: of what the search reaches.
-        verdict: of the prediction.
-    """
-
-    kind: str
-    shape: str
-    segments: int
-    aim: str
-    predicted_mm: float
-    searched_mm: float
-    shape_mm: float
-    tip_mm: float
-    tip_deg: float
-    absolute: float
-    relative: float
-    verdict: str
-    status: str
-    in_range: bool
 
 
 def main() -> None:

@@ -9,7 +9,7 @@ import torcharm as ta
 from torcharm import plot
 
 if TYPE_CHECKING:
-    from experiments.shape_planning.run import Answer
+    from experiments.shape_planning.rows import Answer
 
 WANTED, REACHED = "#000000", "#D55E00"
 

@@ -6,7 +6,7 @@ hulls.png beside this file.
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import torcharm as ta
 from experiments.paper import paper_task
 from experiments.rows import write_rows
 from experiments.shape_planning import figure
+from experiments.shape_planning.rows import Answer, MetricRow, ShapeRow
 from torcharm.design.shape_planning import PAPER_SHAPES
 
 HERE = Path(__file__).parent
@@ -28,47 +29,6 @@ HULLS: dict[str, dict[str, Any]] = {"edges, 3 points": {"hull": "edges", "sample
 PUBLISHED = {1: (0.2343, 132.85)}
 """Absolute and relative of the published table, by shape."""
 PAPERS_COST = ta.PoseCost("uniform", (1.0, 1.0, 0.05))
-
-
-@dataclass(frozen=True)
-class ShapeRow:
-    """One shape under one load: what is predicted and what the search reaches [m, rad, kPa]."""
-
-    shape: int
-    force_x_N: float
-    tip_error_m: float
-    mean_length_m: float
-    predicted_m: float
-    reached_m: float
-    tip_position_m: float
-    tip_heading_rad: float
-    converged: bool
-    in_range: bool
-    pressure_kPa: str
-
-
-@dataclass(frozen=True)
-class MetricRow:
-    """One shape's hull metrics under one load [N] or, power 2, [N²]; published values where they are known."""
-
-    shape: int
-    force_x_N: float
-    hull: str
-    power: int
-    absolute: float
-    relative: float
-    published_absolute: float | None
-    published_relative: float | None
-
-
-@dataclass(frozen=True)
-class Answer:
-    """One shape under one load."""
-
-    number: int
-    task: ta.Task
-    search: ta.PressureSearch
-    row: ShapeRow
 
 
 def main() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.stability.run import Row
+from experiments.stability.rows import Row
 
 LEAST = 1e-20
 """Where errors of nothing are drawn."""

@@ -37,7 +37,7 @@ class Size:
     starts: int
 
 
-FULL, QUICK = Size(1_000_000, 20, 100_000, 8), Size(3000, 1, 1000, 2)
+FULL, QUICK = Size(10_000_000, 20, 100_000, 8), Size(3000, 1, 1000, 2)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import torcharm as ta
 from torcharm import plot
 
 if TYPE_CHECKING:
-    from experiments.validation.run import Answers
+    from experiments.validation.rows import Answers
 
 BELOW, ABOVE = "#0072B2", "#D55E00"
 QUANTITIES = {"absolute": ("N", 1.0), "relative": ("N", 1.0), "predicted error": ("mm", 1e3)}

@@ -10,16 +10,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
 from rich.console import Console
 from rich.table import Table
 from scipy.stats import spearmanr
-from torch import Tensor
 
 import torcharm as ta
 from experiments.paper import paper_task
 from experiments.rows import write_rows
 from experiments.validation import figure
+from experiments.validation.rows import Answers, Row
 
 HERE = Path(__file__).parent
 ARMS: dict[str, Callable[[], ta.ArmDesign]] = {"antagonistic": ta.antagonistic_arm, "bellows-only": ta.bellows_arm}
@@ -33,24 +32,6 @@ METRICS = ("absolute", "relative", "predicted error")
 
 
 @dataclass(frozen=True)
-class Row:
-    """One arm under one load. Unattainabilities in N; predicted and reached shape errors in m."""
-
-    arm: str
-    load: int
-    force_x_N: float
-    force_y_N: float
-    moment_Nm: float
-    absolute_N: float
-    relative_N: float
-    predicted_m: float
-    reached_m: float
-    converged: bool
-    in_range: bool
-    starts_agree: bool
-
-
-@dataclass(frozen=True)
 class Figure:
     """One number of the summary."""
 
@@ -58,29 +39,6 @@ class Figure:
     quantity: str
     value: float
     unit: str
-
-
-@dataclass(frozen=True)
-class Answers:
-    """What is known of one arm, each (loads,)."""
-
-    name: str
-    arm: ta.ArmDesign
-    hulls: ta.Attainability
-    predicted: Tensor
-    search: ta.PressureSearch
-
-    @property
-    def reached(self) -> Tensor:
-        """The search's shape error [m]; NaN where the search did not converge."""
-        return torch.where(self.search.converged, self.search.shape_error, torch.nan)
-
-    def metric(self, name: str) -> Tensor:
-        """One of `METRICS`."""
-        values = {"absolute": self.hulls.absolute, "relative": self.hulls.relative, "predicted error": self.predicted}
-        found = values[name]
-        assert found is not None
-        return found
 
 
 def main() -> None:

@@ -4,7 +4,6 @@ import pytest
 import torch
 
 import torcharm as ta
-from torcharm.attainability import evaluate_search
 from torcharm.pressure.at_pressure import error_at_pressure
 
 PLANE = ta.antagonistic_arm(), ta.Task(ta.affine_curvature(-1.0, 1.5, nodes=5), [0.5, -1.0, 0.05])
@@ -23,7 +22,7 @@ def test_at_the_pressures_of_a_search_errors_are_the_search_s(arm, task):
     for name in ("tip_error", "tip_rotation_error", "shape_error", "cost", "per_node", "twists"):
         torch.testing.assert_close(getattr(found, name), getattr(search, name), rtol=1e-6, atol=1e-8)
     torch.testing.assert_close(found.pressure, search.pressure)
-    assert evaluate_search(arm, task, found).verdict == evaluate_search(arm, task, search).verdict
+    assert ta.evaluate(arm, task, found=found).verdict == ta.evaluate(arm, task, found=search).verdict
 
 
 @pytest.mark.parametrize(("arm", "task"), [PLANE, SPACE], ids=["plane", "space"])

@@ -6,7 +6,6 @@ from torcharm.attainability.evaluation import (
     check_measure,
     check_power,
     evaluate,
-    evaluate_search,
     over_nodes,
     scale_of,
 )
@@ -22,7 +21,6 @@ __all__ = [
     "check_measure",
     "check_power",
     "evaluate",
-    "evaluate_search",
     "over_nodes",
     "scale_of",
 ]

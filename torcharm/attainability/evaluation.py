@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack, overload
 
 import torch
 from torch import Tensor
@@ -28,39 +28,30 @@ CHOICES = (*METRICS, PREDICTED)
 """All metrics there are."""
 
 
+class Options(TypedDict, total=False):
+    """The keywords of `evaluate`."""
+
+    tolerance: PoseTolerance | float | None
+    hull: str
+    samples: int | None
+    distance: str | DistanceFunction
+    weights: tuple[float, float]
+    power: int
+    signed: bool
+    pose_cost: PoseCost | None
+    found: "PressureSearch | PredictedError | None"
+    chunk_size: int | None
+
+
 @overload
 def evaluate(
-    arm: ArmDesign | ArmSeries,
-    task: Task,
-    metrics: Sequence[str] = ...,
-    *,
-    tolerance: PoseTolerance | float | None = ...,
-    hull: str = ...,
-    samples: int | None = ...,
-    distance: str | DistanceFunction = ...,
-    weights: tuple[float, float] = ...,
-    power: int = ...,
-    signed: bool = ...,
-    pose_cost: PoseCost | None = ...,
-    chunk_size: int | None = ...,
+    arm: ArmDesign | ArmSeries, task: Task, metrics: Sequence[str] = ..., **options: Unpack[Options]
 ) -> Attainability: ...
 
 
 @overload
 def evaluate(
-    arm: ArmDesign | ArmSeries,
-    task: Sequence[Task],
-    metrics: Sequence[str] = ...,
-    *,
-    tolerance: PoseTolerance | float | None = ...,
-    hull: str = ...,
-    samples: int | None = ...,
-    distance: str | DistanceFunction = ...,
-    weights: tuple[float, float] = ...,
-    power: int = ...,
-    signed: bool = ...,
-    pose_cost: PoseCost | None = ...,
-    chunk_size: int | None = ...,
+    arm: ArmDesign | ArmSeries, task: Sequence[Task], metrics: Sequence[str] = ..., **options: Unpack[Options]
 ) -> tuple[Attainability, ...]: ...
 
 
@@ -77,6 +68,7 @@ def evaluate(
     power: int = 1,
     signed: bool = False,
     pose_cost: PoseCost | None = None,
+    found: "PressureSearch | PredictedError | None" = None,
     chunk_size: int | None = None,
 ) -> Attainability | tuple[Attainability, ...]:
     """Unattainability of every design on every task, in the plane and in space.
@@ -119,6 +111,8 @@ def evaluate(
         signed: gives attainable tasks a negative value: where every node is inside its set, minus the smallest margin
             along the arm (to the power). First nodes have no part in the relative margin. Needs hull="exact" and "gjk".
         pose_cost: what the predicted error measures; None is `PoseCost()`.
+        found: what `search_pressure` found of a single `Task` takes the place of a predicted error, so that verdict and
+            reason are of that; or errors at pressures that are given.
         chunk_size: (design, shape, load) triples worked on at once; None chooses. Bounds memory.
 
     Returns:
@@ -129,46 +123,28 @@ def evaluate(
     """
     asked = _metrics(metrics)
     how = _Measure.of(asked, tolerance, hull, samples, distance, weights, power, signed, chunk_size)
+    _check_found(found, arm, task)
 
     def evaluate_one(own: Task) -> Attainability:
-        prediction = _predict(arm, own, pose_cost) if PREDICTED in asked else None
+        prediction = found
+        if prediction is None and PREDICTED in asked:
+            prediction = _predict(arm, own, pose_cost)
         return how.attainability(arm, own, prediction)
 
     return for_each_task(task, evaluate_one)
 
 
-def evaluate_search(
-    arm: ArmDesign | ArmSeries,
-    task: Task,
-    found: "PressureSearch | PredictedError",
-    metrics: Sequence[str] = METRICS,
-    *,
-    tolerance: PoseTolerance | float | None = None,
-    hull: str = "exact",
-    samples: int | None = None,
-    distance: str | DistanceFunction = "gjk",
-    weights: tuple[float, float] = (1.0, 1.0),
-    power: int = 1,
-    signed: bool = False,
-) -> Attainability:
-    """What a pressure search means, in the words of `evaluate`: a verdict and a reason for each design and task.
-
-    Args:
-        arm, task: designs and tasks that were searched.
-        found: what `search_pressure` found of them, or errors at pressures that are given; it takes the place of a
-            prediction.
-        metrics: which sets say what nodes lack; "predicted_error" is passed over.
-        tolerance, hull, samples, distance, weights, power, signed: as for `evaluate`.
-
-    Raises:
-        ValueError: an argument is none of those allowed, or arm, task and what was found do not fit.
-    """
+def _check_found(
+    found: "PressureSearch | PredictedError | None", arm: ArmDesign | ArmSeries, task: Task | Sequence[Task]
+) -> None:
+    """Raise a ValueError unless what was found is of the arm and the task."""
+    if found is None:
+        return
+    if not isinstance(task, Task):
+        raise ValueError("found: must be left out for a list of tasks: evaluate each with what was found for it")
     shape = (*arm.batch_shape, *task.batch_shape)
     if found.tip_error.shape != shape:
         raise ValueError(f"found: must have the batch shape {shape}, got {tuple(found.tip_error.shape)}")
-    asked = _metrics(metrics)
-    how = _Measure.of(asked, tolerance, hull, samples, distance, weights, power, signed, None)
-    return how.attainability(arm, task, found)
 
 
 @dataclass(frozen=True)

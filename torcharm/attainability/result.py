@@ -50,8 +50,8 @@ class Attainability(HoldsTensors):
             paper does.
         absolute_per_node, relative_per_node: (..., N) each node's distance to its set, in the same unit, not raised to
             a power.
-        prediction: all that is known of the predicted error, with what it takes to trust it; of `evaluate_search` what
-            the search found, in its place.
+        prediction: all that is known of the predicted error, with what it takes to trust it; or what a search found,
+            where that was given in its place.
         strain_excess: largest strain of the task's shape beyond its actuator's characterised range, 0 if none is.
         shape_in_range: whether every strain of the task's shape, and every pressure limit, lies in the characterised
             range.

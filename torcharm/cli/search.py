@@ -153,11 +153,11 @@ def _judged(
     arm: "NamedArm", task: "NamedTask", first: int, found: "PressureSearch", settings: "Settings"
 ) -> "StudyResult":
     """A search under the loads from the first on, in the words of `torcharm evaluate`."""
-    from torcharm.attainability import evaluate_search
+    from torcharm.attainability import evaluate
     from torcharm.study import StudyResult
 
     part = replace(task, task=_part(task, first, first + found.tip_error.numel()))
-    return StudyResult(arm, part, settings, evaluate_search(arm.design, part.task, found, **vars(settings)))
+    return StudyResult(arm, part, settings, evaluate(arm.design, part.task, found=found, **vars(settings)))
 
 
 def _report(task: "NamedTask", found: "Found") -> None:

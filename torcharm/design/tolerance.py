@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
-from torcharm.attainability import PREDICTED, PoseTolerance, evaluate_search
+from torcharm.attainability import PREDICTED, PoseTolerance, evaluate
 from torcharm.attainability.evaluation import as_tolerance
 from torcharm.attainability.verdict import judge, over_tolerance
 from torcharm.design.scatter import Scatter, Sizes, Source, built_arms, normal_numbers, scattered
@@ -223,7 +223,7 @@ class Evaluation:
     def _of_batch(self, arm: Arm, task: Task, found: PredictedError) -> dict[str, Tensor]:
         metrics = ("absolute",) if self.margin else (PREDICTED,)
         options: dict[str, Any] = {"signed": True} if self.margin else {}
-        seen = evaluate_search(arm, task, found, metrics, tolerance=self.tolerance, **options)
+        seen = evaluate(arm, task, metrics, found=found, tolerance=self.tolerance, **options)
         close = (over_tolerance(arm, found, self.tolerance) <= 1).all(0)
         columns = {
             "tip_error": found.tip_error,

@@ -209,8 +209,8 @@ def _multistart(problem, work, search, fit, b, shape, pool, spread, start, toler
         came, value = _descend_and_load(problem, work, search, b, begun, at_end, start, tolerance)
         search.start_cost[s] = 2.0 * value
         agreed += AGREES * (came == AGREED) + AGREES_AT_KINK * (came == AGREED_AT_KINK)
-        if came >= BEST_UNDER_WAY:
-            at_end = came == BEST_ENDED
+        if came >= BEST_UNDER_WAY:  # none has agreed with this one yet
+            at_end, agreed = came == BEST_ENDED, 0
     return at_end
 
 

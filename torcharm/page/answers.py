@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm.attainability import Attainability, evaluate, evaluate_search
+from torcharm.attainability import Attainability, evaluate
 from torcharm.attainability.reasons import differences
 from torcharm.design.shape_planning import nearest_shape, plan_shape
 from torcharm.design.space import Arm
@@ -116,7 +116,7 @@ def _evaluated(state: State, arm: Arm, task: Task) -> tuple[Attainability, bool]
         found = evaluate(arm, task, **how)
     else:
         given = torch.tensor(pressure_of(state), dtype=torch.float64)
-        found = evaluate_search(arm, task, error_at_pressure(arm, task, given), **how)
+        found = evaluate(arm, task, found=error_at_pressure(arm, task, given), **how)
     prediction = found.prediction
     assert prediction is not None
     return found, bool(prediction.stable) and _buckles(arm, task, prediction.pressure, prediction.twists)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, overload
+from typing import Any, ClassVar, TypedDict, Unpack, overload
 
 import numpy as np
 import torch
@@ -122,37 +122,28 @@ class PressureSearch(HoldsTensors):
         return WORDS[int(code)] if code.ndim == 0 else np.array(WORDS)[code]
 
 
+class Options(TypedDict, total=False):
+    """The keywords of `search_pressure`."""
+
+    starts: int | None
+    rounds: int
+    pose_cost: PoseCost | None
+    shear_stiffness: float | None
+    seed: int
+    scipy_method: str
+    progress: bool | None
+    raise_on_failure: bool
+
+
 @overload
 def search_pressure(
-    arm: ArmDesign | ArmSeries,
-    task: Task,
-    method: str = ...,
-    *,
-    starts: int | None = ...,
-    rounds: int = ...,
-    pose_cost: PoseCost | None = ...,
-    shear_stiffness: float | None = ...,
-    seed: int = ...,
-    scipy_method: str = ...,
-    progress: bool | None = ...,
-    raise_on_failure: bool = ...,
+    arm: ArmDesign | ArmSeries, task: Task, method: str = ..., **options: Unpack[Options]
 ) -> PressureSearch: ...
 
 
 @overload
 def search_pressure(
-    arm: ArmDesign | ArmSeries,
-    task: Sequence[Task],
-    method: str = ...,
-    *,
-    starts: int | None = ...,
-    rounds: int = ...,
-    pose_cost: PoseCost | None = ...,
-    shear_stiffness: float | None = ...,
-    seed: int = ...,
-    scipy_method: str = ...,
-    progress: bool | None = ...,
-    raise_on_failure: bool = ...,
+    arm: ArmDesign | ArmSeries, task: Sequence[Task], method: str = ..., **options: Unpack[Options]
 ) -> tuple[PressureSearch, ...]: ...
 
 

@@ -100,7 +100,7 @@ def each_in(*forms: dict[str, dict[str, float]]) -> Any:
     return Annotated[list[float], Check(check, words=words), entries(*forms[0], other=[*forms[-1]])]
 
 
-Load = each_in(
+Load: Any = each_in(
     {"f_x": FORCE, "f_y": FORCE, "m": MOMENT},
     {"f_x": FORCE, "f_y": FORCE, "f_z": FORCE, "m_x": MOMENT, "m_y": MOMENT, "m_z": MOMENT},
 )
@@ -119,9 +119,9 @@ def _ask_of_pose(value: Any) -> Any:
 
 _PoseNumbers: Any = each_in({"x": LENGTH, "y": LENGTH, "θ": ANGLE})
 Pose: Any = Annotated[_PoseNumbers, Check(_ask_of_pose)]
-Position = each_in({"x": LENGTH, "y": LENGTH, "z": LENGTH})
-Twist = each_in(
+Position: Any = each_in({"x": LENGTH, "y": LENGTH, "z": LENGTH})
+Twist: Any = each_in(
     {"l": LENGTH, "γ": LENGTH, "κ": ANGLE},
     {"l": LENGTH, "γ_y": LENGTH, "γ_z": LENGTH, "κ_x": ANGLE, "κ_y": ANGLE, "κ_z": ANGLE},
 )
-Offset = each_in({"y": LENGTH, "z": LENGTH})
+Offset: Any = each_in({"y": LENGTH, "z": LENGTH})
