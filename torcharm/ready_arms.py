@@ -19,6 +19,13 @@ def antagonistic_arm(
     Args:
         outer_radius, inner_radius: (...) offsets [m]; tensors make a batch of designs.
         length: (...) or (..., 4) neutral lengths [m].
+
+    Raises:
+        ValueError: as for `ArmDesign`.
+
+    Example:
+        >>> ta.antagonistic_arm(outer_radius=torch.linspace(0.04, 0.1, 200))  # 200 designs
+        ArmDesign(planar, 2 bellows, 2 mckibben, batch (200,), torch.float32)
     """
     return ArmDesign(_mirrored(outer_radius, inner_radius), length, (Bellows(), McKibben(), McKibben(), Bellows()))
 
@@ -26,7 +33,12 @@ def antagonistic_arm(
 def bellows_arm(
     outer_radius: TensorLike = 0.08, inner_radius: TensorLike = 0.015, length: TensorLike = 0.5
 ) -> ArmDesign:
-    """The paper's bellows-only arm; arguments as for `antagonistic_arm`."""
+    """The paper's bellows-only arm; arguments and errors as for `antagonistic_arm`.
+
+    Example:
+        >>> ta.bellows_arm(outer_radius=0.06).radii.tolist()
+        [-0.06, -0.015, 0.015, 0.06]
+    """
     return ArmDesign(_mirrored(outer_radius, inner_radius), length, (Bellows(),) * 4)
 
 
@@ -35,7 +47,11 @@ def mckibben_arm(
 ) -> ArmDesign:
     """The paper's muscle-only arm: four muscles at ±1 cm, every one doubled in force.
 
-    Arguments as for `antagonistic_arm`.
+    Arguments and errors as for `antagonistic_arm`.
+
+    Example:
+        >>> [model.force_scale for model in ta.mckibben_arm().actuators]  # two muscles pull at each of four places
+        [2.0, 2.0, 2.0, 2.0]
     """
     return ArmDesign(_mirrored(outer_radius, inner_radius), length, (McKibben(force_scale=2.0),) * 4)
 
@@ -52,6 +68,13 @@ def antagonistic_ring(
         outer_radius, inner_radius: (...) of the rings [m]; tensors make a batch of designs.
         length: (...) or (..., 2·count) neutral lengths [m].
         count: of bellows, and of muscles.
+
+    Raises:
+        ValueError: as for `ArmDesign` and `ring`.
+
+    Example:
+        >>> ta.antagonistic_ring(count=4)
+        ArmDesign(spatial, 4 bellows, 4 mckibben, batch (), torch.float64)
     """
     outer, inner = _radii(outer_radius, inner_radius)
     offsets = torch.cat((ring(outer, count), ring(inner, count)), -2)
