@@ -30,6 +30,11 @@ class Recording:
         run: (n) which run each sample comes from, counted from 0; within a run samples are in order of time.
         sources: each run's files.
         settings: how they were read, for the record: names and values.
+
+    Example:
+        >>> _ = (path := folder / "data.csv").write_text("strain,p [kPa],F [N]\\n0,0,0\\n0,50,44\\n0.1,50,39\\n")
+        >>> ta.read_table(path).force.tolist(), ta.read_table(path).sources
+        ([0.0, 44.0, 39.0], ('data.csv',))
     """
 
     strain: Float[Floats, " n"]
@@ -78,6 +83,11 @@ def align(
 
     Raises:
         ValueError: the two do not overlap in time, or a setting is out of range.
+
+    Example:
+        >>> _ = (path := folder / "run.csv").write_text("t [s],ε [1],F [N],p [kPa],log [s]\\n1,0,1,0,0\\n2,0,5,80,4\\n")
+        >>> ta.align(ta.read_tester(path), ta.read_pressure(path, columns="time=5:s"), smoothing=0).pressure.tolist()
+        [20.0, 40.0]
     """
     count = check_count("actuators", actuators, 1)
     for name, value in (("smoothing", smoothing), ("max_gap", max_gap)):
@@ -137,6 +147,11 @@ def pool(recordings: Sequence[Recording]) -> Recording:
 
     Raises:
         ValueError: there is none.
+
+    Example:
+        >>> _ = (path := folder / "data.csv").write_text("strain,p [kPa],F [N]\\n0,0,0\\n0,50,44\\n0.1,50,39\\n")
+        >>> ta.pool([ta.read_table(path), ta.read_table(path)]).run.tolist()
+        [0, 0, 0, 1, 1, 1]
     """
     if not recordings:
         raise ValueError("recordings: must hold at least one run, got none")

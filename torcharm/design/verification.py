@@ -58,6 +58,9 @@ def verify_design(
         task: the tasks it was optimised for, or others.
         starts, seed: of `torcharm.search_pressure`.
 
+    Returns:
+        Errors `before` and `after`, of the given and the best design, and the share `improved` of stable tasks.
+
     Raises:
         ValueError: as for `torcharm.search_pressure`.
     """

@@ -57,7 +57,7 @@ length of the centreline or of an actuator is not above 0."""
 
 
 class NotConvergedError(RuntimeError):
-    """An equilibrium was not found, and `raise_on_failure` was set."""
+    """An equilibrium was not found, or a search did not converge, and `raise_on_failure` was set."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
