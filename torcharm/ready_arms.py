@@ -89,6 +89,11 @@ def silicone_module() -> ArmSeries:
     radius 2.5 mm, whose axes are 8.5 mm from the centre and 3 mm from the middle of their pair there, Young's modulus
     120 kPa, 1820 kg/m³; the end 14.5 mm long, 13.47 g. Assumed: strains and pressures in range as of `chamber`, up to
     100 kPa; the recordings reach 111. Chambers 1 and 2, 3 and 4, 5 and 6 share a pressure each; actuator 7 is the body.
+
+    Example:
+        >>> bent = ta.solve_equilibrium(ta.silicone_module(), [0.0, 0.0, 60.0, 60.0, 0.0, 0.0, 0.0], [0.0] * 6, nodes=5)
+        >>> (1e3 * bent.poses[-1, :3, 3]).round().tolist()  # its tip [mm]
+        [-16.0, -57.0, 9.0]
     """
     outer, inner, hole, axes, length = 12.5e-3, 4.5e-3, 2.5e-3, 8.5e-3, 44e-3
     apart = math.acos(1 - 3**2 / (2 * 8.5**2))
@@ -118,6 +123,11 @@ def silicone_arm() -> ArmSeries:
     Assumed: 4 G times its area against stretch, too, as fibres keep the girth, and no core, where theirs keeps its
     length: so this arm grows under pressure. Strains in range as of `chamber`. Actuator 4 of each segment is the
     silicone.
+
+    Example:
+        >>> hanging = ta.solve_equilibrium(ta.silicone_arm(), 0.0, ta.ExternalLoad(gravity=True), nodes=5)
+        >>> round(-1e3 * float(hanging.poses[-1, 1, 3]))  # how long its weight makes it [mm]
+        293
     """
     parts: list[ArmDesign | RigidLink] = []
     across, weights, moduli = (35e-3, 28e-3, 19.8e-3), ((0.160, 0.020), (0.082, 0.023)), (35e3, 40e3)

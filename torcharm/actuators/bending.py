@@ -58,8 +58,8 @@ class LinearBending(HoldsTensors):
         ValueError: K is not finite or above 0, or p_ref not above 0.
 
     Example:
-        >>> limp = ta.LinearBending(-0.1, reference_pressure=50.0)  # until it is inflated
-        >>> round(float(limp.active(torch.tensor(2.0))), 3)  # what 50 kPa make of 2 rad/m [N·m]
+        >>> bending = ta.LinearBending(-0.1, reference_pressure=50.0)  # limp until it is inflated
+        >>> round(float(bending.active(torch.tensor(2.0))), 3)  # by 50 kPa, at 2 rad/m [N·m]
         -0.2
     """
 

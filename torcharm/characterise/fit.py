@@ -141,13 +141,11 @@ def fit_force_model(
         run: n labels: samples of the same label come from one run, and stand together. None: all from one.
         loss: of residuals, as of `scipy.optimize.least_squares`: "linear" is least squares; "huber", "soft_l1"
             and "cauchy" bear outliers.
-        loss_scale: residual [N] at which a robust loss bends; None takes 1.345 standard deviations of the
-            residuals' bulk.
+        loss_scale: residual [N] at which a robust loss bends; None takes 1.345 deviations of the residuals' bulk.
         monotonic: whether to constrain the force to be monotonic in pressure, over the strains of the data and
             pressures from 0 to `max_pressure` (or the data's highest).
         correlated: samples over which noise is correlated, 1 for independent; None estimates it.
-        max_pressure: highest pressure in use [kPa]; None takes that to which the fit is monotonic at all strains of
-            the data.
+        max_pressure: highest pressure in use [kPa]; None: to where the fit is monotonic at all strains of the data.
         bending_stiffness: K [N·m²] at `max_pressure`, or a bending model. A tensile test does not measure it: None
             takes the paper's estimate, and marks it as assumed.
         terms: powers (i, j) of strain and pressure, in place of all up to the degree.
@@ -248,7 +246,7 @@ def fit_recording(recording: Recording, degree: int = 3, **options: Any) -> Fitt
 
     Example:
         >>> _ = (path := folder / "data.csv").write_text("strain,p [kPa],F [N]\\n0,0,0\\n.1,0,-3\\n0,50,45\\n.1,50,42")
-        >>> [round(c, 3) for *_, c in ta.fit_recording(ta.read_table(path), degree=1).coefficients]  # N, N/kPa
+        >>> [round(c, 3) for *_, c in ta.fit_recording(ta.read_table(path), degree=1).coefficients]
         [-30.0, 0.9]
     """
     own = (*provenance_of(recording), *options.pop("provenance", ()))

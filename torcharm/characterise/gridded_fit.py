@@ -39,9 +39,8 @@ def fit_gridded_model(
         ValueError: samples do not match in number, are not finite or tell nothing; or as for `GriddedActuator`.
 
     Example:
-        >>> strain, pressure, force = [0.0, 0.1, 0.0, 0.1], [0.0, 0.0, 50.0, 50.0], [0.0, -3.0, 45.0, 42.0]
-        >>> model = ta.fit_gridded_model(strain, pressure, force, strains=[0.0, 0.1], pressures=[0.0, 50.0])
-        >>> round(float(model.force(torch.tensor(0.05), torch.tensor(25.0))), 1)  # between them [N]
+        >>> model = ta.fit_gridded_model([0, 0.1, 0, 0.1], [0, 0, 50, 50], [0, -3, 45, 42], [0, 0.1], [0, 50])
+        >>> round(float(model.force(torch.tensor(0.05), torch.tensor(25.0))), 1)  # between the samples [N]
         21.0
     """
     from scipy.interpolate import CubicSpline

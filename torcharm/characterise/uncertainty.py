@@ -100,10 +100,9 @@ def standard_deviation(
         ValueError: the covariance does not match, or values do not depend on the coefficients.
 
     Example:
-        >>> coefficients, covariance = ta.coefficient_tensor(ta.Bellows()), torch.zeros(9, 9)
-        >>> covariance[1, 1] = 0.02**2  # of pressure's coefficient [N/kPa]
-        >>> force = ta.TensorPolynomial(ta.Bellows(), coefficients).force(torch.tensor([0.1]), torch.tensor([50.0]))
-        >>> ta.standard_deviation(force, coefficients, covariance).round(decimals=3).tolist()  # of the force [N]
+        >>> c, covariance = ta.coefficient_tensor(ta.Bellows()), torch.diag(torch.tensor([0.0, 4e-4] + [0.0] * 7))
+        >>> force = ta.TensorPolynomial(ta.Bellows(), c).force(torch.tensor([0.1]), torch.tensor([50.0]))
+        >>> ta.standard_deviation(force, c, covariance).round(decimals=3).tolist()  # by 0.02 N/kPa, at 50 kPa [N]
         [1.0]
     """
     (spread,) = as_floating(covariance=covariance)

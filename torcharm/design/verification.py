@@ -63,6 +63,11 @@ def verify_design(
 
     Raises:
         ValueError: as for `torcharm.search_pressure`.
+
+    Example:
+        >>> arm, task = ta.bellows_arm(), ta.Task(ta.constant_curvature(1.0, nodes=3), tip_load=[1.0, -1.0, 0.0])
+        >>> ta.verify_design(ta.optimise_design(arm, task, starts=1, iterations=2), task).improved  # share of tasks
+        1.0
     """
     tasks = task_list(task)
     cost = result.objective.pose_cost

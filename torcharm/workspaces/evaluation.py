@@ -111,6 +111,10 @@ def workspace(
     Raises:
         ValueError: an argument is none of those allowed, the arm is a batch, has no driven actuator, or does not fit
             the payload.
+
+    Example:
+        >>> round(ta.workspace(ta.bellows_arm(), payload=0.1, states=100, nodes=3).size, 2)  # with 100 g [m²]
+        0.09
     """
     scene = _checked(arm, payload, gravity, nodes, base_pose, wrench_at)
     check_count("states", states, 100)
