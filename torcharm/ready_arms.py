@@ -126,7 +126,7 @@ def silicone_arm() -> ArmSeries:
 
     Example:
         >>> hanging = ta.solve_equilibrium(ta.silicone_arm(), 0.0, ta.ExternalLoad(gravity=True), nodes=5)
-        >>> round(-1e3 * float(hanging.poses[-1, 1, 3]))  # how long its weight makes it [mm]
+        >>> round(-1e3 * float(hanging.poses[-1, 1, 3]))  # of 290 mm, its weight makes so many
         293
     """
     parts: list[ArmDesign | RigidLink] = []

@@ -82,7 +82,7 @@ def cubic_curvature(
     nodes: int = 10,
     direction: TensorLike | None = None,
 ) -> Tensor:
-    """Twists of `κ(s) = cubic s³ + quadratic s² + slope s + intercept` [rad]; else as `affine_curvature`.
+    """Twists of `κ(s) = cubic s³ + quadratic s² + slope s + intercept` [rad]; else, and errors, as `affine_curvature`.
 
     Example:
         >>> ta.cubic_curvature(0.0, 4.0, -4.0, 1.0, nodes=3)[:, 2].tolist()  # bent at both ends, straight between

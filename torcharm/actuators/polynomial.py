@@ -121,7 +121,7 @@ class Bellows(PolynomialActuator):
     """The paper's extending bellows: a cubic in strain and pressure [N], fitted to tensile tests (R² 0.9947).
 
     Characterised for strains in [-0.167, 0.668] and pressures up to 92 kPa; used up to 50 kPa, to
-    which it is monotonic in pressure.
+    which it is monotonic in pressure. Attributes and errors are those of `PolynomialActuator`.
 
     Example:
         >>> ta.Bellows().force(torch.tensor([0.0, 0.2, 0.4]), torch.tensor(50.0)).round().tolist()  # longer, less

@@ -103,7 +103,7 @@ class FittedActuator(Measured, PolynomialActuator):
 
     Attributes:
         quality: of the fit.
-        region, provenance: as of `Measured`.
+        region, provenance: as of `Measured`; all others as of `PolynomialActuator`.
 
     Example:
         >>> ta.fit_force_model([0, 0.1, 0, 0.1], [0, 0, 50, 50], [0, -3, 45, 42], degree=1).pressure_range  # measured
@@ -141,7 +141,7 @@ def fit_force_model(
         run: n labels: samples of the same label come from one run, and stand together. None: all from one.
         loss: of residuals, as of `scipy.optimize.least_squares`: "linear" is least squares; "huber", "soft_l1"
             and "cauchy" bear outliers.
-        loss_scale: residual [N] at which a robust loss bends; None takes 1.345 deviations of the residuals' bulk.
+        loss_scale: residual [N] at which a robust loss bends; None takes 1.345 σ of the residuals' bulk.
         monotonic: whether to constrain the force to be monotonic in pressure, over the strains of the data and
             pressures from 0 to `max_pressure` (or the data's highest).
         correlated: samples over which noise is correlated, 1 for independent; None estimates it.
@@ -245,7 +245,7 @@ def fit_recording(recording: Recording, degree: int = 3, **options: Any) -> Fitt
     """`fit_force_model` on one run or several pooled, with files and settings as provenance; same options and errors.
 
     Example:
-        >>> _ = (path := folder / "data.csv").write_text("strain,p [kPa],F [N]\\n0,0,0\\n.1,0,-3\\n0,50,45\\n.1,50,42")
+        >>> _ = (path := folder / "data.csv").write_text("strain,p [kPa],F [N]\\n0,0,0\\n0.1,0,-3\\n0,50,45\\n")
         >>> [round(c, 3) for *_, c in ta.fit_recording(ta.read_table(path), degree=1).coefficients]
         [-30.0, 0.9]
     """

@@ -88,7 +88,7 @@ def estimate_offset(
 
     Example:
         >>> rows = [f"{t},{math.sin(t) / 9},{-(t % 50)},{t % 50},{t + 2}" for t in range(200)]
-        >>> _ = (path := folder / "run.csv").write_text("\\n".join(["t [s],strain [1],F [N],p [kPa],log [s]", *rows]))
+        >>> _ = (path := folder / "run.csv").write_text("\\n".join(["t [s],ε [1],F [N],p [kPa],log [s]", *rows, ""]))
         >>> tester, log = ta.read_tester(path), ta.read_pressure(path, columns="time=5:s")  # whose clock is 2 s ahead
         >>> round(ta.estimate_offset(tester, log, smoothing=0).offset)
         -2000

@@ -40,6 +40,9 @@ class Smoothness:
         length_weight: a [rad/m].
         reference_length: l_ref [m], of each segment.
 
+    Raises:
+        ValueError: the weight is negative, the length is not above 0, or one is not finite.
+
     Example:
         >>> smooth = ta.Smoothness(length_weight=45.0, reference_length=0.5)
         >>> plan = ta.plan_shape(ta.bellows_arm(), [0.12, -0.48, -1.1], [0.0, 0.0, 0.0], smooth, nodes=4)

@@ -214,7 +214,7 @@ def solve_equilibrium(
 
     Example:
         >>> found = ta.solve_equilibrium(ta.antagonistic_arm(), pressure=[20.0, 30.0, 5.0, 10.0], load=[0.0, -1.0, 0.0])
-        >>> found.status, found.poses[-1].round(decimals=2).tolist()  # the tip
+        >>> found.status, found.poses[-1].round(decimals=2).tolist()  # the tip [m, m, rad]
         ('converged', [0.11, -0.5, -1.14])
     """
     refuse_transforms("pressure, load")

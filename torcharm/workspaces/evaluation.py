@@ -113,8 +113,9 @@ def workspace(
             the payload.
 
     Example:
-        >>> round(ta.workspace(ta.bellows_arm(), payload=0.1, states=100, nodes=3).size, 2)  # with 100 g [m²]
-        0.09
+        >>> found = ta.workspace(ta.bellows_arm(), payload=0.1, states=200, nodes=3)
+        >>> round(found.reach, 1)  # how far from its base the tip comes with 100 g [m]
+        0.8
     """
     scene = _checked(arm, payload, gravity, nodes, base_pose, wrench_at)
     check_count("states", states, 100)

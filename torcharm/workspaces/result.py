@@ -46,7 +46,7 @@ class Workspace(HoldsTensors):
         stopped: "finished", or what stopped it: "interrupted", "callback".
 
     Example:
-        >>> found = ta.workspace(ta.bellows_arm(), states=100, nodes=3)
+        >>> found = ta.workspace(ta.bellows_arm(), states=200, nodes=3)
         >>> found.contains([[0.0, -0.6], [0.4, 0.0]]).tolist()  # below the base, beside it
         [True, False]
     """
