@@ -246,7 +246,7 @@ def fit_recording(recording: Recording, degree: int = 3, **options: Any) -> Fitt
 
     Example:
         >>> _ = (path := folder / "data.csv").write_text("strain,p [kPa],F [N]\\n0,0,0\\n0.1,0,-3\\n0,50,45\\n")
-        >>> [round(c, 3) for *_, c in ta.fit_recording(ta.read_table(path), degree=1).coefficients]
+        >>> [round(c, 3) for *_, c in ta.fit_recording(ta.read_table(path, positive="push"), degree=1).coefficients]
         [-30.0, 0.9]
     """
     own = (*provenance_of(recording), *options.pop("provenance", ()))
