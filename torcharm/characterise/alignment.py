@@ -145,13 +145,13 @@ def noted(source: str, notes: Sequence[str]) -> tuple[tuple[str, str], ...]:
 def pool(recordings: Sequence[Recording]) -> Recording:
     """Several runs as one; settings that differ are kept run by run.
 
-    Raises:
-        ValueError: there is none.
-
     Example:
         >>> _ = (path := folder / "data.csv").write_text("strain,p [kPa],F [N]\\n0,0,0\\n0,50,44\\n0.1,50,39\\n")
         >>> ta.pool([ta.read_table(path), ta.read_table(path)]).run.tolist()
         [0, 0, 0, 1, 1, 1]
+
+    Raises:
+        ValueError: there is none.
     """
     if not recordings:
         raise ValueError("recordings: must hold at least one run, got none")

@@ -89,7 +89,7 @@ def best_fit(recording: Recording, degree: int = 3, **options: Any) -> tuple[lis
     Example:
         >>> rows = [f"{e / 9},{p},{p * (0.9 - e / 9) - 30 * e / 9}" for e in range(5) for p in range(0, 60, 10)]
         >>> _ = (path := folder / "data.csv").write_text("\\n".join(["strain,p [kPa],F [N]", *rows, ""]))
-        >>> [kind.kind for kind in ta.best_fit(ta.read_table(path, positive="push"))[0]]  # the first needs the fewest numbers
+        >>> [kind.kind for kind in ta.best_fit(ta.read_table(path, positive="push"))[0]]  # by fewest numbers
         ['mckibben', 'polynomial', 'gridded']
     """
     grid = [len(_axis(values)) for values in (recording.strain, recording.pressure)]
