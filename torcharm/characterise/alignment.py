@@ -23,6 +23,11 @@ SMOOTHING_REACH = 2.5
 class Recording:
     """One run on the test bench, or several, for one actuator, on the tester's time stamps.
 
+    Example:
+        >>> _ = (path := folder / "data.csv").write_text("strain,p [kPa],F [N]\\n0,0,0\\n0,50,44\\n0.1,50,39\\n")
+        >>> ta.read_table(path).force.tolist(), ta.read_table(path).sources
+        ([0.0, 44.0, 39.0], ('data.csv',))
+
     Attributes:
         strain: (n).
         pressure: (n) [kPa].
@@ -30,11 +35,6 @@ class Recording:
         run: (n) which run each sample comes from, counted from 0; within a run samples are in order of time.
         sources: each run's files.
         settings: how they were read, for the record: names and values.
-
-    Example:
-        >>> _ = (path := folder / "data.csv").write_text("strain,p [kPa],F [N]\\n0,0,0\\n0,50,44\\n0.1,50,39\\n")
-        >>> ta.read_table(path).force.tolist(), ta.read_table(path).sources
-        ([0.0, 44.0, 39.0], ('data.csv',))
     """
 
     strain: Float[Floats, " n"]
