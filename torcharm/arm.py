@@ -45,6 +45,12 @@ class ArmDesign(HoldsTensors):
         torsion_stiffness: (*batch) stiffness C against torsion [N·m²], or None for an arm that does not twist.
         diameter: (*batch, M) outer diameters of the actuators [m], or None where they are not known.
         deviation: what built actuators do other than their models, or None.
+
+    Example:
+        >>> ta.ArmDesign(offsets=ta.ring(0.05, 6), length=0.4, actuators=["bellows", "mckibben"] * 3, mass=0.3)
+        ArmDesign(spatial, 3 bellows, 3 mckibben, batch (), torch.float64)
+        >>> ta.ArmDesign(radii=[[-0.05, 0.05], [-0.08, 0.08]], length=0.4, actuators="bellows")  # two in the plane
+        ArmDesign(planar, 2 bellows, batch (2,), torch.float64)
     """
 
     radii: Tensor
@@ -229,6 +235,10 @@ def ring(radius: TensorLike, count: int, phase: TensorLike = 0.0) -> Tensor:
     Raises:
         ValueError: a value is not finite, a radius is negative, the count is no positive integer, or shapes do not
             broadcast.
+
+    Example:
+        >>> ta.ring(radius=0.05, count=3).round(decimals=3).tolist()
+        [[0.05, 0.0], [-0.025, 0.043], [-0.025, -0.043]]
     """
     check_count("count", count, 1)
     size, first = as_floating(radius=radius, phase=phase)

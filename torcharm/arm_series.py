@@ -21,6 +21,11 @@ class RigidLink(HoldsTensors):
         length: (...) of a straight link along the backbone [m], or None.
         pose: of the link's end in the frame of its start, (..., 3) or (..., 4, 4); None for a straight link.
         mass: (...) [kg], at the middle of the line from its start to its end.
+
+    Example:
+        >>> elbow = ta.RigidLink(pose=[0.02, 0.03, math.pi / 2], mass=0.05)  # between two segments, turning left
+        >>> ta.series([ta.bellows_arm(length=0.3), elbow, ta.bellows_arm(length=0.2)]).links
+        (RigidLink(pose (3,), torch.float64), None)
     """
 
     length: Tensor | None
@@ -95,6 +100,10 @@ class ArmSeries(HoldsTensors):
     Attributes:
         segments: the arms from base to tip; their batches broadcast.
         links: what follows each segment before the next one or the tip: a rigid link, or None.
+
+    Example:
+        >>> ta.series([ta.bellows_arm(), ta.mckibben_arm()]).max_pressure.tolist()  # in the order of pressures
+        [50.0, 50.0, 50.0, 50.0, 100.0, 100.0, 100.0, 100.0]
     """
 
     segments: tuple[ArmDesign, ...]
@@ -150,6 +159,11 @@ def series(parts: Sequence[ArmDesign | ArmSeries | RigidLink]) -> ArmSeries:
     Raises:
         ValueError: there is no segment, a link has no segment right before it, planar and spatial parts are mixed,
             or batches do not broadcast.
+
+    Example:
+        >>> arm = ta.series([ta.bellows_arm(length=0.3), ta.RigidLink(length=0.03), ta.mckibben_arm(length=0.2)])
+        >>> arm.actuator_count, round(float(arm.neutral_length), 3)  # without the link
+        (8, 0.5)
     """
     if not isinstance(parts, Sequence) or isinstance(parts, str):
         raise ValueError(f"parts: must be a list of arms and links, got {shown(parts)}")

@@ -38,6 +38,10 @@ class PointLoad(HoldsTensors):
         at: the place on that segment's normalised arc, from 0 (its start) to 1 (its end, before a link).
         frame: "world" for a wrench of fixed direction, "body" for one that turns with the arm.
         mass: (...) [kg], which weighs where the load has gravity.
+
+    Example:
+        >>> ta.PointLoad(wrench=[0.0, 2.0, 0.0], at=0.5, frame="body")  # 2 N to the arm's left, half way
+        PointLoad(wrench (3,) in the body frame, last segment at 0.5, mass ())
     """
 
     wrench: Tensor | None
@@ -103,6 +107,10 @@ class ExternalLoad(HoldsTensors):
         tip: (..., 3) or (..., 6) wrench at the tip in the world frame [N, N·m], or None.
         gravity: whether the arm, its links and the points' masses weigh: 9.81 m/s² along world -y.
         points: loads at places along the arm.
+
+    Example:
+        >>> ta.ExternalLoad(gravity=True, points=[ta.PointLoad(mass=0.1)])  # its own weight, and 100 g at the tip
+        ExternalLoad(no tip load, gravity=True, points=[PointLoad(no wrench, last segment at 1, mass ())])
     """
 
     tip: Tensor | None

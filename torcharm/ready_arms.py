@@ -19,6 +19,13 @@ def antagonistic_arm(
     Args:
         outer_radius, inner_radius: (...) offsets [m]; tensors make a batch of designs.
         length: (...) or (..., 4) neutral lengths [m].
+
+    Raises:
+        ValueError: as for `ArmDesign`.
+
+    Example:
+        >>> ta.antagonistic_arm(outer_radius=torch.linspace(0.04, 0.1, 200))  # 200 designs
+        ArmDesign(planar, 2 bellows, 2 mckibben, batch (200,), torch.float32)
     """
     return ArmDesign(_mirrored(outer_radius, inner_radius), length, (Bellows(), McKibben(), McKibben(), Bellows()))
 
@@ -26,7 +33,12 @@ def antagonistic_arm(
 def bellows_arm(
     outer_radius: TensorLike = 0.08, inner_radius: TensorLike = 0.015, length: TensorLike = 0.5
 ) -> ArmDesign:
-    """The paper's bellows-only arm; arguments as for `antagonistic_arm`."""
+    """The paper's bellows-only arm; arguments and errors as for `antagonistic_arm`.
+
+    Example:
+        >>> ta.bellows_arm(outer_radius=0.06).radii.tolist()
+        [-0.06, -0.015, 0.015, 0.06]
+    """
     return ArmDesign(_mirrored(outer_radius, inner_radius), length, (Bellows(),) * 4)
 
 
@@ -35,7 +47,11 @@ def mckibben_arm(
 ) -> ArmDesign:
     """The paper's muscle-only arm: four muscles at ±1 cm, every one doubled in force.
 
-    Arguments as for `antagonistic_arm`.
+    Arguments and errors as for `antagonistic_arm`.
+
+    Example:
+        >>> [model.force_scale for model in ta.mckibben_arm().actuators]  # two muscles pull at each of four places
+        [2.0, 2.0, 2.0, 2.0]
     """
     return ArmDesign(_mirrored(outer_radius, inner_radius), length, (McKibben(force_scale=2.0),) * 4)
 
@@ -52,6 +68,13 @@ def antagonistic_ring(
         outer_radius, inner_radius: (...) of the rings [m]; tensors make a batch of designs.
         length: (...) or (..., 2·count) neutral lengths [m].
         count: of bellows, and of muscles.
+
+    Raises:
+        ValueError: as for `ArmDesign` and `ring`.
+
+    Example:
+        >>> ta.antagonistic_ring(count=4)
+        ArmDesign(spatial, 4 bellows, 4 mckibben, batch (), torch.float64)
     """
     outer, inner = _radii(outer_radius, inner_radius)
     offsets = torch.cat((ring(outer, count), ring(inner, count)), -2)
@@ -66,6 +89,11 @@ def silicone_module() -> ArmSeries:
     radius 2.5 mm, whose axes are 8.5 mm from the centre and 3 mm from the middle of their pair there, Young's modulus
     120 kPa, 1820 kg/m³; the end 14.5 mm long, 13.47 g. Assumed: strains and pressures in range as of `chamber`, up to
     100 kPa; the recordings reach 111. Chambers 1 and 2, 3 and 4, 5 and 6 share a pressure each; actuator 7 is the body.
+
+    Example:
+        >>> bent = ta.solve_equilibrium(ta.silicone_module(), [0.0, 0.0, 60.0, 60.0, 0.0, 0.0, 0.0], [0.0] * 6, nodes=5)
+        >>> (1e3 * bent.poses[-1, :3, 3]).round().tolist()  # its tip [mm]
+        [-16.0, -57.0, 9.0]
     """
     outer, inner, hole, axes, length = 12.5e-3, 4.5e-3, 2.5e-3, 8.5e-3, 44e-3
     apart = math.acos(1 - 3**2 / (2 * 8.5**2))
@@ -95,6 +123,11 @@ def silicone_arm() -> ArmSeries:
     Assumed: 4 G times its area against stretch, too, as fibres keep the girth, and no core, where theirs keeps its
     length: so this arm grows under pressure. Strains in range as of `chamber`. Actuator 4 of each segment is the
     silicone.
+
+    Example:
+        >>> hanging = ta.solve_equilibrium(ta.silicone_arm(), 0.0, ta.ExternalLoad(gravity=True), nodes=5)
+        >>> round(-1e3 * float(hanging.poses[-1, 1, 3]))  # of 290 mm, its weight makes so many
+        293
     """
     parts: list[ArmDesign | RigidLink] = []
     across, weights, moduli = (35e-3, 28e-3, 19.8e-3), ((0.160, 0.020), (0.082, 0.023)), (35e3, 40e3)

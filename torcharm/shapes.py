@@ -39,6 +39,10 @@ def constant_curvature(
 
     Raises:
         ValueError: as for `affine_curvature`.
+
+    Example:
+        >>> ta.constant_curvature(math.pi / 2, length=0.4, nodes=2).round(decimals=3).tolist()  # rows (l, γ, κ)
+        [[0.4, 0.0, 1.571], [0.4, 0.0, 1.571]]
     """
     return _bent(length, nodes, direction, curvature=curvature)
 
@@ -61,6 +65,10 @@ def affine_curvature(
     Raises:
         ValueError: shapes do not broadcast, a value is not finite, a length is not positive, or N is
             no positive integer.
+
+    Example:
+        >>> ta.affine_curvature(slope=-3.0, intercept=3.0, nodes=4)[:, 2].tolist()  # straight at the tip
+        [3.0, 2.0, 1.0, 0.0]
     """
     return _bent(length, nodes, direction, slope=slope, intercept=intercept)
 
@@ -74,7 +82,12 @@ def cubic_curvature(
     nodes: int = 10,
     direction: TensorLike | None = None,
 ) -> Tensor:
-    """Twists of `κ(s) = cubic s³ + quadratic s² + slope s + intercept`; else as `affine_curvature`."""
+    """Twists of `κ(s) = cubic s³ + quadratic s² + slope s + intercept` [rad]; else, and errors, as `affine_curvature`.
+
+    Example:
+        >>> ta.cubic_curvature(0.0, 4.0, -4.0, 1.0, nodes=3)[:, 2].tolist()  # bent at both ends, straight between
+        [1.0, 0.0, 1.0]
+    """
     powers = {"cubic": cubic, "quadratic": quadratic, "slope": slope, "intercept": intercept}
     return _bent(length, nodes, direction, **powers)
 
@@ -98,6 +111,10 @@ def helix(
 
     Raises:
         ValueError: as for `affine_curvature`.
+
+    Example:
+        >>> ta.helix(curvature=2.0, torsion=math.pi, nodes=2)[:, 4:].round(decimals=2).tolist()  # (κ_y, κ_z) go round
+        [[-1.41, 1.41], [-1.41, -1.41]]
     """
     check_count("nodes", nodes, 1)
     given = {"curvature": curvature, "torsion": torsion, "length": length, "direction": direction}
@@ -117,6 +134,10 @@ def arc_to(tip: TensorLike, nodes: int = 10, base_pose: TensorLike | str | None 
     Raises:
         ValueError: shapes do not fit, a value is not finite, or the point is the base, or straight behind it, where
             no one arc leads.
+
+    Example:
+        >>> ta.poses(ta.arc_to([0.2, -0.3]))[-1, :2].round(decimals=3).tolist()  # it ends there
+        [0.2, -0.3]
     """
     check_count("nodes", nodes, 1)
     given = {"tip": tip} if goes_by_name(base_pose) else {"tip": tip, "base_pose": base_pose}

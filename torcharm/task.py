@@ -41,6 +41,10 @@ class Task(HoldsTensors):
         load: all that loads the arm; its tip is the `tip_load`.
         wrench_at: "middle" or "start", where on its element a node's wrench is taken.
         segment_nodes: number of elements of each segment in series, or None for an arm of one segment.
+
+    Example:
+        >>> ta.Task(ta.affine_curvature(0.5, 0.5), ta.sample_loads(100)).batch_shape  # one shape, under 100 loads
+        torch.Size([100])
     """
 
     twists: Tensor
@@ -206,6 +210,10 @@ def sample_loads(count: int, scale: Sequence[float] = (20.0, 20.0, 2.0), seed: i
     Raises:
         ValueError: the count is negative or no integer, the scale neither three nor six finite numbers, or the seed
             outside [0, 2³²).
+
+    Example:
+        >>> ta.sample_loads(2, scale=(4.0, 4.0, 0.4)).round(decimals=2).tolist()  # within ±2 N and ±0.2 N·m
+        [[0.17, -0.89, -0.03], [1.38, -1.98, -0.15]]
     """
     check_count("count", count, 0)
     if check_count("seed", seed, 0) >= 2**32:

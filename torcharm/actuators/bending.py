@@ -47,7 +47,7 @@ class Bending(Protocol):
 
 @dataclass(frozen=True)
 class LinearBending(HoldsTensors):
-    """The paper's `τ = K (p / p_ref) κ/l`; a plain number K as `bending_stiffness` is this, too.
+    """The paper's `τ = K (p / p_ref) κ/l` [N·m]; a plain number K as `bending_stiffness` is this, too.
 
     Attributes:
         stiffness: K [N·m²], at most 0: negative resists bending.
@@ -56,6 +56,11 @@ class LinearBending(HoldsTensors):
 
     Raises:
         ValueError: K is not finite or above 0, or p_ref not above 0.
+
+    Example:
+        >>> bending = ta.LinearBending(-0.1, reference_pressure=50.0)  # limp until it is inflated
+        >>> round(float(bending.active(torch.tensor(2.0))), 3)  # by 50 kPa, at 2 rad/m [N·m]
+        -0.2
     """
 
     stiffness: Number
@@ -76,13 +81,18 @@ class LinearBending(HoldsTensors):
 
 @dataclass(frozen=True)
 class ConstantBending(HoldsTensors):
-    """`τ = K κ/l`, whatever the pressure.
+    """`τ = K κ/l` [N·m], whatever the pressure, as of a beam of rubber.
 
     Attributes:
         stiffness: K [N·m²], at most 0: negative resists bending.
 
     Raises:
         ValueError: K is not finite or above 0.
+
+    Example:
+        >>> rubber = ta.Bellows(bending_stiffness=ta.ConstantBending(-0.1))  # resists as much without pressure
+        >>> round(float(rubber.bending_stiffness.passive(torch.tensor(2.0))), 3)  # at 2 rad/m [N·m]
+        -0.2
     """
 
     stiffness: Number
@@ -120,6 +130,11 @@ class BendingFunction:
     Raises:
         ValueError: p_ref is not above 0, or the function fails, is not finite or not affine in pressure, or
             drives on what is bent.
+
+    Example:
+        >>> bending = ta.BendingFunction(lambda k, p: -(0.02 + 0.001 * p) * k, reference_pressure=50.0)
+        >>> round(float(bending.active(torch.tensor(2.0))), 3)  # added by 50 kPa, at 2 rad/m [N·m]
+        -0.1
     """
 
     function: Callable[[Tensor, Tensor], Tensor]

@@ -39,6 +39,11 @@ class GriddedActuator(Measured, HoldsTensors):
     Raises:
         ValueError: fewer than two strains or pressures, not in order, a force is missing or not finite, or a limit is
             not positive.
+
+    Example:
+        >>> model = ta.GriddedActuator((0.0, 0.4), (0.0, 50.0), ((0.0, 44.0), (-4.0, 30.0)), max_pressure=50.0)
+        >>> round(float(model.force(torch.tensor(0.2), torch.tensor(25.0))), 3)  # in the middle of the four forces
+        17.5
     """
 
     name: ClassVar[str] = "gridded"

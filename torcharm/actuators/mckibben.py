@@ -59,7 +59,7 @@ _RISE_RATE = _RECOVERY_LIM / (_STRAIN_LIM - _STRAIN_CRIT) ** 2
 class McKibben(HoldsTensors):
     """A McKibben muscle: it pulls (force ≤ 0) when pressurised.
 
-    The published piecewise model F is written with coefficients that depend on strain alone, so
+    The piecewise model F of Olson et al. (2020) [N, kPa] is written with coefficients that depend on strain alone, so
     that the work per pressure is small; both branches are finite everywhere:
 
         F = (C + k max(0, p - p_0) if p < Z else A (p - Z)) + B p^x,    f = -F
@@ -78,6 +78,10 @@ class McKibben(HoldsTensors):
 
     Raises:
         ValueError: a limit is not positive, a range is none, or a number is not finite.
+
+    Example:
+        >>> ta.McKibben().force(torch.tensor([0.0, -0.1, -0.2]), torch.tensor(100.0)).round().tolist()  # shorter, less
+        [-27.0, -13.0, -6.0]
     """
 
     name: ClassVar[str] = "mckibben"

@@ -32,6 +32,11 @@ class PolynomialActuator(HoldsTensors):
     Raises:
         ValueError: a power is negative or no whole number, a limit is not positive, a range is none,
             or a number is not finite.
+
+    Example:
+        >>> spring = ta.PolynomialActuator(((0, 1, 0.8), (1, 0, -40.0)), (-0.2, 0.4), (0.0, 60.0), 60.0)  # 0.8 p - 40 ε
+        >>> round(float(spring.force(torch.tensor(0.1), torch.tensor(50.0))), 3)
+        36.0
     """
 
     name: ClassVar[str] = "polynomial"
@@ -113,10 +118,14 @@ BELLOWS_COEFFICIENTS: Coefficients = (
 
 @dataclass(frozen=True)
 class Bellows(PolynomialActuator):
-    """The paper's extending bellows: a cubic in strain and pressure.
+    """The paper's extending bellows: a cubic in strain and pressure [N], fitted to tensile tests (R² 0.9947).
 
     Characterised for strains in [-0.167, 0.668] and pressures up to 92 kPa; used up to 50 kPa, to
-    which it is monotonic in pressure.
+    which it is monotonic in pressure. Attributes and errors are those of `PolynomialActuator`.
+
+    Example:
+        >>> ta.Bellows().force(torch.tensor([0.0, 0.2, 0.4]), torch.tensor(50.0)).round().tolist()  # longer, less
+        [44.0, 40.0, 36.0]
     """
 
     name: ClassVar[str] = "bellows"

@@ -50,6 +50,10 @@ class Actuator(Protocol):
     legends call it, in place of its class. `characterised(strain, pressure)` says, by a mask, where within its ranges
     the model was measured: what is found elsewhere is out of range. And `moulded = True` says that it is part of one
     body with the others of its segment that say so: they have one length, which an optimiser changes for all of them.
+
+    Example:
+        >>> [isinstance(given, ta.Actuator) for given in (ta.Bellows(), ta.chamber(area=2e-4), "bellows")]
+        [True, True, False]
     """
 
     @property

@@ -47,6 +47,10 @@ def chamber(
 
     Raises:
         ValueError: the area is not above 0 and at most 1, or as for `PolynomialActuator`.
+
+    Example:
+        >>> round(float(ta.chamber(area=2e-4).force(torch.tensor(0.1), torch.tensor(100.0))), 3)  # 2 cm² at 100 kPa
+        20.0
     """
     if check_number("area", area, 0.0, strict=True, unit="m²") > LARGEST_AREA:
         raise ValueError(f"area: must be at most {LARGEST_AREA:g} m² (is it in mm²?), got {float(area):g}")
@@ -76,6 +80,10 @@ def elastic_core(
 
     Raises:
         ValueError: a stiffness is not above 0, or as for `PolynomialActuator`.
+
+    Example:
+        >>> round(float(ta.elastic_core(50.0, 1e-3).force(torch.tensor(0.1), torch.tensor(0.0))), 3)  # pulls back
+        -5.0
     """
     check_number("axial_stiffness", axial_stiffness, 0.0, strict=True, unit="N")
     check_number("bending_stiffness", bending_stiffness, 0.0, strict=True, unit="N·m²")

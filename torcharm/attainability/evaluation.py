@@ -120,6 +120,12 @@ def evaluate(
 
     Raises:
         ValueError: an argument is none of those allowed, or arm and task do not fit.
+
+    Example:
+        >>> task = ta.Task(ta.constant_curvature(0.5), tip_load=[1.0, -1.0, 0.0])
+        >>> found = ta.evaluate(ta.antagonistic_arm(), task)
+        >>> found.verdict, round(1e3 * float(found.tip_error), 1)  # and how far off the tip will be [mm]
+        ('held', 0.4)
     """
     asked = _metrics(metrics)
     how = _Measure.of(asked, tolerance, hull, samples, distance, weights, power, signed, chunk_size)

@@ -63,6 +63,11 @@ class Attainability(HoldsTensors):
         weights: k_f [1/N²] and k_m [1/(N·m)²] of distances.
         tolerance: what counts as held.
         arm, task: what was evaluated.
+
+    Example:
+        >>> found = ta.evaluate(ta.bellows_arm(), ta.Task(ta.constant_curvature(0.5), tip_load=[1.0, 0.0, 0.0]))
+        >>> found.verdict, found.reason.split(";")[0]
+        ('missed', 'shape off by 35.3 mm: 6.4 % too long, bends 51 % too little')
     """
 
     absolute: Tensor | None

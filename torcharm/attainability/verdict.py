@@ -49,6 +49,11 @@ class PoseTolerance:
 
     Raises:
         ValueError: a tolerance is not a number above 0, or above 1 m or π.
+
+    Example:
+        >>> task = ta.Task(ta.constant_curvature(0.5), tip_load=[1.0, 0.0, 0.0])
+        >>> ta.evaluate(ta.antagonistic_arm(), task, tolerance=ta.PoseTolerance(tip=0.0002)).verdict  # else held
+        'missed'
     """
 
     tip: float | None = None

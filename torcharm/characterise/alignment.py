@@ -23,6 +23,11 @@ SMOOTHING_REACH = 2.5
 class Recording:
     """One run on the test bench, or several, for one actuator, on the tester's time stamps.
 
+    Example:
+        >>> _ = (path := folder / "data.csv").write_text("strain,p [kPa],F [N]\\n0,0,0\\n0,50,44\\n0.1,50,39\\n")
+        >>> ta.read_table(path).force.tolist(), ta.read_table(path).sources
+        ([0.0, 44.0, 39.0], ('data.csv',))
+
     Attributes:
         strain: (n).
         pressure: (n) [kPa].
@@ -78,6 +83,11 @@ def align(
 
     Raises:
         ValueError: the two do not overlap in time, or a setting is out of range.
+
+    Example:
+        >>> _ = (path := folder / "run.csv").write_text("t [s],ε [1],F [N],p [kPa],log [s]\\n1,0,1,0,0\\n2,0,5,80,4\\n")
+        >>> ta.align(ta.read_tester(path), ta.read_pressure(path, columns="time=5:s"), smoothing=0).pressure.tolist()
+        [20.0, 40.0]
     """
     count = check_count("actuators", actuators, 1)
     for name, value in (("smoothing", smoothing), ("max_gap", max_gap)):
@@ -134,6 +144,11 @@ def noted(source: str, notes: Sequence[str]) -> tuple[tuple[str, str], ...]:
 
 def pool(recordings: Sequence[Recording]) -> Recording:
     """Several runs as one; settings that differ are kept run by run.
+
+    Example:
+        >>> _ = (path := folder / "data.csv").write_text("strain,p [kPa],F [N]\\n0,0,0\\n0,50,44\\n0.1,50,39\\n")
+        >>> ta.pool([ta.read_table(path), ta.read_table(path)]).run.tolist()
+        [0, 0, 0, 1, 1, 1]
 
     Raises:
         ValueError: there is none.

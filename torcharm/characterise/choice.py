@@ -78,10 +78,19 @@ def best_fit(recording: Recording, degree: int = 3, **options: Any) -> tuple[lis
     provenance holds all errors.
 
     Args:
-        recording, degree, **options: as for `fit_kind`.
+        recording, degree, **options: as for `fit_recording`.
+
+    Returns:
+        The kinds with the root mean square error of forces left out, `rmse` [N], the best first; and the model.
 
     Raises:
         ValueError: no kind can be fitted.
+
+    Example:
+        >>> rows = [f"{e / 9},{p},{p * (0.9 - e / 9) - 30 * e / 9}" for e in range(5) for p in range(0, 60, 10)]
+        >>> _ = (path := folder / "data.csv").write_text("\\n".join(["strain,p [kPa],F [N]", *rows, ""]))
+        >>> [kind.kind for kind in ta.best_fit(ta.read_table(path, positive="push"))[0]]  # by fewest numbers
+        ['mckibben', 'polynomial', 'gridded']
     """
     grid = [len(_axis(values)) for values in (recording.strain, recording.pressure)]
     counts = {"mckibben": len(MCKIBBEN), "polynomial": len(exponents(degree)), "gridded": math.prod(grid)}

@@ -76,6 +76,10 @@ class FitQuality:
         constrained: whether it was held monotonic.
         hold_out: for each run; empty if there is one run.
         monotonicity: in pressure, over the range of the data.
+
+    Example:
+        >>> round(ta.fit_force_model([0, 0.1, 0, 0.1], [0, 0, 50, 50], [0, -3, 45, 40], degree=1).quality.rmse, 2)
+        0.58
     """
 
     samples: int
@@ -99,7 +103,11 @@ class FittedActuator(Measured, PolynomialActuator):
 
     Attributes:
         quality: of the fit.
-        region, provenance: as of `Measured`.
+        region, provenance: as of `Measured`; all others as of `PolynomialActuator`.
+
+    Example:
+        >>> ta.fit_force_model([0, 0.1, 0, 0.1], [0, 0, 50, 50], [0, -3, 45, 42], degree=1).pressure_range  # measured
+        (0.0, 50.0)
     """
 
     name: ClassVar[str] = "fitted polynomial"
@@ -133,13 +141,11 @@ def fit_force_model(
         run: n labels: samples of the same label come from one run, and stand together. None: all from one.
         loss: of residuals, as of `scipy.optimize.least_squares`: "linear" is least squares; "huber", "soft_l1"
             and "cauchy" bear outliers.
-        loss_scale: residual [N] at which a robust loss bends; None takes 1.345 standard deviations of the
-            residuals' bulk.
+        loss_scale: residual [N] at which a robust loss bends; None takes 1.345 σ of the residuals' bulk.
         monotonic: whether to constrain the force to be monotonic in pressure, over the strains of the data and
             pressures from 0 to `max_pressure` (or the data's highest).
         correlated: samples over which noise is correlated, 1 for independent; None estimates it.
-        max_pressure: highest pressure in use [kPa]; None takes that to which the fit is monotonic at all strains of
-            the data.
+        max_pressure: highest pressure in use [kPa]; None: to where the fit is monotonic at all strains of the data.
         bending_stiffness: K [N·m²] at `max_pressure`, or a bending model. A tensile test does not measure it: None
             takes the paper's estimate, and marks it as assumed.
         terms: powers (i, j) of strain and pressure, in place of all up to the degree.
@@ -148,6 +154,11 @@ def fit_force_model(
     Raises:
         ValueError: samples do not match in number, are not finite, tell nothing (see `check_informative`) or are too
             few to determine the coefficients, or an argument is none of those allowed.
+
+    Example:
+        >>> strain, pressure, force = [0.0, 0.1, 0.0, 0.1], [0.0, 0.0, 50.0, 50.0], [0.0, -3.0, 45.0, 42.0]
+        >>> [(i, j, round(c, 3)) for i, j, c in ta.fit_force_model(strain, pressure, force, degree=1).coefficients]
+        [(1, 0, -30.0), (0, 1, 0.9)]
     """
     data = _Data.checked(strain, pressure, force, run)
     total = _check_options(degree, loss, loss_scale, correlated, max_pressure)
@@ -231,7 +242,13 @@ def check_informative(strain: Array, pressure: Array, force: Array) -> None:
 
 
 def fit_recording(recording: Recording, degree: int = 3, **options: Any) -> FittedActuator:
-    """`fit_force_model` on one run or several pooled, with its files and settings as provenance; same options."""
+    """`fit_force_model` on one run or several pooled, with files and settings as provenance; same options and errors.
+
+    Example:
+        >>> _ = (path := folder / "data.csv").write_text("strain,p [kPa],F [N]\\n0,0,0\\n0.1,0,-3\\n0,50,45\\n")
+        >>> [round(c, 3) for *_, c in ta.fit_recording(ta.read_table(path, positive="push"), degree=1).coefficients]
+        [-30.0, 0.9]
+    """
     own = (*provenance_of(recording), *options.pop("provenance", ()))
     return fit_force_model(
         recording.strain, recording.pressure, recording.force, degree, run=recording.run, provenance=own, **options

@@ -43,6 +43,11 @@ def read_table(
 
     Raises:
         ValueError: the file cannot be read, names no unit, or holds what is no number; it names file and line.
+
+    Example:
+        >>> _ = (path := folder / "sheet.csv").write_text("contraction [%];0 bar;1 bar\\n0;0;40\\n10;-5;30\\n")
+        >>> ta.read_table(path).strain.tolist(), ta.read_table(path).force.tolist()  # negative forces pull
+        ([0.0, 0.0, -0.1, -0.1], [0.0, -40.0, 5.0, -30.0])
     """
     for name, value, allowed in (("unit", unit, PRESSURE), ("positive", positive, POSITIVE)):
         if value is not None:

@@ -37,6 +37,11 @@ def fit_gridded_model(
 
     Raises:
         ValueError: samples do not match in number, are not finite or tell nothing; or as for `GriddedActuator`.
+
+    Example:
+        >>> model = ta.fit_gridded_model([0, 0.1, 0, 0.1], [0, 0, 50, 50], [0, -3, 45, 42], [0, 0.1], [0, 50])
+        >>> round(float(model.force(torch.tensor(0.05), torch.tensor(25.0))), 1)  # between the samples [N]
+        21.0
     """
     from scipy.interpolate import CubicSpline
     from scipy.linalg import solve

@@ -49,6 +49,11 @@ def save_actuator(path: StrPath, model: Actuator | str) -> None:
     Raises:
         ValueError: the model is of a kind that no file can hold: of one's own, or with a bending function.
         OSError: the file cannot be written.
+
+    Example:
+        >>> ta.save_actuator(folder / "mine.toml", ta.Bellows(max_pressure=40.0))
+        >>> ta.ArmDesign([-0.05, 0.05], 0.4, folder / "mine.toml").max_pressure.tolist()
+        [40.0, 40.0]
     """
     text = actuator_text(model_of("model", model))
     with atomic_write(path) as partial:
@@ -92,6 +97,11 @@ def load_actuator(path: StrPath) -> Actuator:
     Raises:
         ValueError: the file cannot be read, is no TOML, holds no force model, or ends with a number and no end of line,
             as where it was cut short: one line that names file and field.
+
+    Example:
+        >>> ta.save_actuator(folder / "mine.toml", ta.Bellows(max_pressure=40.0))
+        >>> ta.load_actuator(folder / "mine.toml").max_pressure
+        40.0
     """
     source = str(path)
     try:

@@ -22,10 +22,14 @@ class Monotonicity:
         monotonic: whether force never runs against its trend as pressure grows, at any strain.
         rising: whether the trend is upwards.
         up_to: the highest pressure [kPa] to which it is monotonic at every strain.
-        failing_share: of the box.
-        failing_strain, failing_pressure: ranges that hold all failures; None if there is none.
+        failing_share: of the box, 0 to 1.
+        failing_strain, failing_pressure [kPa]: ranges that hold all failures; None if there is none.
         worst_slope: the slope that runs against the trend most, or along it least [N/kPa].
-        worst_strain, worst_pressure: where.
+        worst_strain, worst_pressure [kPa]: where.
+
+    Example:
+        >>> round(ta.monotonicity("bellows").up_to)  # the pressure to which more of it pushes more [kPa]
+        83
     """
 
     monotonic: bool
@@ -50,11 +54,15 @@ def monotonicity(
 
     Args:
         model: any force model, or the name of a shipped one.
-        strain_range, pressure_range: the box; None takes the model's own.
+        strain_range, pressure_range [kPa]: the box; None takes the model's own.
         points: a side.
 
     Raises:
         ValueError: the model is none, a range is not two finite numbers in order, or there are fewer than 2 points.
+
+    Example:
+        >>> [round(strain, 2) for strain in ta.monotonicity("mckibben").failing_strain]  # pressure weakens it there
+        [-0.5, -0.3]
     """
     model = model_of("model", model)
     count = check_count("points", points, 2)

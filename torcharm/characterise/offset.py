@@ -38,6 +38,12 @@ class OffsetEstimate:
         rmse: of the fit there [N], of the force on all actuators together.
         other, other_rmse: the best offset elsewhere [ms], and what its fit leaves [N]; infinite if there is none.
         repeats: whether that fits as well.
+
+    Example:
+        >>> rows = [f"{t},{math.sin(t) / 9},{-(t % 50)},{t % 50}" for t in range(200)]
+        >>> _ = (path := folder / "run.csv").write_text("\\n".join(["t [s],strain [1],F [N],p [kPa]", *rows, ""]))
+        >>> ta.estimate_offset(ta.read_tester(path), ta.read_pressure(path), smoothing=0).repeats  # one alone fits
+        False
     """
 
     offset: float
@@ -79,6 +85,13 @@ def estimate_offset(
 
     Raises:
         ValueError: the run and the log overlap too little at all offsets, or a setting is out of range.
+
+    Example:
+        >>> rows = [f"{t},{math.sin(t) / 9},{-(t % 50)},{t % 50},{t + 2}" for t in range(200)]
+        >>> _ = (path := folder / "run.csv").write_text("\\n".join(["t [s],ε [1],F [N],p [kPa],log [s]", *rows, ""]))
+        >>> tester, log = ta.read_tester(path), ta.read_pressure(path, columns="time=5:s")  # whose clock is 2 s ahead
+        >>> round(ta.estimate_offset(tester, log, smoothing=0).offset)
+        -2000
     """
     check_count("degree", degree, 1)
     check_number("search", search, 0.0, strict=True, unit="ms")

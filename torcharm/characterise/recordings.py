@@ -102,9 +102,17 @@ def read_tester(
         positive: whether positive forces of the file "pull" or "push".
         truncated: whether to accept a file that ends within a line, and drop that line.
 
+    Returns:
+        `time` (n) [ms], `strain` (n), and `force` (n) of all actuators together [N], positive in tension.
+
     Raises:
         ValueError: the file cannot be read, lacks a column or a unit, ends within a line, is damaged in many lines, or
             time goes back. It names file and line.
+
+    Example:
+        >>> _ = (path := folder / "run.csv").write_text("Time (s),Stroke (mm),Force (N)\\n0,0,0\\n1,4,2.5\\n2,8,5\\n")
+        >>> ta.read_tester(path, gauge_length=0.08).strain.tolist()
+        [0.0, 0.05, 0.1]
     """
     return as_tester_record(read_sheet(path), columns, gauge_length, positive=positive, truncated=truncated)
 
@@ -125,8 +133,16 @@ def read_pressure(
         columns: as for `read_tester`, of time and pressure.
         truncated: as for `read_tester`.
 
+    Returns:
+        `time` (n) [ms] and gauge `pressure` (n) [kPa].
+
     Raises:
         ValueError: unknown unit, or another one than the file names; or as for `read_tester`.
+
+    Example:
+        >>> _ = (path := folder / "log.txt").write_text("Time,Pressure\\n0,0\\n10,5\\n20,10\\nLogging end\\n")
+        >>> ta.read_pressure(path, unit="psi").pressure.round(1).tolist()  # in kPa
+        [0.0, 34.5, 68.9]
     """
     if unit is not None:
         check_choice("unit", unit, PRESSURE)

@@ -21,10 +21,16 @@ class TensorPolynomial(HoldsTensors):
 
     Attributes:
         like: powers, ranges and limits are this model's.
-        coefficients: (K) [N] and kPa, in the order of its terms.
+        coefficients: (K) of `ε^i p^j` [N/kPa^j], in the order of its terms.
 
     Raises:
         ValueError: the coefficients do not match the terms, or the model's force is not that of its coefficients.
+
+    Example:
+        >>> coefficients = ta.coefficient_tensor(ta.Bellows())
+        >>> ta.TensorPolynomial(ta.Bellows(), coefficients).force(torch.tensor(0.1), torch.tensor(50.0)).backward()
+        >>> round(float(coefficients.grad[1]), 3)  # newtons for each N/kPa by which the second is off
+        50.0
     """
 
     like: PolynomialActuator
@@ -69,7 +75,12 @@ class TensorPolynomial(HoldsTensors):
 
 
 def coefficient_tensor(model: PolynomialActuator) -> Float[Tensor, " K"]:
-    """A model's coefficients [N] and kPa, in the order of its terms, asking for gradients."""
+    """A model's K coefficients of `ε^i p^j` [N/kPa^j], in the order of its terms, asking for gradients.
+
+    Example:
+        >>> ta.coefficient_tensor(ta.Bellows())[:2].tolist()  # of strain [N], and of pressure [N/kPa]
+        [-10.47, 1.068]
+    """
     return torch.tensor([c for *_, c in model.coefficients], dtype=torch.float64, requires_grad=True)
 
 
@@ -87,6 +98,12 @@ def standard_deviation(
 
     Raises:
         ValueError: the covariance does not match, or values do not depend on the coefficients.
+
+    Example:
+        >>> c, covariance = ta.coefficient_tensor(ta.Bellows()), torch.diag(torch.tensor([0.0, 4e-4] + [0.0] * 7))
+        >>> force = ta.TensorPolynomial(ta.Bellows(), c).force(torch.tensor([0.1]), torch.tensor([50.0]))
+        >>> ta.standard_deviation(force, c, covariance).round(decimals=3).tolist()  # by 0.02 N/kPa, at 50 kPa [N]
+        [1.0]
     """
     (spread,) = as_floating(covariance=covariance)
     check_tensor("covariance", spread, len(coefficients), len(coefficients))

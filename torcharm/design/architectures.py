@@ -37,6 +37,11 @@ class Architectures(HoldsTensors):
         infeasible: why others have no design that satisfies the constraints, by name.
         merged: whether of architectures that are each other's image, mirrored or turned, only one was tried.
         stopped: "finished", or what stopped it before all were tried.
+
+    Example:
+        >>> arm, task = ta.ArmDesign([-0.05, 0.05], 0.5, "bellows"), ta.Task(ta.constant_curvature(0.5), [2, -2, 0.2])
+        >>> ta.optimise_architectures(arm, task, starts=1, iterations=1).designs[0].best  # of the best architecture
+        ArmDesign(planar, 2 mckibben, batch (), torch.float64)
     """
 
     names: tuple[str, ...]
@@ -84,6 +89,11 @@ def optimise_architectures(
 
     Raises:
         ValueError: as for `optimise_design`; no architecture is feasible; or there are too many.
+
+    Example:
+        >>> arm, task = ta.ArmDesign([-0.05, 0.05], 0.5, "bellows"), ta.Task(ta.constant_curvature(0.5), [2, -2, 0.2])
+        >>> ta.optimise_architectures(arm, task, starts=1, iterations=1).names[0]  # B is for bellows, M for muscles
+        'MM'
     """
     begun = time.perf_counter()
     space, objective = space or DesignSpace(), objective or Objective()

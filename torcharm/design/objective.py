@@ -53,6 +53,11 @@ class Objective:
 
     Raises:
         ValueError: an argument is none of those allowed.
+
+    Example:
+        >>> worst = ta.Objective("predicted_error", over="worst")
+        >>> round(float(worst.total(torch.tensor([0.002, 0.005, 0.003]))), 4)  # the largest error of three tasks [m]
+        0.005
     """
 
     metric: str = "predicted_error"

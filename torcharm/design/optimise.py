@@ -86,6 +86,12 @@ def optimise_design(
     Raises:
         ValueError: an argument is none of those allowed, no design satisfies the constraints, or the checkpoint is of
             another problem (the message says what differs) or cannot be written.
+
+    Example:
+        >>> arm, task = ta.bellows_arm(), ta.Task(ta.constant_curvature(1.0, nodes=3), tip_load=[1.0, -1.0, 0.0])
+        >>> found = ta.optimise_design(arm, task, ta.DesignSpace(free=("radii", "length")), starts=1, iterations=4)
+        >>> found.given_held, found.held  # of how many tasks
+        (0, 1)
     """
     progress = Progress(time.perf_counter(), seconds, callback, starts)
     space, objective = space or DesignSpace(), objective or Objective()

@@ -39,6 +39,11 @@ class OptimisedDesign(HoldsTensors):
         space, objective: what was asked for.
         built_before, built_after: of a robust objective, what `torcharm.tolerance` finds of the two on samples of their
             own, with yields; else None.
+
+    Example:
+        >>> arm, task = ta.bellows_arm(), ta.Task(ta.constant_curvature(1.0, nodes=3), tip_load=[1.0, -1.0, 0.0])
+        >>> ta.optimise_design(arm, task, starts=1, iterations=2).buildable  # the best arm, rounded
+        ArmDesign(planar, 4 bellows, batch (), torch.float64)
     """
 
     given: Arm

@@ -80,6 +80,10 @@ class Scatter:
     Raises:
         ValueError: a value is negative, not finite or beyond what its unit makes sense for, a name is none of those
             above, or nothing is scattered.
+
+    Example:
+        >>> [source.name for source in ta.Scatter(radii=1e-3, force=0.05).sources(ta.antagonistic_arm())]  # 1 mm, 5 %
+        ['radii', 'force']
     """
 
     radii: Sizes = 0.0

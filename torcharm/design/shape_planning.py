@@ -39,6 +39,15 @@ class Smoothness:
     Attributes:
         length_weight: a [rad/m].
         reference_length: l_ref [m], of each segment.
+
+    Raises:
+        ValueError: the weight is negative, the length is not above 0, or one is not finite.
+
+    Example:
+        >>> smooth = ta.Smoothness(length_weight=45.0, reference_length=0.5)
+        >>> plan = ta.plan_shape(ta.bellows_arm(), [0.12, -0.48, -1.1], [0.0, 0.0, 0.0], smooth, nodes=4)
+        >>> plan.twists[:, 0].round(decimals=2).tolist()  # elements keep their length
+        [0.5, 0.5, 0.5, 0.5]
     """
 
     length_weight: float
@@ -64,6 +73,11 @@ class PlannedShape(HoldsTensors):
         cost: what was minimised.
         attainability: of the shape under the loads, as `evaluate` finds with the objective's options (for a
             heuristic, with its own).
+
+    Example:
+        >>> plan = ta.plan_shape(ta.antagonistic_arm(), [0.12, -0.48, -1.1], [1.0, 0.0, 0.0], nodes=2, starts=1)
+        >>> plan.found, plan.attainability.verdict  # it ends there, and the arm can hold it
+        (True, 'held')
     """
 
     status: str
@@ -121,6 +135,11 @@ def plan_shape(
 
     Raises:
         ValueError: an argument is none of those allowed.
+
+    Example:
+        >>> plan = ta.plan_shape(ta.antagonistic_arm(), [0.12, -0.48, -1.1], [1.0, 0.0, 0.0], nodes=2, starts=1)
+        >>> plan.status, ta.poses(plan.twists)[-1].round(decimals=3).tolist()
+        ('found', [0.12, -0.48, -1.1])
     """
     problem, whole = _problem(arm, tip_pose, load, objective, nodes, base_pose, in_range)
     check_count("starts", starts, 1)

@@ -61,6 +61,11 @@ class DesignSpace:
 
     Raises:
         ValueError: an argument is none of those allowed.
+
+    Example:
+        >>> space = ta.DesignSpace(free="radii", tied="mirror", bounds={"radii": (-0.06, 0.06)}, spacing=0.02)
+        >>> float(space.spacing_of(ta.bellows_arm())[0, 1])  # what an optimiser keeps between two actuators [m]
+        0.02
     """
 
     free: str | Sequence[str] = ("radii", "length")

@@ -77,6 +77,12 @@ def tolerance(
 
     Raises:
         ValueError: an argument is none of those allowed, or arm and tasks do not fit.
+
+    Example:
+        >>> task = ta.Task(ta.constant_curvature(0.5, nodes=4), [1.0, 0.0, 0.0])
+        >>> found = ta.tolerance(ta.antagonistic_arm(), task, radii=1e-3, length=2e-3, samples=64)
+        >>> found.decisive, f"{found.yield_of_all.value:.0%}"  # which tolerance matters, and how many arms will do
+        ('radii', '92%')
     """
     spread = (radii, length, limits, force, force_offset, bending)
     scatter = Scatter(*spread, model_covariance, distribution, {} if correlated is None else correlated)

@@ -57,7 +57,13 @@ length of the centreline or of an actuator is not above 0."""
 
 
 class NotConvergedError(RuntimeError):
-    """An equilibrium was not found, and `raise_on_failure` was set."""
+    """An equilibrium was not found, or a search did not converge, and `raise_on_failure` was set.
+
+    Example:
+        >>> ta.solve_equilibrium(ta.mckibben_arm(), 30.0, load=[0.0, 100.0, 0.0], raise_on_failure=True)
+        Traceback (most recent call last):
+        NotConvergedError: 1 of 1 equilibria did not converge, ...
+    """
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -81,6 +87,11 @@ class Equilibrium(HoldsTensors):
         possible: (*batch) whether every length is above 0.
         strain_excess: (*batch) largest strain beyond its actuator's characterised range, 0 if none is.
         in_range: (*batch) whether every strain and pressure lies in the characterised range.
+
+    Example:
+        >>> found = ta.solve_equilibrium(ta.bellows_arm(), [[0.0] * 4, [20.0] * 4], load=[0.0, 0.0, 0.0])
+        >>> found.poses[:, -1, 1].round(decimals=2).tolist(), found.in_range.tolist()  # it grows out of its range
+        ([-0.5, -0.9], [True, False])
     """
 
     twists: Tensor
@@ -200,6 +211,11 @@ def solve_equilibrium(
     Raises:
         ValueError: an argument is none of those allowed, or shapes do not fit.
         NotConvergedError: see `raise_on_failure`.
+
+    Example:
+        >>> found = ta.solve_equilibrium(ta.antagonistic_arm(), pressure=[20.0, 30.0, 5.0, 10.0], load=[0.0, -1.0, 0.0])
+        >>> found.status, found.poses[-1].round(decimals=2).tolist()  # the tip [m, m, rad]
+        ('converged', [0.11, -0.5, -1.14])
     """
     refuse_transforms("pressure, load")
     problem, start = _checked(arm, pressure, load, nodes, base_pose, wrench_at, shear_stiffness, start)

@@ -104,6 +104,10 @@ def poses(
 
     Raises:
         ValueError: shapes do not fit.
+
+    Example:
+        >>> ta.poses(ta.constant_curvature(math.pi / 3, length=0.5))[-1].round(decimals=3).tolist()  # the tip, hanging
+        [0.239, -0.413, -0.524]
     """
     group, counts, base = check_rod(twists, base_pose, segment_nodes)
     step = with_links(group.exp(element_twists(twists, counts)), counts, links)

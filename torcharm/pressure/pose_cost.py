@@ -32,6 +32,11 @@ class PoseCost:
 
     Raises:
         ValueError: a weight is negative or not finite, all are 0, or the words are none of those allowed.
+
+    Example:
+        >>> task, place = ta.Task(ta.constant_curvature(0.5), [1.0, 0.0, 0.0]), ta.PoseCost("tip", (1.0, 1.0, 0.0))
+        >>> round(1e3 * float(ta.predict_error(ta.antagonistic_arm(), task, place).tip_error), 2)  # else 0.58 mm
+        0.0
     """
 
     node_weights: str | TensorLike = "ramp"

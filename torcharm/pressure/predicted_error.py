@@ -63,6 +63,11 @@ class PredictedError(HoldsTensors):
         strain_excess: largest strain beyond its actuator's characterised range at the shape predicted, 0 if none is.
         in_range: whether every strain, and every pressure found, lies in the characterised range.
         possible: whether every length of the task's shape is above 0.
+
+    Example:
+        >>> found = ta.predict_error(ta.antagonistic_arm(), ta.Task(ta.constant_curvature(0.5), [1.0, 0.0, 0.0]))
+        >>> found.status, found.pressure.round().tolist()  # what to set the regulators to [kPa]
+        ('converged', [33.0, 100.0, 100.0, 21.0])
     """
 
     tip_error: Tensor
@@ -135,6 +140,11 @@ def predict_error(
 
     Raises:
         ValueError: an argument is none of those allowed, or arm and task do not fit.
+
+    Example:
+        >>> tasks = ta.Task(ta.constant_curvature(0.5), [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+        >>> (1e3 * ta.predict_error(ta.antagonistic_arm(), tasks).tip_error).round(decimals=1).tolist()  # [mm]
+        [0.0, 0.6, 1.2]
     """
     return for_each_task(task, lambda one: prediction(arm, one, pose_cost))
 

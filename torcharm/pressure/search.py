@@ -64,6 +64,11 @@ class PressureSearch(HoldsTensors):
         in_range: (*batch) whether every strain and pressure lies in the characterised range.
         start_cost: (*batch, S) what each start came to by itself, before it was given up or at its end; infinite where
             it failed, NaN where it was spared as others had agreed.
+
+    Example:
+        >>> found = ta.search_pressure(ta.bellows_arm(), ta.Task(ta.constant_curvature(0.5)))
+        >>> found.status, round(1e3 * float(found.tip_error))  # it grows too long, whatever the pressure [mm]
+        ('converged', 22)
     """
 
     pressure: Tensor
@@ -200,6 +205,11 @@ def search_pressure(
     Raises:
         ValueError: an argument is none of those allowed, or arm and task do not fit.
         NotConvergedError: see `raise_on_failure`.
+
+    Example:
+        >>> found = ta.search_pressure(ta.antagonistic_arm(), ta.Task(ta.constant_curvature(0.5), [1.0, 0.0, 0.0]))
+        >>> found.pressure.round().tolist(), round(1e3 * float(found.tip_error), 2)  # [kPa], [mm]
+        ([33.0, 100.0, 100.0, 21.0], 0.58)
     """
     check_choice("method", method, METHODS)
     check_count("rounds", rounds, 0)

@@ -215,11 +215,17 @@ def reaction_wrench(
     `m_z = Σ (-y_α f_α + τ_α,z)` [N, N·m].
 
     Args:
+        arm: (...) designs, of one segment.
         twists: (..., N, 3) or (..., N, 6) [m, rad].
         pressure: (..., M) one for each actuator, or one for all [kPa].
 
     Raises:
         ValueError: a pressure is negative or not finite, or shapes do not fit.
+
+    Example:
+        >>> arm, straight = ta.bellows_arm(), ta.constant_curvature(0.0, length=0.5, nodes=1)
+        >>> ta.reaction_wrench(arm, straight, [50.0, 50.0, 0.0, 0.0]).round(decimals=1).tolist()  # would bend it left
+        [[88.8, 4.2]]
     """
     check_tensor("twists", twists, "N", 3 if arm.dimension == 2 else 6)
     given, _ = as_floating(pressure=pressure, radii=arm.radii)

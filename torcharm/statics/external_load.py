@@ -65,6 +65,11 @@ def required_wrench(
 
     Raises:
         ValueError: shapes do not fit.
+
+    Example:
+        >>> straight, pull = ta.constant_curvature(0.0, length=0.4, nodes=2), ta.ExternalLoad(tip=[1.0, -2.0, 0.0])
+        >>> ta.required_wrench(straight, pull).round(decimals=3).tolist()  # the base has the longer lever
+        [[-2.0, -1.0, -0.3], [-2.0, -1.0, -0.1]]
     """
     check_choice("wrench_at", wrench_at, WRENCH_PLACES)
     group, counts, base = check_rod(twists, base_pose, segment_nodes)

@@ -82,6 +82,12 @@ class SweepResult:
         manifest: what it is.
         summary: counts, ranges and best rows of all finished shards.
         interrupted: whether the run that returned this was stopped before it had done its shards.
+
+    Example:
+        >>> arm, task = ta.bellows_arm(), ta.Task(ta.constant_curvature(0.5), tip_load=[1.0, 0.0, 0.0])
+        >>> found = ta.sweep(arm, ta.DesignSpace("radii"), task, 64, out=folder, metrics="absolute", workers=1)
+        >>> found.designs(found.best(3, "absolute"))  # the three best arms
+        ArmDesign(planar, 4 bellows, batch (3,), torch.float64)
     """
 
     def __init__(
@@ -299,6 +305,12 @@ def open_sweep(folder: StrPath, arm: Arm | None = None) -> SweepResult:
 
     Raises:
         ValueError: the folder holds no sweep that this torcharm wrote, the arm is another, or a package is missing.
+
+    Example:
+        >>> arm, task = ta.bellows_arm(), ta.Task(ta.constant_curvature(0.5), tip_load=[1.0, 0.0, 0.0])
+        >>> _ = ta.sweep(arm, ta.DesignSpace("radii"), task, 64, out=folder, metrics="absolute", workers=1)
+        >>> ta.open_sweep(folder).complete  # also in another process, and while the sweep runs
+        True
     """
     extra("pyarrow", "sweep")
     path = Path(folder)

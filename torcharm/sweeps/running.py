@@ -119,6 +119,12 @@ def sweep(
             differs), cannot be written, or another process is at it; a package is missing; workers were lost again and
             again.
         OSError: a file cannot be written, as where the disk is full: what is finished is kept.
+
+    Example:
+        >>> arm, task = ta.bellows_arm(), ta.Task(ta.constant_curvature(0.5), tip_load=[1.0, 0.0, 0.0])
+        >>> found = ta.sweep(arm, ta.DesignSpace("radii"), task, 64, out=folder, metrics="absolute", workers=1)
+        >>> found.best(1, "absolute")["radii"].round(3).tolist()  # of 64 designs [m]
+        [[-0.097, -0.085, 0.008, 0.077]]
     """
     for name in ("pyarrow", "filelock"):
         extra(name, "sweep")

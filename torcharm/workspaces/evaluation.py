@@ -111,6 +111,11 @@ def workspace(
     Raises:
         ValueError: an argument is none of those allowed, the arm is a batch, has no driven actuator, or does not fit
             the payload.
+
+    Example:
+        >>> found = ta.workspace(ta.bellows_arm(), payload=0.1, states=200, nodes=3)
+        >>> round(found.reach, 1)  # how far from its base the tip comes with 100 g [m]
+        0.8
     """
     scene = _checked(arm, payload, gravity, nodes, base_pose, wrench_at)
     check_count("states", states, 100)

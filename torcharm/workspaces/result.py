@@ -44,6 +44,11 @@ class Workspace(HoldsTensors):
         segment_nodes: elements of each segment.
         wrench_at: where an element's wrench was taken.
         stopped: "finished", or what stopped it: "interrupted", "callback".
+
+    Example:
+        >>> found = ta.workspace(ta.bellows_arm(), states=200, nodes=3)
+        >>> found.contains([[0.0, -0.6], [0.4, 0.0]]).tolist()  # below the base, beside it
+        [True, False]
     """
 
     tip_pose: Tensor

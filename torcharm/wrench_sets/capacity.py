@@ -69,6 +69,11 @@ class LoadCapacity(HoldsTensors):
         impossible: whether the shape leaves an actuator no length, or less, at some node; no factor serves there.
         converged: whether every node's answer is known to rounding.
         arm, task, metric: what was asked.
+
+    Example:
+        >>> found = ta.load_capacity(ta.antagonistic_arm(), ta.Task(ta.affine_curvature(1.0, 1.5), [0.5, -0.5, 0.0]))
+        >>> round(float(found.factor), 2), int(found.limiting_node)  # the node that gives up first
+        (3.34, 5)
     """
 
     factor: Tensor
@@ -154,6 +159,11 @@ def load_capacity(
 
     Raises:
         ValueError: an argument is none of those allowed, arm and task do not fit, or there is no payload to scale.
+
+    Example:
+        >>> tasks = ta.Task(ta.affine_curvature(1.0, 1.5), tip_load=[[0.5, -0.5, 0.0], [0.0, -0.5, 0.0]])
+        >>> ta.load_capacity(ta.antagonistic_arm(), tasks).factor.round(decimals=2).tolist()  # times these loads
+        [3.34, 3.3]
     """
     check_choice("metric", metric, METRICS)
     if chunk_size is not None:

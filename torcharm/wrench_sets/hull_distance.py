@@ -36,6 +36,10 @@ class HullDistance(HoldsTensors):
         primal, dual, gap: relative residuals of the weights, as of `kkt_residuals`.
         converged: whether the residuals are within tolerance.
         resolved: whether an exact method answered, because the solver asked for had failed.
+
+    Example:
+        >>> ta.nnls_distance(torch.ones(2), torch.eye(2)).nearest.round(decimals=3).tolist()  # of (1, 0) to (0, 1)
+        [0.5, 0.5]
     """
 
     value: Float[Tensor, "*batch"]
@@ -103,6 +107,11 @@ def kkt_residuals(
 
     Raises:
         ValueError: the groups do not divide the vertices evenly.
+
+    Example:
+        >>> good, bad = torch.tensor([0.5, 0.5]), torch.tensor([1.0, 0.0])  # weights of (1, 0) and (0, 1)
+        >>> [round(float(ta.kkt_residuals(torch.ones(2), torch.eye(2), weights).gap), 3) for weights in (good, bad)]
+        [0.0, 1.0]
     """
     check_groups(groups, vertices.shape[-2])
     with torch.no_grad():

@@ -100,6 +100,12 @@ def qp_distance(
     Raises:
         ValueError: qpth is not installed, an argument is none of those allowed, there is no vertex, or
             dimensions, batches or groups do not fit.
+
+    Example:
+        >>> point = torch.ones(2, requires_grad=True)
+        >>> ta.qp_distance(point, torch.eye(2)).value.backward()  # to the line from (1, 0) to (0, 1)
+        >>> [round(slope, 3) for slope in point.grad.tolist()]
+        [0.707, 0.707]
     """
     check_choice("gradient", gradient, GRADIENTS)
     if isinstance(regularisation, bool) or not isinstance(regularisation, (int, float)) or regularisation <= 0:

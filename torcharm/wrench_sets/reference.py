@@ -55,6 +55,10 @@ def nnls_distance(
 
     Raises:
         ValueError: there is no vertex, or dimensions, batches or groups do not fit.
+
+    Example:
+        >>> round(float(ta.nnls_distance(torch.ones(2), torch.eye(2)).value), 4)  # to the line from (1, 0) to (0, 1)
+        0.7071
     """
     return solve_hulls(point, vertices, groups, partial(_answer, nnls_weights), CHUNK)
 
@@ -76,6 +80,10 @@ def slsqp_distance(
 
     Raises:
         ValueError: there is no vertex, or dimensions, batches or groups do not fit.
+
+    Example:
+        >>> round(float(ta.slsqp_distance(torch.ones(2), torch.eye(2)).value), 4)  # to the line from (1, 0) to (0, 1)
+        0.7071
     """
     with torch.no_grad():
         return solve_hulls(point, vertices, groups, partial(_answer, slsqp_weights), CHUNK)

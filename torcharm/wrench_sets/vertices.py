@@ -94,6 +94,11 @@ def distance_to_hull(
 
     Raises:
         ValueError: shapes do not fit, or there is no vertex.
+
+    Example:
+        >>> square = torch.tensor([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+        >>> ta.distance_to_hull(torch.tensor([[2.0, 0.5], [0.5, 0.75]]), square, signed=True).tolist()  # out and in
+        [1.0, -0.25]
     """
     check_flag("signed", signed)
     if isinstance(vertices, Tensor) and vertices.ndim > 1 and vertices.shape[-2] == 0:

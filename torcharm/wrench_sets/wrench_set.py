@@ -42,6 +42,11 @@ class WrenchHulls(HoldsTensors):
             counter-clockwise order. Sets of fewer vertices repeat some.
         pressure: (..., N, V, M) the pressures [kPa] that provide the vertices. Of arms in series, segment after
             segment, those of other segments than the node's are 0.
+
+    Example:
+        >>> hulls = ta.wrench_hulls(ta.antagonistic_arm(), ta.constant_curvature([0.0, 2.0], nodes=1))
+        >>> hulls.volume().flatten().round().tolist()  # what pressures can do, straight and bent [N·N·m]
+        [724.0, 707.0]
     """
 
     vertices: Tensor
@@ -88,6 +93,11 @@ def wrench_hulls(
 
     Raises:
         ValueError: unknown hull, fewer than 2 samples, too many actuators for edges, or twists that do not fit.
+
+    Example:
+        >>> hulls = ta.wrench_hulls(ta.antagonistic_arm(), ta.affine_curvature(2.0, 0.0, nodes=3))
+        >>> hulls.vertices[..., 1].amax(-1).round(decimals=2).tolist()  # the largest moment of each node [N·m]
+        [3.96, 2.55, 1.36]
     """
     if not isinstance(arm, (ArmDesign, ArmSeries)):
         raise ValueError(f"arm: must be an ArmDesign or an ArmSeries, got {shown(arm)}")
