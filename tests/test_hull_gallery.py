@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.hull_gallery import scenes, search
-from experiments.hull_gallery.run import Row
+from experiments.hull_gallery.rows import Row
 from experiments.rows import read_rows, write_rows
 
 U = np.linspace(0.0, 1.0, search.FINE)

@@ -18,7 +18,7 @@ from experiments.antagonism_in_space.claims import (
     nearest,
 )
 from experiments.antagonism_in_space.hulls import hulls, moment_range
-from experiments.antagonism_in_space.run import pairs_in_order
+from experiments.antagonism_in_space.rows import pairs_in_order
 from experiments.hull_gallery.search import FINE, CurveSum
 
 U = np.linspace(0.0, 1.0, FINE)
