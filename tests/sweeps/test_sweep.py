@@ -190,6 +190,8 @@ def test_a_space_without_a_feasible_design_drawn(tmp_path):
     assert len(found.best(3, "absolute")) == len(found.pareto("absolute")) == 0
     with pytest.raises(ValueError, match="something finite"):
         found.plot("absolute")
+    with pytest.raises(ValueError, match="got none: the space allows no design of this sweep"):
+        found.designs(found.best(3, "absolute"))
 
 
 def test_pictures_have_units_and_count_every_feasible_design(swept):
@@ -291,3 +293,5 @@ def test_another_arm_is_refused(swept):
 def test_indices_that_are_not_there_are_refused(swept):
     with pytest.raises(ValueError, match="indices: must be integers from 0 to 399"):
         swept.designs([400])
+    with pytest.raises(ValueError, match="indices: must name at least one design, got none$"):
+        swept.designs([])

@@ -192,12 +192,15 @@ class SweepResult:
             indices: (n,) integers, or what `best` and `pareto` return.
 
         Raises:
-            ValueError: there is no such design, or the arm cannot be read.
+            ValueError: there is no such design, none is named, or the arm cannot be read.
         """
         from torcharm.design.feasible import designs_at
 
         chosen = indices.indices if isinstance(indices, SweepRows) else np.atleast_1d(np.asarray(indices))
-        if chosen.dtype.kind not in "iu" or (len(chosen) and not 0 <= chosen.min() <= chosen.max() < self.count):
+        if not len(chosen):
+            none = ": the space allows no design of this sweep" if not self.feasible else ""
+            raise ValueError(f"indices: must name at least one design, got none{none}")
+        if chosen.dtype.kind not in "iu" or not 0 <= chosen.min() <= chosen.max() < self.count:
             raise ValueError(f"indices: must be integers from 0 to {self.count - 1}, got {shown(indices)}")
         if self._arm is None:
             self._arm = stored_arm(self.folder)
