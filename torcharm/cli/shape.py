@@ -45,19 +45,15 @@ def shape(
     nodes: Annotated[int, typer.Option("--nodes", help="Elements of the arm, or of each segment.")] = 10,
     gravity: Annotated[bool, typer.Option("--gravity", help="Let the arm and its links weigh.")] = False,
     figure: Annotated[
-        Path | None,
-        typer.Option(
-            "--figure", help=f"Draw it, to a file ending in {', '.join(FIGURE_FORMATS)}.", show_default="shape.png"
-        ),
+        Path | None, typer.Option("--figure", help=f"Draw it, to a file ending in {', '.join(FIGURE_FORMATS)}.")
     ] = None,
 ) -> None:
-    """Solve the forward mechanics of one arm: print the pose of its tip, and draw it.
+    """Solve the forward mechanics of one arm: print the pose of its tip, and draw it on request.
 
     Each element's wrench is taken at its middle.
     """
     with mistakes():
-        picture = Path("shape.png") if figure is None else figure
-        check_outputs(study, None, picture)
+        check_outputs(study, None, figure)
         from torcharm.equilibrium import solve_equilibrium
         from torcharm.load import ExternalLoad
         from torcharm.pressure.search import LESS_COMPRESSION
@@ -93,7 +89,7 @@ def shape(
             excess = float(found.strain_excess)
             what = f"Strains are up to {excess:.2g} out of range" if excess > 1e-9 else "Pressures are out of range"
             say(console, f"{what}: there the force models are extrapolated.")
-        save_all(console, [(picture, lambda path: _draw(path, chosen, found), ".")])
+        save_all(console, [(path, lambda own: _draw(own, chosen, found), ".") for path in (figure,) if path])
 
 
 def _place(pose: "Tensor") -> str:
