@@ -67,7 +67,8 @@ def main() -> None:
     known = {row.part for row in rows}
     kept = [row for row in read_rows(HERE / "results.csv", Row) if row.part not in known]
     rows = kept + rows if options.only or options.figure else rows
-    write_rows(HERE / "results.csv", rows)
+    if not options.figure:
+        write_rows(HERE / "results.csv", rows)
     figures.draw_starts(rows, HERE / "starts.png")
     figures.draw_ranks({name: ranked(name, 100) for name in ARMS}, HERE / "ranks.png")
     console.print(f"{len(rows)} rows in results.csv; drew starts.png and ranks.png")

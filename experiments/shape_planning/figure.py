@@ -44,8 +44,9 @@ def hulls(arm: ta.ArmDesign, answers: Sequence["Answer"]) -> Figure:
             found = ta.evaluate(arm, answer.task, (kind,))
             axes.set_title(f"shape {answer.number}, {kind}: lacks {getattr(found, kind).item():.2f} N", y=0.97)
             for line in axes.lines:
-                if line.get_gid() == "not attainable":
-                    line.set(linewidth=2.0, zorder=10)  # the only one there is
+                if line.get_gid() in ("not attainable", "inside"):  # what the one load requires, above all hulls
+                    line.set(linewidth=2.0, markersize=6.0, zorder=10)
+            axes.set_box_aspect((1.5, 1.0, 1.0), zoom=0.87)
             legend = axes.get_legend()
             words = [text.get_text() for text in legend.get_texts()]
             legend.remove()
