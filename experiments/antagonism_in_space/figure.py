@@ -68,7 +68,7 @@ def _arm(axes: Any, name: str, results: "Sequence[Result]") -> None:
     task = ta.Task(tasks.twists[0, 0], load=load)
     found = ta.predict_error(arm, task)
     plot.arm_shape(arm, task, reached=found.twists, ax=axes)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), fontsize="small", ncols=3, frameon=False)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.05), fontsize="small", ncols=3, frameon=False)
     turned = math.degrees(float(found.tip_rotation_error))
     asked = f"asked to be {100 * (1 + longer):.0f} % as long as at rest"
     off = f"shape {1e3 * float(found.shape_error):.0f} mm off, tip turned by {turned:.0f}°"

@@ -31,7 +31,7 @@ def draw(states: States, modelled: Tensor, rows: "Sequence[Row]") -> Figure:
         left.plot(*model[own][:, [0, 2]].T, color=MODEL, fillstyle="none", label=f"model, {name}", **style)
     left.set(xlabel="x [mm]", ylabel="z [mm]", title="Tips from below: off by little unless somebody pulls")
     left.set_aspect("equal", adjustable="datalim")
-    left.legend(fontsize="small", loc="lower left")
+    left.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, frameon=False)
     names = list(dict.fromkeys(row.hypothesis for row in rows))
     for shift, (pulled, (name, colour, marker)) in zip((-0.17, 0.17), GROUPS.items(), strict=True):
         for place, hypothesis in enumerate(names):
