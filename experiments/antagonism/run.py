@@ -185,6 +185,7 @@ def medians(rows: Sequence[Result]) -> Table:
         "paper's edges",
         "node 1's vertices reused",
         "relative",
+        "converged",
         "in range",
     )
     for heading in headings:

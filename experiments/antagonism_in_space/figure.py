@@ -68,7 +68,7 @@ def _arm(axes: Any, name: str, results: "Sequence[Result]") -> None:
     task = ta.Task(tasks.twists[0, 0], load=load)
     found = ta.predict_error(arm, task)
     plot.arm_shape(arm, task, reached=found.twists, ax=axes)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.07), fontsize="small", ncols=3, frameon=False)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.05), fontsize="small", ncols=3, frameon=False)
     turned = math.degrees(float(found.tip_rotation_error))
     asked = f"asked to be {100 * (1 + longer):.0f} % as long as at rest"
     off = f"shape {1e3 * float(found.shape_error):.0f} mm off, tip turned by {turned:.0f}°"
@@ -95,7 +95,7 @@ def _by_length(axes: Any, lengths: "Sequence[Length]") -> None:
         xlabel="shape longer than the arm at rest [%]",
         ylabel="median predicted shape error [mm]",
         title="Each kind has a length that suits it\n(all ten arms, characterised strains only)",
-        ylim=(0, None),
+        ylim=(0, 190),  # room for the legend above the lines
     )
     axes.legend(fontsize="small")
 

@@ -51,29 +51,27 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=1, help="threads for torch (default 1)")
     names = [part.__name__ for part in PARTS]
     parser.add_argument("--only", nargs="+", choices=names, help="measure these parts alone, and keep the other rows")
+    parser.add_argument("--figure", action="store_true", help="only draw: times of results.csv, and ranks anew")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     console = Console()
     rows: list[Row] = []
-    pictures = figures.Pictures()
     for part in PARTS:
-        if options.only and part.__name__ not in options.only:
+        if options.figure or (options.only and part.__name__ not in options.only):
             continue
-        found = list(part(options.quick, pictures))
+        found = list(part(options.quick))
         console.print(measurements_table(found))
         rows += found
-    if not options.quick:
-        known = {row.part for row in rows}
-        kept = [row for row in earlier() if row.part not in known] if options.only else []
-        rows = kept + rows
+    if options.quick:
+        return
+    known = {row.part for row in rows}
+    kept = [row for row in read_rows(HERE / "results.csv", Row) if row.part not in known]
+    rows = kept + rows if options.only or options.figure else rows
+    if not options.figure:
         write_rows(HERE / "results.csv", rows)
-        drawn = pictures.save(HERE)
-        console.print(f"wrote {len(rows)} rows to results.csv; drew {', '.join(drawn) or 'nothing'}")
-
-
-def earlier() -> list[Row]:
-    """The rows of results.csv."""
-    return read_rows(HERE / "results.csv", Row)
+    figures.draw_starts(rows, HERE / "starts.png")
+    figures.draw_ranks({name: ranked(name, 100) for name in ARMS}, HERE / "ranks.png")
+    console.print(f"{len(rows)} rows in results.csv; drew starts.png and ranks.png")
 
 
 # ---- forward mechanics ------------------------------------------------------------------
@@ -86,7 +84,7 @@ def hard_pressures(arm: ta.ArmDesign) -> Tensor:
     return torch.cat((torch.minimum(given, arm.max_pressure), arm.max_pressure[None]))
 
 
-def hard_points(quick: bool, _: figures.Pictures) -> Iterator[Row]:
+def hard_points(quick: bool) -> Iterator[Row]:
     """Convergence at hard pressures under the published loads, and agreement with scipy."""
     part = "hard points: every order of (50,0,0,0), (1,1,1,1), (1.3,2.65,1.59,4.59), (20,50,10,5); zero; limits"
     for name, arm in ARMS.items():
@@ -155,7 +153,7 @@ def against_scipy(
     )
 
 
-def speed(quick: bool, _: figures.Pictures) -> Iterator[Row]:
+def speed(quick: bool) -> Iterator[Row]:
     """Equilibria a second by batch, random pressures and published loads; scipy in the same run."""
     part = f"speed: N = 10, random pressures, loads of the validation, {torch.get_num_threads()} thread(s)"
     for name, arm in ARMS.items():
@@ -190,7 +188,7 @@ def speed(quick: bool, _: figures.Pictures) -> Iterator[Row]:
         yield Row(part, f"{name}, scipy root, from straight", "converged", 100 * solved / tries, "%")
 
 
-def extremes(quick: bool, _: figures.Pictures) -> Iterator[Row]:
+def extremes(quick: bool) -> Iterator[Row]:
     """Stiff and extreme scenes: converged, along the branch, flagged."""
     part = "stiff and extreme: 50 random pressures and loads each (antagonistic unless said)"
     count = 6 if quick else 50
@@ -229,7 +227,7 @@ def validation(name: str, count: int) -> tuple[ta.ArmDesign, ta.Task]:
     return ARMS[name], paper_task(SHAPE, ta.sample_loads(100)[:count])
 
 
-def searches(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
+def searches(quick: bool) -> Iterator[Row]:
     """The validation's 200 searches against the scipy baseline on some of them."""
     part = "search: validation shape (-3, 3), M0 = 2, ω = linspace(0, 1, N)"
     count = 3 if quick else 100
@@ -241,7 +239,6 @@ def searches(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
         arm, task = validation(name, count)
         load_code(arm)
         found, spent = timed_search(arm, task, 1 if quick else 5)
-        pictures.cost[name] = found.cost.numpy()
         yield Row(part, f"{name}, {count} tasks", "time a search", spent * 1e3, "ms")
         yield Row(part, name, "converged", float(found.converged.sum()), f"of {count}")
         yield Row(part, name, "continued from zero load", float(found.continued.sum()), f"of {count}")
@@ -267,9 +264,6 @@ def searches(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
                 own.append(timed_search(arm, task, 1)[1])
             cost_of_scipy, quick_one = torch.cat(costs), float(np.median(own))
             case = f"{name}, scipy {method}, {multi} start(s), {some} tasks"
-            if method == "SLSQP":
-                excess = float(np.median(cost_of_scipy - found.cost[:some]))
-                pictures.scipy[name].append((slow, excess, str(multi)))
             yield Row(part, case, "time a search", slow, "s")
             yield Row(part, case, "time over ours, in turn", slow / quick_one, "times")
             ours = found.cost[:some]
@@ -287,7 +281,7 @@ def searches(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
         yield Row(part, case, "time over ours, in turn", slow / quick_one, "times")
 
 
-def searches_of_scipy_alone(quick: bool, _: figures.Pictures) -> Iterator[Row]:
+def searches_of_scipy_alone(quick: bool) -> Iterator[Row]:
     """The paper's way, in which scipy finds each equilibrium, too, beside the validation's searches of ours."""
     part = "search with scipy alone: L-BFGS-B, one start, equilibria by root; the validation's tasks"
     few, count = (1, 3) if quick else (20, 100)
@@ -330,7 +324,7 @@ def timed_search(
     return found, float(np.median(times))
 
 
-def large(quick: bool, _: figures.Pictures) -> Iterator[Row]:
+def large(quick: bool) -> Iterator[Row]:
     """Many searches at once: what a call costs whatever its size is shared."""
     count = 4 if quick else 1000
     part = f"search of {count:,} tasks at once, against scipy SLSQP in the same run"
@@ -352,7 +346,7 @@ def large(quick: bool, _: figures.Pictures) -> Iterator[Row]:
             yield Row(part, case, "no worse than scipy (+1e-9)", good, f"of {len(ours)}")
 
 
-def starts(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
+def starts(quick: bool) -> Iterator[Row]:
     """Cost gap against time, by number of starts."""
     part = "error against time: search, 100 tasks an arm, gap to the best of all these runs"
     full = (*PLANS[:2], (4, 2), PLANS[2], (32, 6))
@@ -365,40 +359,38 @@ def starts(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
             answer, spent = timed_search(arm, task, 1 if quick else 3, count, rounds)
             found[count, rounds] = spent, answer.cost
         best = torch.stack([cost for _, cost in found.values()]).amin(0)
-        if not quick and not pictures.scipy[name]:  # measured in an earlier run
-            case = f"{name}, scipy SLSQP, 1 start(s), 100 tasks"
-            known = [row.value for row in earlier() if row.case == case and row.quantity == "time a search"]
-            pictures.scipy[name] = [(spent, 0.0, "1") for spent in known]
         for (count, rounds), (spent, cost) in found.items():
             case = f"{name}, {count} start(s), {rounds} round(s)"
             within = float((cost <= 1.01 * best + 1e-12).double().mean())
-            pictures.multistart[name].append((spent, 1 - within, f"{count}/{rounds}"))
             yield Row(part, case, "time a search", spent * 1e3, "ms")
             yield Row(part, case, "within 1 % of the best", 100 * within, "%")
             yield Row(part, case, "mean gap", float((cost - best).mean()), "m²")
 
 
-def correlations(quick: bool, pictures: figures.Pictures) -> Iterator[Row]:
+def correlations(quick: bool) -> Iterator[Row]:
     """The paper's claim: does unattainability rank tasks as the search does?"""
     part = "rank correlation (Spearman) of unattainability with the search's cost"
     for name in ARMS:
-        cost = pictures.cost[name]
-        arm, task = validation(name, len(cost))
-        found = ta.evaluate(arm, task, ("absolute", "relative"))
-        assert found.absolute is not None
-        assert found.relative is not None
-        metrics = {
-            "absolute": found.absolute.numpy(),
-            "relative": found.relative.numpy(),
-            "absolute + relative": (found.absolute + found.relative).numpy(),
-            "wrench-space fit": ta.fit_pressure(arm, task).distance.numpy(),
-        }
+        cost, metrics = ranked(name, 3 if quick else 100)
         for metric, value in metrics.items():
-            pictures.metric[name, metric] = value
             yield Row(part, name, metric, float(spearmanr(value, cost).statistic))
 
 
-PARTS: tuple[Callable[[bool, figures.Pictures], Iterator[Row]], ...] = (
+def ranked(name: str, count: int) -> tuple[reference.Array, dict[str, reference.Array]]:
+    """The search's costs of an arm's tasks, and what the metrics say of these."""
+    arm, task = validation(name, count)
+    found = ta.evaluate(arm, task, ("absolute", "relative"))
+    assert found.absolute is not None
+    assert found.relative is not None
+    return ta.search_pressure(arm, task).cost.numpy(), {
+        "absolute": found.absolute.numpy(),
+        "relative": found.relative.numpy(),
+        "absolute + relative": (found.absolute + found.relative).numpy(),
+        "wrench-space fit": ta.fit_pressure(arm, task).distance.numpy(),
+    }
+
+
+PARTS: tuple[Callable[[bool], Iterator[Row]], ...] = (
     hard_points,
     speed,
     extremes,

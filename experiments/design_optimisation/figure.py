@@ -27,7 +27,12 @@ def draw(scenes: Sequence[Any], path: Path) -> None:
                 height, shown = by[shape, metric].best, None if place else label
                 at = place + 0.27 * index
                 axis.bar(at, height, 0.25, color=colour, hatch=hatch, edgecolor="white", label=shown)
-        axis.set(title=f"{arm} arm", xticks=range(len(shapes)), xticklabels=shapes)
+        axis.set(
+            title=f"{arm} arm",
+            xticks=range(len(shapes)),
+            xticklabels=shapes,
+            xlabel="shape (slope, start) of curvature [rad]",
+        )
     axes[0][0].set_ylabel("mean shape error that the search reaches [mm]")
     axes[0][0].legend(frameon=False)
     axes[0][0].margins(y=0.35)  # room for the legend above the bars

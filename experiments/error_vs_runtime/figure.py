@@ -33,7 +33,7 @@ def draw(rows: "Sequence[Row]") -> None:
     for panel, space in zip(panels, ("plane", "space"), strict=True):
         _panel(panel, [row for row in rows if row.space == space and row.metric == "absolute"])
         panel.set_title(f"In the {space}" if space == "plane" else "In space", loc="left", fontsize=12)
-    figure.suptitle("Accuracy and time of a distance: lower left is better", fontsize=13)
+    figure.suptitle("Exact sets are the fastest and the most accurate: lower left is better", fontsize=13)
     panels[0].set_ylabel("error over the largest wrench\n(99th percentile)")
     figure.supxlabel(
         "processor time for one node's distance [µs]; numbers at marks: samples of an edge or a curve", fontsize=10

@@ -19,7 +19,7 @@ from experiments.hull_gallery.scenes import Array
 from experiments.hull_gallery.search import CurveSum, curve_sums, edge_image, examine, extreme_points
 from torcharm import plot
 
-HULL, SAMPLES, EDGES, GAP = "#0072B2", "#999999", "#000000", "#D55E00"
+HULL, REACTIONS, EDGES, GAP = "#0072B2", "#CC79A7", "#000000", "#D55E00"
 CLAIMS = {
     "convex": ("the set is convex", "#D55E00", "o"),
     "boundary": ("its boundary is the image of the box's boundary", "#0072B2", "s"),
@@ -47,7 +47,7 @@ def draw_gallery(path: Path | BytesIO) -> None:
             deep = figure.add_subplot(3, 4, 4 * place + column, projection="3d")
             _along_arm(deep, hulls, own, relative)
     figure.suptitle(
-        "Attainable sets of the antagonistic arm: reactions to 150 pressures fill the hulls of the box's edges",
+        "Attainable sets of the antagonistic arm: reactions to 150 pressures fill the hulls, and hardly leave them",
         fontsize="x-large",
         fontweight="bold",
     )
@@ -63,7 +63,7 @@ def _node(axes: Axes, arm: ta.ArmDesign, shape: tuple[float, float], reaction: A
         axes.plot(*curve.T, color=EDGES, linewidth=0.8, label="the box's 32 edges" if index == 0 else None)
     points = edge_image(sums, scenes.EDGE_POINTS)
     axes.plot(*points.T, "s", color=HULL, markersize=4, label=f"{scenes.EDGE_POINTS} points an edge")
-    axes.plot(*reaction.T, ".", color=GAP, markersize=4, label=f"{len(reaction)} pressures inside")
+    axes.plot(*reaction.T, ".", color=REACTIONS, markersize=4, label=f"{len(reaction)} pressures inside")
     axes.set(xlabel=r"force $f_x$ [N]", ylabel=r"moment $m$ [N·m]", title=f"node {SHOWN_NODE}")
     bottom, top = axes.get_ylim()
     axes.set_ylim(bottom, top + 0.32 * (top - bottom))  # room for the legend
@@ -79,13 +79,13 @@ def _along_arm(axes: Any, hulls: Array, reaction: Array, relative: bool) -> None
     index = np.broadcast_to(nodes[:, None], (*reaction.shape[:-1], 1))
     broken = np.pad(np.concatenate((index, reaction), -1), ((0, 0), (0, 1), (0, 0)), constant_values=np.nan)
     if relative:  # as in the paper, points alone
-        axes.plot(*broken.reshape(-1, 3).T, ".", color=GAP, markersize=2, label="reactions")
+        axes.plot(*broken.reshape(-1, 3).T, ".", color=REACTIONS, markersize=2, label="reactions")
     else:
-        axes.plot(*broken.reshape(-1, 3).T, color=GAP, linewidth=0.35, label="reactions, a line a pressure")
+        axes.plot(*broken.reshape(-1, 3).T, color=REACTIONS, linewidth=0.35, label="reactions, a line a pressure")
     force, moment = (r"$f_x - f_{x,1}$ [N]", r"$m - m_1$ [N·m]") if relative else (r"$f_x$ [N]", r"$m$ [N·m]")
     axes.set(xlabel="node i", ylabel=force, zlabel=moment, title="relative" if relative else "absolute")
     for axis in (axes.yaxis, axes.zaxis):
-        axis.set_major_locator(MaxNLocator(4))
+        axis.set_major_locator(MaxNLocator(3))
     axes.set_box_aspect((1.5, 1.0, 1.0), zoom=0.88)
     axes.view_init(elev=20, azim=-55)
     axes.legend(fontsize="small", loc="upper left")
@@ -101,7 +101,8 @@ def draw_violations(rows: Sequence[Row], path: Path) -> None:
     paper = [row for row in paper if row.monotonic and row.in_range]
     for axes, claim in zip(right.subplots(3, 1), CLAIMS, strict=True):
         _example(axes, worst(paper, claim), claim)
-    figure.suptitle("None of the three claims about attainable sets holds exactly: the worst found, by arm")
+    off = max(getattr(row, claim) for row in rows if row.case.endswith("(paper)") for claim in CLAIMS)
+    figure.suptitle(f"None of the three claims holds exactly: the paper's arms break them by up to {off:.1f} N")
     figure.savefig(path, dpi=85)
 
 
@@ -138,7 +139,8 @@ def _example(axes: Axes, row: Row, claim: str) -> None:
     corner, _, _ = extreme_points(sums)
     ring = np.concatenate((corner, corner[:1]))
     cloud = _cloud(sums)
-    axes.plot(*cloud.T, ",", color=SAMPLES, label="reactions to pressures inside")
+    axes.plot(*cloud.T, ",", color=REACTIONS)
+    axes.plot([], [], "o", color=REACTIONS, ms=3, label="reactions to pressures inside")
     image = edge_image(sums, 129).reshape(-1, 129, 2)
     for index, curve in enumerate(image):
         axes.plot(*curve.T, color=EDGES, lw=0.9, label="to the box's edges" if index == 0 else None)

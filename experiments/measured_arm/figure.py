@@ -29,9 +29,9 @@ def draw(states: States, modelled: Tensor, rows: "Sequence[Row]") -> Figure:
         style = {"linestyle": "", "marker": marker}
         left.plot(*measured[own][:, [0, 2]].T, color=MEASURED, label=f"measured, {name}", **style)
         left.plot(*model[own][:, [0, 2]].T, color=MODEL, fillstyle="none", label=f"model, {name}", **style)
-    left.set(xlabel="x [mm]", ylabel="z [mm]", title="The tip from below: published constants, nothing fitted")
+    left.set(xlabel="x [mm]", ylabel="z [mm]", title="Tips from below: off by little unless somebody pulls")
     left.set_aspect("equal", adjustable="datalim")
-    left.legend(fontsize="small")
+    left.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, frameon=False)
     names = list(dict.fromkeys(row.hypothesis for row in rows))
     for shift, (pulled, (name, colour, marker)) in zip((-0.17, 0.17), GROUPS.items(), strict=True):
         for place, hypothesis in enumerate(names):
@@ -51,7 +51,7 @@ def draw(states: States, modelled: Tensor, rows: "Sequence[Row]") -> Figure:
     right.set_xticks(range(len(names)), [fill(name, 12) for name in names], fontsize="small")
     right.set(
         ylabel="tip error [mm]",
-        title="Hypotheses: fitted on half of the states, judged on the other",
+        title="Why: the pull acts short of the tip\n(fitted on half of the states, judged on the other; bars: medians)",
         ylim=(0, 25),
     )
     right.legend()

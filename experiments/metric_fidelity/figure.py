@@ -39,7 +39,10 @@ def _scatter(found: Sequence[Found]) -> None:
         panel.set_xlabel("true error, by search [m]")
     for panel in axes[:, 0]:
         panel.set_ylabel("predicted error [m]")
-    figure.suptitle("Predicted against true shape error, 100 loads a panel; on the line they are the same")
+    figure.suptitle(
+        "Predicted shape errors are those that the search reaches: 100 loads a panel, on the line they are the same\n"
+        "(titles: arm, shape, scale of the loads' moments [N·m])"
+    )
     figure.savefig(HERE / "scatter.png", dpi=110)
     plt.close(figure)
 
@@ -50,7 +53,6 @@ def _ladder(found: Sequence[Found], times: dict[str, float]) -> None:
     figure, panel = plt.subplots(figsize=(8, 4.8), layout="constrained")
     both = "absolute and relative"
     where = {"absolute": both, "relative": both, "predicted": "predicted error"}
-    clear = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none"}
     looks = {"absolute": ("#D55E00", "s"), "relative": ("#CC79A7", "v")}
     for metric, timed in where.items():
         values = np.array([1 - one.spearman(metric) for one in found]).clip(1e-4)
@@ -58,15 +60,24 @@ def _ladder(found: Sequence[Found], times: dict[str, float]) -> None:
         low, middle, high = np.quantile(values, (0.0, 0.5, 1.0))
         time = times[timed] * (1.12 if metric == "relative" else 1.0)
         panel.errorbar(time, middle, ((middle - low,), (high - middle,)), fmt=marker, color=colour, capsize=4, ms=8)
-        panel.annotate(metric, (time, middle), xytext=(9, 4), textcoords="offset points", fontsize=9, bbox=clear)
+        side, offset = ("right", -9) if metric == "absolute" else ("left", 9)
+        panel.annotate(metric, (time, middle), (offset, 4), textcoords="offset points", ha=side)
     panel.axvline(times["search"], color="0.4", ls="--", lw=1)
     panel.annotate(
         "search\n(the truth)", (times["search"], 0.5), xytext=(-8, 0), textcoords="offset points", ha="right"
     )
     panel.set(
-        xscale="log", yscale="log", xlabel="time of a task [ms]", ylabel="1 - Spearman correlation with the search"
+        xscale="log",
+        yscale="log",
+        xlim=(times[both] / 4, 3 * times["search"]),
+        xlabel="processor time of a task [ms]",
+        ylabel="1 - rank correlation with the searched error\n(below is better)",
     )
-    panel.set_title(f"What fidelity costs: median and range over {len(found)} arms and shapes", fontsize=10)
+    panel.set_title(
+        "Predicted errors rank tasks as the search does; unattainability is faster and does not\n"
+        f"(median and range over {len(found)} arms and shapes)",
+        fontsize=11,
+    )
     panel.grid(alpha=0.3)
     figure.savefig(HERE / "ladder.png", dpi=120)
     plt.close(figure)

@@ -120,7 +120,7 @@ def read() -> dict[str, Searched]:
 
 @dataclass(frozen=True)
 class Timing:
-    """Time of a task [ms] in a batch."""
+    """Processor time of a task [ms] in a batch: other work on the machine counts little."""
 
     what: str
     tasks: int
@@ -151,7 +151,7 @@ def timings(tasks: int, searched: int) -> list[Timing]:
 def _timed(what: str, tasks: int, work: Callable[[], object]) -> Timing:
     times = []
     for _ in range(2):
-        started = time.perf_counter()
+        started = time.process_time()
         work()
-        times.append(time.perf_counter() - started)
+        times.append(time.process_time() - started)
     return Timing(what, tasks, 1000 * min(times) / tasks)

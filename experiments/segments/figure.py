@@ -29,8 +29,8 @@ FLOOR = 0.01
 
 def draw(rows: "Sequence[Row]", path: Path | BytesIO) -> None:
     figure = Figure(figsize=(15, 11))
-    for count, left in ((1, -0.17), (2, 0.09)):  # arms are slim, and their axes square: these overlap
-        _arm(figure.add_axes((left, 0.14, 0.59, 0.74), projection="3d"), rows, count)
+    for count, left in ((1, -0.125), (2, 0.13)):  # arms are slim, and their axes square: these overlap
+        _arm(figure.add_axes((left, 0.16, 0.5, 0.7), projection="3d"), rows, count)
     room = {"left": 0.58, "right": 0.98, "bottom": 0.07, "hspace": 0.15}
     panels = figure.subplots(3, 1, sharex=True, sharey=True, gridspec_kw=room)
     for axes, (aim, title) in zip(panels, AIMS.items(), strict=True):

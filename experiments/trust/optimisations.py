@@ -1,10 +1,11 @@
-"""Optimise random arms by their predicted errors, and count the values that a pressure search does not confirm.
+"""Optimise random arms by their predicted errors, and count the predictions that a pressure search does not confirm.
 
-A value holds if the search agrees with it within 20 % + 1 cm, or if the result's status says why not.
+A prediction holds if the search agrees with it within 20 % + 1 cm, or if the result's status says why not.
 Prints a line for each and a table; writes optimisations.csv beside this file.
 """
 
 import argparse
+import math
 import random
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -23,6 +24,8 @@ HERE = Path(__file__).parent
 COUNT, QUICK = 60, 4
 ITERATIONS, NODES = 10, 6
 SHARE, LENGTH = 0.2, 0.01
+CONFIRMED, LOST = "better, as a pressure search confirms", "no stable equilibrium is predicted"
+"""Of a status that vouches for the prediction, and of one that says that there is none."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +35,10 @@ class Row:
     Attributes:
         seed: of the arm and the task.
         actuators: of the arm, B for bellows and M for muscles.
-        given, value: objective of the given and of the best design [m]; infinite where it is no candidate.
+        given, best: shape errors predicted with the given and with the best design [m], without what strains beyond
+            the range cost; NaN where no equilibrium is stable.
         given_searched, searched: what the pressure search reaches with the two [m].
-        agrees: whether value and search agree.
+        agrees: whether prediction and search agree on the best.
         told: whether the status says that they may not, or that the given design was kept.
         status: of the result.
     """
@@ -43,7 +47,7 @@ class Row:
     actuators: str
     given: float
     given_searched: float
-    value: float
+    best: float
     searched: float
     agrees: bool
     told: bool
@@ -71,10 +75,11 @@ def rows(seeds: Sequence[int]) -> Iterator[Row]:
         arm, task = draw(seed)
         found = optimise_design(arm, task, starts=1, iterations=ITERATIONS)
         before, searched = (float(ta.search_pressure(one, task).shape_error) for one in (found.given, found.best))
-        agrees = abs(found.value - searched) <= SHARE * searched + LENGTH
-        told = not found.status.startswith("better, as a pressure search confirms")
+        given, best = (1e-3 * side.shape_mm() for side in (found.before, found.after))
+        agrees = abs(best - searched) <= SHARE * searched + LENGTH
+        told = not found.status.startswith(CONFIRMED) or LOST in found.status
         letters = "".join(type(model).__name__[0] for model in arm.actuators)
-        yield Row(seed, letters, found.given_value, before, found.value, searched, agrees, told, found.status)
+        yield Row(seed, letters, given, before, best, searched, agrees, told, found.status)
 
 
 def table(found: Sequence[Row]) -> Table:
@@ -83,13 +88,13 @@ def table(found: Sequence[Row]) -> Table:
     for name in ("", "count"):
         shown.add_column(name, justify="left" if not name else "right")
     apart = [row for row in found if not row.agrees]
-    finite = [row for row in found if row.value < float("inf")]
+    lost = [row for row in found if math.isnan(row.best)]
     for name, number in (
         ("optimisations", len(found)),
-        ("value and search agree within 20 % + 1 cm", len(found) - len(apart)),
+        ("prediction and search agree within 20 % + 1 cm", len(found) - len(apart)),
         ("... and the status says that it is better, and confirmed", sum(row.agrees and not row.told for row in found)),
         ("do not agree, and the status says why", sum(row.told for row in apart)),
-        ("  of these no candidate was found", len(found) - len(finite)),
+        ("  of these no equilibrium is stable", len(lost)),
         ("do not agree, and nothing is said", sum(not row.told for row in apart)),
         ("best searched worse than given", sum(row.searched > row.given_searched * 1.001 + 1e-6 for row in found)),
     ):
@@ -108,7 +113,7 @@ def main() -> None:
         found.append(row)
         console.print(
             f"{row.seed:3d} {row.actuators:4s} given {row.given:.4f} (searched {row.given_searched:.4f}) "
-            f"best {row.value:.4f} (searched {row.searched:.4f}) {row.status}",
+            f"best {row.best:.4f} (searched {row.searched:.4f}) {row.status}",
             soft_wrap=True,
         )
     console.print(table(found))

@@ -26,7 +26,12 @@ def draw_all(task: ta.Task, answers: Sequence["Answers"]) -> dict[str, Figure]:
 
 def hulls(task: ta.Task, answers: Sequence["Answers"]) -> Figure:
     arms = [(one.name, one.arm) for one in answers]
-    return plot.study_figure(arms, "validation, shape (-3, 3)", task, [one.hulls for one in answers])
+    return plot.study_figure(
+        arms,
+        "Validation, shape (-3, 3): the antagonistic arm lacks less, and holds no load either",
+        task,
+        [one.hulls for one in answers],
+    )
 
 
 def shapes(task: ta.Task, answers: Sequence["Answers"]) -> Figure:
@@ -57,7 +62,9 @@ def shapes(task: ta.Task, answers: Sequence["Answers"]) -> Figure:
         )
         axes.set(title=one.name, xlabel="x [m]", aspect="equal", anchor="N", xlim=(-0.4, 0.65), ylim=(-0.9, 0.06))
     figure.axes[0].set_ylabel("y [m]")
-    figure.suptitle("The closest shapes that pressures reach under 100 loads")
+    figure.suptitle(
+        "The closest shapes that pressures reach: less absolute unattainability brings one arm alone nearer"
+    )
     return figure
 
 
@@ -69,7 +76,7 @@ def claim(answers: Sequence["Answers"]) -> Figure:
         for axes, name in zip(row, QUANTITIES, strict=True):
             _scatter(axes, one, name)
         row[0].set_ylabel(f"{one.name}\nerror reached by search [mm]")
-    figure.suptitle("Predicted error ranks tasks as the search does; hull metrics may not")
+    figure.suptitle("The predicted error orders both arms' tasks as the search does; the other metrics one arm's each")
     return figure
 
 

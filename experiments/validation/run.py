@@ -45,6 +45,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a smoke run: few loads, no file written")
     options = parser.parse_args()
+    torch.set_num_threads(1)
     console = Console()
     task = paper_task(SHAPE, ta.sample_loads(QUICK_LOADS if options.quick else LOADS))
     answers, summary = measure(task, QUICK_BASELINE_LOADS if options.quick else BASELINE_LOADS)
@@ -62,17 +63,17 @@ def main() -> None:
 
 
 def measure(task: ta.Task, baseline_loads: int) -> tuple[list[Answers], list[Figure]]:
-    """All answers, and how long each took: hulls, prediction and search side by side in one run."""
+    """All answers, and the processor time of each: hulls, prediction and search side by side in one run."""
     arms = {name: make() for name, make in ARMS.items()}
-    ta.evaluate(arms["antagonistic"], task, ("absolute", "relative"))  # loads and warms what is loaded late
+    ta.evaluate(arms["antagonistic"], task)  # loads and warms what is loaded late
     ta.search_pressure(arms["antagonistic"], paper_task(SHAPE, task.tip_load[:1]))
     spent: dict[str, float] = {}
     count = len(arms) * len(task.tip_load)
 
     def timed(what: str, work: Callable[[ta.ArmDesign], Any]) -> list[Any]:
-        start = time.perf_counter()
+        start = time.process_time()
         found = [work(arm) for arm in arms.values()]
-        spent[what] = time.perf_counter() - start
+        spent[what] = time.process_time() - start
         return found
 
     hulls = timed("hulls, absolute and relative", lambda arm: ta.evaluate(arm, task, ("absolute", "relative")))
