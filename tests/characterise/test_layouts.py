@@ -93,7 +93,7 @@ def test_notes_say_what_was_left_out_averaged_and_assumed(fit):
     model, shown = fit(
         *RUN, tester=layouts.TESTERS["words in three lines"][0], log=layouts.LOGS["two samples in one line"][0]
     )
-    words = "1 line of words or with empty cells passed over; line 84 damaged, left out"
+    words = "2 lines of words or with empty cells passed over (1 with 'NaN')"
     assert f"Notes on tester.txt: {words}" in shown
     assert "Notes on log.txt: line 201 damaged, left out; names no unit: read time in ms and pressure in psi" in shown
     assert dict(model.provenance)["notes on tester.txt"] == words
@@ -135,7 +135,7 @@ ASKED = [
     (
         BOTH,
         ("--gauge-length", "80 mm", "--columns", "strain=3"),
-        r"gauge_length: must stand with an extension, got one and columns that name strain",
+        r"gauge_length: must stand with lengths of extension or contraction, got one and strain in % in column 3 of .*",
     ),
     (BOTH, ("--columns", "3"), r"columns: must be as in 'time=Time:s, force=4', got '3'"),
     (BOTH, ("--columns", "force=9"), r"columns: force: must be from 1 to 4, .*, got 9"),
@@ -194,10 +194,13 @@ def test_tables_give_the_law(fit, name):
 
 
 def test_which_way_positive_forces_act_is_told_or_said(fit):
-    pushes = layouts.LONG.replace(",-", ",")
-    assert_law(fit("--table", "table.txt", "--positive", "pull", table=pushes)[0], layouts.MUSCLE, rest=0.5)
-    _, shown = fit("--table", "table.txt", table=pushes)
-    assert "Positive forces: push" in shown
+    pulls = layouts.LONG.replace(",-", ",")
+    model, shown = fit("--table", "table.txt", "--positive", "pull", table=pulls)
+    assert_law(model, layouts.MUSCLE, rest=0.5)
+    assert "Positive forces: pull, as said" in shown
+    model, shown = fit("--table", "table.txt", table=pulls)
+    assert_law(model, layouts.MUSCLE, rest=0.5)
+    assert "Positive forces: pull, as what is stretched pulls back (--positive push takes them the other" in shown
 
 
 def test_empty_cells_of_a_table_are_no_samples(tmp_path):

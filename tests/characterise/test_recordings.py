@@ -10,7 +10,7 @@ import pytest
 
 import torcharm as ta
 from torcharm.characterise import recordings
-from torcharm.characterise.alignment import smooth
+from torcharm.characterise.misfit import smooth
 from torcharm.characterise.recordings import PressureRecord
 
 HEAD = "Time,Displacement,Tensile strain (Displacement),Force\r\n(ms),(mm),(%),(N)\r\n"
@@ -86,9 +86,9 @@ BAD_TESTERS = {
         HEAD.replace("(N)", "(kPa)") + "\r\n".join(ROWS) + "\r\n",
         r"line 1: must name one column of force, got none in",
     ),
-    "nan": (
-        HEAD + "\r\n".join([ROWS[0], '"20.0","0.6","1.0","NaN"', ROWS[2]]) + "\r\n",
-        "line 4: must be 4 cells with finite numbers in columns 1, 3, 4, got '20.0 0.6 1.0 NaN'$",
+    "inf": (
+        HEAD + "\r\n".join([ROWS[0], '"20.0","0.6","1.0","inf"', ROWS[2]]) + "\r\n",
+        "line 4: must be 4 cells with finite numbers in columns 1, 3, 4, got '20.0 0.6 1.0 inf'$",
     ),
     "few": (HEAD + "\r\n".join([ROWS[0], '"20.0","0.6"', ROWS[2]]) + "\r\n", "line 4: must be 4 cells with"),
     "cut in a number": (HEAD + "\r\n".join(ROWS)[:-3], "line 5: must be a whole line of 4 cells, .* it is cut short"),
@@ -229,7 +229,7 @@ def test_pooled_runs_keep_their_labels_and_settings():
     other = ta.align(*records(100), smoothing=0)
     both = ta.pool([one, other, one])
     assert [int((both.run == k).sum()) for k in range(3)] == [len(one.force), len(other.force), len(one.force)]
-    assert ("smoothing of pressure, samples", 0.0) in both.settings
+    assert ("smoothing of pressure, ms", 0.0) in both.settings
     assert ("offset of the log, ms, run 2", 0.0) in both.settings
     np.testing.assert_array_equal(both.pressure[both.run == 1], other.pressure)
     with pytest.raises(ValueError, match=r"^recordings: must hold at least one run"):
