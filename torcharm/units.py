@@ -19,7 +19,7 @@ STRAIN = {"mm/mm": 1.0, "%": 0.01, "‰": 1e-3, "µε": 1e-6}
 
 MEASURED = {
     "time": TIME,
-    "strain": STRAIN,
+    "strain": STRAIN | LENGTH,
     "contraction": STRAIN | LENGTH,
     "extension": LENGTH | STRAIN,
     "force": FORCE,

@@ -118,7 +118,7 @@ def _kept(
         raise ValueError(
             f"{tester.source} and {log.source}: do not overlap in time: the tester ran from "
             f"{tester.time[0]:.10g} to {tester.time[-1]:.10g} ms, the log from {clock[0]:.15g} to {clock[-1]:.15g} ms; "
-            f"an offset of {offset + tester.time[0] - clock[0]:.15g} ms would start both at once"
+            f"an offset of {offset + tester.time[0] - clock[0]:.15g} ms (--offset) would start both at once"
         )
     if max_gap is not None:
         after = np.searchsorted(clock, tester.time).clip(1, len(clock) - 1)

@@ -24,7 +24,7 @@ _NO_VALUE = re.compile(
 """What loggers and spreadsheets write where there was no value."""
 _DAY = r"(?P<a>\d{1,4})(?P<sign>[-/.])(?P<b>\d{1,2})(?P=sign)(?P<c>\d{1,4})"
 _MOMENT = re.compile(
-    rf"\s*(?:{_DAY}[T\s]\s*)?(?P<h>\d{{1,2}}):(?P<min>\d\d):(?P<s>\d\d(?:[.,]\d+)?)\s*(?P<half>[AaPp])?[Mm]?"
+    rf"\s*(?:{_DAY}[T\s]\s*)?(?P<h>\d{{1,2}}):(?P<min>\d{{1,2}}):(?P<s>\d{{1,2}}(?:[.,]\d+)?)\s*(?P<half>[AaPp])?[Mm]?"
     r"(?P<zone>Z|[+-]\d\d:?\d\d)?\s*"
 )
 EPOCH_DAY = date(1970, 1, 1).toordinal()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from torcharm.characterise.cells import Row, has_value, is_moment, is_number
 from torcharm.characterise.delimited import Sheet, short
 from torcharm.inputs import check_choice, shown
-from torcharm.units import MEASURED, PRESSURE, is_absolute, unit_named
+from torcharm.units import LENGTH, MEASURED, PRESSURE, is_absolute, unit_named
 
 Columns = str | Mapping[str, str | int]
 """`"time=Time:s, force=4"` or `{"time": "Time:s", "force": 4}`: names or numbers from 1, perhaps with a unit."""
@@ -258,7 +258,8 @@ def _chosen(sheet: Sheet, header: Header, quantity: str, text: str) -> int:
 
 
 def _not_one(sheet: Sheet, header: Header, quantity: str, found: Sequence[int], option: str) -> str:
-    which = " and ".join(repr(header.names[i]) for i in found) if found else f"none in {header.shown}"
+    none = f"none in {header.shown}" if any(header.names) else "no names"
+    which = " and ".join(repr(header.names[i]) for i in found) or none
     words = next((i for i, name in enumerate(header.names) if re.search(_NAMED[quantity], _base(name))), None)
     if not found and words is not None and not sheet.form.numeric[words]:
         place, row = next((p, r) for p, r in zip(sheet.places, sheet.rows, strict=True) if len(r) > words)
@@ -283,6 +284,8 @@ def _candidates(sheet: Sheet, header: Header, quantity: str) -> list[int]:
     if len(found) > 1 and quantity in _PREFERRED_ALONE:
         alone = [i for i in found if re.fullmatch(f"(?:{_NAMED[quantity]})s?", own[i])]
         return alone if len(alone) == 1 else found
+    if quantity == "strain":  # those that are lengths of the gauge go last
+        found = [i for i in found if not any(unit in LENGTH for unit in _units(header, i, quantity)[0])] or found
     if found or quantity not in _TOLD_BY_UNIT:
         return found
     others = [pattern for other, pattern in _NAMED.items() if other != quantity]

@@ -17,8 +17,9 @@ FAR_OFF = 0.1
 """Of a table's largest force, how far off samples that were left out may be predicted."""
 WINDOW = 11
 """Samples about each: a spike is no longer than half of them, and stands out from their median."""
-SPIKE, SPIKE_OF_RMSE = 10.0, 5.0
-"""By so many of the usual distances from that median a spike stands out, and so many root mean squares of residuals."""
+SPIKE, SPIKE_OF_RMSE, SPIKE_OF_FORCE = 10.0, 5.0, 0.02
+"""By so many of the usual distances from that median a spike stands out, so many root mean squares of residuals, and so
+much of the largest force."""
 
 
 def warn_of_doubts(model: Actuator, recording: Recording, compared: Sequence[Candidate] = ()) -> None:
@@ -41,7 +42,7 @@ def _low(recording: Recording, residual: Array) -> str:
     if share <= 1 - LOW:
         return ""
     return (
-        f"R² is {1 - share:.3g}: strain and pressure hardly tell the force; are columns, units, signs, clocks and the "
+        f"R² is {1 - share:.2f}: strain and pressure hardly tell the force; are columns, units, signs, clocks and the "
         "runs' order right?"
     )
 
@@ -68,7 +69,8 @@ def _spikes(recording: Recording, residual: Array) -> str:
         out[own] = residual[own] - median_filter(residual[own], WINDOW, mode="nearest")
     usual = MAD * float(np.median(np.abs(out)))
     rmse = float(np.sqrt((residual**2).mean()))
-    found = np.flatnonzero(np.abs(out) > max(SPIKE * usual, SPIKE_OF_RMSE * rmse))
+    least = max(SPIKE * usual, SPIKE_OF_RMSE * rmse, SPIKE_OF_FORCE * float(np.abs(recording.force).max()))
+    found = np.flatnonzero(np.abs(out) > least)
     if not len(found):
         return ""
     worst = int(found[np.abs(out[found]).argmax()])

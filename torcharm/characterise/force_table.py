@@ -3,14 +3,14 @@
 import re
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from torcharm.characterise.alignment import Recording, noted
-from torcharm.characterise.cells import number
+from torcharm.characterise.cells import is_number, number
 from torcharm.characterise.columns import Column, Columns, find_columns, has_column, is_compressive, named_by, told
 from torcharm.characterise.delimited import Array, Sheet, numbers, read_sheet, short
 from torcharm.characterise.recordings import (
@@ -59,7 +59,7 @@ def read_table(
     for name, value, allowed in (("unit", unit, PRESSURE), ("positive", positive, POSITIVE)):
         if value is not None:
             check_choice(name, value, allowed)
-    sheet = read_sheet(path)
+    sheet = _headed(read_sheet(path))
     wide = None if "force" in told(columns) else _columns_of_header(sheet)
     samples = _long(sheet, unit, columns, gauge_length) if wide is None else _wide(sheet, wide, unit, gauge_length)
     own = np.isfinite(samples.force)
@@ -145,6 +145,15 @@ def _long(sheet: Sheet, unit: str | None, columns: Columns | None, gauge_length:
     strain = strain_scale(sheet, stretch, gauge_length) * strain
     squeezes = found["force"].compressive
     return _Samples(strain, pressure, force, np.array(line), stretch, squeezes, (*notes, *taken_off))
+
+
+def _headed(sheet: Sheet) -> Sheet:
+    """The sheet, a first line of numbers without the first of which is a header of bare numbers."""
+    first = sheet.rows[0]
+    if not sheet.above or first[0].strip() or not all(map(is_number, first[1:])):
+        return sheet
+    above = (*sheet.above, (sheet.places[0], first))
+    return replace(sheet, above=above, rows=sheet.rows[1:], places=sheet.places[1:])
 
 
 def _columns_of_header(sheet: Sheet) -> list[tuple[float, str]] | None:

@@ -22,6 +22,8 @@ USUAL_DEGREE = 3
 """Of the polynomial by which questions of smoothing and clocks are settled unless told: the paper's."""
 MOST_STAMPS = 2000
 """Of the tester's, evenly spread, answer such a question as well as all."""
+SPIKES = 5
+"""Samples of the median that leaves out spikes of the force."""
 SEARCHED = 10_000.0
 """How far an offset is looked for unless told [ms]."""
 SEARCH_STEP = 100.0
@@ -70,9 +72,12 @@ def usual_smoothing(tester: TesterRecord, log: PressureRecord, offset: float) ->
 
 
 def coarse_misfit(tester: TesterRecord, log: PressureRecord, smoothing: float) -> "Misfit":
-    """The misfit of a cubic at a few of the tester's stamps, which is quick."""
+    """The misfit of a cubic at a few of the tester's stamps, which is quick; a median leaves out the force's spikes."""
+    from scipy.ndimage import median_filter
+
     step = max(1, len(tester.time) // MOST_STAMPS)
-    few = TesterRecord(tester.time[::step], tester.strain[::step], tester.force[::step], tester.source)
+    force = median_filter(tester.force, SPIKES, mode="nearest")
+    few = TesterRecord(tester.time[::step], tester.strain[::step], force[::step], tester.source)
     return Misfit(few, log.time, smoothed(log, smoothing), exponents(USUAL_DEGREE))
 
 

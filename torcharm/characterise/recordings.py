@@ -187,8 +187,9 @@ def as_pressure_record(
     """
     if unit is not None:
         check_choice("unit", unit, PRESSURE)
-    if not told(columns) and not sheet.above and sheet.form.width == 2:
-        columns = {"time": 1, "pressure": 2}
+    numeric = [place for place, own in enumerate(sheet.form.numeric, 1) if own]
+    if not told(columns) and not sheet.above and len(numeric) == 2:
+        columns = {"time": numeric[0], "pressure": numeric[1]}
     defaults = (LOG_UNITS if alone else {}) | ({"pressure": unit} if unit else {}) | _clock_unit(sheet, columns)
     found = find_columns(sheet, ("time", "pressure"), columns, defaults, option)
     pressure = found["pressure"]
@@ -258,8 +259,8 @@ def strain_scale(sheet: Sheet, stretch: Column, gauge_length: float | None) -> f
     if stretch.unit not in LENGTH:
         if gauge_length is not None:
             raise ValueError(
-                f"gauge_length: must stand with lengths of extension or contraction, got one and {stretch.quantity} in "
-                f"{stretch.unit} in column {stretch.index + 1} of {sheet.source}"
+                "gauge_length: must stand with extensions or contractions that are lengths, got one and "
+                f"{stretch.quantity} in {stretch.unit} in column {stretch.index + 1} of {sheet.source}"
             )
         return sign
     if gauge_length is None:
