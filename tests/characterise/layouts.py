@@ -199,7 +199,7 @@ TESTERS = {
         ["--gauge-length", "80 mm"],
     ),
     "forces that push, and nobody says so": (
-        text("Time[ms];Crosshead[mm];Force[N]", lines(TIME, EXTENSION, -PULL, separator=";")),
+        text("Time[ms];Extension[mm];Force[N]", lines(TIME, EXTENSION, -PULL, separator=";")),
         ["--gauge-length", "80 mm"],
     ),
     "times of day": (
@@ -334,6 +334,13 @@ LONG = text(
 WIDE = text(
     "contraction [%];" + ";".join(f"{p / 100:.0f} bar" for p in _PRESSURES),
     [";".join([f"{-100 * e:.0f}", *(f"{-muscle(e, p):.3f}".replace(".", ",") for p in _PRESSURES)]) for e in _STRAINS],
+)
+FORCES_AT = text(
+    "Kontraktion %;" + ";".join(f"Kraft bei {p / 100:.0f} bar" for p in _PRESSURES),
+    [
+        ";".join([f"{-100 * e:.0f}", *(f"{-muscle(e, p):.3f} N".replace(".", ",") for p in _PRESSURES)])
+        for e in _STRAINS
+    ],
 )
 STACKED = text("Force [N];;;;;;;", "contraction [%];pressure [bar];;;;;;", ";0;1;2;3;4;5;6", WIDE.splitlines()[1:])
 MILLIMETRES = text(

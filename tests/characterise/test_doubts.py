@@ -45,6 +45,12 @@ def test_spikes_are_told_by_file_line_and_size():
     assert "a.csv, line 304 the most, by 29.7 N" in said
 
 
+def test_a_load_cell_that_was_not_balanced_is_told():
+    given = recording()
+    (said,) = doubts(replace(given, force=given.force - 8.0))
+    assert "with a force at rest, which models have none of: was the load cell balanced" in said
+
+
 def test_forces_that_are_not_explained_are_told():
     given = recording()
     said = doubts(replace(given, force=np.random.default_rng(0).permutation(given.force)))

@@ -185,6 +185,7 @@ TABLES = {
     "wide": (layouts.WIDE, ()),
     "turned": (layouts.TURNED, ()),
     "a header of two lines": (layouts.STACKED, ()),
+    "forces at pressures, units behind numbers": (layouts.FORCES_AT, ()),
     "contractions in mm": (layouts.MILLIMETRES, ("--gauge-length", "200 mm")),
     "contractions in mm, a line each": (
         layouts.LONG.replace("strain", "shortening (mm)").replace("\n-", "\n"),
@@ -226,8 +227,9 @@ def test_empty_cells_of_a_table_are_no_samples(tmp_path):
     np.testing.assert_allclose(recording.force, layouts.muscle(recording.strain, recording.pressure), atol=1e-3)
 
 
-def test_strains_above_0_of_what_may_contract_or_extend_are_asked_about(fit):
-    said = fit("--table", "table.txt", table=layouts.WIDE.replace("contraction", "strain"))
+@pytest.mark.parametrize(("name", "more"), [("strain [%]", ()), ("stroke [mm]", ("--gauge-length", "100 mm"))])
+def test_what_may_contract_or_extend_is_asked_about(fit, name, more):
+    said = fit("--table", "table.txt", *more, table=layouts.WIDE.replace("contraction [%]", name))
     assert "a muscle that contracts and pulls (--positive pull), or a bellows that extends and pushes (--posi" in said
 
 

@@ -73,6 +73,21 @@ def test_a_plausible_pressure_is_none(tmp_path):
         ta.read_pressure(log(tmp_path))
 
 
+def test_pressures_that_rest_at_the_atmosphere_are_asked_about_and_read_if_said_to_be_absolute(tmp_path):
+    path = log(tmp_path, ["0,101.4", "10,121.3", "20,141.3"], head="Time (ms),Pressure (kPa)\n")
+    with pytest.warns(UserWarning, match=r"pressures are never below 101.4 kPa: are they absolute\? .*=2:bara"):
+        ta.read_pressure(path)
+    with pytest.warns(UserWarning, match=r"101.325 kPa of the surroundings taken off, assumed"):
+        found = ta.read_pressure(path, columns="pressure=2:kPa abs")
+    np.testing.assert_allclose(found.pressure, [0.075, 19.975, 39.975])
+
+
+def test_a_strain_that_is_none_is_a_warning(tmp_path):
+    path = csv_file(tmp_path, ['"0","0","0","1"', '"20","0","0.4","1"'])
+    with pytest.warns(UserWarning, match=r"tester.csv: strains reach 0.004, less than 0.01: is the unit of strain, %"):
+        ta.read_tester(path)
+
+
 def test_an_implausible_strain_is_a_warning(tmp_path):
     path = csv_file(tmp_path, ['"0","0","0","1"', '"20","0","66.8","1"'], HEAD.replace("(%)", "(mm/mm)"))
     with pytest.warns(UserWarning, match=r"tester.csv: strains reach 66.8"):
@@ -202,6 +217,13 @@ def test_pauses_of_the_log():
     times = found.strain * run.time[-1] / 0.5
     assert not ((times > 1001) & (times < 1999)).any()
     assert len(found.strain) == ((run.time <= 990) | (run.time >= 2010)).sum() == 149
+
+
+def test_a_log_in_seconds_that_is_read_in_milliseconds():
+    run, pressure = records()
+    short = PressureRecord(pressure.time / 1000, pressure.pressure, "p.txt")
+    with pytest.raises(ValueError, match=r"^p.txt: lasts 3.99 ms, and t.csv 3980 ms, .* --pressure-columns .*time=1:s"):
+        ta.align(run, short)
 
 
 def test_no_overlap():

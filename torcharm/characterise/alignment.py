@@ -16,6 +16,8 @@ from torcharm.inputs import check_count, check_number
 MOST_LEVELS = 40
 """Distinct strains, or pressures, of what counts as a table; a recording has thousands."""
 
+TOO_SHORT = 0.01
+"""Of a run, a log that lasts no longer is in another unit of time, or of another run."""
 
 Settings = tuple[tuple[str, str | float], ...]
 
@@ -119,6 +121,12 @@ def _kept(
             f"{tester.source} and {log.source}: do not overlap in time: the tester ran from "
             f"{tester.time[0]:.10g} to {tester.time[-1]:.10g} ms, the log from {clock[0]:.15g} to {clock[-1]:.15g} ms; "
             f"an offset of {offset + tester.time[0] - clock[0]:.15g} ms (--offset) would start both at once"
+        )
+    logged, ran = clock[-1] - clock[0], tester.time[-1] - tester.time[0]
+    if logged < TOO_SHORT * ran:
+        raise ValueError(
+            f"{log.source}: lasts {logged:g} ms, and {tester.source} {ran:g} ms, must be of the same run: is the unit "
+            'of time right? --pressure-columns says it, as in "time=1:s"'
         )
     if max_gap is not None:
         after = np.searchsorted(clock, tester.time).clip(1, len(clock) - 1)

@@ -42,12 +42,12 @@ def is_moment(cell: str) -> bool:
 
 def has_value(cell: str) -> bool:
     """Whether a cell holds anything but blanks, or what stands for no value, as `NaN`, `N/A`, `OVLD` or `---`."""
-    return _NO_VALUE.fullmatch(cell.strip()) is None
+    return cell[:1].isdigit() or _NO_VALUE.fullmatch(cell.strip()) is None
 
 
 def unit_behind(cell: str) -> str:
     """What stands behind a cell's number and is a unit, as in `12.5 kPa`, with the blanks before it; or ""."""
-    found = _WITH_UNIT.fullmatch(cell)
+    found = None if cell[-1:].isdigit() else _WITH_UNIT.fullmatch(cell)
     return found["unit"] if found and any(unit_named(found["unit"], quantity) for quantity in MEASURED) else ""
 
 

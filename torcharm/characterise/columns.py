@@ -13,7 +13,7 @@ Columns = str | Mapping[str, str | int]
 """`"time=Time:s, force=4"` or `{"time": "Time:s", "force": 4}`: names or numbers from 1, perhaps with a unit."""
 
 _NAMED = {
-    "time": r"timestamp|\btime|elapsed|millis|zeit|\bx value",
+    "time": r"timestamp|\btime|elapsed(?! cycle)|millis|zeit|\bx value",
     "strain": r"strain|dehnung|stauchung",
     "contraction": r"contraction|shortening|kontraktion|verkürzung",
     "extension": r"extension|displacement|elongation|crosshead|stroke|position|weg\b|traverse|verlängerung",
@@ -29,6 +29,8 @@ _TOLD_BY_UNIT = ("time", "force", "pressure")
 """Quantities whose units are those of nothing else that a bench records."""
 _COMPRESSIVE = re.compile(r"compressi|stauchung|druckkraft")
 """What a tester names so is positive where it squeezes: such strains and extensions shorten, such forces push."""
+_LENGTHENING = re.compile(r"extension|elongation|verlängerung|tensile|tension|dehnung")
+"""What is positive where longer; strokes and positions count either way."""
 _ABSOLUTE = re.compile(r"\babs\b|absolut")
 _GAUGE_OR_NOT = re.compile(r"(?<=[A-Za-z²])\s?\((g|gauge|rel\.?|ü|a|abs\.?|absolute?)\)", re.IGNORECASE)
 """What follows a unit of pressure in brackets of its own, as in `bar(g)`."""
@@ -72,6 +74,7 @@ class Column:
         unit: canonical; "" if neither the file nor a person named it, and no default holds.
         named: whether the file or a person named it.
         compressive: whether it is named so: positive where it squeezes.
+        sure: whether its name tells which way a stretch counts.
         absolute: whether its pressures are named so: counted from none, and not from that of the surroundings.
     """
 
@@ -80,6 +83,7 @@ class Column:
     unit: str
     named: bool
     compressive: bool = False
+    sure: bool = False
     absolute: bool = False
 
     @property
@@ -99,6 +103,7 @@ class _Choice:
 
     column: str
     unit: str | None
+    absolute: bool = False
 
 
 def header_of(sheet: Sheet) -> Header:
@@ -166,6 +171,11 @@ def is_compressive(name: str) -> bool:
     return _COMPRESSIVE.search(name.lower()) is not None
 
 
+def is_sure(quantity: str, name: str) -> bool:
+    """Whether a quantity or a name says which way a stretch counts: contraction, compressive, extension, tensile."""
+    return quantity == "contraction" or is_compressive(name) or _LENGTHENING.search(name.lower()) is not None
+
+
 def told(columns: Columns | None) -> list[str]:
     """The quantities of which a person says something."""
     return list(_choices(columns))
@@ -195,7 +205,7 @@ def _choice(quantity: str, text: str) -> _Choice:
     column, colon, last = text.rpartition(":")
     unit = unit_named(last, quantity) if colon else None
     if unit is not None:
-        return _Choice(column.strip(), unit)
+        return _Choice(column.strip(), unit, is_absolute(last))
     if colon and (column.strip().isdigit() or not column.strip()):
         raise ValueError(f"columns: {quantity}: {_allowed(quantity)}, got {shown(last)}")
     if not text:
@@ -230,8 +240,16 @@ def _column(sheet: Sheet, header: Header, quantity: str, choice: _Choice | None,
         )
     name = header.names[index].lower()
     texts = [*_unit_texts(header, index), *re.split(r"[_,;/\s]", name)]
-    absolute = quantity == "pressure" and (bool(_ABSOLUTE.search(name)) or any(map(is_absolute, texts)))
-    return Column(quantity, index, unit or default, bool(unit), is_compressive(name), absolute)
+    absolute = bool(_ABSOLUTE.search(name)) or any(map(is_absolute, texts)) or (choice is not None and choice.absolute)
+    return Column(
+        quantity,
+        index,
+        unit or default,
+        bool(unit),
+        compressive=is_compressive(name),
+        sure=is_sure(quantity, name) or (quantity == "extension" and choice is not None),
+        absolute=quantity == "pressure" and absolute,
+    )
 
 
 def _allowed(quantity: str) -> str:
@@ -264,8 +282,8 @@ def _not_one(sheet: Sheet, header: Header, quantity: str, found: Sequence[int], 
     if not found and words is not None and not sheet.form.numeric[words]:
         place, row = next((p, r) for p, r in zip(sheet.places, sheet.rows, strict=True) if len(r) > words)
         return (
-            f"{sheet.source}: line {place}: must hold numbers in column {words + 1}, {header.names[words]!r}, got "
-            f"{short(row[words])}; {option} names another column of {quantity}"
+            f"{sheet.source}: line {place}: must hold numbers, or times as 12:00:01.5, in column {words + 1}, "
+            f"{header.names[words]!r}, got {short(row[words])}; {option} names another column of {quantity}"
         )
     example = f"{quantity}={header.names[found[0]] if found else 2}"
     return (
@@ -297,10 +315,15 @@ def _units(header: Header, index: int, quantity: str) -> tuple[list[str], str]:
     texts = _unit_texts(header, index)
     found = [unit for text in texts if (unit := unit_named(text, quantity))]
     if not found:
-        words = re.sub(f"(?:{_NAMED[quantity]})(?:s(?![a-z]))?", " ", header.names[index].lower())
-        words = re.sub(r"[_,;/]", " ", _BRACKETS.sub(" ", words))
-        found = [unit for w in words.split() if w not in _AMBIGUOUS and (unit := unit_named(w, quantity))]
+        found = units_among_words(header.names[index], quantity)
     return list(dict.fromkeys(found)), "" if found or not texts else texts[0]
+
+
+def units_among_words(name: str, quantity: str) -> list[str]:
+    """The units of a quantity among a name's words that stand in no brackets."""
+    words = re.sub(f"(?:{_NAMED[quantity]})(?:s(?![a-z]))?", " ", name.lower())
+    words = re.sub(r"[_,;/]", " ", _BRACKETS.sub(" ", words))
+    return [unit for w in words.split() if w not in _AMBIGUOUS and (unit := unit_named(w, quantity))]
 
 
 def _unit_texts(header: Header, index: int) -> list[str]:

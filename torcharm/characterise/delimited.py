@@ -213,7 +213,7 @@ def _lines(source: str, data: bytes) -> tuple[list[str], bool]:
         text = data.decode(wide, errors="replace")
     elif b"\0" in data:
         line = data[: data.index(b"\0")].count(b"\n") + 1
-        raise ValueError(f"{source}: line {line}: must be text, got a byte 0, as of a program's own format")
+        raise ValueError(f"{source}: line {line}: must be text, as CSV is, got a byte 0, as of a program's own format")
     else:
         try:
             text = data.decode("utf-8-sig")

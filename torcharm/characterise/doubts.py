@@ -9,12 +9,16 @@ from torcharm.actuators.measured import Measured
 from torcharm.actuators.protocol import Actuator
 from torcharm.characterise.alignment import Recording, is_table
 from torcharm.characterise.choice import Candidate, forces
-from torcharm.characterise.least_squares import MAD, Array
+from torcharm.characterise.least_squares import MAD, Array, exponents, least_squares_loss
+from torcharm.characterise.misfit import USUAL_DEGREE
 
 LOW = 0.9
 """R² below which strain and pressure hardly tell the force."""
 FAR_OFF = 0.1
 """Of a table's largest force, how far off samples that were left out may be predicted."""
+UNBALANCED, LEAST_REST = 0.7, 0.005
+"""Of the root mean square that a fit leaves, what one with a force at rest may leave to doubt the load cell; and of the
+range of forces, what the fit must leave."""
 WINDOW = 11
 """Samples about each: a spike is no longer than half of them, and stands out from their median."""
 SPIKE, SPIKE_OF_RMSE, SPIKE_OF_FORCE = 10.0, 5.0, 0.02
@@ -31,7 +35,7 @@ def warn_of_doubts(model: Actuator, recording: Recording, compared: Sequence[Can
         compared: kinds of models, the one taken first; none if the kind was given.
     """
     residual = recording.force - forces(model, recording.strain, recording.pressure)
-    off = _low(recording, residual), _far_off(recording, compared), _spikes(recording, residual)
+    off = _unbalanced(recording), _low(recording, residual), _far_off(recording, compared), _spikes(recording, residual)
     for doubt in (*off, _beyond(model)):
         if doubt:
             warnings.warn(doubt, stacklevel=2)
@@ -44,6 +48,21 @@ def _low(recording: Recording, residual: Array) -> str:
     return (
         f"R² is {1 - share:.2f}: strain and pressure hardly tell the force; are columns, units, signs, clocks and the "
         "runs' order right?"
+    )
+
+
+def _unbalanced(recording: Recording) -> str:
+    """Whether forces fit notably better with one more at no strain and pressure, which no model here has."""
+    strain, pressure, force = recording.strain, recording.pressure, recording.force
+    powers, spread = exponents(USUAL_DEGREE), float(np.ptp(force))
+    if is_table(recording) or len(force) < 10 * len(powers):
+        return ""
+    plain, more = (least_squares_loss(strain, pressure, force, own) for own in (powers, ((0, 0), *powers)))
+    if more > UNBALANCED**2 * plain or plain < (LEAST_REST * spread) ** 2 * len(force):
+        return ""
+    return (
+        f"forces fit {np.sqrt(plain / max(more, 1e-300)):.2g} times as closely with a force at rest, which models have "
+        "none of: was the load cell balanced with the actuators at their own length, without pressure?"
     )
 
 

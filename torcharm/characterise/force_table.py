@@ -11,7 +11,17 @@ from numpy.typing import NDArray
 
 from torcharm.characterise.alignment import Recording, noted
 from torcharm.characterise.cells import is_number, number
-from torcharm.characterise.columns import Column, Columns, find_columns, has_column, is_compressive, named_by, told
+from torcharm.characterise.columns import (
+    Column,
+    Columns,
+    find_columns,
+    has_column,
+    is_compressive,
+    is_sure,
+    named_by,
+    told,
+    units_among_words,
+)
 from torcharm.characterise.delimited import Array, Sheet, numbers, read_sheet, short
 from torcharm.characterise.recordings import (
     PLAUSIBLE_STRAIN,
@@ -29,6 +39,7 @@ from torcharm.units import FORCE, MEASURED, PRESSURE, is_absolute, unit_named
 LEADS = ("contraction", "extension", "strain", "pressure")
 """What the first column of a table of forces alone may hold."""
 _HEAD = re.compile(r"\s*([-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*[(\[]?\s*([^\d\s()\[\]]*[^()\[\]]*?)\s*[)\]]?\s*")
+_INSIDE = re.compile(r"([-+]?\d[\d.,]*)\s*([^\W\d_]+)")
 _BRACKETS = re.compile(r"[(\[]([^()\[\]]*)[)\]]")
 
 
@@ -82,7 +93,7 @@ def read_table(
     return found
 
 
-MOST_WITHOUT_UNIT = {"contraction": 1.0, "strain": PLAUSIBLE_STRAIN}
+MOST_WITHOUT_UNIT = {"contraction": 1.0, "strain": PLAUSIBLE_STRAIN[1]}
 """What parts of 1 may reach: nothing contracts to less than no length; larger numbers are percents."""
 CONTRADICTING = 0.02
 """Of the largest force, by how much forces at one strain and pressure may differ: presses and hysteresis do as much."""
@@ -158,18 +169,23 @@ def _headed(sheet: Sheet) -> Sheet:
 
 def _columns_of_header(sheet: Sheet) -> list[tuple[float, str]] | None:
     """The number and the unit of each column but the first; None: some have none, or words are about forces."""
-    if not sheet.above or has_column(sheet, "force", None):
+    if not sheet.above:
         return None
     cells = (sheet.above[-1][1] + [""] * sheet.form.width)[1 : sheet.form.width]
-    if len(cells) < 2:
+    found = [_number_and_unit(cell, sheet.form.decimal) for cell in cells]
+    if len(cells) < 2 or not all(np.isfinite(value) for value, _ in found):
         return None
-    found = []
-    for cell in cells:
-        match = _HEAD.fullmatch(cell)
-        if match is None or not np.isfinite(value := number(match[1], sheet.form.decimal)):
-            return None
-        found.append((value, match[2]))
-    return found
+    pressures = all(unit_named(unit, "pressure") for _, unit in found)
+    return found if pressures or not has_column(sheet, "force", None) else None
+
+
+def _number_and_unit(cell: str, decimal: str) -> tuple[float, str]:
+    """What `2 bar`, `2` and `force at 2 bar [N]` name, with NaN for none."""
+    match = _HEAD.fullmatch(cell)
+    if match is None:
+        inside = [m for m in _INSIDE.finditer(cell) if unit_named(m[2], "pressure")]
+        match = inside[0] if len(inside) == 1 else None
+    return (np.nan, "") if match is None else (number(match[1], decimal), match[2])
 
 
 def _wide(sheet: Sheet, columns: list[tuple[float, str]], unit: str | None, gauge_length: float | None) -> _Samples:
@@ -193,11 +209,12 @@ def _wide(sheet: Sheet, columns: list[tuple[float, str]], unit: str | None, gaug
             f"{short(' '.join(sheet.rows[again]))}: are two tables in one file?"
         )
     title = [text for _, cells in sheet.above for cell in cells[cells is row :] for text in _BRACKETS.findall(cell)]
-    inside = _BRACKETS.findall(corner)
+    inside = [*_BRACKETS.findall(corner), *units_among_words(corner, lead), sheet.form.units[0]]
+    title = [*title, *sheet.form.units[1:2]]
     table, lines, notes = numbers(sheet, range(sheet.form.width), sparse=True)
     values = {lead: table[:, 0], other: np.array([value for value, _ in columns])}
     texts = {lead: inside, other: [*units, *inside, *title]}
-    axes = {quantity: _column(where, quantity, texts[quantity], unit, values[quantity]) for quantity in values}
+    axes = {quantity: _column(where, quantity, corner, texts[quantity], unit, values[quantity]) for quantity in values}
     named = next((own for text in title if (own := unit_named(text, "force"))), None)
     notes = notes if named else (*notes, "names no unit of forces: read in N")
     scaled = [axes[quantity].factor * values[quantity] for quantity in values]
@@ -221,7 +238,7 @@ def _leads(corner: str) -> list[str]:
     return [quantity for _, quantity in found]
 
 
-def _column(where: str, quantity: str, texts: Sequence[str], unit: str | None, values: Array) -> Column:
+def _column(where: str, quantity: str, corner: str, texts: Sequence[str], unit: str | None, values: Array) -> Column:
     """The unit that texts name for a quantity; parts of 1 for strains that name none and can be such."""
     text, named = next(((t, own) for t in texts if (own := unit_named(t, quantity))), ("", None))
     if quantity == "pressure" and unit is not None:
@@ -236,4 +253,5 @@ def _column(where: str, quantity: str, texts: Sequence[str], unit: str | None, v
             f"{where}: must name the unit of {quantity}, one of {', '.join(MEASURED[quantity])}, in brackets behind "
             f"its name or behind each number, got none{option}"
         )
-    return Column(quantity, 0, named, True, absolute=quantity == "pressure" and is_absolute(text))
+    absolute = quantity == "pressure" and is_absolute(text)
+    return Column(quantity, 0, named, True, is_compressive(corner), is_sure(quantity, corner), absolute)

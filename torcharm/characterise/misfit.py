@@ -29,6 +29,8 @@ SEARCHED = 10_000.0
 SEARCH_STEP = 100.0
 """Of the grid on which it is looked for [ms]: actuators fill in no less than a few of it, so that the valley of the
 misfit about the offset is wider."""
+NEGLIGIBLE = 1e-6
+"""Of the force's variance, a misfit that is as good as none: a thousandth of its deviation."""
 ONE_PERCENT = 0.01
 """Of the force's deviation, what a fit may leave before clocks are doubted."""
 SLIPPED = 0.8
@@ -91,10 +93,10 @@ def warn_of_slipped_clocks(tester: TesterRecord, log: PressureRecord, smoothing:
     found = np.array([misfit(shift) for shift in grid])
     best = found.min()
     if best <= SLIPPED**2 * here:
-        shift, old, new = grid[found.argmin()], misfit.rmse(here), misfit.rmse(best)
+        shift, gain = grid[found.argmin()], math.sqrt(here / max(best, NEGLIGIBLE))
         warnings.warn(
             f"{tester.source} and {log.source}: clocks seem to be apart: with {shift:+.0f} ms on the log's, forces fit "
-            f"to {new:.3g} N instead of {old:.3g} N; --find-offset looks closer, --offset 0 leaves them so",
+            f"{gain:.2g} times as closely; --find-offset takes what fits best, --offset 0 leaves them so",
             stacklevel=4,
         )
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from torcharm.characterise.least_squares import exponents
 from torcharm.characterise.misfit import (
+    NEGLIGIBLE,
     PAPER_SMOOTHING,
     SEARCHED,
     USUAL_DEGREE,
@@ -20,8 +21,6 @@ from torcharm.inputs import check_count, check_number
 
 VALLEYS = 4
 """Of the misfit, how many are followed to the bottom: the best on the grid need not be the best there."""
-NEGLIGIBLE = 1e-6
-"""Of the force's variance, a misfit that is as good as none: a thousandth of its deviation."""
 ALIKE = 1.1
 """Root mean squares within this factor of the least are alike, where a run repeats itself."""
 

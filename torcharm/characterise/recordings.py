@@ -31,8 +31,10 @@ Lines = NDArray[np.int64] | None
 
 PLAUSIBLE_PRESSURE = (20.0, 1000.0)
 """Between these [kPa] lies the highest pressure of a recording, or its unit is doubted."""
-PLAUSIBLE_STRAIN = 5.0
-"""Above it, percents were probably taken for strains."""
+PLAUSIBLE_STRAIN = (0.01, 5.0)
+"""Between these lies the largest strain, or percents were taken for parts of 1, or these for percents."""
+ATMOSPHERE = (80.0, 108.0)
+"""Between these [kPa] lies the pressure of the surroundings: a log that rests there is absolute."""
 LONGEST_GAUGE = 3.0
 """A gauge length [m] beyond which metres were hardly meant."""
 BACKWARD_STEPS = 3.0
@@ -158,12 +160,7 @@ def as_tester_record(
     scale = strain_scale(sheet, found[stretch], gauge_length)
     table, line, notes = _in_time(sheet, found, truncated=truncated)
     strain = table[stretch] * scale
-    if np.abs(strain).max() > PLAUSIBLE_STRAIN:
-        warnings.warn(
-            f"{sheet.source}: strains reach {np.abs(strain).max():.3g}, more than {PLAUSIBLE_STRAIN:g}: is the unit of "
-            f"{stretch}, {found[stretch].unit}, right?",
-            stacklevel=3,
-        )
+    check_strains(sheet.source, strain, found[stretch])
     signs = known_signs(found[stretch], squeezes=found["force"].compressive, positive=positive, usual="pull")
     tension = 1.0 if signs.positive == "pull" else -1.0
     return TesterRecord(table["time"], strain, tension * table["force"], sheet.source, notes, signs, line)
@@ -213,18 +210,35 @@ def as_pressure_record(
 def gauge_pressure(pressure: Array, source: str, *, absolute: bool) -> tuple[Array, tuple[str, ...]]:
     """Pressures above that of the surroundings [kPa], and what was assumed for it; a warning, too."""
     if not absolute:
+        if ATMOSPHERE[0] <= pressure.min() <= ATMOSPHERE[1]:
+            warnings.warn(
+                f"{source}: pressures are never below {pressure.min():.4g} kPa: are they absolute? Columns with a unit "
+                'such as bara or kPaa are read so, as by "pressure=2:bara"',
+                stacklevel=4,
+            )
         return pressure, ()
     note = f"pressures are absolute: {SURROUNDINGS:g} kPa of the surroundings taken off, assumed"
     warnings.warn(f"{source}: {note}", stacklevel=4)
     return pressure - SURROUNDINGS, (note,)
 
 
+def check_strains(source: str, strain: Array, stretch: Column) -> None:
+    """Warn about strains that are implausible for soft actuators."""
+    low, high = PLAUSIBLE_STRAIN
+    most = float(np.abs(strain).max())
+    if not low <= most <= high:
+        how = f"more than {high:g}" if most > high else f"less than {low:g}"
+        warnings.warn(
+            f"{source}: strains reach {most:.3g}, {how}: is the unit of {stretch.quantity}, {stretch.unit}, right?",
+            stacklevel=4,
+        )
+
+
 def known_signs(stretch: Column, *, squeezes: bool, positive: str | None, usual: str) -> Signs:
     """What a person and the names of columns tell of signs, squeezing forces' among them; else forces do the usual."""
-    longer = stretch.quantity != "strain" or stretch.compressive
     if positive is None and not squeezes:
-        return Signs(usual, ASSUMED, longer)
-    return Signs(positive or "push", SAID if positive else NAMED, longer)
+        return Signs(usual, ASSUMED, stretch.sure)
+    return Signs(positive or "push", SAID if positive else NAMED, stretch.sure)
 
 
 def stretch_quantity(sheet: Sheet, columns: Columns | None, gauge_length: float | None) -> str:
