@@ -296,6 +296,18 @@ LOGS = {
         ),
         ["--offset", "-1714521600000"],
     ),
+    "a name before each number": (
+        text([f"time_ms: {row}" for row in lines(STAMPS, pressure_at(STAMPS), separator=", pressure_kPa: ")]),
+        [],
+    ),
+    "names, numbers and units": (
+        text([f"t={row} psi" for row in lines(STAMPS, pressure_at(STAMPS) / PSI, separator=" ms; p=")]),
+        [],
+    ),
+    "minutes and seconds": (
+        text("Time,Pressure (kPa)", [f"00:{row}" for row in lines(STAMPS / 1000, pressure_at(STAMPS))]),
+        [],
+    ),
     "a monitor's stamps": (
         text([f"00:00:{row}" for row in lines(STAMPS / 1000, pressure_at(STAMPS), separator=" -> ")]),
         ["--unit", "kPa"],

@@ -4,7 +4,7 @@ from datetime import UTC, datetime, timedelta, timezone
 
 import pytest
 
-from torcharm.characterise.cells import has_value, is_number, number, unit_behind
+from torcharm.characterise.cells import dress, has_value, is_number, number
 from torcharm.units import is_absolute, unit_named
 
 NOON = datetime(2024, 5, 1, 12, 0, 1, 500_000, tzinfo=UTC).timestamp()
@@ -25,6 +25,7 @@ DAY = 12 * 3600 + 1.5
         ("12:00:01.5 PM", DAY),
         ("12:00:01.5 AM", 1.5),
         ("01:00:00 pm", 13 * 3600),
+        ("02:01.5", 121.5),
         ("5/1/2024 12:00:01.5", DAY),  # May or January: the day is left out
     ],
 )
@@ -56,11 +57,20 @@ def test_other_words_and_numbers_are_values(cell):
 
 
 @pytest.mark.parametrize(
-    ("cell", "unit"),
-    [("12.5 kPa", " kPa"), ("-3,2N", "N"), ("45 %", " %"), ("3 apples", ""), ("7", "")],
+    ("cell", "around"),
+    [
+        ("12.5 kPa", ("", " kPa")),
+        ("-3,2N", ("", "N")),
+        ("45 %", ("", " %")),
+        ("p: 12.5 kPa", ("p: ", " kPa")),
+        ("time_ms=7", ("time_ms=", "")),
+        ("3 apples", ("", "")),
+        ("7", ("", "")),
+        ("Force", ("", "")),
+    ],
 )
-def test_units_behind_numbers(cell, unit):
-    assert unit_behind(cell) == unit
+def test_names_and_units_about_numbers(cell, around):
+    assert dress(cell) == around
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,9 @@ _GROUPED = {
     ".": re.compile(r"\s*[+-]?\d{1,3}(?:\.\d{3})+(?:,\d*)?\s*"),
 }
 _BETWEEN_THOUSANDS = re.compile(r"(?<=\d)['\u00a0\u202f](?=\d{3})")
-_WITH_UNIT = re.compile(rf"\s*{NUMBER}(?P<unit>\s*[^\d\s.,;:+-][^\d,;:]{{0,11}}?)\s*")
+_DRESSED = re.compile(
+    rf"(?P<label>\s*[^\W\d_][^:=,;]{{0,30}}?\s*[:=]\s*)?{NUMBER}(?P<unit>\s*[^\d\s.,;:+-][^\d,;:]{{0,11}}?)?\s*"
+)
 _NO_VALUE = re.compile(
     r"[-–—*?.]*|#?n/?a[!?]?|#num!|#value!|nan|null|none|ol|o\.l\.?|ovld|ovrfl?|over|overload|overflow|over ?range|open",
     re.IGNORECASE,
@@ -24,7 +26,7 @@ _NO_VALUE = re.compile(
 """What loggers and spreadsheets write where there was no value."""
 _DAY = r"(?P<a>\d{1,4})(?P<sign>[-/.])(?P<b>\d{1,2})(?P=sign)(?P<c>\d{1,4})"
 _MOMENT = re.compile(
-    rf"\s*(?:{_DAY}[T\s]\s*)?(?P<h>\d{{1,2}}):(?P<min>\d{{1,2}}):(?P<s>\d{{1,2}}(?:[.,]\d+)?)\s*(?P<half>[AaPp])?[Mm]?"
+    rf"\s*(?:{_DAY}[T\s]\s*)?(?:(?P<h>\d{{1,2}}):(?=\d+:)|(?=\d+:\d+[.,]))(?P<min>\d{{1,2}}):(?P<s>\d{{1,2}}(?:[.,]\d+)?)\s*(?P<half>[AaPp])?[Mm]?"
     r"(?P<zone>Z|[+-]\d\d:?\d\d)?\s*"
 )
 EPOCH_DAY = date(1970, 1, 1).toordinal()
@@ -36,7 +38,7 @@ def is_number(cell: str) -> bool:
 
 
 def is_moment(cell: str) -> bool:
-    """Whether a cell holds a time of day, with or without a date: `12:00:01.5`, `2024-05-01T12:00:01`."""
+    """Whether a cell holds a time: `2024-05-01T12:00:01`, `12:00:01`, or minutes and seconds as `00:01.5`."""
     return ":" in cell and _MOMENT.fullmatch(cell) is not None
 
 
@@ -45,10 +47,13 @@ def has_value(cell: str) -> bool:
     return cell[:1].isdigit() or _NO_VALUE.fullmatch(cell.strip()) is None
 
 
-def unit_behind(cell: str) -> str:
-    """What stands behind a cell's number and is a unit, as in `12.5 kPa`, with the blanks before it; or ""."""
-    found = None if cell[-1:].isdigit() else _WITH_UNIT.fullmatch(cell)
-    return found["unit"] if found and any(unit_named(found["unit"], quantity) for quantity in MEASURED) else ""
+def dress(cell: str) -> tuple[str, str]:
+    """What stands before a cell's number, a name, and what behind it, a unit, as in `p: 12.5 kPa`; "" for nothing."""
+    found = None if cell[:1].isdigit() and cell[-1:].isdigit() else _DRESSED.fullmatch(cell)
+    if found is None:
+        return "", ""
+    label, unit = found["label"] or "", found["unit"] or ""
+    return (label, unit) if not unit or any(unit_named(unit, quantity) for quantity in MEASURED) else ("", "")
 
 
 def decimal_sign(rows: Sequence[Row], separator: str) -> str:
@@ -97,7 +102,7 @@ def _seconds(cell: str, none: float) -> float:
     found = _MOMENT.fullmatch(cell)
     if found is None:
         return none
-    hour, minute, second = int(found["h"]), int(found["min"]), float(found["s"].replace(",", "."))
+    hour, minute, second = int(found["h"] or 0), int(found["min"]), float(found["s"].replace(",", "."))
     if found["half"]:
         hour = hour % 12 + (12 if found["half"] in "Pp" else 0)
     days = 0

@@ -116,11 +116,13 @@ def header_of(sheet: Sheet) -> Header:
     names: Row = []
     if rows and sum(1 for cell in rows[0][1] if cell.strip() and not is_number(cell)) >= 2:
         line, names = rows[0]
-    width = sheet.form.width
+    width, (labels, units_behind) = sheet.form.width, zip(*sheet.form.dress, strict=True)
+    if not names:
+        names = [label.strip(" :=\t") for label in labels]
     filled = [tuple(map(_joined, (row + [""] * width)[:width])) for row in (names, units)]
     first = [[row[c] for row in sheet.rows[:20] if len(row) > c and has_value(row[c])] for c in range(width)]
     moments = tuple(bool(cells) and any(map(is_moment, cells)) for cells in first)
-    behind = tuple("s" if moment else unit for unit, moment in zip(sheet.form.units, moments, strict=True))
+    behind = tuple("s" if moment else unit for unit, moment in zip(units_behind, moments, strict=True))
     return Header(line, filled[0], filled[1], behind, moments)
 
 

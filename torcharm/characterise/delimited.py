@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torcharm.characterise.cells import NUMBER, Row, decimal_sign, has_value, is_number, number, unit_behind
+from torcharm.characterise.cells import NUMBER, Row, decimal_sign, dress, has_value, is_number, number
 from torcharm.files import StrPath, read_file
 
 Array = NDArray[np.float64]
@@ -46,14 +46,14 @@ class Form:
         width: cells of a line.
         decimal: the decimal sign, "." or ",".
         numeric: of each cell, whether it mostly holds numbers.
-        units: of each cell, the unit that stands behind most of its numbers, as in `12.5 kPa`; "" for none.
+        dress: of each cell, what stands before and behind most of its numbers, as in `p: 12.5 kPa`; "" for nothing.
     """
 
     separator: str
     width: int
     decimal: str
     numeric: tuple[bool, ...]
-    units: tuple[str, ...]
+    dress: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +101,7 @@ def read_sheet(path: StrPath) -> Sheet:
             f"{source}: line {first}: must be followed by lines of two or more numbers each, got "
             f"{short(lines[first - 1])} and none"
         )
-    split = _without_units(_split(kept, form.separator), form.units)
+    split = _undressed(_split(kept, form.separator), form.dress)
     pairs = [(n, row) for n, row in zip(whole, split, strict=True) if any(row)]
     first, last = _extent([row for _, row in pairs], form)
     closing = lines[pairs[last][0] - 1] if last < len(pairs) else ""
@@ -261,9 +261,9 @@ def _form(lines: Sequence[str]) -> Form:
     separator = max(SEPARATORS, key=lambda one: sum(map(_worth, _split(sample, one))))
     rows = [row for row in _split(sample, separator) if _worth(row) > 0]
     width = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
-    units = _units(rows, width)
-    rows = _without_units(rows, units)
-    return Form(separator, width, decimal_sign(rows, separator), _numeric(rows, width), units)
+    own = _dress(rows, width)
+    rows = _undressed(rows, own)
+    return Form(separator, width, decimal_sign(rows, separator), _numeric(rows, width), own)
 
 
 def _extent(rows: Sequence[Row], form: Form) -> tuple[int, int]:
@@ -282,7 +282,7 @@ def _extent(rows: Sequence[Row], form: Form) -> tuple[int, int]:
 
 def _worth(row: Row) -> int:
     """How well a separator splits a line: numbers count, words cost; a line of a single number is none."""
-    count = sum(1 for cell in row if is_number(cell) or unit_behind(cell))
+    count = sum(1 for cell in row if is_number(cell) or any(dress(cell)))
     return 0 if count < 2 else max(1, 2 * count - sum(1 for cell in row if cell.strip()))
 
 
@@ -291,12 +291,12 @@ def _numeric(rows: Sequence[Row], width: int) -> tuple[bool, ...]:
     return tuple(2 * sum(map(is_number, column)) > len(column) for column in _columns(rows, width))
 
 
-def _units(rows: Sequence[Row], width: int) -> tuple[str, ...]:
-    """Of each of so many cells, the unit that stands behind the numbers of more than half of those filled, or ""."""
+def _dress(rows: Sequence[Row], width: int) -> tuple[tuple[str, str], ...]:
+    """Of each of so many cells, what stands before and behind the numbers of more than half of those filled."""
     found = []
     for column in _columns(rows, width):
-        unit, times = Counter(map(unit_behind, column)).most_common(1)[0] if column else ("", 0)
-        found.append(unit if 2 * times > len(column) else "")
+        own, times = Counter(map(dress, column)).most_common(1)[0] if column else (("", ""), 0)
+        found.append(own if 2 * times > len(column) else ("", ""))
     return tuple(found)
 
 
@@ -306,12 +306,13 @@ def _columns(rows: Sequence[Row], width: int) -> list[Row]:
     return [[row[c] for row in own if has_value(row[c])] for c in range(width)]
 
 
-def _without_units(rows: list[Row], units: Sequence[str]) -> list[Row]:
-    """The rows, numbers without the units behind them."""
-    for place, unit in enumerate(units):
-        for row in rows if unit else ():
-            if len(row) > place and row[place].endswith(unit) and is_number(row[place].removesuffix(unit)):
-                row[place] = row[place].removesuffix(unit)
+def _undressed(rows: list[Row], dresses: Sequence[tuple[str, str]]) -> list[Row]:
+    """The rows, numbers without what stands before and behind them."""
+    for place, (label, unit) in enumerate(dresses):
+        for row in rows if label or unit else ():
+            if len(row) > place and row[place].startswith(label) and row[place].endswith(unit):
+                bare = row[place].removeprefix(label).removesuffix(unit)
+                row[place] = bare if is_number(bare) else row[place]
     return rows
 
 

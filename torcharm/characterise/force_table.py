@@ -209,8 +209,8 @@ def _wide(sheet: Sheet, columns: list[tuple[float, str]], unit: str | None, gaug
             f"{short(' '.join(sheet.rows[again]))}: are two tables in one file?"
         )
     title = [text for _, cells in sheet.above for cell in cells[cells is row :] for text in _BRACKETS.findall(cell)]
-    inside = [*_BRACKETS.findall(corner), *units_among_words(corner, lead), sheet.form.units[0]]
-    title = [*title, *sheet.form.units[1:2]]
+    inside = [*_BRACKETS.findall(corner), *units_among_words(corner, lead), sheet.form.dress[0][1]]
+    title = [*title, sheet.form.dress[1][1]]
     table, lines, notes = numbers(sheet, range(sheet.form.width), sparse=True)
     values = {lead: table[:, 0], other: np.array([value for value, _ in columns])}
     texts = {lead: inside, other: [*units, *inside, *title]}
