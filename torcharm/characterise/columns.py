@@ -64,6 +64,11 @@ class Header:
         """The names as they stand, shortened."""
         return short(",".join(self.names)) if any(self.names) else "no header"
 
+    @property
+    def none(self) -> str:
+        """That none of the names is one that is looked for."""
+        return f"none in {self.shown}" if any(self.names) else "no names"
+
 
 @dataclass(frozen=True)
 class Column:
@@ -278,8 +283,7 @@ def _chosen(sheet: Sheet, header: Header, quantity: str, text: str) -> int:
 
 
 def _not_one(sheet: Sheet, header: Header, quantity: str, found: Sequence[int], option: str) -> str:
-    none = f"none in {header.shown}" if any(header.names) else "no names"
-    which = " and ".join(repr(header.names[i]) for i in found) or none
+    which = " and ".join(repr(header.names[i]) for i in found) or header.none
     words = next((i for i, name in enumerate(header.names) if re.search(_NAMED[quantity], _base(name))), None)
     if not found and words is not None and not sheet.form.numeric[words]:
         place, row = next((p, r) for p, r in zip(sheet.places, sheet.rows, strict=True) if len(r) > words)
@@ -344,15 +348,20 @@ def _is_foreign(header: Header, index: int, quantity: str) -> bool:
 
 def _check_one_header(sheet: Sheet, header: Header) -> None:
     """Raise a ValueError about a line among the numbers that names columns otherwise than the header."""
-    known = {header.names, header.units}
+    known = [_words(header.names), _words(header.units)]
     for place, row in zip(sheet.places, sheet.rows, strict=True):
-        if row and row[0][:1].isalpha() and tuple(map(_joined, row)) not in known:
+        if row and row[0][:1].isalpha() and _words(row) not in known:
             named = sum(1 for cell in row if any(re.search(pattern, _base(cell)) for pattern in _NAMED.values()))
             if named >= 2 and not any(map(is_number, row)):
                 raise ValueError(
                     f"{sheet.source}: line {place}: must not name columns otherwise than line {header.line}, "
                     f"{header.shown}, got {short(','.join(row))}: are two recordings in one file?"
                 )
+
+
+def _words(cells: Sequence[str]) -> list[str]:
+    """What cells hold, without those that are empty."""
+    return [word for cell in cells if (word := _plain(cell))]
 
 
 def _is_unit_row(row: Row) -> bool:

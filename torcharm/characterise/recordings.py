@@ -15,7 +15,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from torcharm.characterise.cells import number
-from torcharm.characterise.columns import Column, Columns, find_columns, has_column, told
+from torcharm.characterise.columns import Column, Columns, find_columns, has_column, header_of, told
 from torcharm.characterise.delimited import Sheet, numbers, read_sheet
 from torcharm.characterise.signs import ASSUMED, NAMED, PLAIN, SAID, Signs
 from torcharm.files import StrPath
@@ -212,8 +212,8 @@ def gauge_pressure(pressure: Array, source: str, *, absolute: bool) -> tuple[Arr
     if not absolute:
         if ATMOSPHERE[0] <= pressure.min() <= ATMOSPHERE[1]:
             warnings.warn(
-                f"{source}: pressures are never below {pressure.min():.4g} kPa: are they absolute? Columns with a unit "
-                'such as bara or kPaa are read so, as by "pressure=2:bara"',
+                f"{source}: pressures are never below {pressure.min():.4g} kPa: are they absolute? A unit such as bara "
+                'says so, in the file or by --columns (or --pressure-columns) "pressure=2:bara"',
                 stacklevel=4,
             )
         return pressure, ()
@@ -245,7 +245,7 @@ def stretch_quantity(sheet: Sheet, columns: Columns | None, gauge_length: float 
     """Which of strain, contraction and extension a file is read by.
 
     Raises:
-        ValueError: a gauge length is no such length; or two of the three are named by a person.
+        ValueError: a gauge length is no such length; two of the three are named by a person, or none by the file.
     """
     stretches = ("strain", "contraction", "extension")
     said = [quantity for quantity in told(columns) if quantity in stretches]
@@ -260,7 +260,13 @@ def stretch_quantity(sheet: Sheet, columns: Columns | None, gauge_length: float 
             )
         stretches = ("contraction", "extension", "strain")  # with lengths the former two go
     found = said or [quantity for quantity in stretches if has_column(sheet, quantity, None)]
-    return found[0] if found else "strain" if gauge_length is None else "extension"
+    if not found:
+        header = header_of(sheet)
+        raise ValueError(
+            f"{sheet.source}: line {header.line}: must name one column of strain, contraction or extension, got "
+            f'{header.none}; --columns says which, as in "contraction=2:mm"'
+        )
+    return found[0]
 
 
 def strain_scale(sheet: Sheet, stretch: Column, gauge_length: float | None) -> float:

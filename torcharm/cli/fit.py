@@ -56,7 +56,10 @@ def fit(
     ] = None,
     gauge_length: Annotated[
         str | None,
-        typer.Option(help='Of the actuators, where files hold extensions: "80 mm".', show_default="strains are read"),
+        typer.Option(
+            help='Of the actuators, where files hold lengths of extension or contraction: "80 mm".',
+            show_default="strains are read",
+        ),
     ] = None,
     positive: Annotated[
         str | None,
