@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from torcharm.characterise.misfit import smoothed, usual_smoothing, warn_of_slipped_clocks
+from torcharm.characterise.misfit import smoothed, usually_smoothed, warn_of_slipped_clocks
 from torcharm.characterise.recordings import Array, Floats, Lines, PressureRecord, TesterRecord
 from torcharm.characterise.signs import settled
 from torcharm.inputs import check_count, check_number
@@ -83,10 +83,12 @@ def align(
     check_number("offset", shift)
     clock = log.time + shift
     kept = _kept(tester, log, clock, shift, max_gap)
-    smoothing = usual_smoothing(tester, log, shift) if smoothing is None else smoothing
-    pressure = np.interp(tester.time[kept], clock, smoothed(log, smoothing))
+    smoothing, logged = (
+        usually_smoothed(tester, log, shift) if smoothing is None else (smoothing, smoothed(log, smoothing))
+    )
+    pressure = np.interp(tester.time[kept], clock, logged)
     if offset is None and log.source != tester.source:
-        warn_of_slipped_clocks(tester, log, smoothing)
+        warn_of_slipped_clocks(tester, log, logged)
     tension = 1.0 if tester.signs.positive == "pull" else -1.0
     strain, force, signs = settled(
         tester.signs, tester.strain[kept], pressure, tension * tester.force[kept], tester.source

@@ -65,27 +65,36 @@ def smoothed(log: PressureRecord, smoothing: float) -> Array:
     return smooth(log.pressure, smoothing / float(np.median(np.diff(log.time))) if smoothing else 0.0)
 
 
-def usual_smoothing(tester: TesterRecord, log: PressureRecord, offset: float) -> float:
-    """The paper's smoothing [ms] if a run's forces fit better with it, else none: it takes noise, or what happened."""
+def usually_smoothed(tester: TesterRecord, log: PressureRecord, offset: float) -> tuple[float, Array]:
+    """The paper's smoothing [ms], if a run's forces fit better with it, else none; and the pressures [kPa] after it.
+
+    A Gaussian takes noise from slow pressures, and from fast ones what happened.
+    """
     if float(log.time[-1] - log.time[0]) < PAPER_SMOOTHING:
-        return 0.0
-    paper, none = (coarse_misfit(tester, log, smoothing)(offset) for smoothing in (PAPER_SMOOTHING, 0.0))
-    return PAPER_SMOOTHING if paper < none else 0.0
+        return 0.0, log.pressure
+    paper = smoothed(log, PAPER_SMOOTHING)
+    better = coarse_misfit(tester, log, paper)(offset) < coarse_misfit(tester, log, log.pressure)(offset)
+    return (PAPER_SMOOTHING, paper) if better else (0.0, log.pressure)
 
 
-def coarse_misfit(tester: TesterRecord, log: PressureRecord, smoothing: float) -> "Misfit":
-    """The misfit of a cubic at a few of the tester's stamps, which is quick; a median leaves out the force's spikes."""
+def coarse_misfit(tester: TesterRecord, log: PressureRecord, pressure: Array) -> "Misfit":
+    """The misfit of a cubic at a few of the tester's stamps, which is quick; a median leaves out the force's spikes.
+
+    Args:
+        tester, log: of a run.
+        pressure: of the log [kPa], smoothed.
+    """
     from scipy.ndimage import median_filter
 
     step = max(1, len(tester.time) // MOST_STAMPS)
     force = median_filter(tester.force, SPIKES, mode="nearest")
     few = TesterRecord(tester.time[::step], tester.strain[::step], force[::step], tester.source)
-    return Misfit(few, log.time, smoothed(log, smoothing), exponents(USUAL_DEGREE))
+    return Misfit(few, log.time, pressure, exponents(USUAL_DEGREE))
 
 
-def warn_of_slipped_clocks(tester: TesterRecord, log: PressureRecord, smoothing: float) -> None:
+def warn_of_slipped_clocks(tester: TesterRecord, log: PressureRecord, pressure: Array) -> None:
     """Warn where forces fit notably better with the log's clock shifted, if it is not shifted yet."""
-    misfit = coarse_misfit(tester, log, smoothing)
+    misfit = coarse_misfit(tester, log, pressure)
     here = misfit(0.0)
     if not ONE_PERCENT**2 < here < math.inf:
         return
