@@ -4,6 +4,7 @@ Each quantity has one table of factors to the unit in which torcharm reads numbe
 """
 
 import math
+import re
 
 LENGTH = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "in": 0.0254}
 ANGLE = {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180, "turn": 2 * math.pi}
@@ -18,9 +19,9 @@ STRAIN = {"mm/mm": 1.0, "%": 0.01, "‰": 1e-3, "µε": 1e-6}
 
 MEASURED = {
     "time": TIME,
-    "strain": STRAIN,
-    "contraction": STRAIN,
-    "extension": LENGTH,
+    "strain": STRAIN | LENGTH,
+    "contraction": STRAIN | LENGTH,
+    "extension": LENGTH | STRAIN,
     "force": FORCE,
     "pressure": PRESSURE | {"atm": 101.325, "kgf/cm²": 98.0665, "mmHg": 101.325 / 760},
 }
@@ -32,9 +33,9 @@ _SPELLINGS = {
     "µs": ("us", "μs", "usec", "micros", "microsecond", "microseconds"),
     "min": ("mins", "minute", "minutes"),
     "h": ("hr", "hour", "hours"),
-    "psi": ("psig", "lbf/in²", "lbf/in2"),
-    "kPa": ("kpag", "kilopascal", "kilopascals", "kn/m²", "kn/m2"),
-    "bar": ("barg", "bars"),
+    "psi": ("lbf/in²", "lbf/in2"),
+    "kPa": ("kilopascal", "kilopascals", "kn/m²", "kn/m2"),
+    "bar": ("bars",),
     "MPa": ("megapascal", "megapascals", "n/mm²", "n/mm2"),
     "Pa": ("pascal", "pascals", "n/m²", "n/m2"),
     "mbar": ("hpa", "millibar"),
@@ -54,11 +55,29 @@ _SPELLINGS = {
 _BY_SPELLING = {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings}
 _BY_CASE_ALONE = {"MN"}
 """What is another unit than the same letters in lower case, and no unit here."""
+_GAUGE = re.compile(r"(.+?)[ _]?(?:g|gauge|gage|rel\.?|ü)", re.IGNORECASE)
+_ABSOLUTE = re.compile(r"(.+?)[ _]?(?:a|abs\.?|absolute?)", re.IGNORECASE)
+"""Units of pressure above that of the surroundings, which all of torcharm's are, and above none."""
 
 
 def unit_named(text: str, quantity: str) -> str | None:
     """The unit of a measured quantity that a text stands for, in any usual spelling; None: it stands for none."""
-    table, text = MEASURED[quantity], text.strip()
+    found = _spelt(text, MEASURED[quantity])
+    if found is None and quantity == "pressure":
+        above = _GAUGE.fullmatch(text.strip()) or _ABSOLUTE.fullmatch(text.strip())
+        found = _spelt(above[1], MEASURED[quantity]) if above else None
+    return found
+
+
+def is_absolute(text: str) -> bool:
+    """Whether a text stands for a unit of pressures above none, as "bara", "psia" or "kPa abs" do."""
+    above = _ABSOLUTE.fullmatch(text.strip())
+    table = MEASURED["pressure"]
+    return above is not None and _spelt(text, table) is None and _spelt(above[1], table) is not None
+
+
+def _spelt(text: str, table: dict[str, float]) -> str | None:
+    text = text.strip()
     if text in table or text in _BY_CASE_ALONE:
         return text if text in table else None
     low = text.lower()

@@ -61,10 +61,10 @@ def coefficients(model: ta.PolynomialActuator) -> np.ndarray[Any, np.dtype[np.fl
 def synthetic(quick: bool) -> Iterator[list[Measurement]]:
     """Is the truth missed by as many standard errors as a Gaussian misses its mean?"""
     cases: dict[str, tuple[Noise, float, dict[str, Any]]] = {
-        "white noise": (Noise(memory=0.0), 5.0, {}),
-        "noise that lasts 1 s": (Noise(), 5.0, {}),
-        "the same, errors as if it were white": (Noise(), 5.0, {"correlated": 1}),
-        "the same, the paper's smoothing": (Noise(), 40.0, {}),
+        "white noise": (Noise(memory=0.0), 55.0, {}),
+        "noise that lasts 1 s": (Noise(), 55.0, {}),
+        "the same, errors as if it were white": (Noise(), 55.0, {"correlated": 1}),
+        "the same, the paper's smoothing": (Noise(), 440.0, {}),
     }
     repeats = 3 if quick else 60
     missed: dict[str, list[Any]] = {name: [] for name in cases}
@@ -74,8 +74,7 @@ def synthetic(quick: bool) -> Iterator[list[Measurement]]:
                 files = [write_run(Path(folder), 2 * seed + run, noise, step=40.0, log_step=21.4) for run in (0, 1)]
                 for name, (own, smoothing, options) in cases.items():
                     if own == noise:
-                        # the log is written half as often as the paper's
-                        model = ta.fit_recording(read_runs(files, smoothing / 2), max_pressure=LIMIT, **options)
+                        model = ta.fit_recording(read_runs(files, smoothing), max_pressure=LIMIT, **options)
                         assert model.quality is not None
                         errors = np.array(model.quality.standard_errors)
                         missed[name].append((coefficients(model) - coefficients(TRUTH)) / errors)
@@ -102,11 +101,11 @@ def speed(quick: bool) -> Iterator[list[Measurement]]:
         step = (20.0, 10.7) if quick else (8.2, 4.4)
         files = [write_run(Path(folder), seed, Noise(), step=step[0], log_step=step[1]) for seed in (0, 1)]
         size = sum(path.stat().st_size for pair in files for path in pair)
-        read_runs(files, 5.0)
+        read_runs(files)
         times = []
         for _ in range(5):
             start = time.perf_counter(), time.process_time()
-            ta.fit_recording(read_runs(files, 5.0))
+            ta.fit_recording(read_runs(files))
             times.append((time.perf_counter() - start[0], time.process_time() - start[1]))
         wall, processor = np.median(times, 0)
     yield [
@@ -142,7 +141,7 @@ def real(folder: Path, quick: bool) -> Iterator[list[Measurement]]:
         "held monotonic to 92 kPa": ta.fit_recording(paper, monotonic=True, max_pressure=92.0),
         "Huber's loss": ta.fit_recording(paper, loss="huber", max_pressure=LIMIT),
         "without pauses of the log": ta.fit_recording(recording(max_gap=100.0), max_pressure=LIMIT),
-        "smoothing over 10 samples": ta.fit_recording(recording(smoothing=10.0), max_pressure=LIMIT),
+        "smoothing over 10 samples": ta.fit_recording(recording(smoothing=110.0), max_pressure=LIMIT),
         "no smoothing": ta.fit_recording(recording(smoothing=0.0), max_pressure=LIMIT),
         "offsets that fit best": ta.fit_recording(recording(offsets=offsets), max_pressure=LIMIT),
         "run 1 alone": ta.fit_recording(recording((0,)), max_pressure=LIMIT),

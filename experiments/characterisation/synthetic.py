@@ -83,7 +83,7 @@ def _noise(random: np.random.Generator, count: int, memory: float) -> Array:
     return made
 
 
-def read_runs(files: list[tuple[Path, Path]], smoothing: float) -> ta.Recording:
+def read_runs(files: list[tuple[Path, Path]], smoothing: float | None = None) -> ta.Recording:
     """The runs pooled, as a user would read them."""
     return ta.pool(
         [

@@ -86,7 +86,12 @@ def test_an_assumed_bending_stiffness_is_told_by_files_and_commands(tmp_path, mo
         name = "ours"
         radii = [-0.05, 0.05]
         length = 0.4
-        actuators = {{ kind = "file", path = "m.toml"{} }}
+        actuators = {{ kind = "file", path = "m.toml"{0} }}
+        [[arm]]
+        name = "wider"
+        radii = [-0.06, 0.06]
+        length = 0.4
+        actuators = {{ kind = "file", path = "m.toml"{0} }}
         [[task]]
         name = "bend"
         shape = {{ kind = "constant", curvature = 0.3 }}
@@ -97,4 +102,4 @@ def test_an_assumed_bending_stiffness_is_told_by_files_and_commands(tmp_path, mo
         with pytest.raises(SystemExit, match="0"):
             cli.main()
         said = capsys.readouterr().err
-        assert ("torcharm: ours: the bending stiffness of all actuators is assumed" in said) is told
+        assert ("torcharm: ours, wider: the bending stiffness of all actuators is assumed" in said) is told

@@ -109,6 +109,15 @@ def test_the_default_tolerance_grows_with_the_arm():
     assert float(ta.PoseTolerance().lengths(both)[0]) == pytest.approx(0.02)
 
 
+@pytest.mark.parametrize(("beyond", "within"), [(5e-5, True), (9e-4, True), (2e-3, False), (0.05, False)])
+def test_a_strain_that_no_bench_tells_from_the_end_of_a_range_is_at_it(beyond, within):
+    stiff = ta.PolynomialActuator(((1, 0, -2000.0), (0, 1, 0.1)), (-0.25, 0.0), (0.0, 60.0), 60.0)
+    arm = ta.ArmDesign([-0.05, 0.05], 0.4, [stiff] * 2)
+    found = ta.evaluate(arm, ta.Task(ta.affine_curvature(0.0, 0.0, length=0.4 * (1 + beyond)), [0.0, 0.0, 0.0]))
+    assert bool(found.in_range) is within
+    assert within or "characterised from -0.25 to 0" in found.reason
+
+
 def test_what_was_not_characterised_is_excluded():
     squeezed = ta.evaluate(ARM, ta.Task(ta.affine_curvature(0.0, 1.0, length=0.44), [0.0, 0.0, 0.0]))
     assert squeezed.verdict == "excluded by range"

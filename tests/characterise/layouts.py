@@ -176,6 +176,52 @@ TESTERS = {
         ),
         [],
     ),
+    "compressive extensions and loads": (
+        text(
+            ['"Specimen label","1"', "", '"Time","Compressive extension","Compressive load"', '"(s)","(mm)","(N)"'],
+            lines(TIME / 1000, -EXTENSION, -PULL, quote='"'),
+        ),
+        ["--gauge-length", "80 mm"],
+    ),
+    "both senses": (
+        text(
+            ['"Results Table 1"', '"","Maximum Load","Extension"', '"","(N)","(mm)"', '"1","55.1","12.2"', ""],
+            ['"Time","Extension","Load","Compressive extension","Compressive load"', '"(s)","(mm)","(N)","(mm)","(N)"'],
+            lines(TIME / 1000, EXTENSION, PULL, -EXTENSION, -PULL, quote='"'),
+        ),
+        ["--gauge-length", "80 mm"],
+    ),
+    "a German tester's": (
+        text(
+            ['"Prüfzeit" ; "Stauchung" ; "Druckkraft"', '"s" ; "mm" ; "N"'],
+            lines(TIME / 1000, -EXTENSION, -PULL, separator=";", decimal=","),
+        ),
+        ["--gauge-length", "80 mm"],
+    ),
+    "forces that push, and nobody says so": (
+        text("Time[ms];Extension[mm];Force[N]", lines(TIME, EXTENSION, -PULL, separator=";")),
+        ["--gauge-length", "80 mm"],
+    ),
+    "times of day": (
+        text("Time,Strain (%),Force (N)", [f"00:00:{row}" for row in lines(TIME / 1000, 100 * STRAIN, PULL)]),
+        [],
+    ),
+    "units behind numbers": (
+        text(
+            "Time;Strain;Force",
+            lines(TIME / 1000, 100 * STRAIN, PULL, separator=";", formats=["{:.2f} s", "{:.4f} %", "{:.5f}N"]),
+        ),
+        [],
+    ),
+    "a measurement of a laboratory's program": (
+        text(
+            ["LabVIEW Measurement\t", "Separator\tTab", "Date\t2024/05/01", "Time\t12:00:00.1234567"],
+            ["***End_of_Header***\t", "\t", "Channels\t2\t\t\t", "Samples\t400\t400\t\t", "X0\t0.0\t0.0\t\t"],
+            ["***End_of_Header***\t\t\t", "X_Value\tForce\tDisplacement\tComment"],
+            [row + "\t" for row in lines(TIME / 1000, PULL, EXTENSION, separator="\t")],
+        ),
+        ["--gauge-length", "80 mm", "--columns", "time=X_Value:s,force=Force:N,extension=Displacement:mm"],
+    ),
     "blanks, and forces that push": (
         text("Time[ms]  Strain[%]  Force[N]", lines(TIME, 100 * STRAIN, -PULL, separator="   ")),
         ["--positive", "push"],
@@ -194,6 +240,8 @@ def log(header, factor=1 / PSI, clock=1.0, *, separator=",", end="\n", closing="
 
 
 REFERENCE_LOG = log("Time,Pressure")
+_EXACT = log("", 1.0, closing="").splitlines()
+_GERMAN = {"separator": ";", "decimal": ",", "formats": ["{:06.3f}", "{:.7f}"]}
 _THREE = [f"{100 * k},{p / PSI:.4f}" for k in range(410) for p in [pressure_at(100.0 * k)] * 3]
 _JITTERED = [f"{stamp - (30 if k % 40 == 7 else 0):.0f},{pressure_at(stamp):.4f}" for k, stamp in enumerate(STAMPS)]
 _JITTERED[8], _JITTERED[9] = _JITTERED[9], _JITTERED[8]
@@ -236,6 +284,34 @@ LOGS = {
         ),
         [],
     ),
+    "gauge units in brackets of their own": (log("Time (ms),Pressure (bar(g))", 0.01, digits=8), []),
+    "no value now and then": (
+        text("Time (ms),Pressure (kPa)", [x if k % 9 else x.split(",")[0] + ",OVLD" for k, x in enumerate(_EXACT)]),
+        [],
+    ),
+    "dates": (
+        text(
+            "Timestamp;Pressure [barg]",
+            [f"01.05.2024 00:00:{row}" for row in lines(STAMPS / 1000, pressure_at(STAMPS) / 100, **_GERMAN)],
+        ),
+        ["--offset", "-1714521600000"],
+    ),
+    "a name before each number": (
+        text([f"time_ms: {row}" for row in lines(STAMPS, pressure_at(STAMPS), separator=", pressure_kPa: ")]),
+        [],
+    ),
+    "names, numbers and units": (
+        text([f"t={row} psi" for row in lines(STAMPS, pressure_at(STAMPS) / PSI, separator=" ms; p=")]),
+        [],
+    ),
+    "minutes and seconds": (
+        text("Time,Pressure (kPa)", [f"00:{row}" for row in lines(STAMPS / 1000, pressure_at(STAMPS))]),
+        [],
+    ),
+    "a monitor's stamps": (
+        text([f"00:00:{row}" for row in lines(STAMPS / 1000, pressure_at(STAMPS), separator=" -> ")]),
+        ["--unit", "kPa"],
+    ),
     "times in words beside": (
         text(
             "Date,Elapsed (s),Pressure (kPa)",
@@ -270,6 +346,22 @@ LONG = text(
 WIDE = text(
     "contraction [%];" + ";".join(f"{p / 100:.0f} bar" for p in _PRESSURES),
     [";".join([f"{-100 * e:.0f}", *(f"{-muscle(e, p):.3f}".replace(".", ",") for p in _PRESSURES)]) for e in _STRAINS],
+)
+FORCES_AT = text(
+    "Kontraktion %;" + ";".join(f"Kraft bei {p / 100:.0f} bar" for p in _PRESSURES),
+    [
+        ";".join([f"{-100 * e:.0f}", *(f"{-muscle(e, p):.3f} N".replace(".", ",") for p in _PRESSURES)])
+        for e in _STRAINS
+    ],
+)
+STACKED = text("Force [N];;;;;;;", "contraction [%];pressure [bar];;;;;;", ";0;1;2;3;4;5;6", WIDE.splitlines()[1:])
+MILLIMETRES = text(
+    "shortening [mm];" + WIDE.splitlines()[0].partition(";")[2],
+    [f"{2 * int(row.split(';')[0])};{row.partition(';')[2]}" for row in WIDE.splitlines()[1:]],
+)
+ABSOLUTE = text(
+    "strain,pressure (kPa abs),force_N",
+    [f"{e:.3f},{p + 101.325:.3f},{muscle(e, p):.4f}" for e in _STRAINS for p in _PRESSURES],
 )
 TURNED = text(
     ["Pull (force) [kN]", "pressure [MPa] \\ contraction [%]," + ",".join(f"{-100 * e:.0f}" for e in _STRAINS)],

@@ -304,12 +304,15 @@ DATA = Path(os.environ["TORCHARM_DATA"]) / "bellows_characterisation" if "TORCHA
 
 @pytest.mark.skipif(DATA is None, reason="needs raw test-bench recordings: TORCHARM_DATA names no folder")
 def test_the_published_fit():
-    runs = [
-        ta.align(
-            ta.read_tester(DATA / f"instron_run_{k}.csv"), ta.read_pressure(DATA / f"pressure_run_{k}.txt"), actuators=4
-        )
-        for k in (1, 2)
-    ]
+    with pytest.warns(UserWarning, match="clocks seem to be apart"):  # by a quarter of a second, as was published
+        runs = [
+            ta.align(
+                ta.read_tester(DATA / f"instron_run_{k}.csv"),
+                ta.read_pressure(DATA / f"pressure_run_{k}.txt"),
+                actuators=4,
+            )
+            for k in (1, 2)
+        ]
     model = ta.fit_recording(ta.pool(runs))
     np.testing.assert_allclose(coefficients(model), PUBLISHED, rtol=2e-3)  # 0.1 % at most, on ε² p
     assert model.quality.r_squared == pytest.approx(0.9947, abs=1e-4)

@@ -72,7 +72,7 @@ def test_pressure_logs(fit, name):
     assert_found(fit(*RUN, *options, tester=layouts.REFERENCE, log=text))
 
 
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp1252"])
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "cp1252"])
 def test_encodings(fit, encoding):
     tester = layouts.REFERENCE.replace("Displacement,", "Länge,", 1).encode(encoding)
     assert_found(fit(*RUN, tester=tester, log=layouts.REFERENCE_LOG.encode(encoding)))
@@ -93,7 +93,7 @@ def test_notes_say_what_was_left_out_averaged_and_assumed(fit):
     model, shown = fit(
         *RUN, tester=layouts.TESTERS["words in three lines"][0], log=layouts.LOGS["two samples in one line"][0]
     )
-    words = "1 line of words or with empty cells passed over; line 84 damaged, left out"
+    words = "2 lines of words or with empty cells passed over (1 with 'NaN')"
     assert f"Notes on tester.txt: {words}" in shown
     assert "Notes on log.txt: line 201 damaged, left out; names no unit: read time in ms and pressure in psi" in shown
     assert dict(model.provenance)["notes on tester.txt"] == words
@@ -135,7 +135,7 @@ ASKED = [
     (
         BOTH,
         ("--gauge-length", "80 mm", "--columns", "strain=3"),
-        r"gauge_length: must stand with an extension, got one and columns that name strain",
+        r"gauge_length: must stand with .* that are lengths, got one and strain in % in column 3 of tester.txt",
     ),
     (BOTH, ("--columns", "3"), r"columns: must be as in 'time=Time:s, force=4', got '3'"),
     (BOTH, ("--columns", "force=9"), r"columns: force: must be from 1 to 4, .*, got 9"),
@@ -146,7 +146,7 @@ ASKED = [
     (
         ("reference", "seconds since 1970, no header"),
         (),
-        r"tester.txt and log.txt: do not overlap in time: .*; an offset of -1690000000013 ms would start both at once",
+        r"tester.txt and log.txt: do not overlap in time: .*; an offset of -1690000000013 ms \(--offset\) would .*",
     ),
 ]
 
@@ -180,24 +180,42 @@ def test_vacuum_is_refused_or_taken_by_its_depth(fit):
 
 # Tables
 
-TABLES = {"long": layouts.LONG, "wide": layouts.WIDE, "turned": layouts.TURNED}
+TABLES = {
+    "long": (layouts.LONG, ()),
+    "wide": (layouts.WIDE, ()),
+    "turned": (layouts.TURNED, ()),
+    "a header of two lines": (layouts.STACKED, ()),
+    "forces at pressures, units behind numbers": (layouts.FORCES_AT, ()),
+    "contractions in mm": (layouts.MILLIMETRES, ("--gauge-length", "200 mm")),
+    "contractions in mm, a line each": (
+        layouts.LONG.replace("strain", "shortening (mm)").replace("\n-", "\n"),
+        ("--gauge-length", "1 mm"),
+    ),
+    "strains above 0 of what pulls": (layouts.WIDE.replace("contraction", "strain"), ("--positive", "pull")),
+    "absolute pressures": (layouts.ABSOLUTE, ()),
+}
 
 
 @pytest.mark.parametrize("name", TABLES)
 def test_tables_give_the_law(fit, name):
-    model, shown = fit("--table", "table.txt", table=TABLES[name])
+    text, options = TABLES[name]
+    model, shown = fit("--table", "table.txt", *options, table=text)
     assert_law(model, layouts.MUSCLE, rest=0.5)  # N per unit of strain: the digits printed
     assert "Taken: mckibben" in shown
-    assert model.strain_range == (-0.25, 0.0)
-    assert model.pressure_range == (0.0, 600.0)
-    assert_law(fit("--table", "table.txt", "--model", "polynomial", table=TABLES[name])[0], layouts.MUSCLE, rest=0.5)
+    assert model.strain_range == (pytest.approx(-0.25), 0.0)
+    assert model.pressure_range == (0.0, pytest.approx(600.0))
+    table = ("--table", "table.txt", *options, "--model", "polynomial")
+    assert_law(fit(*table, table=text)[0], layouts.MUSCLE, rest=0.5)
 
 
 def test_which_way_positive_forces_act_is_told_or_said(fit):
-    pushes = layouts.LONG.replace(",-", ",")
-    assert_law(fit("--table", "table.txt", "--positive", "pull", table=pushes)[0], layouts.MUSCLE, rest=0.5)
-    _, shown = fit("--table", "table.txt", table=pushes)
-    assert "Positive forces: push" in shown
+    pulls = layouts.LONG.replace(",-", ",")
+    model, shown = fit("--table", "table.txt", "--positive", "pull", table=pulls)
+    assert_law(model, layouts.MUSCLE, rest=0.5)
+    assert "Positive forces: pull, as said" in shown
+    model, shown = fit("--table", "table.txt", table=pulls)
+    assert_law(model, layouts.MUSCLE, rest=0.5)
+    assert "Positive forces: pull, as what is stretched pulls back (--positive push takes them the other" in shown
 
 
 def test_empty_cells_of_a_table_are_no_samples(tmp_path):
@@ -209,6 +227,19 @@ def test_empty_cells_of_a_table_are_no_samples(tmp_path):
     np.testing.assert_allclose(recording.force, layouts.muscle(recording.strain, recording.pressure), atol=1e-3)
 
 
+@pytest.mark.parametrize(("name", "more"), [("strain [%]", ()), ("stroke [mm]", ("--gauge-length", "100 mm"))])
+def test_what_may_contract_or_extend_is_asked_about(fit, name, more):
+    said = fit("--table", "table.txt", *more, table=layouts.WIDE.replace("contraction [%]", name))
+    assert "a muscle that contracts and pulls (--positive pull), or a bellows that extends and pushes (--posi" in said
+
+
+def test_forces_that_contradict_each_other_are_a_warning(fit):
+    row = layouts.LONG.splitlines()[9]
+    fit("--table", "table.txt", table=layouts.LONG + ",".join([*row.split(",")[:2], "-300"]) + "\n")
+    with pytest.warns(UserWarning, match=r"table.txt: lines 10 and 44 contradict each other: .* 1 such in all"):
+        read_table("table.txt")
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -216,6 +247,7 @@ def test_empty_cells_of_a_table_are_no_samples(tmp_path):
         ((" bar", ""), r"table.txt: line 1: must name the unit of pressure, .*; --unit says it"),
         (("contraction", "wear"), r"table.txt: line 1: must begin with what the first column holds, .*'wear \[%\]'"),
         (("\n5;", "\n5;x"), r"table.txt: line 3: must be 8 cells with finite numbers .*"),
+        (("25;", f"contraction [%]{';9 bar' * 7}\n25;"), r"table.txt: line 7: must be forces, got another header than"),
         (("1 bar", "1 psi"), r"table.txt: line 1: must name one unit of pressure, got bar and psi"),
     ],
 )

@@ -10,7 +10,7 @@ import pytest
 
 import torcharm as ta
 from torcharm.characterise import recordings
-from torcharm.characterise.alignment import smooth
+from torcharm.characterise.misfit import smooth
 from torcharm.characterise.recordings import PressureRecord
 
 HEAD = "Time,Displacement,Tensile strain (Displacement),Force\r\n(ms),(mm),(%),(N)\r\n"
@@ -73,6 +73,21 @@ def test_a_plausible_pressure_is_none(tmp_path):
         ta.read_pressure(log(tmp_path))
 
 
+def test_pressures_that_rest_at_the_atmosphere_are_asked_about_and_read_if_said_to_be_absolute(tmp_path):
+    path = log(tmp_path, ["0,101.4", "10,121.3", "20,141.3"], head="Time (ms),Pressure (kPa)\n")
+    with pytest.warns(UserWarning, match=r"pressures are never below 101.4 kPa: are they absolute\? .*=2:bara"):
+        ta.read_pressure(path)
+    with pytest.warns(UserWarning, match=r"101.325 kPa of the surroundings taken off, assumed"):
+        found = ta.read_pressure(path, columns="pressure=2:kPa abs")
+    np.testing.assert_allclose(found.pressure, [0.075, 19.975, 39.975])
+
+
+def test_a_strain_that_is_none_is_a_warning(tmp_path):
+    path = csv_file(tmp_path, ['"0","0","0","1"', '"20","0","0.4","1"'])
+    with pytest.warns(UserWarning, match=r"tester.csv: strains reach 0.004, less than 0.01: is the unit of strain, %"):
+        ta.read_tester(path)
+
+
 def test_an_implausible_strain_is_a_warning(tmp_path):
     path = csv_file(tmp_path, ['"0","0","0","1"', '"20","0","66.8","1"'], HEAD.replace("(%)", "(mm/mm)"))
     with pytest.warns(UserWarning, match=r"tester.csv: strains reach 66.8"):
@@ -86,9 +101,9 @@ BAD_TESTERS = {
         HEAD.replace("(N)", "(kPa)") + "\r\n".join(ROWS) + "\r\n",
         r"line 1: must name one column of force, got none in",
     ),
-    "nan": (
-        HEAD + "\r\n".join([ROWS[0], '"20.0","0.6","1.0","NaN"', ROWS[2]]) + "\r\n",
-        "line 4: must be 4 cells with finite numbers in columns 1, 3, 4, got '20.0 0.6 1.0 NaN'$",
+    "inf": (
+        HEAD + "\r\n".join([ROWS[0], '"20.0","0.6","1.0","inf"', ROWS[2]]) + "\r\n",
+        "line 4: must be 4 cells with finite numbers in columns 1, 3, 4, got '20.0 0.6 1.0 inf'$",
     ),
     "few": (HEAD + "\r\n".join([ROWS[0], '"20.0","0.6"', ROWS[2]]) + "\r\n", "line 4: must be 4 cells with"),
     "cut in a number": (HEAD + "\r\n".join(ROWS)[:-3], "line 5: must be a whole line of 4 cells, .* it is cut short"),
@@ -204,6 +219,13 @@ def test_pauses_of_the_log():
     assert len(found.strain) == ((run.time <= 990) | (run.time >= 2010)).sum() == 149
 
 
+def test_a_log_in_seconds_that_is_read_in_milliseconds():
+    run, pressure = records()
+    short = PressureRecord(pressure.time / 1000, pressure.pressure, "p.txt")
+    with pytest.raises(ValueError, match=r"^p.txt: lasts 3.99 ms, and t.csv 3980 ms, .* --pressure-columns .*time=1:s"):
+        ta.align(run, short)
+
+
 def test_no_overlap():
     run, pressure = records(start=1e6)
     with pytest.raises(ValueError, match=r"^t.csv and p.txt: do not overlap in time: the tester ran from 0 to 3980 ms"):
@@ -229,7 +251,7 @@ def test_pooled_runs_keep_their_labels_and_settings():
     other = ta.align(*records(100), smoothing=0)
     both = ta.pool([one, other, one])
     assert [int((both.run == k).sum()) for k in range(3)] == [len(one.force), len(other.force), len(one.force)]
-    assert ("smoothing of pressure, samples", 0.0) in both.settings
+    assert ("smoothing of pressure, ms", 0.0) in both.settings
     assert ("offset of the log, ms, run 2", 0.0) in both.settings
     np.testing.assert_array_equal(both.pressure[both.run == 1], other.pressure)
     with pytest.raises(ValueError, match=r"^recordings: must hold at least one run"):

@@ -149,7 +149,7 @@ def out_of_range(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[
     if worst.excess > RANGE_SLACK:
         return (
             f"actuator {worst.actuator} is strained to {_told_apart(worst)} at node {worst.node}, "
-            f"characterised from {worst.low:+.2g} to {worst.high:+.2g}"
+            f"characterised from {_signed(worst.low)} to {_signed(worst.high)}"
         )
     first = 0
     for segment in segments:
@@ -163,9 +163,14 @@ def out_of_range(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[
 
 def _told_apart(strain: "_Strain") -> str:
     """A strain by as many digits as tell it from the ends of its range."""
-    ends = {f"{end:+.2g}" for end in (strain.low, strain.high)}
-    digits = next((count for count in (2, 3, 4, 6) if f"{strain.value:+.{count}g}" not in ends), 9)
-    return f"{strain.value:+.{digits}g}"
+    ends = {_signed(end) for end in (strain.low, strain.high)}
+    digits = next((count for count in (2, 3, 4, 6) if _signed(strain.value, count) not in ends), 9)
+    return _signed(strain.value, digits)
+
+
+def _signed(value: float, digits: int = 2) -> str:
+    """A number with its sign; 0 has none."""
+    return f"{value:+.{digits}g}" if value else "0"
 
 
 def _strains(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[int]) -> list[_Strain]:

@@ -8,15 +8,18 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from torcharm.characterise.recordings import Array, Floats, PressureRecord, TesterRecord
+from torcharm.characterise.misfit import smoothed, usually_smoothed, warn_of_slipped_clocks
+from torcharm.characterise.recordings import Array, Floats, Lines, PressureRecord, TesterRecord
+from torcharm.characterise.signs import settled
 from torcharm.inputs import check_count, check_number
 
-PAPER_SMOOTHING = 40.0
-"""σ of the paper's Gaussian smoothing of pressure, in samples of the log."""
 MOST_LEVELS = 40
 """Distinct strains, or pressures, of what counts as a table; a recording has thousands."""
-SMOOTHING_REACH = 2.5
-"""The Gaussian ends at so many σ: with the paper's σ it spans 201 samples."""
+
+TOO_SHORT = 0.01
+"""Of a run, a log that lasts no longer is in another unit of time, or of another run."""
+
+Settings = tuple[tuple[str, str | float], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +38,7 @@ class Recording:
         run: (n) which run each sample comes from, counted from 0; within a run samples are in order of time.
         sources: each run's files.
         settings: how they were read, for the record: names and values.
+        line: (n) the number of each sample's line in its run's first file; None for samples that come from none.
     """
 
     strain: Float[Floats, " n"]
@@ -42,22 +46,13 @@ class Recording:
     force: Float[Floats, " n"]
     run: NDArray[np.int64]
     sources: tuple[str, ...]
-    settings: tuple[tuple[str, str | float], ...] = ()
+    settings: Settings = ()
+    line: Lines = None
 
-
-def smooth(values: Float[Floats, " n"], deviation: float) -> Float[Floats, " n"]:
-    """A Gaussian-weighted mean over the samples within 2.5 deviations, and at the ends over those there are.
-
-    Args:
-        values: evenly spaced.
-        deviation: σ in samples; 0 leaves the values as they are.
-    """
-    if deviation == 0:
-        return values
-    from scipy.ndimage import gaussian_filter1d
-
-    options = {"sigma": deviation, "mode": "constant", "truncate": SMOOTHING_REACH}
-    return gaussian_filter1d(values, **options) / gaussian_filter1d(np.ones_like(values), **options)
+    def place(self, index: int) -> str:
+        """Where a sample comes from: file and line."""
+        source = self.sources[int(self.run[index])].split(", ")[0]
+        return f"{source}, {f'sample {index + 1}' if self.line is None else f'line {self.line[index]}'}"
 
 
 def align(
@@ -65,19 +60,21 @@ def align(
     log: PressureRecord,
     *,
     actuators: int = 1,
-    smoothing: float = PAPER_SMOOTHING,
-    offset: float = 0.0,
+    smoothing: float | None = None,
+    offset: float | None = None,
     max_gap: float | None = None,
 ) -> Recording:
     """One run: the pressure smoothed and interpolated to the tester's time stamps, the force of one actuator.
 
-    Stamps before the log's start or after its end are dropped.
+    Stamps before the log's start or after its end are dropped. Positive forces of a file that nobody and no name tells
+    the sense of are those that the samples tell, if they do (see `signs.positive_forces`).
 
     Args:
         tester, log: of the same run.
         actuators: how many were pulled in parallel and shared the pressure.
-        smoothing: σ of the Gaussian in samples of the log; 0 for none.
-        offset: what is added to the log's time to give the tester's [ms]; see `offset.estimate_offset`.
+        smoothing: σ of the Gaussian [ms]; 0 for none. None: the paper's, 440 ms, where forces fit better with it.
+        offset: what is added to the log's time to give the tester's [ms]; see `offset.estimate_offset`. None: 0, with
+            a warning where another would fit notably better.
         max_gap: drop stamps within pauses of the log longer than this [ms]; None bridges all of them, as the
             paper does.
 
@@ -90,51 +87,65 @@ def align(
         [20.0, 40.0]
     """
     count = check_count("actuators", actuators, 1)
-    for name, value in (("smoothing", smoothing), ("max_gap", max_gap)):
-        if value is not None:
-            check_number(name, value, 0.0)
-    check_number("offset", offset)
-    return _aligned(tester, log, smooth(log.pressure, smoothing), count, smoothing, offset, max_gap)
+    if max_gap is not None:
+        check_number("max_gap", max_gap, 0.0)
+    shift = 0.0 if offset is None else offset
+    check_number("offset", shift)
+    clock = log.time + shift
+    kept = _kept(tester, log, clock, shift, max_gap)
+    smoothing, logged = (
+        usually_smoothed(tester, log, shift) if smoothing is None else (smoothing, smoothed(log, smoothing))
+    )
+    pressure = np.interp(tester.time[kept], clock, logged)
+    if offset is None and log.source != tester.source:
+        warn_of_slipped_clocks(tester, log, logged)
+    tension = 1.0 if tester.signs.positive == "pull" else -1.0
+    strain, force, signs = settled(
+        tester.signs, tester.strain[kept], pressure, tension * tester.force[kept], tester.source
+    )
+    settings: Settings = (
+        ("actuators in parallel", float(count)),
+        ("smoothing of pressure, ms", float(smoothing)),
+        ("offset of the log, ms", float(shift)),
+        *(() if max_gap is None else (("longest pause of the log, ms", float(max_gap)),)),
+        *signs,
+        *noted(tester.source, tester.notes),
+        *(noted(log.source, log.notes) if log.source != tester.source else ()),
+    )
+    return Recording(
+        strain,
+        pressure,
+        force / count,
+        np.zeros(len(force), np.int64),
+        (", ".join(dict.fromkeys((Path(tester.source).name, Path(log.source).name))),),
+        settings,
+        None if tester.line is None else tester.line[kept],
+    )
 
 
-def _aligned(
-    tester: TesterRecord,
-    log: PressureRecord,
-    smoothed: Array,
-    actuators: int,
-    smoothing: float,
-    offset: float,
-    max_gap: float | None,
-) -> Recording:
-    clock = log.time + offset
+def _kept(
+    tester: TesterRecord, log: PressureRecord, clock: Array, offset: float, max_gap: float | None
+) -> NDArray[np.bool_]:
+    """Which of the tester's stamps the log has, too, on the tester's clock."""
     kept = (tester.time >= clock[0]) & (tester.time <= clock[-1])
     if not kept.any():
         raise ValueError(
             f"{tester.source} and {log.source}: do not overlap in time: the tester ran from "
             f"{tester.time[0]:.10g} to {tester.time[-1]:.10g} ms, the log from {clock[0]:.15g} to {clock[-1]:.15g} ms; "
-            f"an offset of {offset + tester.time[0] - clock[0]:.15g} ms would start both at once"
+            f"an offset of {offset + tester.time[0] - clock[0]:.15g} ms (--offset) would start both at once"
+        )
+    logged, ran = clock[-1] - clock[0], tester.time[-1] - tester.time[0]
+    if logged < TOO_SHORT * ran:
+        raise ValueError(
+            f"{log.source}: lasts {logged:g} ms, and {tester.source} {ran:g} ms, must be of the same run: is the unit "
+            'of time right? --pressure-columns says it, as in "time=1:s"'
         )
     if max_gap is not None:
         after = np.searchsorted(clock, tester.time).clip(1, len(clock) - 1)
         kept &= clock[after] - clock[after - 1] <= max_gap
         if not kept.any():
             raise ValueError(f"max_gap: leaves no sample of {tester.source} and {log.source}, got {max_gap:g} ms")
-    settings: tuple[tuple[str, str | float], ...] = (
-        ("actuators in parallel", float(actuators)),
-        ("smoothing of pressure, samples", float(smoothing)),
-        ("offset of the log, ms", float(offset)),
-        *(() if max_gap is None else (("longest pause of the log, ms", float(max_gap)),)),
-        *noted(tester.source, tester.notes),
-        *(noted(log.source, log.notes) if log.source != tester.source else ()),
-    )
-    return Recording(
-        tester.strain[kept],
-        np.interp(tester.time[kept], clock, smoothed),
-        -tester.force[kept] / actuators,
-        np.zeros(int(kept.sum()), np.int64),
-        (", ".join(dict.fromkeys((Path(tester.source).name, Path(log.source).name))),),
-        settings,
-    )
+    return kept
 
 
 def noted(source: str, notes: Sequence[str]) -> tuple[tuple[str, str], ...]:
@@ -151,10 +162,15 @@ def pool(recordings: Sequence[Recording]) -> Recording:
         [0, 0, 0, 1, 1, 1]
 
     Raises:
-        ValueError: there is none.
+        ValueError: there is none, or positive forces pull in one and push in another by samples or by assumption.
     """
     if not recordings:
         raise ValueError("recordings: must hold at least one run, got none")
+    known = [(str(dict(one.settings).get("positive forces", "")), one.sources[0]) for one in recordings]
+    ways = {words.partition(",")[0]: source for words, source in known if "--positive" in words}  # that nobody said
+    if len(ways) > 1:
+        got = " and ".join(f"{source} where they seem to {way}" for way, source in ways.items())
+        raise ValueError(f"positive: must be said (--positive), as all runs' forces act one way, got {got}")
     counts = [int(one.run.max()) + 1 for one in recordings]
     starts = np.cumsum([0, *counts[:-1]])
     shared = [pair for pair in recordings[0].settings if all(pair in one.settings for one in recordings)]
@@ -171,6 +187,7 @@ def pool(recordings: Sequence[Recording]) -> Recording:
         np.concatenate([one.run + start for one, start in zip(recordings, starts, strict=True)]),
         tuple(source for one in recordings for source in one.sources),
         (*shared, *own),
+        None if any(one.line is None for one in recordings) else np.concatenate([one.line for one in recordings]),
     )
 
 

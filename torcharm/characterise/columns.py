@@ -4,21 +4,21 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from torcharm.characterise.cells import Row, is_number
+from torcharm.characterise.cells import Row, has_value, is_moment, is_number
 from torcharm.characterise.delimited import Sheet, short
 from torcharm.inputs import check_choice, shown
-from torcharm.units import MEASURED, unit_named
+from torcharm.units import LENGTH, MEASURED, PRESSURE, is_absolute, unit_named
 
 Columns = str | Mapping[str, str | int]
 """`"time=Time:s, force=4"` or `{"time": "Time:s", "force": 4}`: names or numbers from 1, perhaps with a unit."""
 
 _NAMED = {
-    "time": r"timestamp|\btime|elapsed|millis|zeit",
-    "strain": r"strain|dehnung",
+    "time": r"timestamp|\btime|elapsed(?! cycle)|millis|zeit|\bx value",
+    "strain": r"strain|dehnung|stauchung",
     "contraction": r"contraction|shortening|kontraktion|verkürzung",
-    "extension": r"extension|displacement|elongation|crosshead|stroke|position|\bweg|verlängerung",
+    "extension": r"extension|displacement|elongation|crosshead|stroke|position|weg\b|traverse|verlängerung",
     "force": r"force|load|kraft",
-    "pressure": r"pressure|druck",
+    "pressure": r"pressure|druck(?!kraft)",
 }
 """What the names of columns hold, in lower case and without units."""
 _SYMBOLS = {"time": ("t",), "strain": ("ε", "eps", "epsilon"), "force": ("f",), "pressure": ("p",)}
@@ -27,7 +27,14 @@ _SET_POINT = re.compile(r"set ?point|target|command|demand|desired|reference|\br
 """What was asked for is no measurement."""
 _TOLD_BY_UNIT = ("time", "force", "pressure")
 """Quantities whose units are those of nothing else that a bench records."""
-_PREFERRED_ALONE = ("time", "extension")
+_COMPRESSIVE = re.compile(r"compressi|stauchung|druckkraft")
+"""What a tester names so is positive where it squeezes: such strains and extensions shorten, such forces push."""
+_LENGTHENING = re.compile(r"extension|elongation|verlängerung|tensile|tension|dehnung")
+"""What is positive where longer; strokes and positions count either way."""
+_ABSOLUTE = re.compile(r"\babs\b|absolut")
+_GAUGE_OR_NOT = re.compile(r"(?<=[A-Za-z²])\s?\((g|gauge|rel\.?|ü|a|abs\.?|absolute?)\)", re.IGNORECASE)
+"""What follows a unit of pressure in brackets of its own, as in `bar(g)`."""
+_PREFERRED_ALONE = ("time", "extension", "force")
 """Of which the column of that name alone is taken among several: others, such as a cycle's time, follow it."""
 _AMBIGUOUS = ("min", "h", "1", "-", "in", "g")
 """What names a unit in brackets, or in a row of units, but may mean something else as a word of a name."""
@@ -37,16 +44,30 @@ _OPTION = re.compile(r"(?:^|,)\s*([A-Za-z_]+)\s*=")
 
 @dataclass(frozen=True)
 class Header:
-    """The names of columns and the texts that stand for their units; "" where there is none."""
+    """The names of columns and the texts that stand for their units; "" where there is none.
+
+    Attributes:
+        line: of the names.
+        names, units: of each column, above the numbers.
+        behind: the unit that stands behind each number of a column; seconds for moments.
+        moments: whether a column holds times of day.
+    """
 
     line: int
     names: tuple[str, ...]
     units: tuple[str, ...]
+    behind: tuple[str, ...]
+    moments: tuple[bool, ...]
 
     @property
     def shown(self) -> str:
         """The names as they stand, shortened."""
         return short(",".join(self.names)) if any(self.names) else "no header"
+
+    @property
+    def none(self) -> str:
+        """That none of the names is one that is looked for."""
+        return f"none in {self.shown}" if any(self.names) else "no names"
 
 
 @dataclass(frozen=True)
@@ -57,17 +78,28 @@ class Column:
         index: counted from 0.
         unit: canonical; "" if neither the file nor a person named it, and no default holds.
         named: whether the file or a person named it.
+        compressive: whether it is named so: positive where it squeezes.
+        sure: whether its name tells which way a stretch counts.
+        absolute: whether its pressures are named so: counted from none, and not from that of the surroundings.
     """
 
     quantity: str
     index: int
     unit: str
     named: bool
+    compressive: bool = False
+    sure: bool = False
+    absolute: bool = False
 
     @property
     def factor(self) -> float:
         """One of its unit in torcharm's."""
         return MEASURED[self.quantity][self.unit]
+
+    def check_unit(self, said: str | None, source: str, option: str) -> None:
+        """Raise a ValueError if a person says another unit of pressures than was named."""
+        if said is not None and self.named and self.factor != PRESSURE[said]:
+            raise ValueError(f"unit: must be left out or be {self.unit}, which {source} or {option} names, got {said}")
 
 
 @dataclass(frozen=True)
@@ -76,6 +108,7 @@ class _Choice:
 
     column: str
     unit: str | None
+    absolute: bool = False
 
 
 def header_of(sheet: Sheet) -> Header:
@@ -88,10 +121,14 @@ def header_of(sheet: Sheet) -> Header:
     names: Row = []
     if rows and sum(1 for cell in rows[0][1] if cell.strip() and not is_number(cell)) >= 2:
         line, names = rows[0]
-    filled = [
-        tuple(cell.strip() for cell in (row + [""] * sheet.form.width)[: sheet.form.width]) for row in (names, units)
-    ]
-    return Header(line, filled[0], filled[1])
+    width, (labels, units_behind) = sheet.form.width, zip(*sheet.form.dress, strict=True)
+    if not names:
+        names = [label.strip(" :=\t") for label in labels]
+    filled = [tuple(map(_joined, (row + [""] * width)[:width])) for row in (names, units)]
+    first = [[row[c] for row in sheet.rows[:20] if len(row) > c and has_value(row[c])] for c in range(width)]
+    moments = tuple(bool(cells) and any(map(is_moment, cells)) for cells in first)
+    behind = tuple("s" if moment else unit for unit, moment in zip(units_behind, moments, strict=True))
+    return Header(line, filled[0], filled[1], behind, moments)
 
 
 def find_columns(
@@ -114,6 +151,7 @@ def find_columns(
         ValueError: a column is not found, or more than one; its unit is not known; or the file and a person differ.
     """
     header, choices = header_of(sheet), _choices(columns)
+    _check_one_header(sheet, header)
     found = {q: _column(sheet, header, q, choices.get(q), (defaults or {}).get(q, ""), option) for q in quantities}
     taken: dict[int, str] = {}
     for quantity, column in found.items():
@@ -133,6 +171,16 @@ def has_column(sheet: Sheet, quantity: str, columns: Columns | None) -> bool:
 def named_by(quantity: str) -> str:
     """A regular expression that finds the name of a quantity in lower case."""
     return _NAMED[quantity]
+
+
+def is_compressive(name: str) -> bool:
+    """Whether a name says that what is positive squeezes."""
+    return _COMPRESSIVE.search(name.lower()) is not None
+
+
+def is_sure(quantity: str, name: str) -> bool:
+    """Whether a quantity or a name says which way a stretch counts: contraction, compressive, extension, tensile."""
+    return quantity == "contraction" or is_compressive(name) or _LENGTHENING.search(name.lower()) is not None
 
 
 def told(columns: Columns | None) -> list[str]:
@@ -164,7 +212,7 @@ def _choice(quantity: str, text: str) -> _Choice:
     column, colon, last = text.rpartition(":")
     unit = unit_named(last, quantity) if colon else None
     if unit is not None:
-        return _Choice(column.strip(), unit)
+        return _Choice(column.strip(), unit, is_absolute(last))
     if colon and (column.strip().isdigit() or not column.strip()):
         raise ValueError(f"columns: {quantity}: {_allowed(quantity)}, got {shown(last)}")
     if not text:
@@ -197,7 +245,18 @@ def _column(sheet: Sheet, header: Header, quantity: str, choice: _Choice | None,
             f"{where}: {_allowed(quantity)}, got {got}; {option} says it, "
             f'as in "{quantity}={header.names[index] or index + 1}:{next(iter(MEASURED[quantity]))}"'
         )
-    return Column(quantity, index, unit or default, bool(unit))
+    name = header.names[index].lower()
+    texts = [*_unit_texts(header, index), *re.split(r"[_,;/\s]", name)]
+    absolute = bool(_ABSOLUTE.search(name)) or any(map(is_absolute, texts)) or (choice is not None and choice.absolute)
+    return Column(
+        quantity,
+        index,
+        unit or default,
+        bool(unit),
+        compressive=is_compressive(name),
+        sure=is_sure(quantity, name) or (quantity == "extension" and choice is not None),
+        absolute=quantity == "pressure" and absolute,
+    )
 
 
 def _allowed(quantity: str) -> str:
@@ -224,7 +283,14 @@ def _chosen(sheet: Sheet, header: Header, quantity: str, text: str) -> int:
 
 
 def _not_one(sheet: Sheet, header: Header, quantity: str, found: Sequence[int], option: str) -> str:
-    which = " and ".join(repr(header.names[i]) for i in found) if found else f"none in {header.shown}"
+    which = " and ".join(repr(header.names[i]) for i in found) or header.none
+    words = next((i for i, name in enumerate(header.names) if re.search(_NAMED[quantity], _base(name))), None)
+    if not found and words is not None and not sheet.form.numeric[words]:
+        place, row = next((p, r) for p, r in zip(sheet.places, sheet.rows, strict=True) if len(r) > words)
+        return (
+            f"{sheet.source}: line {place}: must hold numbers, or times as 12:00:01.5, in column {words + 1}, "
+            f"{header.names[words]!r}, got {short(row[words])}; {option} names another column of {quantity}"
+        )
     example = f"{quantity}={header.names[found[0]] if found else 2}"
     return (
         f"{sheet.source}: line {header.line}: must name one column of {quantity}, got {which}; {option} "
@@ -242,6 +308,8 @@ def _candidates(sheet: Sheet, header: Header, quantity: str) -> list[int]:
     if len(found) > 1 and quantity in _PREFERRED_ALONE:
         alone = [i for i in found if re.fullmatch(f"(?:{_NAMED[quantity]})s?", own[i])]
         return alone if len(alone) == 1 else found
+    if quantity == "strain":  # those that are lengths of the gauge go last
+        found = [i for i in found if not any(unit in LENGTH for unit in _units(header, i, quantity)[0])] or found
     if found or quantity not in _TOLD_BY_UNIT:
         return found
     others = [pattern for other, pattern in _NAMED.items() if other != quantity]
@@ -253,22 +321,47 @@ def _units(header: Header, index: int, quantity: str) -> tuple[list[str], str]:
     texts = _unit_texts(header, index)
     found = [unit for text in texts if (unit := unit_named(text, quantity))]
     if not found:
-        words = re.sub(f"(?:{_NAMED[quantity]})(?:s(?![a-z]))?", " ", header.names[index].lower())
-        words = re.sub(r"[_,;/]", " ", _BRACKETS.sub(" ", words))
-        found = [unit for w in words.split() if w not in _AMBIGUOUS and (unit := unit_named(w, quantity))]
+        found = units_among_words(header.names[index], quantity)
     return list(dict.fromkeys(found)), "" if found or not texts else texts[0]
 
 
+def units_among_words(name: str, quantity: str) -> list[str]:
+    """The units of a quantity among a name's words that stand in no brackets."""
+    words = re.sub(f"(?:{_NAMED[quantity]})(?:s(?![a-z]))?", " ", name.lower())
+    words = re.sub(r"[_,;/]", " ", _BRACKETS.sub(" ", words))
+    return [unit for w in words.split() if w not in _AMBIGUOUS and (unit := unit_named(w, quantity))]
+
+
 def _unit_texts(header: Header, index: int) -> list[str]:
-    """What stands in brackets, or in the row of units."""
+    """What stands behind each number, in the row of units, or in brackets; of moments seconds alone."""
+    if header.moments[index]:
+        return [header.behind[index]]
     inside = [(a or b).strip() for a, b in _BRACKETS.findall(header.names[index])]
-    return [text for text in (header.units[index].strip("()[] "), *inside) if text]
+    return [text for text in (header.behind[index].strip(), header.units[index].strip("()[] "), *inside) if text]
 
 
 def _is_foreign(header: Header, index: int, quantity: str) -> bool:
     """Whether a column's header names a unit of another quantity, and none of this."""
     texts = _unit_texts(header, index)
     return not any(unit_named(t, quantity) for t in texts) and any(unit_named(t, q) for t in texts for q in MEASURED)
+
+
+def _check_one_header(sheet: Sheet, header: Header) -> None:
+    """Raise a ValueError about a line among the numbers that names columns otherwise than the header."""
+    known = [_words(header.names), _words(header.units)]
+    for place, row in zip(sheet.places, sheet.rows, strict=True):
+        if row and row[0][:1].isalpha() and _words(row) not in known:
+            named = sum(1 for cell in row if any(re.search(pattern, _base(cell)) for pattern in _NAMED.values()))
+            if named >= 2 and not any(map(is_number, row)):
+                raise ValueError(
+                    f"{sheet.source}: line {place}: must not name columns otherwise than line {header.line}, "
+                    f"{header.shown}, got {short(','.join(row))}: are two recordings in one file?"
+                )
+
+
+def _words(cells: Sequence[str]) -> list[str]:
+    """What cells hold, without those that are empty."""
+    return [word for cell in cells if (word := _plain(cell))]
 
 
 def _is_unit_row(row: Row) -> bool:
@@ -281,7 +374,12 @@ def _is_unit(cell: str) -> bool:
 
 
 def _plain(name: str) -> str:
-    return " ".join(name.lower().replace("_", " ").split())
+    return " ".join(_joined(name).lower().replace("_", " ").split())
+
+
+def _joined(name: str) -> str:
+    """A name or unit, stripped, with `bar(g)` and `kPa (abs)` as one word each."""
+    return _GAUGE_OR_NOT.sub(r"\1", name.strip())
 
 
 def _base(name: str) -> str:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torcharm.characterise.cells import NUMBER, Row, decimal_sign, is_number, number
+from torcharm.characterise.cells import NUMBER, Row, decimal_sign, dress, has_value, is_number, number
 from torcharm.files import StrPath, read_file
 
 Array = NDArray[np.float64]
@@ -29,7 +29,7 @@ LONGEST_LINE = 100_000
 MOST_DAMAGED, FEW = 0.01, 3
 """Of a file's lines of numbers, which share may be damaged and left out; or, of no fewer than ten times as many, how
 many. With more the file is another one than it is taken for, or was damaged as a whole."""
-LACKING = "-"
+LACKING = "lacking"
 """What stands for a cell that a line is too short to have; no number."""
 _SHOWN = 60
 
@@ -46,12 +46,14 @@ class Form:
         width: cells of a line.
         decimal: the decimal sign, "." or ",".
         numeric: of each cell, whether it mostly holds numbers.
+        dress: of each cell, what stands before and behind most of its numbers, as in `p: 12.5 kPa`; "" for nothing.
     """
 
     separator: str
     width: int
     decimal: str
     numeric: tuple[bool, ...]
+    dress: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +101,8 @@ def read_sheet(path: StrPath) -> Sheet:
             f"{source}: line {first}: must be followed by lines of two or more numbers each, got "
             f"{short(lines[first - 1])} and none"
         )
-    pairs = [(n, row) for n, row in zip(whole, _split(kept, form.separator), strict=True) if any(row)]
+    split = _undressed(_split(kept, form.separator), form.dress)
+    pairs = [(n, row) for n, row in zip(whole, split, strict=True) if any(row)]
     first, last = _extent([row for _, row in pairs], form)
     closing = lines[pairs[last][0] - 1] if last < len(pairs) else ""
     places, rows = [n for n, _ in pairs[first:last]], [row for _, row in pairs[first:last]]
@@ -138,7 +141,8 @@ def numbers(
         rows, places = rows[:-1], places[:-1]
     fits = [len(row) == sheet.form.width or _fits(row, sheet.form.width) for row in rows]
     whole = rows if all(fits) else [row if fit else [] for row, fit in zip(rows, fits, strict=True)]
-    table = _table(whole, columns, sheet.form.decimal, sparse=sparse)
+    cells = ([row[k] if k < len(row) else LACKING for row in whole] for k in columns)
+    table = np.stack([_values(own, sheet.form.decimal, sparse=sparse) for own in cells], -1)
     good = np.isfinite(table).all(-1) if not sparse else ~np.isposinf(table).any(-1)
     off = np.flatnonzero(~good).tolist()
     void = {k for k in off if _is_void(rows[k], columns if fits[k] else ())}
@@ -151,23 +155,35 @@ def numbers(
         raise _too_damaged(sheet, bad or [places[0]], columns)
     if void:
         said.append(f"{len(void)} line{'s' * (len(void) > 1)} of words or with empty cells passed over")
+        words = Counter(c.strip() for k in void if fits[k] for c in _void_cells(rows[k], columns) if c.strip())
+        said[-1] += "".join(f" ({count} with {short(word)})" for word, count in words.most_common(1))
     if bad:
         said.append(f"line{'s' * (len(bad) > 1)} {_listed(bad)} damaged, left out")
     return table[good], [place for place, fine in zip(places, good.tolist(), strict=True) if fine], tuple(said)
 
 
-def _table(rows: Sequence[Row], columns: Sequence[int], decimal: str, *, sparse: bool) -> Array:
-    """The numbers (n, k) of some columns, NaN where there is none; where cells may be empty inf for what is none."""
-    found = _fast(rows, columns, decimal)
-    if found is None:
-        cells = [[number(row[k] if k < len(row) else LACKING, decimal, sparse=sparse) for k in columns] for row in rows]
-        found = np.array(cells).reshape(len(rows), len(columns))
-    return found
+def _values(cells: Row, decimal: str, *, sparse: bool) -> Array:
+    """The numbers (n) of a column, NaN where there is none; where cells may be empty inf for what is none."""
+    if decimal == "." or not any("." in cell for cell in cells):
+        try:
+            plain = cells if decimal == "." else [cell.replace(",", ".") for cell in cells]
+            found = np.array(list(map(float, plain)))
+        except ValueError:
+            pass
+        else:
+            if np.isfinite(found).all():
+                return found
+    return np.array([number(cell, decimal, sparse=sparse) for cell in cells])
 
 
 def _is_void(row: Row, columns: Sequence[int]) -> bool:
-    """Whether a line means to hold no sample: it is words alone, or a cell that would hold a number is empty."""
-    return (not any(map(is_number, row)) and _is_words(row)) or any(not row[k].strip() for k in columns)
+    """Whether a line means to hold no sample: it is words alone, or a cell that would hold a number has no value."""
+    return (not any(map(is_number, row)) and _is_words(row)) or bool(_void_cells(row, columns))
+
+
+def _void_cells(row: Row, columns: Sequence[int]) -> Row:
+    """The cells of some columns that have no value."""
+    return [row[k] for k in columns if not has_value(row[k])]
 
 
 def _too_damaged(sheet: Sheet, bad: Sequence[int], columns: Sequence[int]) -> ValueError:
@@ -192,11 +208,12 @@ def short(line: str) -> str:
 
 def _lines(source: str, data: bytes) -> tuple[list[str], bool]:
     """A file's lines by any ending, and whether the last one is ended."""
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        text = data.decode("utf-16", errors="replace")
+    wide = _utf16(data)
+    if wide:
+        text = data.decode(wide, errors="replace")
     elif b"\0" in data:
         line = data[: data.index(b"\0")].count(b"\n") + 1
-        raise ValueError(f"{source}: line {line}: must be text, got a byte 0, as of a program's own format")
+        raise ValueError(f"{source}: line {line}: must be text, as CSV is, got a byte 0, as of a program's own format")
     else:
         try:
             text = data.decode("utf-8-sig")
@@ -207,6 +224,16 @@ def _lines(source: str, data: bytes) -> tuple[list[str], bool]:
     lines = text.split("\n")
     ended = not lines[-1].strip()
     return lines[:-1] if lines[-1] == "" else lines, ended
+
+
+def _utf16(data: bytes) -> str:
+    """Which UTF-16 a file is in, by its mark or, without one, by the zeros of plain letters; "" for none."""
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    even, odd = data[:2000:2], data[1:2000:2]
+    if len(odd) > 4 and odd.count(0) > 0.8 * len(odd) and not even.count(0):
+        return "utf-16-le"
+    return "utf-16-be" if len(odd) > 4 and even.count(0) > 0.8 * len(even) and not odd.count(0) else ""
 
 
 def _split(lines: Sequence[str], separator: str) -> list[Row]:
@@ -234,7 +261,9 @@ def _form(lines: Sequence[str]) -> Form:
     separator = max(SEPARATORS, key=lambda one: sum(map(_worth, _split(sample, one))))
     rows = [row for row in _split(sample, separator) if _worth(row) > 0]
     width = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
-    return Form(separator, width, decimal_sign(rows, separator), _numeric(rows, width))
+    own = _dress(rows, width)
+    rows = _undressed(rows, own)
+    return Form(separator, width, decimal_sign(rows, separator), _numeric(rows, width), own)
 
 
 def _extent(rows: Sequence[Row], form: Form) -> tuple[int, int]:
@@ -253,15 +282,38 @@ def _extent(rows: Sequence[Row], form: Form) -> tuple[int, int]:
 
 def _worth(row: Row) -> int:
     """How well a separator splits a line: numbers count, words cost; a line of a single number is none."""
-    count = sum(map(is_number, row))
+    count = sum(1 for cell in row if is_number(cell) or any(dress(cell)))
     return 0 if count < 2 else max(1, 2 * count - sum(1 for cell in row if cell.strip()))
 
 
 def _numeric(rows: Sequence[Row], width: int) -> tuple[bool, ...]:
     """Of each of so many cells, whether more than half of those filled hold numbers."""
+    return tuple(2 * sum(map(is_number, column)) > len(column) for column in _columns(rows, width))
+
+
+def _dress(rows: Sequence[Row], width: int) -> tuple[tuple[str, str], ...]:
+    """Of each of so many cells, what stands before and behind the numbers of more than half of those filled."""
+    found = []
+    for column in _columns(rows, width):
+        own, times = Counter(map(dress, column)).most_common(1)[0] if column else (("", ""), 0)
+        found.append(own if 2 * times > len(column) else ("", ""))
+    return tuple(found)
+
+
+def _columns(rows: Sequence[Row], width: int) -> list[Row]:
+    """Of each of so many cells, those that have a value."""
     own = [row for row in rows if len(row) >= width]
-    columns = [[row[c] for row in own if row[c].strip()] for c in range(width)]
-    return tuple(2 * sum(map(is_number, column)) > len(column) for column in columns)
+    return [[row[c] for row in own if has_value(row[c])] for c in range(width)]
+
+
+def _undressed(rows: list[Row], dresses: Sequence[tuple[str, str]]) -> list[Row]:
+    """The rows, numbers without what stands before and behind them."""
+    for place, (label, unit) in enumerate(dresses):
+        for row in rows if label or unit else ():
+            if len(row) > place and row[place].startswith(label) and row[place].endswith(unit):
+                bare = row[place].removeprefix(label).removesuffix(unit)
+                row[place] = bare if is_number(bare) else row[place]
+    return rows
 
 
 def _is_data(row: Row, form: Form) -> bool:
@@ -269,7 +321,7 @@ def _is_data(row: Row, form: Form) -> bool:
     if len(row) != form.width and not _fits(row, form.width):
         return False
     cells = [cell for cell, own in zip(row, form.numeric, strict=False) if own]
-    filled = [cell for cell in cells if cell.strip()]
+    filled = [cell for cell in cells if has_value(cell)]
     return len(filled) >= min(2, len(cells)) and all(map(is_number, filled))
 
 
@@ -322,25 +374,6 @@ def _is_cut(sheet: Sheet, line: str) -> bool | None:
     if len(decimals) == 1:
         return own not in decimals
     return None if decimals else False
-
-
-# From cells to numbers
-
-
-def _fast(rows: Sequence[Row], columns: Sequence[int], decimal: str) -> Array | None:
-    """The numbers if every cell is one as Python writes it; None: look at each."""
-    table = np.empty((len(rows), len(columns)))
-    try:
-        for place, column in enumerate(columns):
-            cells = [row[column] for row in rows]
-            if decimal == ",":
-                if any("." in cell for cell in cells):
-                    return None
-                cells = [cell.replace(",", ".") for cell in cells]
-            table[:, place] = list(map(float, cells))
-    except (ValueError, IndexError):
-        return None
-    return table if np.isfinite(table).all() else None
 
 
 def _listed(values: Sequence[int]) -> str:

@@ -31,13 +31,14 @@ from torcharm.characterise.least_squares import (
     robust,
 )
 from torcharm.characterise.monotonicity import Monotonicity, monotonicity
+from torcharm.characterise.signs import LEAST_STRAIN
 from torcharm.inputs import TensorLike, check_choice, check_count, check_number, shown
 
 HIGHEST_DEGREE = 9
 VACUUM_SHARE = 0.1
 """Of the range of pressures, how much may lie below 0: more than the zero of any sensor is off."""
-LEAST_STRAIN, LEAST_PRESSURE = 1e-3, 0.1
-"""Ranges of strain and of pressure [kPa] below which samples differ by noise alone."""
+LEAST_PRESSURE = 0.1
+"""A range of pressures [kPa] below which samples differ by noise alone, as `LEAST_STRAIN` is of strains."""
 MARGIN = 1e-4
 """A constrained fit's slope is at least so much of its mean slope."""
 

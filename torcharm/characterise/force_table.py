@@ -1,23 +1,45 @@
 """Tables of forces by strain and pressure, as data sheets print them: a line for each, or a line for each strain."""
 
 import re
+import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from torcharm.characterise.alignment import Recording, noted
-from torcharm.characterise.cells import number
-from torcharm.characterise.columns import Columns, find_columns, has_column, named_by, told
-from torcharm.characterise.delimited import Array, Sheet, numbers, read_sheet
-from torcharm.characterise.recordings import PLAUSIBLE_STRAIN, POSITIVE, stretch_quantity
+from torcharm.characterise.cells import is_number, number
+from torcharm.characterise.columns import (
+    Column,
+    Columns,
+    find_columns,
+    has_column,
+    is_compressive,
+    is_sure,
+    named_by,
+    told,
+    units_among_words,
+)
+from torcharm.characterise.delimited import Array, Sheet, numbers, read_sheet, short
+from torcharm.characterise.recordings import (
+    PLAUSIBLE_STRAIN,
+    POSITIVE,
+    gauge_pressure,
+    known_signs,
+    strain_scale,
+    stretch_quantity,
+)
+from torcharm.characterise.signs import settled
 from torcharm.files import StrPath
 from torcharm.inputs import check_choice
-from torcharm.units import FORCE, MEASURED, PRESSURE, unit_named
+from torcharm.units import FORCE, MEASURED, PRESSURE, is_absolute, unit_named
 
-LEADS = ("contraction", "strain", "pressure")
+LEADS = ("contraction", "extension", "strain", "pressure")
 """What the first column of a table of forces alone may hold."""
 _HEAD = re.compile(r"\s*([-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*[(\[]?\s*([^\d\s()\[\]]*[^()\[\]]*?)\s*[)\]]?\s*")
+_INSIDE = re.compile(r"([-+]?\d[\d.,]*)\s*([^\W\d_]+)")
 _BRACKETS = re.compile(r"[(\[]([^()\[\]]*)[)\]]")
 
 
@@ -39,7 +61,8 @@ def read_table(
         unit: of pressures that the file gives without one.
         columns: as of `read_tester`, of tables with a column of forces.
         gauge_length: of the actuator [m], where the table gives extensions.
-        positive: whether positive forces "pull" or "push"; None: those of contractions pull, others push.
+        positive: whether positive forces "pull" or "push"; None: what samples tell (`signs.positive_forces`), or else
+            those of contractions pull and others push.
 
     Raises:
         ValueError: the file cannot be read, names no unit, or holds what is no number; it names file and line.
@@ -52,74 +75,129 @@ def read_table(
     for name, value, allowed in (("unit", unit, PRESSURE), ("positive", positive, POSITIVE)):
         if value is not None:
             check_choice(name, value, allowed)
-    sheet = read_sheet(path)
+    sheet = _headed(read_sheet(path))
     wide = None if "force" in told(columns) else _columns_of_header(sheet)
-    if wide is None:
-        strain, pressure, force, contracts, notes = _long(sheet, unit, columns, gauge_length)
-    else:
-        strain, pressure, force, contracts, notes = _wide(sheet, wide, unit)
-    pull = contracts if positive is None else positive == "pull"
-    settings = (("positive forces", "pull" if pull else "push"), *noted(sheet.source, notes))
-    own = np.isfinite(force)
-    force = -force[own] if pull else force[own]
-    # 0 is added to turn -0.0, of contractions turned, into 0.
-    return Recording(
-        strain[own] + 0.0,
-        pressure[own],
-        force + 0.0,
-        np.zeros(int(own.sum()), np.int64),
+    samples = _long(sheet, unit, columns, gauge_length) if wide is None else _wide(sheet, wide, unit, gauge_length)
+    own = np.isfinite(samples.force)
+    strain, pressure, force = (x[own] for x in (samples.strain, samples.pressure, samples.force))
+    usual = "pull" if samples.stretch.quantity == "contraction" else "push"
+    signs = known_signs(samples.stretch, squeezes=samples.squeezes, positive=positive, usual=usual)
+    strain, force, words = settled(signs, strain, pressure, force, sheet.source)
+    lacking = int((~own).sum())
+    notes = (*samples.notes, *([f"{lacking} cell{'s' * (lacking > 1)} without a value left out"] if lacking else []))
+    found = Recording(
+        strain,
+        pressure,
+        force,
+        np.zeros(len(force), np.int64),
         (Path(sheet.source).name,),
-        settings,
+        (*words, *noted(sheet.source, notes)),
+        samples.line[own],
     )
+    _warn_of_contradictions(found)
+    return found
 
 
-MOST_WITHOUT_UNIT = {"contraction": 1.0, "strain": PLAUSIBLE_STRAIN}
+MOST_WITHOUT_UNIT = {"contraction": 1.0, "strain": PLAUSIBLE_STRAIN[1]}
 """What parts of 1 may reach: nothing contracts to less than no length; larger numbers are percents."""
-Samples = tuple[Array, Array, Array, bool, tuple[str, ...]]
-"""Strain, pressure and force, whether they are of contractions, and notes."""
+CONTRADICTING = 0.02
+"""Of the largest force, by how much forces at one strain and pressure may differ: presses and hysteresis do as much."""
 
 
-def _long(sheet: Sheet, unit: str | None, columns: Columns | None, gauge_length: float | None) -> Samples:
-    stretch = stretch_quantity(sheet, columns, gauge_length)
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """Of a table: n strains, pressures [kPa], forces [N] as it has them, NaN where it has none, and their lines.
+
+    Attributes:
+        stretch: which quantity the strains come from.
+        squeezes: whether forces are named compressive.
+        notes: what was left out or assumed.
+    """
+
+    strain: Array
+    pressure: Array
+    force: Array
+    line: NDArray[np.int64]
+    stretch: Column
+    squeezes: bool
+    notes: Sequence[str]
+
+
+def _warn_of_contradictions(table: Recording) -> None:
+    """Warn of the lines that give forces which differ most at one strain and pressure."""
+    _, place = np.unique(np.column_stack((table.strain, table.pressure)).round(9), axis=0, return_inverse=True)
+    order = np.lexsort((table.force, place.ravel()))
+    group = place.ravel()[order]
+    starts = np.flatnonzero(np.diff(group, prepend=-1))
+    low, high = order[starts], order[np.append(starts[1:], len(group)) - 1]
+    spread = table.force[high] - table.force[low]
+    off = spread > CONTRADICTING * np.abs(table.force).max()
+    if off.any():
+        worst = int(spread.argmax())
+        a, b = sorted((int(low[worst]), int(high[worst])))
+        warnings.warn(
+            f"{table.sources[0]}: lines {table.line[a]} and {table.line[b]} contradict each other: "  # type: ignore[index]
+            f"{abs(table.force[a]):.4g} and {abs(table.force[b]):.4g} N at strain {table.strain[a]:.3g} and "
+            f"{table.pressure[a]:.4g} kPa; {off.sum()} such in all, whose mean is fitted",
+            stacklevel=3,
+        )
+
+
+def _long(sheet: Sheet, unit: str | None, columns: Columns | None, gauge_length: float | None) -> _Samples:
+    quantity = stretch_quantity(sheet, columns, gauge_length)
     defaults = {} if unit is None else {"pressure": unit}
     defaults |= {"strain": "mm/mm", "contraction": "mm/mm"}
-    found = find_columns(sheet, (stretch, "pressure", "force"), columns, defaults)
-    if unit is not None and found["pressure"].named and found["pressure"].factor != PRESSURE[unit]:
-        raise ValueError(
-            f"unit: must be left out or be {found['pressure'].unit}, which {sheet.source} names, got {unit}"
-        )
-    table, _, notes = numbers(sheet, [column.index for column in found.values()])
+    found = find_columns(sheet, (quantity, "pressure", "force"), columns, defaults)
+    stretch = found[quantity]
+    found["pressure"].check_unit(unit, sheet.source, "--columns")
+    table, line, notes = numbers(sheet, [column.index for column in found.values()])
     strain, pressure, force = (table * [column.factor for column in found.values()]).T
-    if not found[stretch].named and np.abs(strain).max() > MOST_WITHOUT_UNIT.get(stretch, np.inf):
+    if not stretch.named and np.abs(strain).max() > MOST_WITHOUT_UNIT.get(quantity, np.inf):
         raise ValueError(
-            f"{sheet.source}: {stretch} reaches {np.abs(strain).max():g} and names no unit, must be a part of 1 or "
-            f'name one: is it in %? --columns "{stretch}={found[stretch].index + 1}:%" says so'
+            f"{sheet.source}: {quantity} reaches {np.abs(strain).max():g} and names no unit, must be a part of 1 or "
+            f'name one: is it in %? --columns "{quantity}={stretch.index + 1}:%" says so'
         )
-    factor = {"contraction": -1.0, "extension": 1 / (gauge_length or 1.0)}.get(stretch, 1.0)
-    return factor * strain, pressure, force, stretch == "contraction", notes
+    pressure, taken_off = gauge_pressure(pressure, sheet.source, absolute=found["pressure"].absolute)
+    strain = strain_scale(sheet, stretch, gauge_length) * strain
+    squeezes = found["force"].compressive
+    return _Samples(strain, pressure, force, np.array(line), stretch, squeezes, (*notes, *taken_off))
+
+
+def _headed(sheet: Sheet) -> Sheet:
+    """The sheet, a first line of numbers without the first of which is a header of bare numbers."""
+    first = sheet.rows[0]
+    if not sheet.above or first[0].strip() or not all(map(is_number, first[1:])):
+        return sheet
+    above = (*sheet.above, (sheet.places[0], first))
+    return replace(sheet, above=above, rows=sheet.rows[1:], places=sheet.places[1:])
 
 
 def _columns_of_header(sheet: Sheet) -> list[tuple[float, str]] | None:
     """The number and the unit of each column but the first; None: some have none, or words are about forces."""
-    if not sheet.above or has_column(sheet, "force", None):
+    if not sheet.above:
         return None
     cells = (sheet.above[-1][1] + [""] * sheet.form.width)[1 : sheet.form.width]
-    if len(cells) < 2:
+    found = [_number_and_unit(cell, sheet.form.decimal) for cell in cells]
+    if len(cells) < 2 or not all(np.isfinite(value) for value, _ in found):
         return None
-    found = []
-    for cell in cells:
-        match = _HEAD.fullmatch(cell)
-        if match is None or not np.isfinite(value := number(match[1], sheet.form.decimal)):
-            return None
-        found.append((value, match[2]))
-    return found
+    pressures = all(unit_named(unit, "pressure") for _, unit in found)
+    return found if pressures or not has_column(sheet, "force", None) else None
 
 
-def _wide(sheet: Sheet, columns: list[tuple[float, str]], unit: str | None) -> Samples:
+def _number_and_unit(cell: str, decimal: str) -> tuple[float, str]:
+    """What `2 bar`, `2` and `force at 2 bar [N]` name, with NaN for none."""
+    match = _HEAD.fullmatch(cell)
+    if match is None:
+        inside = [m for m in _INSIDE.finditer(cell) if unit_named(m[2], "pressure")]
+        match = inside[0] if len(inside) == 1 else None
+    return (np.nan, "") if match is None else (number(match[1], decimal), match[2])
+
+
+def _wide(sheet: Sheet, columns: list[tuple[float, str]], unit: str | None, gauge_length: float | None) -> _Samples:
     line, row = sheet.above[-1]
-    where, corner = f"{sheet.source}: line {line}", row[0]
-    found = sorted((match.start(), q) for q in LEADS if (match := re.search(named_by(q), corner.lower())))
-    said = [quantity for _, quantity in found]
+    where = f"{sheet.source}: line {line}"
+    corner = row[0] if _leads(row[0]) else " ".join(cells[0] for _, cells in sheet.above if cells)
+    said = _leads(corner)
     if not said or (said[0] == "pressure" and len(said) < 2):
         raise ValueError(
             f"{where}: must begin with what the first column holds, and its unit, as in 'contraction [%]' or, with "
@@ -129,36 +207,56 @@ def _wide(sheet: Sheet, columns: list[tuple[float, str]], unit: str | None) -> S
     units = {text for _, text in columns if text}
     if len(units) > 1:
         raise ValueError(f"{where}: must name one unit of {other}, got {' and '.join(sorted(units))}")
-    inside = _BRACKETS.findall(corner)
-    table, _, notes = numbers(sheet, range(sheet.form.width), sparse=True)
-    across = np.array([value for value, _ in columns])
-    axes = {
-        lead: table[:, 0] * _factor(where, lead, inside, unit, table[:, 0]),
-        other: across * _factor(where, other, [*units, *inside], unit, across),
-    }
-    title = [text for _, cells in sheet.above[:-1] for cell in cells for text in _BRACKETS.findall(cell)]
+    again = next((k for k, own in enumerate(sheet.rows) if own and _leads(own[0]) and own != row), None)
+    if again is not None:
+        raise ValueError(
+            f"{sheet.source}: line {sheet.places[again]}: must be forces, got another header than that of line {line}, "
+            f"{short(' '.join(sheet.rows[again]))}: are two tables in one file?"
+        )
+    title = [text for _, cells in sheet.above for cell in cells[cells is row :] for text in _BRACKETS.findall(cell)]
+    inside = [*_BRACKETS.findall(corner), *units_among_words(corner, lead), sheet.form.dress[0][1]]
+    title = [*title, sheet.form.dress[1][1]]
+    table, lines, notes = numbers(sheet, range(sheet.form.width), sparse=True)
+    values = {lead: table[:, 0], other: np.array([value for value, _ in columns])}
+    texts = {lead: inside, other: [*units, *inside, *title]}
+    axes = {quantity: _column(where, quantity, corner, texts[quantity], unit, values[quantity]) for quantity in values}
     named = next((own for text in title if (own := unit_named(text, "force"))), None)
     notes = notes if named else (*notes, "names no unit of forces: read in N")
-    grid = dict(zip((lead, other), np.meshgrid(axes[lead], axes[other], indexing="ij"), strict=True))
-    stretch = lead if lead != "pressure" else other
-    strain = -grid["contraction"] if stretch == "contraction" else grid["strain"]
-    force = table[:, 1:] * FORCE[named or "N"]
-    return strain.ravel(), grid["pressure"].ravel(), force.ravel(), stretch == "contraction", notes
+    scaled = [axes[quantity].factor * values[quantity] for quantity in values]
+    grid = dict(zip(values, np.meshgrid(*scaled, indexing="ij"), strict=True))
+    stretch = axes[lead if lead != "pressure" else other]
+    pressure, taken_off = gauge_pressure(grid["pressure"].ravel(), sheet.source, absolute=axes["pressure"].absolute)
+    return _Samples(
+        strain_scale(sheet, stretch, gauge_length) * grid[stretch.quantity].ravel(),
+        pressure,
+        FORCE[named or "N"] * table[:, 1:].ravel(),
+        np.repeat(lines, len(columns)),
+        stretch,
+        any(is_compressive(cell) for _, cells in sheet.above for cell in cells),
+        (*notes, *taken_off),
+    )
 
 
-def _factor(where: str, quantity: str, texts: Sequence[str], unit: str | None, values: Array) -> float:
-    """One of the unit that texts name for a quantity, in torcharm's; 1 for strains that name none and can be such."""
-    named = next((own for text in texts if (own := unit_named(text, quantity))), None)
+def _leads(corner: str) -> list[str]:
+    """The quantities that a table's corner names, as they stand."""
+    found = sorted((match.start(), q) for q in LEADS if (match := re.search(named_by(q), corner.lower())))
+    return [quantity for _, quantity in found]
+
+
+def _column(where: str, quantity: str, corner: str, texts: Sequence[str], unit: str | None, values: Array) -> Column:
+    """The unit that texts name for a quantity; parts of 1 for strains that name none and can be such."""
+    text, named = next(((t, own) for t in texts if (own := unit_named(t, quantity))), ("", None))
     if quantity == "pressure" and unit is not None:
         if named is not None and PRESSURE[unit] != MEASURED[quantity][named]:
             raise ValueError(f"unit: must be left out or be {named}, which {where} names, got {unit}")
         named = unit
-    if named is None and quantity != "pressure" and np.abs(values).max() <= 1:
-        return 1.0
+    if named is None and quantity in MOST_WITHOUT_UNIT and np.nanmax(np.abs(values)) <= 1:
+        named = "mm/mm"
     if named is None:
         option = "; --unit says it" if quantity == "pressure" else ""
         raise ValueError(
             f"{where}: must name the unit of {quantity}, one of {', '.join(MEASURED[quantity])}, in brackets behind "
             f"its name or behind each number, got none{option}"
         )
-    return MEASURED[quantity][named]
+    absolute = quantity == "pressure" and is_absolute(text)
+    return Column(quantity, 0, named, True, is_compressive(corner), is_sure(quantity, corner), absolute)

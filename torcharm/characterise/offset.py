@@ -5,26 +5,24 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from torcharm.characterise.alignment import PAPER_SMOOTHING, smooth
-from torcharm.characterise.least_squares import Monomials, Powers, correlation_length, exponents, least_squares_loss
+from torcharm.characterise.least_squares import exponents
+from torcharm.characterise.misfit import (
+    NEGLIGIBLE,
+    PAPER_SMOOTHING,
+    SEARCHED,
+    USUAL_DEGREE,
+    Misfit,
+    offset_grid,
+    smoothed,
+)
 from torcharm.characterise.recordings import Array, PressureRecord, TesterRecord
 from torcharm.inputs import check_count, check_number
 
-SEARCHED = 10_000.0
-"""How far an offset is looked for unless told [ms]."""
-SEARCH_STEP = 100.0
-"""Of the grid on which it is looked for [ms]: actuators fill in no less than a few of it, so that the valley of the
-misfit about the offset is wider."""
 VALLEYS = 4
 """Of the misfit, how many are followed to the bottom: the best on the grid need not be the best there."""
 ALIKE = 1.1
 """Root mean squares within this factor of the least are alike, where a run repeats itself."""
-NEGLIGIBLE = 1e-6
-"""Of the force's variance, a misfit that is as good as none: a thousandth of its deviation."""
-LEAST_SHARED = 0.3
-"""Of the tester's stamps, how many log and tester must share at an offset for it to count."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,7 @@ def estimate_offset(
     tester: TesterRecord,
     log: PressureRecord,
     *,
-    degree: int = 3,
+    degree: int = USUAL_DEGREE,
     smoothing: float = PAPER_SMOOTHING,
     search: float = SEARCHED,
 ) -> OffsetEstimate:
@@ -79,7 +77,8 @@ def estimate_offset(
     at once; then by golden sections about the best few points. Of offsets that fit alike the nearest is taken.
 
     Args:
-        tester, log, smoothing: as for `align`.
+        tester, log: as for `align`.
+        smoothing: σ of the log's Gaussian [ms]; 0 for none.
         degree: of the polynomial.
         search: how far to look [ms].
 
@@ -95,12 +94,10 @@ def estimate_offset(
     """
     check_count("degree", degree, 1)
     check_number("search", search, 0.0, strict=True, unit="ms")
-    check_number("smoothing", smoothing, 0.0)
     apart = log.time[0] > tester.time[-1] or log.time[-1] < tester.time[0]
     centre = float(tester.time[0] - log.time[0]) if apart else 0.0
-    misfit = _Misfit(tester, log.time + centre, smooth(log.pressure, smoothing), exponents(degree))
-    half = math.ceil(search / SEARCH_STEP)
-    grid = np.linspace(-search, search, 2 * half + 1)
+    misfit = Misfit(tester, log.time + centre, smoothed(log, smoothing), exponents(degree))
+    grid = offset_grid(search)
     found = np.array([misfit(shift) for shift in grid])
     if not np.isfinite(found).any():
         raise ValueError(
@@ -126,7 +123,7 @@ def estimate_offset(
     )
 
 
-def _valleys(misfit: "_Misfit", grid: Array, found: Array) -> list[float]:
+def _valleys(misfit: Misfit, grid: Array, found: Array) -> list[float]:
     """The bottoms of the deepest valleys of the misfit [ms]."""
     from scipy.optimize import minimize_scalar
 
@@ -135,56 +132,3 @@ def _valleys(misfit: "_Misfit", grid: Array, found: Array) -> list[float]:
     best = low[np.argsort(found[low], kind="stable")][:VALLEYS]
     ends = [(grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]) for i in best.tolist()]
     return [float(minimize_scalar(misfit, bounds=pair, method="bounded", options={"xatol": 0.1}).x) for pair in ends]
-
-
-@dataclass(frozen=True)
-class _Misfit:
-    """What share of the force's variance a polynomial leaves at an offset, over the stamps that log and tester share.
-
-    The share, and not the sum of squares: else an offset at which little is shared, or only rest, would be the best.
-    """
-
-    tester: TesterRecord
-    clock: Array
-    pressure: Array
-    powers: Powers
-
-    def both(self, offset: float) -> NDArray[np.bool_]:
-        """Which of the tester's stamps the log has, too."""
-        return (self.tester.time >= self.clock[0] + offset) & (self.tester.time <= self.clock[-1] + offset)
-
-    def shared(self, offset: float) -> tuple[Array, Array, Array]:
-        """Strain, pressure and force at those."""
-        own = self.both(offset)
-        pressure = np.interp(self.tester.time[own], self.clock + offset, self.pressure)
-        return self.tester.strain[own], pressure, self.tester.force[own]
-
-    def __call__(self, offset: float) -> float:
-        strain, pressure, force = self.shared(offset)
-        if len(force) < max(10 * len(self.powers), LEAST_SHARED * len(self.tester.time)):
-            return math.inf
-        total = float(((force - force.mean()) ** 2).sum())
-        return least_squares_loss(strain, pressure, force, self.powers) / total if total > 0 else math.inf
-
-    def rmse(self, share: float) -> float:
-        """A share of variance as a root mean square [N], of the whole run."""
-        return float(self.tester.force.std()) * math.sqrt(max(share, 0.0))
-
-    def deviation(self, offset: float) -> float:
-        """One standard deviation of the offset [ms], as of a fit in which it is one more unknown.
-
-        `σ √(L / Σ J²)` with the residuals' deviation σ, L samples of them correlated, and of the force's slope by the
-        offset, `J = ∂f/∂p dp/dt`, what the polynomial itself cannot follow.
-        """
-        strain, pressure, force = self.shared(offset)
-        monomials = Monomials.for_data(self.powers, strain, pressure)
-        basis, triangle = np.linalg.qr(monomials.values(strain, pressure))
-        residual = force - basis @ (basis.T @ force)
-        coefficients = np.linalg.lstsq(triangle, basis.T @ force, rcond=None)[0]
-        gradient = np.gradient(self.pressure, self.clock)
-        rate = np.interp(self.tester.time[self.both(offset)], self.clock + offset, gradient)
-        slope = monomials.slopes(strain, pressure) @ coefficients * rate
-        free = slope - basis @ (basis.T @ slope)
-        length = correlation_length(residual, [slice(0, len(residual))])
-        sharp = float(free @ free)
-        return float(residual.std()) * math.sqrt(length / sharp) if sharp > 0 else math.inf

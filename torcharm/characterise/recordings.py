@@ -15,22 +15,26 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from torcharm.characterise.cells import number
-from torcharm.characterise.columns import Column, Columns, find_columns, has_column, told
+from torcharm.characterise.columns import Column, Columns, find_columns, has_column, header_of, told
 from torcharm.characterise.delimited import Sheet, numbers, read_sheet
+from torcharm.characterise.signs import ASSUMED, NAMED, PLAIN, SAID, Signs
 from torcharm.files import StrPath
 from torcharm.inputs import check_choice, check_number
-from torcharm.units import PRESSURE
+from torcharm.units import LENGTH, PRESSURE
 
 Array = NDArray[np.float64]
 if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 else:
     Floats = np.ndarray
+Lines = NDArray[np.int64] | None
 
 PLAUSIBLE_PRESSURE = (20.0, 1000.0)
 """Between these [kPa] lies the highest pressure of a recording, or its unit is doubted."""
-PLAUSIBLE_STRAIN = 5.0
-"""Above it, percents were probably taken for strains."""
+PLAUSIBLE_STRAIN = (0.01, 5.0)
+"""Between these lies the largest strain, or percents were taken for parts of 1, or these for percents."""
+ATMOSPHERE = (80.0, 108.0)
+"""Between these [kPa] lies the pressure of the surroundings: a log that rests there is absolute."""
 LONGEST_GAUGE = 3.0
 """A gauge length [m] beyond which metres were hardly meant."""
 BACKWARD_STEPS = 3.0
@@ -41,6 +45,8 @@ EPOCH = (1e9, 2.5e9)
 """Seconds since 1970 of the years 2001 to 2049: no run is as long, so that such times name their own unit."""
 POSITIVE = ("pull", "push")
 """What positive forces of a file may do."""
+SURROUNDINGS = 101.325
+"""The standard atmosphere [kPa], which is taken off absolute pressures."""
 LOG_UNITS = {"time": "ms", "pressure": "psi"}
 """Of a pressure log that names none."""
 
@@ -55,6 +61,8 @@ class TesterRecord:
         force: (n) on all actuators together [N], positive in tension.
         source: the file.
         notes: what was left out, averaged or assumed.
+        signs: of the file's forces and strains, and how they are known.
+        line: (n) the number of each sample's line in the file; None for records that come from none.
     """
 
     time: Float[Floats, " n"]
@@ -62,6 +70,8 @@ class TesterRecord:
     force: Float[Floats, " n"]
     source: str
     notes: tuple[str, ...] = ()
+    signs: Signs = PLAIN
+    line: Lines = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +96,7 @@ def read_tester(
     *,
     columns: Columns | None = None,
     gauge_length: float | None = None,
-    positive: str = "pull",
+    positive: str | None = None,
     truncated: bool = False,
 ) -> TesterRecord:
     """Read time, force and strain of a tensile tester's file of columns; units are those that the file names.
@@ -99,7 +109,8 @@ def read_tester(
         columns: which columns hold what, by name or number, and in which unit, where the file does not tell:
             "time=1:ms, extension=5:mm, force=Load:N".
         gauge_length: of the actuators [m]; strain is then the extension over it.
-        positive: whether positive forces of the file "pull" or "push".
+        positive: whether positive forces of the file "pull" or "push". None: those of compressive forces push, others
+            are assumed to pull until `align` sees by the samples that they push.
         truncated: whether to accept a file that ends within a line, and drop that line.
 
     Returns:
@@ -154,23 +165,21 @@ def as_tester_record(
     columns: Columns | None,
     gauge_length: float | None,
     *,
-    positive: str = "pull",
+    positive: str | None = None,
     truncated: bool = False,
 ) -> TesterRecord:
     """`read_tester` of a file that is read."""
-    check_choice("positive", positive, POSITIVE)
+    if positive is not None:
+        check_choice("positive", positive, POSITIVE)
     stretch = stretch_quantity(sheet, columns, gauge_length)
     found = find_columns(sheet, ("time", "force", stretch), columns, _clock_unit(sheet, columns))
-    table, notes = _in_time(sheet, found, truncated=truncated)
-    strain = table[stretch] * {"strain": 1.0, "contraction": -1.0}.get(stretch, 1 / (gauge_length or 1.0))
-    if np.abs(strain).max() > PLAUSIBLE_STRAIN:
-        warnings.warn(
-            f"{sheet.source}: strains reach {np.abs(strain).max():.3g}, more than {PLAUSIBLE_STRAIN:g}: is the unit of "
-            f"{stretch}, {found[stretch].unit}, right?",
-            stacklevel=3,
-        )
-    tension = 1.0 if positive == "pull" else -1.0
-    return TesterRecord(table["time"], strain, tension * table["force"], sheet.source, notes)
+    scale = strain_scale(sheet, found[stretch], gauge_length)
+    table, line, notes = _in_time(sheet, found, truncated=truncated)
+    strain = table[stretch] * scale
+    check_strains(sheet.source, strain, found[stretch])
+    signs = known_signs(found[stretch], squeezes=found["force"].compressive, positive=positive, usual="pull")
+    tension = 1.0 if signs.positive == "pull" else -1.0
+    return TesterRecord(table["time"], strain, tension * table["force"], sheet.source, notes, signs, line)
 
 
 def as_pressure_record(
@@ -191,16 +200,16 @@ def as_pressure_record(
     """
     if unit is not None:
         check_choice("unit", unit, PRESSURE)
-    if not told(columns) and not sheet.above and sheet.form.width == 2:
-        columns = {"time": 1, "pressure": 2}
+    numeric = [place for place, own in enumerate(sheet.form.numeric, 1) if own]
+    if not told(columns) and not sheet.above and len(numeric) == 2:
+        columns = {"time": numeric[0], "pressure": numeric[1]}
     defaults = (LOG_UNITS if alone else {}) | ({"pressure": unit} if unit else {}) | _clock_unit(sheet, columns)
     found = find_columns(sheet, ("time", "pressure"), columns, defaults, option)
     pressure = found["pressure"]
-    if unit is not None and pressure.named and pressure.factor != PRESSURE[unit]:
-        raise ValueError(
-            f"unit: must be left out or be {pressure.unit}, which {sheet.source} or {option} names, got {unit}"
-        )
-    table, notes = _in_time(sheet, found, truncated=truncated)
+    pressure.check_unit(unit, sheet.source, option)
+    table, _, notes = _in_time(sheet, found, truncated=truncated)
+    table["pressure"], taken_off = gauge_pressure(table["pressure"], sheet.source, absolute=pressure.absolute)
+    notes = (*notes, *taken_off)
     if not sheet.closing and len(found) == sheet.form.width:
         notes = (*notes, "has no closing line, taken as whole")
     low, high = PLAUSIBLE_PRESSURE
@@ -214,13 +223,48 @@ def as_pressure_record(
     return PressureRecord(table["time"], table["pressure"], sheet.source, notes)
 
 
+def gauge_pressure(pressure: Array, source: str, *, absolute: bool) -> tuple[Array, tuple[str, ...]]:
+    """Pressures above that of the surroundings [kPa], and what was assumed for it; a warning, too."""
+    if not absolute:
+        if ATMOSPHERE[0] <= pressure.min() <= ATMOSPHERE[1]:
+            warnings.warn(
+                f"{source}: pressures are never below {pressure.min():.4g} kPa: are they absolute? A unit such as bara "
+                'says so, in the file or by --columns (or --pressure-columns) "pressure=2:bara"',
+                stacklevel=4,
+            )
+        return pressure, ()
+    note = f"pressures are absolute: {SURROUNDINGS:g} kPa of the surroundings taken off, assumed"
+    warnings.warn(f"{source}: {note}", stacklevel=4)
+    return pressure - SURROUNDINGS, (note,)
+
+
+def check_strains(source: str, strain: Array, stretch: Column) -> None:
+    """Warn about strains that are implausible for soft actuators."""
+    low, high = PLAUSIBLE_STRAIN
+    most = float(np.abs(strain).max())
+    if not low <= most <= high:
+        how = f"more than {high:g}" if most > high else f"less than {low:g}"
+        warnings.warn(
+            f"{source}: strains reach {most:.3g}, {how}: is the unit of {stretch.quantity}, {stretch.unit}, right?",
+            stacklevel=4,
+        )
+
+
+def known_signs(stretch: Column, *, squeezes: bool, positive: str | None, usual: str) -> Signs:
+    """What a person and the names of columns tell of signs, squeezing forces' among them; else forces do the usual."""
+    if positive is None and not squeezes:
+        return Signs(usual, ASSUMED, stretch.sure)
+    return Signs(positive or "push", SAID if positive else NAMED, stretch.sure)
+
+
 def stretch_quantity(sheet: Sheet, columns: Columns | None, gauge_length: float | None) -> str:
     """Which of strain, contraction and extension a file is read by.
 
     Raises:
-        ValueError: a gauge length is needed, not needed or in another unit; or two of the three are named.
+        ValueError: a gauge length is no such length; two of the three are named by a person, or none by the file.
     """
-    said = [quantity for quantity in told(columns) if quantity in ("strain", "contraction", "extension")]
+    stretches = ("strain", "contraction", "extension")
+    said = [quantity for quantity in told(columns) if quantity in stretches]
     if len(said) > 1:
         raise ValueError(f"columns: must name one of strain, contraction and extension, got {' and '.join(said)}")
     if gauge_length is not None:
@@ -230,18 +274,37 @@ def stretch_quantity(sheet: Sheet, columns: Columns | None, gauge_length: float 
                 f"gauge_length: must be at most {LONGEST_GAUGE:g} m, got {gauge_length:g} m: is it in millimetres? "
                 f"Write '{gauge_length:g} mm' then"
             )
-        if said and said[0] != "extension":
-            raise ValueError(f"gauge_length: must stand with an extension, got one and columns that name {said[0]}")
-        return "extension"
-    stretch = said[0] if said else next((q for q in ("strain", "contraction") if has_column(sheet, q, None)), "")
-    if not stretch and has_column(sheet, "extension", None):
-        stretch = "extension"
-    if stretch == "extension":
+        stretches = ("contraction", "extension", "strain")  # with lengths the former two go
+    found = said or [quantity for quantity in stretches if has_column(sheet, quantity, None)]
+    if not found:
+        header = header_of(sheet)
         raise ValueError(
-            f"gauge_length: is missing, must be the actuators' length, to which {sheet.source} gives extensions and no "
-            "strains: --gauge-length '80 mm'"
+            f"{sheet.source}: line {header.line}: must name one column of strain, contraction or extension, got "
+            f'{header.none}; --columns says which, as in "contraction=2:mm"'
         )
-    return stretch or "strain"
+    return found[0]
+
+
+def strain_scale(sheet: Sheet, stretch: Column, gauge_length: float | None) -> float:
+    """What the numbers of a column, in torcharm's unit, are multiplied with to be strains, positive where longer.
+
+    Raises:
+        ValueError: they are lengths and there is no gauge length; or the other way round.
+    """
+    sign = -1.0 if stretch.quantity == "contraction" or stretch.compressive else 1.0
+    if stretch.unit not in LENGTH:
+        if gauge_length is not None:
+            raise ValueError(
+                "gauge_length: must stand with extensions or contractions that are lengths, got one and "
+                f"{stretch.quantity} in {stretch.unit} in column {stretch.index + 1} of {sheet.source}"
+            )
+        return sign
+    if gauge_length is None:
+        raise ValueError(
+            f"gauge_length: is missing, must be the actuators' length, to which {sheet.source} gives "
+            f"{stretch.quantity}s in {stretch.unit} and no strains: --gauge-length '80 mm'"
+        )
+    return sign / gauge_length
 
 
 def _clock_unit(sheet: Sheet, columns: Columns | None) -> dict[str, str]:
@@ -263,8 +326,8 @@ def _first_number(sheet: Sheet, column: Column) -> float:
 
 def _in_time(
     sheet: Sheet, columns: Mapping[str, Column], *, truncated: bool
-) -> tuple[dict[str, Array], tuple[str, ...]]:
-    """Columns in torcharm's units, time in ms strictly increasing, and what was done to get there."""
+) -> tuple[dict[str, Array], NDArray[np.int64], tuple[str, ...]]:
+    """Columns in torcharm's units, time in ms strictly increasing, their lines, and what was done to get there."""
     table, places, notes = numbers(sheet, [column.index for column in columns.values()], truncated=truncated)
     table = table * [column.factor for column in columns.values()]
     guessed = [f"{c.quantity} in {c.unit}" for c in columns.values() if not c.named]
@@ -272,14 +335,14 @@ def _in_time(
     order = list(columns).index("time")
     steps = np.diff(table[:, order])
     if not (steps <= 0).any():
-        return dict(zip(columns, table.T, strict=True)), notes
+        return dict(zip(columns, table.T, strict=True)), np.array(places), notes
     _check_clock(sheet.source, table[:, order], places)
-    averaged = _averaged(table, order)
+    averaged = _averaged(np.column_stack((table, places)), order)
     notes = (
         *notes,
         f"{len(table) - len(averaged)} of {len(table)} stamps repeat or step back, averaged with those before them",
     )
-    return dict(zip(columns, averaged.T, strict=True)), notes
+    return dict(zip(columns, averaged[:, :-1].T, strict=True)), averaged[:, -1].astype(np.int64), notes
 
 
 def _check_clock(source: str, time: Array, places: list[int]) -> None:

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from torcharm.characterise.choice import Candidate
     from torcharm.characterise.recordings import PressureRecord, TesterRecord
 
-SMOOTHING = 40.0
-"""Samples, of a log of its own, as the paper smooths it; a tester samples no faster than pressures change."""
 KINDS = ("best", "polynomial", "mckibben", "gridded")
 
 
@@ -58,11 +56,14 @@ def fit(
     ] = None,
     gauge_length: Annotated[
         str | None,
-        typer.Option(help='Of the actuators, where files hold extensions: "80 mm".', show_default="strains are read"),
+        typer.Option(
+            help='Of the actuators, where files hold lengths of extension or contraction: "80 mm".',
+            show_default="strains are read",
+        ),
     ] = None,
     positive: Annotated[
         str | None,
-        typer.Option(help="Whether positive forces pull or push.", show_default="pull; in tables of strains they push"),
+        typer.Option(help="Whether positive forces pull or push.", show_default="what samples tell, or assumed"),
     ] = None,
     actuators: Annotated[
         int | None, typer.Option(help="How many actuators were pulled in parallel.", show_default="1")
@@ -80,8 +81,8 @@ def fit(
     smoothing: Annotated[
         float | None,
         typer.Option(
-            help="σ of the log's Gaussian smoothing, in samples; 0 for none.",
-            show_default="40; 0 where the tester's file holds the pressure",
+            help="σ of the pressures' Gaussian smoothing, in ms; 0 for none.",
+            show_default="440, the paper's, if forces fit better so",
         ),
     ] = None,
     offset: Annotated[
@@ -131,6 +132,7 @@ def fit(
     with mistakes(), _warnings_on_stderr():
         check_outputs(None, out, figure)
         from torcharm.characterise.alignment import by_depth
+        from torcharm.characterise.doubts import warn_of_doubts
 
         given = _Runs(instron or [], pressure or [], offset or [], find_offset)
         given.check(table, out)
@@ -139,13 +141,13 @@ def fit(
         _check_needed(of_runs if table else {}, "a --table")
         _check_needed({} if pressure else {"--pressure-columns": pressure_columns}, "no --pressure")
         reading = _Reading(columns, pressure_columns, _length(gauge_length), positive, unit, truncated=truncated)
-        smoothing = smoothing if smoothing is not None else SMOOTHING if pressure else 0.0
         alignment = {"actuators": 1 if actuators is None else actuators, "smoothing": smoothing, "max_gap": max_gap}
         recording = reading.table(table) if table else reading.runs(given, degree, alignment)
         recording = by_depth(recording) if vacuum else recording
         options = {"loss": loss, "monotonic": monotonic, "max_pressure": max_pressure, "bending_stiffness": bending}
         compared, found = _fitted(recording, model or ("best" if table else "polynomial"), degree, options)
         console = open_console()
+        warn_of_doubts(found, recording, compared)
         report(console, found, recording, compared)
         save_all(console, _outputs(found, recording, out, figure))
         _paste(console, out)
@@ -201,9 +203,9 @@ class _Runs:
                 f"--offset: must be given once, or once for each of {len(self.testers)} runs, got {len(self.offsets)}"
             )
 
-    def each(self) -> Iterator[tuple[Path, Path | None, float]]:
-        """Of each run the tester's file, the log's, if it is another one, and the offset [ms]."""
-        offsets = list(self.offsets or [0.0])
+    def each(self) -> Iterator[tuple[Path, Path | None, float | None]]:
+        """Of each run the tester's file, the log's, if it is another one, and the offset [ms], if one is said."""
+        offsets: list[float | None] = [*self.offsets] or [None]
         offsets = offsets * len(self.testers) if len(offsets) == 1 else offsets
         logs: list[Path | None] = [*self.logs] or [None] * len(self.testers)
         yield from zip(self.testers, logs, offsets, strict=True)
@@ -238,7 +240,8 @@ class _Reading:
             if given.search is None:
                 runs.append(align(tester, log, offset=shift, **options))
                 continue
-            search = {"degree": degree, "smoothing": options["smoothing"], "search": 1e3 * given.search}
+            search: dict[str, Any] = {"degree": degree, "search": 1e3 * given.search}
+            search |= {} if options["smoothing"] is None else {"smoothing": options["smoothing"]}
             found = estimate_offset(tester, log, **search)
             run = align(tester, log, offset=found.offset, **options)
             runs.append(replace(run, settings=(*run.settings, ("certainty of the offset", found.words))))
@@ -252,7 +255,7 @@ class _Reading:
 
         sheet = read_sheet(path)
         tester = as_tester_record(
-            sheet, self.columns, self.gauge_length, positive=self.positive or "pull", truncated=self.truncated
+            sheet, self.columns, self.gauge_length, positive=self.positive, truncated=self.truncated
         )
         if log is not None:
             own = as_pressure_record(

@@ -107,7 +107,5 @@ def _area(corners: Sequence[tuple[float, float]]) -> float:
 def _reading(recording: "Recording") -> Iterator[str]:
     """What was left out, averaged or assumed of the files, and how they were brought together."""
     for name, value in recording.settings:
-        if name.startswith("offset"):
-            yield f"O{name[1:]}: {value:.1f}"
-        elif name.startswith(("notes", "certainty", "positive", "pressures")):
-            yield f"{name[0].upper()}{name[1:]}: {value}"
+        if name.startswith(("offset", "smoothing", "notes", "certainty", "positive", "strains", "pressures")):
+            yield f"{name[0].upper()}{name[1:]}: {value if isinstance(value, str) else f'{value:.1f}'}"

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 FIGURE_FORMATS = ("png", "pdf", "svg", "jpg", "eps")
 MISTAKE, INTERRUPTED = 2, 130
+MOST_NAMED = 4
+"""Of the arms of which the same is asked."""
 COMPILING = "torcharm: compiling, once: about {} s"
 
 
@@ -67,11 +69,15 @@ def asked_about(study: "Study") -> "Study":
     from torcharm.attainability.questions import note_on_bending, question_about_limits, question_about_places
     from torcharm.statics.balance import segments_of
 
+    arms: dict[str, list[str]] = {}
     for arm in study.arms:
         segments = segments_of(arm.design)[0]
         for question in (question_about_limits(segments), question_about_places(segments), note_on_bending(segments)):
             if question is not None:
-                print(f"torcharm: {arm.name}: {question}", file=sys.stderr)
+                arms.setdefault(question, []).append(arm.name)
+    for question, names in arms.items():
+        rest = [f"{len(names) - MOST_NAMED} more"] if len(names) > MOST_NAMED else []
+        print(f"torcharm: {', '.join([*names[:MOST_NAMED], *rest])}: {question}", file=sys.stderr)
     return study
 
 

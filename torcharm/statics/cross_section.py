@@ -37,9 +37,9 @@ from torcharm.inputs import (
     one_for_all,
 )
 
-RANGE_SLACK = 1e-6
-"""A strain beyond its characterised range by so little, or a pressure by so large a part of itself, is at its end: more
-than single precision and the residual of an equilibrium round to, and less than any bench measures."""
+RANGE_SLACK = 1e-3
+"""A strain beyond its characterised range by so little, or a pressure by so large a part of itself, is at its end: no
+grip and no sensor of a bench tells it from the end, and no force changes by it; rounding is far less."""
 STRAIGHT = 1e-8
 """A curvature [rad/m] below which the direction of bending in space is of no matter: it keeps its length from 0."""
 

@@ -1,0 +1,107 @@
+"""What is doubtful about a fit, in words: forces that it does not follow, samples that stand out, limits beyond it."""
+
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+
+from torcharm.actuators.measured import Measured
+from torcharm.actuators.protocol import Actuator
+from torcharm.characterise.alignment import Recording, is_table
+from torcharm.characterise.choice import Candidate, forces
+from torcharm.characterise.least_squares import MAD, Array, exponents, least_squares_loss
+from torcharm.characterise.misfit import USUAL_DEGREE
+
+LOW = 0.9
+"""R² below which strain and pressure hardly tell the force."""
+FAR_OFF = 0.1
+"""Of a table's largest force, how far off samples that were left out may be predicted."""
+UNBALANCED, LEAST_REST = 0.7, 0.005
+"""Of the root mean square that a fit leaves, what one with a force at rest may leave to doubt the load cell; and of the
+range of forces, what the fit must leave."""
+WINDOW = 11
+"""Samples about each: a spike is no longer than half of them, and stands out from their median."""
+SPIKE, SPIKE_OF_RMSE, SPIKE_OF_FORCE = 10.0, 5.0, 0.02
+"""By so many of the usual distances from that median a spike stands out, so many root mean squares of residuals, and so
+much of the largest force."""
+
+
+def warn_of_doubts(model: Actuator, recording: Recording, compared: Sequence[Candidate] = ()) -> None:
+    """A warning for each thing that is doubtful.
+
+    Args:
+        model: that was fitted.
+        recording: to which.
+        compared: kinds of models, the one taken first; none if the kind was given.
+    """
+    residual = recording.force - forces(model, recording.strain, recording.pressure)
+    off = _unbalanced(recording), _low(recording, residual), _far_off(recording, compared), _spikes(recording, residual)
+    for doubt in (*off, _beyond(model)):
+        if doubt:
+            warnings.warn(doubt, stacklevel=2)
+
+
+def _low(recording: Recording, residual: Array) -> str:
+    share = float(residual @ residual) / max(float(np.sum((recording.force - recording.force.mean()) ** 2)), 1e-300)
+    if share <= 1 - LOW:
+        return ""
+    return (
+        f"R² is {1 - share:.2f}: strain and pressure hardly tell the force; are columns, units, signs, clocks and the "
+        "runs' order right?"
+    )
+
+
+def _unbalanced(recording: Recording) -> str:
+    """Whether forces fit notably better with one more at no strain and pressure, which no model here has."""
+    strain, pressure, force = recording.strain, recording.pressure, recording.force
+    powers, spread = exponents(USUAL_DEGREE), float(np.ptp(force))
+    if is_table(recording) or len(force) < 10 * len(powers):
+        return ""
+    plain, more = (least_squares_loss(strain, pressure, force, own) for own in (powers, ((0, 0), *powers)))
+    if more > UNBALANCED**2 * plain or plain < (LEAST_REST * spread) ** 2 * len(force):
+        return ""
+    return (
+        f"forces fit {np.sqrt(plain / max(more, 1e-300)):.2g} times as closely with a force at rest, which models have "
+        "none of: was the load cell balanced with the actuators at their own length, without pressure?"
+    )
+
+
+def _far_off(recording: Recording, compared: Sequence[Candidate]) -> str:
+    most = float(np.abs(recording.force).max())
+    if not compared or not is_table(recording) or compared[0].rmse <= FAR_OFF * most:
+        return ""
+    return (
+        f"samples left out are predicted {100 * compared[0].rmse / most:.2g} % of the largest force off: the table is "
+        "too coarse, or a number in it is wrong"
+    )
+
+
+def _spikes(recording: Recording, residual: Array) -> str:
+    """The samples of runs that stand out from those about them."""
+    from scipy.ndimage import median_filter
+
+    if is_table(recording) or len(residual) < WINDOW:
+        return ""
+    runs = [recording.run == run for run in np.unique(recording.run)]
+    out = np.zeros_like(residual)
+    for own in runs:
+        out[own] = residual[own] - median_filter(residual[own], WINDOW, mode="nearest")
+    usual = MAD * float(np.median(np.abs(out)))
+    rmse = float(np.sqrt((residual**2).mean()))
+    least = max(SPIKE * usual, SPIKE_OF_RMSE * rmse, SPIKE_OF_FORCE * float(np.abs(recording.force).max()))
+    found = np.flatnonzero(np.abs(out) > least)
+    if not len(found):
+        return ""
+    worst = int(found[np.abs(out[found]).argmax()])
+    which = "a sample stands" if len(found) == 1 else f"{len(found)} samples stand"
+    return (
+        f"{which} out from those before and after, {recording.place(worst)} the most, by {abs(out[worst]):.3g} N "
+        f"(RMSE {rmse:.3g} N): --loss huber bears such"
+    )
+
+
+def _beyond(model: Actuator) -> str:
+    known, limit = float(model.pressure_range[1]), float(model.max_pressure)
+    if not isinstance(model, Measured) or limit <= known * (1 + 1e-6):
+        return ""
+    return f"max_pressure: {limit:g} kPa is beyond {known:.4g} kPa, above which nothing was measured"

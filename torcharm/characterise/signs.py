@@ -1,0 +1,113 @@
+"""Which way the positive forces of a file act, told from the samples: what is pulled longer pulls more."""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torcharm.characterise.least_squares import Monomials, exponents
+
+Array = NDArray[np.float64]
+
+SAID, NAMED, ASSUMED = "as said", "as its name says", "assumed"
+"""How the sense of positive forces is known."""
+LEAST_STRAIN = 1e-3
+"""A strain or a range of strains below which there is noise alone."""
+MOST_SAMPLES = 4000
+"""Of a recording, of which so many, evenly spread, tell as much as all."""
+CLEAR = 0.8
+"""Of the mean size of the force's slope along the strain, how much its mean must be for its sign to be clear."""
+ABOVE_NOISE = 2.0
+"""In root mean squares of what a quadratic leaves of forces: by so much must they change over the strains."""
+
+
+def positive_forces(strain: Array, pressure: Array, force: Array) -> str:
+    """What positive forces do by the samples, "pull" or "push"; "" where that is not clear.
+
+    An actuator that is held at a pressure resists being moved: the longer it is, the more it pulls, or the less it
+    pushes. The slope is that of the best quadratic.
+
+    Args:
+        strain: (n) positive where longer.
+        pressure: (n) [kPa].
+        force: (n) as the file has it.
+    """
+    step = max(1, len(force) // MOST_SAMPLES)
+    x, y, f = strain[::step], pressure[::step], force[::step]
+    monomials = Monomials.for_data(((0, 0), *exponents(2)), x, y)
+    if len(f) < 2 * len(monomials.powers) or np.ptp(x) == 0:
+        return ""
+    matrix = monomials.values(x, y)
+    coefficients, _, rank, _ = np.linalg.lstsq(matrix, f, rcond=None)
+    if rank < len(monomials.powers):
+        return ""
+    half = np.ptp(x) / 2  # by differences, which of a quadratic are exact
+    slope = (monomials.values(x + half, y) - monomials.values(x - half, y)) @ coefficients / (2 * half)
+    mean, noise = float(slope.mean()), float((f - matrix @ coefficients).std())
+    if abs(mean) < CLEAR * float(np.abs(slope).mean()) or abs(mean) * np.ptp(x) < ABOVE_NOISE * noise:
+        return ""
+    return "pull" if mean > 0 else "push"
+
+
+@dataclass(frozen=True)
+class Signs:
+    """What is known of the signs of a file before its samples are looked at.
+
+    Attributes:
+        positive: what positive forces do, "pull" or "push".
+        known: how that is known: `SAID`, `NAMED` or `ASSUMED`.
+        longer: whether positive strains are surely longer: their column's name, or strains below 0, say so.
+    """
+
+    positive: str = "pull"
+    known: str = SAID
+    longer: bool = True
+
+
+PLAIN = Signs()
+"""Of samples that stand in torcharm's signs, but for tension."""
+
+
+def settled(
+    signs: Signs, strain: Array, pressure: Array, force: Array, source: str
+) -> tuple[Array, Array, tuple[tuple[str, str], ...]]:
+    """Strains, positive where longer; forces, positive where they push; and how both are known, for the record.
+
+    What nobody says and no name tells is what samples tell (see `positive_forces`), or else assumed.
+
+    Args:
+        signs: what is known.
+        strain, pressure, force: (n) as the file has them.
+        source: the file, for messages.
+
+    Raises:
+        ValueError: samples may be of a muscle that contracts and pulls, or of a bellows that extends and pushes.
+    """
+    told, way, other = positive_forces(strain, pressure, force), signs.positive, {"pull": "push", "push": "pull"}
+    sure = signs.longer or strain.min() < -LEAST_STRAIN
+    if not sure and signs.known == ASSUMED and told == "push" and force.mean() > 0:
+        raise ValueError(
+            f"{source}: must be told what it is of, as strains are above 0 and forces fall with them: a muscle that "
+            "contracts and pulls (--positive pull), or a bellows that extends and pushes (--positive push)"
+        )
+    shorter = not sure and signs.known != ASSUMED and told == other[way]
+    words = f"{way}, {signs.known}"
+    if signs.known == ASSUMED:
+        way = told or way
+        why = "as what is stretched pulls back" if told else ASSUMED
+        words = f"{way}, {why} (--positive {other[way]} takes them the other way)"
+    elif told == other[way] and not shorter:
+        less = "pulls less the more it is stretched" if way == "pull" else "pushes less the more it is squeezed"
+        warnings.warn(
+            f"{source}: positive forces {way}, {signs.known}, but then it {less}: is the sign of forces, or that of "
+            "strains, another?",
+            stacklevel=4,
+        )
+    strains = "shorter, as forces fall with them" if shorter else "longer, assumed"
+    # 0 is added to turn -0.0 into 0.
+    return (
+        (-strain if shorter else strain) + 0.0,
+        (-force if way == "pull" else force) + 0.0,
+        (("positive forces", words), *(() if sure else (("positive strains", strains),))),
+    )
