@@ -3,6 +3,7 @@
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -37,12 +38,15 @@ def test_it_serves_until_interrupted_and_says_where_and_what_it_writes(study, tm
     from experiments.live_page.socket import Page
 
     out = tmp_path / "better.toml"
-    command = [sys.executable, "-m", "torcharm.cli", "explore", study, "--out", out, "--port", "0", "--no-open"]
+    taken = socket.create_server(("127.0.0.1", 0))
+    port = str(taken.getsockname()[1])
+    command = [sys.executable, "-m", "torcharm.cli", "explore", study, "--out", out, "--port", port, "--no-open"]
     environment = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "200"}
     options = {"stdout": subprocess.PIPE, "text": True, "env": environment}
     options["preexec_fn"] = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)  # tests in the background ignore it
-    with subprocess.Popen(command, **options) as process:
+    with taken, subprocess.Popen(command, **options) as process:
         assert process.stdout is not None
+        assert process.stdout.readline() == f"Port {port} is in use; the page has the next one that is free.\n"
         where = re.fullmatch(r"small: (http://127\.0\.0\.1:\d+)\n", process.stdout.readline())
         assert where is not None
         assert process.stdout.readline() == f"Its button saves to {out}. Ctrl-C ends it.\n"

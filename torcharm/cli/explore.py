@@ -55,6 +55,8 @@ def explore(
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection")
         server = Server(state, out, host, port)
         try:
+            if port not in (0, server.port):
+                say(console, f"Port {port} is in use; the page has the next one that is free.")
             say(console, f"{plan.name}: {server.url}")
             if host not in LOOPBACK:
                 say(console, f"Whoever reaches this machine at {host} may see it, move the arm and overwrite {out}.")

@@ -13,6 +13,7 @@ from torcharm.attainability import VERDICTS
 from torcharm.inputs import three_digits
 from torcharm.plot import VERDICT_STYLES
 from torcharm.report.content import Column, Count
+from torcharm.report.svg import themed
 from torcharm.statics.balance import segments_of
 from torcharm.study import NamedArm, StudyResult, csv_text, summarise
 from torcharm.study.results import DEG, MM
@@ -102,7 +103,7 @@ def _verdicts(results: Sequence[StudyResult], loads: int) -> Iterator[Measure]:
     counted = Counter[str]()
     for summary in summaries:
         counted.update(summary.verdicts or {})
-    bar = [Count(word, counted[word], VERDICT_STYLES[word][0]) for word in VERDICTS if counted[word]]
+    bar = [Count(word, counted[word], themed(VERDICT_STYLES[word][0])) for word in VERDICTS if counted[word]]
     yield Measure("loads by verdict", "", "", None, bar)
     for word in VERDICTS:
         yield Measure("", "", word.replace(" ", "_"), counted[word])
