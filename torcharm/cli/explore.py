@@ -60,7 +60,7 @@ def explore(
             say(console, f"{plan.name}: {server.url}")
             if host not in LOOPBACK:
                 say(console, f"Whoever reaches this machine at {host} may see it, move the arm and overwrite {out}.")
-            say(console, f"Its button saves to {out}. Ctrl-C ends it.")
+            say(console, f"Its button saves to {out}{', in place of what is there' * out.exists()}. Ctrl-C ends it.")
             if not no_open:
                 _open(server.url)
             while True:

@@ -73,7 +73,7 @@ def tip_error_edges(evaluated: Sequence[Attainability]) -> Array:
 def draw_tip_errors(axes: Axes, found: Attainability, edges: Array) -> int:
     """How far off the tip is predicted over the loads: bars by verdict, the median and the tolerance as lines.
 
-    Of those missed, where the tip is within the tolerance, but turned too far or the shape too far off, bars are pale.
+    Of those missed, where the tip is within the tolerance, but turned too far or the shape too far off, bars are faint.
 
     Args:
         axes: 2-D ones.
@@ -98,8 +98,9 @@ def draw_tip_errors(axes: Axes, found: Attainability, edges: Array) -> int:
     if known.any():
         middle = float(np.median(np.where(known, errors, np.inf)))
         if np.isfinite(middle):
-            name = "median" if len(errors) > 1 else "tip off"
-            axes.axvline(middle, color="#0072B2", linewidth=2, label=f"{name}, {three_digits(middle)} mm")
+            name = "median, " if len(errors) > 1 else "tip off, "
+            name += "at most " if middle <= LEAST else ""
+            axes.axvline(middle, color="#0072B2", linewidth=2, label=f"{name}{three_digits(middle)} mm")
     axes.axvline(tolerance, color="black", linestyle=":", label=f"tolerance, {three_digits(tolerance)} mm")
     axes.set(xscale="log", xlim=(edges[0], edges[-1]), xlabel="tip off by [mm]", ylabel="number of loads")
     close = edges[-1] < 100 * edges[0]  # few powers of ten to be named

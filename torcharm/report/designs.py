@@ -118,8 +118,9 @@ def _errors(results: Sequence[StudyResult], title: str, name: str, scale: float)
     unit, ending = ("mm", "mm") if scale == MM else ("°", "deg")
     yield Measure(f"{title}, median", unit, f"{name}_median_{ending}", _finite(np.median(errors)))
     if name == "tip_error":
-        most = np.quantile(errors, MOST, method="higher")  # a load's own: between an error and none there is no number
-        yield Measure(f"{title}, {100 * MOST:.0f} %", unit, f"{name}_{100 * MOST:.0f}_percent_{ending}", _finite(most))
+        # A load's own: between an error and none there is no number.
+        most, share = np.quantile(errors, MOST, method="higher"), f"{100 * MOST:.0f}"
+        yield Measure(f"{title}, {share}\N{NO-BREAK SPACE}%", unit, f"{name}_{share}_percent_{ending}", _finite(most))
         yield Measure(f"{title}, largest", unit, f"{name}_largest_{ending}", _finite(errors.max()))
 
 

@@ -26,7 +26,7 @@ WIDE = 9.5
 """Width of one that stands alone."""
 LEGEND = 7.5
 """Size of its text [pt]: two entries beside each other."""
-MISSED_BY = ("the tip's place", "its turn", "the shape")
+MISSED_BY = ("the tip's place", "the tip's turn", "the shape")
 """The errors that verdicts are by, in their order."""
 
 

@@ -91,7 +91,7 @@ def arms(evaluated: Evaluated) -> Section | None:
 def errors(evaluated: Evaluated) -> Section | None:
     """Histograms of the tip's error."""
     text = (
-        "Under how many loads the tip is predicted to be how far off. Pale bars: it is near enough, but turned too "
+        "Under how many loads the tip is predicted to be how far off. Faint bars: it is near enough, but turned too "
         "far, or the shape is too far off. Bars not filled: figures not to be relied on."
     )
     return _drawn(evaluated, "Tip errors", text, error_panels)
