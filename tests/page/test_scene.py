@@ -114,8 +114,8 @@ def test_words_say_what_else_would_puzzle():
     assert "Change from the base: a segment" in words.results(missed)
     assert "margin below 0" not in words.results(missed)
     settings = found.state.study.settings
-    assert "1 N·m as 1 N" in words.legend(settings)
-    assert "1 f² + 400 m²" in words.legend(replace(settings, weights=(1.0, 400.0)))
+    assert "1 N·m as 1 N" in words.explanation(settings)
+    assert "1 f² + 400 m²" in words.explanation(replace(settings, weights=(1.0, 400.0)))
 
 
 def test_of_margins_what_is_not_finite_is_left_out():

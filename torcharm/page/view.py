@@ -21,6 +21,8 @@ CLOSE = 1e-9
 """A difference of a control's value that is rounding, as a share of it."""
 WIDTH = 340
 """Of the panel of results [pixels]."""
+LAST = 1e9
+"""The order of what stands below all else, also below what is built anew."""
 WIDE = 1.5
 """From which width over height on a window has room for a panel at each side of the arm."""
 
@@ -45,7 +47,8 @@ class View:
         panel = client.gui.add_panel()
         with (tab := panel.add_tab("Results")):
             self._results, self._note = client.gui.add_html(""), client.gui.add_html("")
-            client.gui.add_html(words.legend(state.study.settings))
+            client.gui.add_html(words.legend())
+            client.gui.add_html(words.explanation(state.study.settings), order=LAST)
         client.gui.main_panel.dock_right()
         if shape_of(client.camera) >= WIDE:
             panel.dock_left()

@@ -75,15 +75,22 @@ def _signed(value: float) -> str:
     return f"-{three_digits(-value)}" if -math.inf < value < 0 else three_digits(value)
 
 
-def legend(settings: Settings) -> str:
-    """What the colours of the arm and its shade mean, and its margins."""
+def legend() -> str:
+    """What the colours of the arm mean."""
     stops = ", ".join(
         f"rgb({', '.join(str(round(255 * part)) for part in COLOURS(share)[:3])})"
         for share in (0.0, 0.25, 0.5, 0.75, 1.0)
     )
     return (
         f'<div style="{TOP}"><div style="display:flex;align-items:center;gap:0.5em;padding-right:0.8em">no pressure'
-        f'<span style="flex:1;height:0.8em;background:linear-gradient(to right, {stops})"></span>its limit</div>'
+        f'<span style="flex:1;height:0.8em;background:linear-gradient(to right, {stops})"></span>its limit</div></div>'
+    )
+
+
+def explanation(settings: Settings) -> str:
+    """What else there is to know of the picture and the numbers."""
+    return (
+        f'<div style="{TOP}">'
         "<div>Grey shade and black line: the shape that is asked for. Actuators and nodes count from 1.</div>"
         "<div>Margin: how far inside of what pressures can give a node lies what it needs at that shape; below 0 it "
         f"lacks that much, force and moment together, {escape(as_one_distance(settings))}.</div></div>"
