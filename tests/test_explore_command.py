@@ -42,7 +42,7 @@ def test_it_serves_until_interrupted_and_says_where_and_what_it_writes(study, tm
     port = str(taken.getsockname()[1])
     command = [sys.executable, "-m", "torcharm.cli", "explore", study, "--out", out, "--port", port, "--no-open"]
     environment = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "200"}
-    options = {"stdout": subprocess.PIPE, "text": True, "env": environment}
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "env": environment}
     options["preexec_fn"] = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)  # tests in the background ignore it
     with taken, subprocess.Popen(command, **options) as process:
         assert process.stdout is not None
@@ -50,12 +50,15 @@ def test_it_serves_until_interrupted_and_says_where_and_what_it_writes(study, tm
         where = re.fullmatch(r"small: (http://127\.0\.0\.1:\d+)\n", process.stdout.readline())
         assert where is not None
         assert process.stdout.readline() == f"Its button saves to {out}. Ctrl-C ends it.\n"
+        with socket.create_connection(("127.0.0.1", int(where[1].rpartition(":")[2]))) as stranger:
+            stranger.sendall(b"\x16\x03\x01 as https begins\r\n\r\n")
         with Page(where[1]) as page:
             page.until(lambda: page.pictures)
             page.press("save the study")
             page.until(out.exists)
         process.send_signal(signal.SIGINT)
         assert process.stdout.read() == "Ended.\n"
+        assert "Traceback" not in process.stderr.read()
         assert process.wait(30) == 0
 
 
