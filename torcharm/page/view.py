@@ -23,8 +23,8 @@ WIDTH = 340
 """Of the panel of results [pixels]."""
 LAST = 1e9
 """The order of what stands below all else, also below what is built anew."""
-WIDE = 1.5
-"""From which width over height on a window has room for a panel at each side of the arm."""
+WIDE, LEAST = 1.5, 1150
+"""From which width over height and which width [pixels] on a window has room for a panel at each side of the arm."""
 
 
 class View:
@@ -50,7 +50,7 @@ class View:
             client.gui.add_html(words.legend())
             client.gui.add_html(words.explanation(state.study.settings), order=LAST)
         client.gui.main_panel.dock_right()
-        if shape_of(client.camera) >= WIDE:
+        if shape_of(client.camera) >= WIDE and client.camera.image_width >= LEAST:
             panel.dock_left()
             panel.set_width(WIDTH)
         else:
