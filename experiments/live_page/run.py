@@ -30,7 +30,7 @@ from torcharm.study import example_text, parse_study
 HERE = Path(__file__).parent
 STUDIES = {"plane": False, "space": True}
 SLIDERS = ("distance [mm]", "length [mm]", "limit [kPa]", "force x [N]")
-BUTTONS = ("undo", "reset", "save the study", "load what was saved")
+BUTTONS = ("undo", "reset", "save the study", "load what was saved", "fit the view")
 BURST = 100
 """Moves that are sent at once."""
 WAIT = 60.0
