@@ -1,5 +1,6 @@
 """The handle in a scene by which a person drags the tip or the load."""
 
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -31,17 +32,23 @@ class Gizmo:
         self._what, self.dragging = NOTHING, False
         self._handle: Any = None
         self._at: Handles | None = None
+        self._changing = Lock()  # the session's thread shows it, and the server's takes another
 
     def take(self, what: str) -> None:
         """Drag something else from now on."""
-        self._what, self.dragging = what, False
-        if self._handle is not None:
-            self._handle.remove()
-            self._handle = None
+        with self._changing:
+            self._what, self.dragging = what, False
+            if self._handle is not None:
+                self._handle.remove()
+                self._handle = None
         self._session.refresh()
 
     def show(self, found: Answer) -> None:
         """Put it where what it drags is, unless it is being dragged."""
+        with self._changing:
+            self._put(found)
+
+    def _put(self, found: Answer) -> None:
         if self._what == NOTHING or self.dragging:
             return
         self._at = at = handles(found)
