@@ -3,6 +3,7 @@
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -37,21 +38,27 @@ def test_it_serves_until_interrupted_and_says_where_and_what_it_writes(study, tm
     from experiments.live_page.socket import Page
 
     out = tmp_path / "better.toml"
-    command = [sys.executable, "-m", "torcharm.cli", "explore", study, "--out", out, "--port", "0", "--no-open"]
+    taken = socket.create_server(("127.0.0.1", 0))
+    port = str(taken.getsockname()[1])
+    command = [sys.executable, "-m", "torcharm.cli", "explore", study, "--out", out, "--port", port, "--no-open"]
     environment = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "200"}
-    options = {"stdout": subprocess.PIPE, "text": True, "env": environment}
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "env": environment}
     options["preexec_fn"] = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)  # tests in the background ignore it
-    with subprocess.Popen(command, **options) as process:
+    with taken, subprocess.Popen(command, **options) as process:
         assert process.stdout is not None
+        assert process.stdout.readline() == f"Port {port} is in use; the page has the next one that is free.\n"
         where = re.fullmatch(r"small: (http://127\.0\.0\.1:\d+)\n", process.stdout.readline())
         assert where is not None
         assert process.stdout.readline() == f"Its button saves to {out}. Ctrl-C ends it.\n"
+        with socket.create_connection(("127.0.0.1", int(where[1].rpartition(":")[2]))) as stranger:
+            stranger.sendall(b"\x16\x03\x01 as https begins\r\n\r\n")
         with Page(where[1]) as page:
             page.until(lambda: page.pictures)
             page.press("save the study")
             page.until(out.exists)
         process.send_signal(signal.SIGINT)
         assert process.stdout.read() == "Ended.\n"
+        assert "Traceback" not in process.stderr.read()
         assert process.wait(30) == 0
 
 

@@ -82,6 +82,7 @@ def test_a_search_that_found_nothing_shows_the_task_and_says_why(found, possible
     (target,) = lines(axes, "task")
     np.testing.assert_allclose(target.get_xydata()[:: plot.SMOOTHING], ta.poses(task.twists)[:, :2], atol=1e-12)
     figure.savefig(io.BytesIO())
+    assert axes.texts[0].get_window_extent().y0 > target.get_window_extent().y1
 
 
 def test_arms_with_fewer_equilibria_show_their_ends(found):

@@ -30,7 +30,7 @@ from torcharm.study import example_text, parse_study
 HERE = Path(__file__).parent
 STUDIES = {"plane": False, "space": True}
 SLIDERS = ("distance [mm]", "length [mm]", "limit [kPa]", "force x [N]")
-BUTTONS = ("undo", "reset", "save the study", "load what was saved")
+BUTTONS = ("undo", "reset", "save the study", "load what was saved", "fit the view")
 BURST = 100
 """Moves that are sent at once."""
 WAIT = 60.0
@@ -112,8 +112,10 @@ def burst(server: Server, page: Page, draw_random: random.Random) -> tuple[int, 
     before = page.pictures
     for _ in range(BURST):
         move_slider(page, draw_random)
-    start, last, count = time.perf_counter(), 0.0, before
+    start = time.perf_counter()
     (view,) = server.views.values()
+    last = page.until(lambda: page.pictures > before, WAIT)  # before that the server may not have heard of any
+    count = page.pictures
     while not (view.session.wait(0.0) and not page.receive(0.3)):
         page.receive(0.05)
         if page.pictures > count:

@@ -38,8 +38,7 @@ def test_a_person_explores_saves_and_reads_back(tmp_path):
         until(shown(tab, "tip off"), 40)
         (view,) = server.views.values()
         assert tab.text().split("Results")[-1].split()[0] == "held"
-        title = tab.value("document.title")
-        assert title != "broken"
+        assert tab.value("document.title") == f"{HOSTILE} – torcharm"
         assert HOSTILE in tab.text()  # as words, nothing of it is done
         assert tab.value("document.querySelectorAll('img[src=a]').length") == 0
 
@@ -63,3 +62,6 @@ def test_a_person_explores_saves_and_reads_back(tmp_path):
         torch.testing.assert_close(view.session.state.named_arm.design.max_pressure, saved.arms[0].design.max_pressure)
         assert tab.errors == []
         assert view.session.failures == 0
+
+        server.stop()
+        until(shown(tab, "This page has ended"), 20)

@@ -1,5 +1,7 @@
 """Scenes and words of a page: what is seen is where the arm is, and no name of a study does anything."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from page_cases import HOSTILE, plane, space
@@ -100,6 +102,20 @@ def test_words_give_the_verdict_and_numbers_with_units_and_escape_all_else():
     hand = answer(page.with_mode(settled(found), BY_HAND))
     assert all("<img" not in element.text for element in draw(hand).values() if isinstance(element, Label))
     assert "<img" not in words.results(hand)
+
+
+def test_words_say_what_else_would_puzzle():
+    found = answer(plane())
+    margins = np.where(np.arange(6) == 2, -0.1, 0.2)
+    assert "margin below 0" not in words.results(replace(found, margins=np.abs(margins)))
+    assert "margin below 0: the margin is that of the exact shape" in words.results(replace(found, margins=margins))
+    reason = "no pressure serves all nodes: node 3 lacks 0.1 N (1 N·m as 1 N) of change from the base"
+    missed = replace(found, verdict="missed", reason=reason, margins=margins)
+    assert "Change from the base: a segment" in words.results(missed)
+    assert "margin below 0" not in words.results(missed)
+    settings = found.state.study.settings
+    assert "1 N·m as 1 N" in words.explanation(settings)
+    assert "1 f² + 400 m²" in words.explanation(replace(settings, weights=(1.0, 400.0)))
 
 
 def test_of_margins_what_is_not_finite_is_left_out():

@@ -11,7 +11,7 @@ pytest.importorskip("viser", reason="needs torcharm[explore]")
 from experiments.live_page.run import at_random, burst, page_of, settled, stale, timed
 from experiments.live_page.socket import Page
 from torcharm.page import state as page_state
-from torcharm.page.server import Server, own_origin
+from torcharm.page.server import PORTS, Server, own_origin
 from torcharm.study import parse_study
 
 
@@ -94,9 +94,24 @@ def test_names_are_words_and_buttons_write_the_one_file(tmp_path):
         page.until(lambda: "Saved to" in page.words)
         page.move(page.find("arm"), "../../elsewhere")  # no arm
         page.move(page.find("task"), "/etc/passwd")
+        page.move(page.find("length [mm]"), "../../x")
+        page.move(page.find("limit [kPa]"), [1, {}])
         settled(server, page)
         assert [path.name for path in tmp_path.iterdir()] == ["saved.toml"]
         assert stale(server, page) == []
+        assert next(iter(server.views.values())).session.failures == 0
+        page.move(page.find("limit [kPa]"), 1e4)
+        page.until(lambda: "limit [kPa]: goes from 5 to 75 on this page" in page.words)
+
+
+def test_a_port_that_is_taken_is_left_and_none_at_all_is_told(tmp_path, monkeypatch):
+    with served(tmp_path) as first:
+        second = Server(page_state.opened(parse_study(PLANE)), tmp_path / "saved.toml", port=first.port)
+        second.stop()
+        assert first.port < second.port < first.port + PORTS
+        monkeypatch.setattr("torcharm.page.server.PORTS", 1)
+        with pytest.raises(ValueError, match=rf"--port: must be one at which .* got {first.port} \(.*in use"):
+            Server(page_state.opened(parse_study(PLANE)), tmp_path / "saved.toml", port=first.port)
 
 
 def test_pages_of_other_sites_get_nothing(tmp_path):

@@ -4,16 +4,19 @@ import base64
 import csv
 import hashlib
 import io
+import math
 import re
 from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from report_cases import IMAGE, NAMES, SCRIPT, SERIES, STUDY, TASK, TEMPLATE, UNICODE, Page
 
 from torcharm.attainability import VERDICTS
 from torcharm.report import SECTIONS, Block, Evaluated, Section, page, study_report, with_margins
+from torcharm.report.figures import MISSED_BY
 from torcharm.study import evaluate_study, load_study, parse_study, result_rows, summarise
 from torcharm.study.reading import example_text
 
@@ -103,7 +106,7 @@ def test_every_figure_says_what_it_shows(found):
         "errors": 5,
         "map": 5,
         "hull": 5,
-    }  # a single load has no histogram, the impossible no sets
+    }  # the impossible has neither errors nor sets
 
 
 def test_it_can_be_mailed(html):
@@ -159,6 +162,30 @@ def test_the_header_says_what_was_evaluated_by_what_and_who_was_not(found):
     assert re.search(r"torch \d+\.\d+.*Python 3\.", header)
     assert "10 nodes, 43 loads, in the plane" in header
     assert f"Not evaluated: {SCRIPT}: no such <b>pressure</b>" in re.sub(r"\s+", " ", header)
+
+
+def test_of_missed_loads_the_error_that_is_largest_is_counted(evaluated, found):
+    words, kinds = "".join(found.words), set()
+    for result in evaluated.results[:4]:
+        one, missed = result.attainability, torch.tensor([word == "missed" for word in result.verdicts])
+        over = torch.stack([one.tip_error / 0.01, one.tip_rotation_error / math.radians(5), one.shape_error / 0.01])
+        worst = over.argmax(0)[missed].tolist()
+        counted = [f"{name} {worst.count(place)}" for place, name in enumerate(MISSED_BY) if place in worst]
+        assert not counted or f"missed by {', '.join(counted)}" in words
+        kinds |= set(worst)
+    assert len(kinds) > 1
+
+
+def test_what_puzzles_beside_the_table_is_explained():
+    shown = small()
+    (result,) = shown.results
+    assert "held" in result.verdicts
+    for margin in (0.1, -0.1):
+        distance = torch.full_like(result.attainability.absolute_per_node, -margin)
+        one = replace(result, attainability=replace(result.attainability, absolute_per_node=distance))
+        words = "".join(Page(study_report(replace(shown, results=[one]))).words)
+        assert ("held beside a margin below 0" in words) == (margin < 0)
+    assert "1 N·m as 1 N: so do moments count" in words
 
 
 def test_what_to_try_next_names_commands_with_the_studys_file(found):

@@ -2,7 +2,7 @@ import re
 
 from matplotlib.figure import Figure
 
-from torcharm.report.svg import inline_svg
+from torcharm.report.svg import inline_svg, themed
 
 
 def drawn(name="one", words="bars"):
@@ -24,7 +24,15 @@ def test_shades_are_one_image_and_the_colour_behind_them_stays():
     svg = drawn()
     assert svg.count("<image") == 1
     assert "#bbbbbb" in svg
-    assert "fill: #ffffff" not in svg.split("</defs>")[0]
+    assert "fill: var(--paper)" not in svg.split("</defs>")[0]
+
+
+def test_black_and_white_are_those_of_the_page():
+    svg = drawn()
+    assert not re.search("#(000000|ffffff)", svg)
+    assert "stroke: currentColor" in svg
+    assert themed("#882255") == "var(--wine)"
+    assert themed("#0072B2") == "#0072B2"
 
 
 def test_identifiers_are_those_that_are_referred_to_and_the_figures_own():

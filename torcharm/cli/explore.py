@@ -1,5 +1,6 @@
 """`torcharm explore`: a page on which an arm answers while sliders are moved."""
 
+import logging
 import time
 import warnings
 from pathlib import Path
@@ -51,14 +52,18 @@ def explore(
         with compiling_told():
             for mode in (BEST, BY_HAND):  # else the page would wait for the engine, in silence
                 answer(with_mode(state, mode))
-        # A browser may leave while its picture is on the way; this process does nothing but serve.
+        # This process does nothing but serve: a browser may leave while its picture is on the way, and what connects
+        # may be no browser, as one that tries https.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection")
+        logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
         server = Server(state, out, host, port)
         try:
+            if port not in (0, server.port):
+                say(console, f"Port {port} is in use; the page has the next one that is free.")
             say(console, f"{plan.name}: {server.url}")
             if host not in LOOPBACK:
                 say(console, f"Whoever reaches this machine at {host} may see it, move the arm and overwrite {out}.")
-            say(console, f"Its button saves to {out}. Ctrl-C ends it.")
+            say(console, f"Its button saves to {out}{', in place of what is there' * out.exists()}. Ctrl-C ends it.")
             if not no_open:
                 _open(server.url)
             while True:

@@ -37,8 +37,8 @@ class Charts:
         if dimension == 2:
             lines: Any = (
                 uplot.Series(label="force"),
-                uplot.Series(label="least moment", stroke=INK, width=1.5, points={"show": False}),
-                uplot.Series(label="largest moment", stroke=INK, width=1.5, points={"show": False}),
+                uplot.Series(label="pressures give from", stroke=INK, width=1.5, points={"show": False}),
+                uplot.Series(label="to", stroke=INK, width=1.5, points={"show": False}),
                 uplot.Series(label="required", stroke=OUTSIDE, points={"show": True, "size": 10, "fill": OUTSIDE}),
             )
             axes = (uplot.Axis(label="force [N]"), uplot.Axis(label="moment [N·m]", size=WIDTH))

@@ -26,6 +26,7 @@ from torcharm.page.state import (
     with_task,
     with_tip,
     with_value,
+    within,
 )
 
 UNITS = {"distance": ("mm", 1e3), "length": ("mm", 1e3), "limit": ("kPa", 1.0)}
@@ -78,6 +79,18 @@ class Control:
         """What it shows: of a slider to a tenth of its step, as more digits tell nothing."""
         found = self.read(state)
         return found if self.ends is None else round(found, DIGITS_BEYOND - math.floor(math.log10(self.step)))
+
+    def moved(self, state: State, value: Any) -> State:
+        """The state after it was moved: no slider by what is no number."""
+        number = self.ends is None or within(value, *self.ends) is not None
+        return self.write(state, value) if number else state
+
+    def beyond(self, value: Any) -> str:
+        """A sentence on a value that was typed and is beyond a slider's ends, at which it stays; else nothing."""
+        kept = None if self.ends is None else within(value, *self.ends)
+        if self.ends is None or kept is None or abs(kept - value) < self.step:
+            return ""
+        return f"{self.label}: goes from {self.ends[0]:g} to {self.ends[1]:g} on this page."
 
 
 def same_controls(one: State, other: State) -> bool:

@@ -1,5 +1,6 @@
 """The handle in a scene by which a person drags the tip or the load."""
 
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -21,25 +22,34 @@ class Gizmo:
         scene: viser's, of one client.
         transforms: viser's rotations.
         session: that hears where it was dragged.
+
+    Attributes:
+        dragging: whether it is being dragged now.
     """
 
     def __init__(self, scene: Any, transforms: Any, session: Session) -> None:
         self._scene, self._rotation, self._session = scene, transforms.SO3, session
-        self._what, self._dragging = NOTHING, False
+        self._what, self.dragging = NOTHING, False
         self._handle: Any = None
         self._at: Handles | None = None
+        self._changing = Lock()  # the session's thread shows it, and the server's takes another
 
     def take(self, what: str) -> None:
         """Drag something else from now on."""
-        self._what, self._dragging = what, False
-        if self._handle is not None:
-            self._handle.remove()
-            self._handle = None
+        with self._changing:
+            self._what, self.dragging = what, False
+            if self._handle is not None:
+                self._handle.remove()
+                self._handle = None
         self._session.refresh()
 
     def show(self, found: Answer) -> None:
         """Put it where what it drags is, unless it is being dragged."""
-        if self._what == NOTHING or self._dragging:
+        with self._changing:
+            self._put(found)
+
+    def _put(self, found: Answer) -> None:
+        if self._what == NOTHING or self.dragging:
             return
         self._at = at = handles(found)
         if self._handle is None:
@@ -60,10 +70,10 @@ class Gizmo:
         if self._at is None or event.target is not self._handle:
             return
         if event.phase == "end":
-            self._dragging = False
+            self.dragging = False
             self._session.refresh()
             return
-        self._dragging = self._dragging or event.phase == "start"
+        self.dragging = self.dragging or event.phase == "start"
         place = np.asarray(event.target.position, np.float64)
         if not np.isfinite(place).all():
             return

@@ -17,9 +17,9 @@ from torcharm.design.space import Arm
 from torcharm.geometry.alpha_shape import AlphaShape
 from torcharm.inputs import three_digits
 from torcharm.page.answers import Answer, NodeSet, place_of_node
-from torcharm.page.state import State, design_of, tip_range
+from torcharm.page.state import State, tip_range
 from torcharm.plot._common import Array, array
-from torcharm.plot._shapes import Centreline, centreline, in_space, skin_of, tubes
+from torcharm.plot._shapes import Centreline, centreline, skin_of, tubes
 from torcharm.plot.arms import loads_on
 from torcharm.statics.balance import segments_of
 from torcharm.wrench_sets.wrench_set import hull_faces
@@ -143,17 +143,6 @@ def handles(found: Answer) -> Handles:
 def newtons_per_metre(state: State) -> float:
     """Of the arrows of forces: the slider's largest is as long as `ARROW` says."""
     return tip_range(state)[0] / (ARROW * float(state.named_arm.design.neutral_length))
-
-
-def camera(state: State) -> tuple[Array, Array]:
-    """Where to look from and at: the whole arm, which bends to its left, and in space the box of sets beside it."""
-    base = in_space(array(state.given.base_pose))
-    length, spatial = float(design_of(state).neutral_length), state.named_arm.design.dimension == 3
-    aside = np.array([-base[1, 0], base[0, 0], 0.0])
-    middle: Array = base[:3, 3] + length * (0.5 * base[:3, 0] + (0.48 if spatial else 0.15) * aside)
-    away = np.array([0.35, 0.3, 1.0]) if spatial else np.array([0.0, 0.0, 1.0])
-    eye: Array = middle + (2.9 if spatial else 2.2) * length * away / float(np.linalg.norm(away))
-    return eye, middle
 
 
 def colour_of(pressure: float, limit: float, *, passive: bool) -> Colour:

@@ -1,7 +1,11 @@
 """Pages of a study on this machine, by viser: one for each browser that opens it."""
 
+import errno
 import io
+import json
+import os
 import socket
+import time
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -16,6 +20,10 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1")
 """Names of this machine that no other one reaches."""
 GRID = 0.1
 """Width of a cell of the grid behind the arms [m]."""
+PORTS = 100
+"""That are tried, from the one asked for on."""
+FAREWELL = 0.3
+"""For browsers to hear that the server ends [s]."""
 
 
 class Server:
@@ -28,12 +36,12 @@ class Server:
         port: the port, or a free one after it if it is taken; 0 takes any.
 
     Raises:
-        ValueError: viser is not installed, or the host is no address of this machine.
+        ValueError: viser is not installed, the host is no address of this machine, or no port is free.
     """
 
     def __init__(self, state: State, out: Path, host: str = LOOPBACK[0], port: int = 8080) -> None:
         viser = extra("viser", "explore")
-        _check_host(host)
+        port = _free_port(host, port)
 
         # No page may ask viser to have a server elsewhere forward it to the world.
         local = type("Local", (viser.ViserServer,), {"request_share_url": lambda *_, **__: None})
@@ -47,12 +55,19 @@ class Server:
     def url(self) -> str:
         """Where a browser on this machine finds the page."""
         host = f"[{self._host}]" if ":" in self._host else self._host
-        return f"http://{'localhost' if self._host in ('0.0.0.0', '::') else host}:{self._server.get_port()}"
+        return f"http://{'localhost' if self._host in ('0.0.0.0', '::') else host}:{self.port}"
+
+    @property
+    def port(self) -> int:
+        """At which it listens."""
+        return int(self._server.get_port())
 
     def stop(self) -> None:
-        """End all pages, and the server."""
-        for view in self.views.values():
-            view.session.close()
+        """End all pages, which say so, and the server."""
+        views = tuple(self.views.values())
+        for view in views:
+            view.end()
+        time.sleep(FAREWELL if views else 0.0)
         with redirect_stdout(io.StringIO()):
             self._server.stop()
 
@@ -60,7 +75,10 @@ class Server:
         """What all pages share, and what happens when one comes and goes."""
         server = self._server
         server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
-        server.gui.main_panel.dock_right()
+        # As viser sends its library of plots: it has no other way to give a page a title that is not "Viser".
+        title = json.dumps(f"{self._state.study.name} – torcharm")
+        script = self._viser._messages.RunJavascriptMessage(f"document.title = {title}")
+        server._websock_server.queue_message(script)
         server.scene.set_up_direction("+y")
         server.scene.world_axes.visible = False
         depth = float(array(self._state.named_arm.design.neutral_length))
@@ -124,13 +142,25 @@ def _grid_cells(length: float) -> dict[str, Any]:
     }
 
 
-def _check_host(host: str) -> None:
-    """Raise unless something can listen there; viser would wait for ever."""
-    try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind, protocol) as tried:
-            tried.bind(address)
-    except OSError as error:
-        raise ValueError(
-            f"--host: must be an address of this machine, got {host} ({error.strerror or error})"
-        ) from None
+def _free_port(host: str, port: int) -> int:
+    """The port, or the next that nothing listens at; viser would look for ever where the host or all ports are none.
+
+    Raises:
+        ValueError: nothing can listen at the host, or at no such port.
+    """
+    why = ""
+    for tried in range(port, min(port + PORTS, 1 << 16)):
+        try:
+            family, kind, protocol, _, address = socket.getaddrinfo(host, tried, type=socket.SOCK_STREAM)[0]
+            with socket.socket(family, kind, protocol) as listening:
+                if os.name == "posix":  # as viser does, whom ports that were in use a moment ago do not hinder
+                    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                listening.bind(address)
+            return tried
+        except OSError as error:
+            why = error.strerror or str(error)
+            if error.errno not in (errno.EADDRINUSE, errno.EACCES):
+                raise ValueError(f"--host: must be an address of this machine, got {host} ({why})") from None
+            if error.errno == errno.EACCES:
+                break
+    raise ValueError(f"--port: must be one at which this machine may listen, got {port} ({why})")

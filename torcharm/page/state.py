@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -317,9 +318,9 @@ def changed_task(state: State) -> bool:
     return (state.tip, state.payload, state.gravity, state.twists) != as_it_was
 
 
-def within(value: float, low: float, high: float) -> float | None:
+def within(value: Any, low: float, high: float) -> float | None:
     """A number brought into a range; None of what is none."""
-    return min(max(float(value), low), high) if math.isfinite(value) else None
+    return min(max(float(value), low), high) if isinstance(value, int | float) and math.isfinite(value) else None
 
 
 def round_up(value: float) -> float:

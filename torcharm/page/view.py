@@ -10,18 +10,21 @@ from torcharm.page.answers import Answer
 from torcharm.page.canvas import Canvas
 from torcharm.page.charts import Charts
 from torcharm.page.controls import Control, controls, same_controls
+from torcharm.page.framing import Framing, shape_of
 from torcharm.page.gizmo import LOAD, NOTHING, TIP, Gizmo
 from torcharm.page.saving import load, save
-from torcharm.page.scene import camera, draw
+from torcharm.page.scene import draw
 from torcharm.page.session import Session
 from torcharm.page.state import State
 
 CLOSE = 1e-9
 """A difference of a control's value that is rounding, as a share of it."""
-FIELD_OF_VIEW = 0.65
-"""Of the camera [rad]: narrow, so that what is near does not look much larger."""
 WIDTH = 340
 """Of the panel of results [pixels]."""
+LAST = 1e9
+"""The order of what stands below all else, also below what is built anew."""
+WIDE, LEAST = 1.5, 1150
+"""From which width over height and which width [pixels] on a window has room for a panel at each side of the arm."""
 
 
 class View:
@@ -45,13 +48,25 @@ class View:
         with (tab := panel.add_tab("Results")):
             self._results, self._note = client.gui.add_html(""), client.gui.add_html("")
             client.gui.add_html(words.legend())
-        panel.dock_left()
-        panel.set_width(WIDTH)
-        client.camera.fov = FIELD_OF_VIEW
+            client.gui.add_html(words.explanation(state.study.settings), order=LAST)
+        client.gui.main_panel.dock_right()
+        if shape_of(client.camera) >= WIDE and client.camera.image_width >= LEAST:
+            panel.dock_left()
+            panel.set_width(WIDTH)
+        else:
+            panel.dock_above(client.gui.main_panel)
+        panel.expand()  # on a telephone it would be closed
         self._tab = tab
         self.session = Session(state, self._show, self._tell)
         self._gizmo = Gizmo(client.scene, viser.transforms, self.session)
+        self._framing = Framing(client.camera, self.session.refresh)
         self.session.start()
+
+    def end(self) -> None:
+        """Say that the server ends, and do nothing any more. A browser keeps what it shows, dimmed."""
+        self.session.close()
+        self._results.content = words.ended()
+        self._client.flush()
 
     def _show(self, found: Answer) -> None:
         scene = draw(found)
@@ -59,6 +74,7 @@ class View:
             if self._built is None or not same_controls(found.state, self._built):
                 self._build(found.state)
             self._canvas.show(scene)
+            self._framing.show(scene, found.arm.dimension, self._gizmo.dragging)
             self._gizmo.show(found)
             self._results.content = words.results(found)
             self._charts.show(found)
@@ -69,7 +85,7 @@ class View:
         self._note.content = words.note(text)
 
     def _build(self, state: State) -> None:
-        """All controls of an arm and a task, in place of those before, and the view of the arm."""
+        """All controls of an arm and a task, in place of those before, and a view of that arm."""
         for root in self._roots:
             root.remove()
         gui, self._built = self._client.gui, state
@@ -83,9 +99,7 @@ class View:
             self._charts = Charts(gui, self._viser.uplot, state.named_arm.design.dimension)
         with self._folder(("Study",), folders):
             self._add_buttons()
-        position, target = camera(state)
-        view = self._client.camera
-        view.position, view.look_at, view.up_direction = position, target, (0.0, 1.0, 0.0)
+        self._framing.begin()
 
     def _folder(self, path: tuple[str, ...], folders: dict[tuple[str, ...], Any]) -> Any:
         """The folder of some names, from the outermost on, which is made where there is none."""
@@ -130,7 +144,9 @@ class View:
         if not same_controls(state, built):
             return state
         self._applied[control.key] = value
-        return control.write(state, value)
+        if told := control.beyond(value):
+            self._tell(told)
+        return control.moved(state, value)
 
     def _set_inputs(self, state: State) -> None:
         """Bring the browser's controls to what the state says, where they are not."""
@@ -159,6 +175,7 @@ class View:
         )
 
     def _add_buttons(self) -> None:
+        self._button("fit the view", "So that all of the arm is seen.", self._fit)
         self._button("save the study", f"To {self._out}.", self._save)
         self._button("load what was saved", f"From {self._out}.", self._load)
         self._button("undo", "The last change.", self.session.undo)
@@ -169,6 +186,10 @@ class View:
             work()
 
         self._client.gui.add_button(label, hint=hint).on_click(clicked)
+
+    def _fit(self) -> None:
+        self._framing.begin()
+        self.session.refresh()
 
     def _save(self) -> None:
         """In the session's thread, when all that was moved before is in the state."""

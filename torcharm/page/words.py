@@ -1,11 +1,14 @@
 """What a page says of an answer, as HTML: whatever comes from a study is escaped."""
 
 import math
+from collections.abc import Iterator
 from html import escape
 
 from torcharm.inputs import three_digits
 from torcharm.page.answers import Answer
 from torcharm.page.scene import BLACK, COLOURS, VERMILLION
+from torcharm.study import Settings
+from torcharm.study.words import CHANGE, HELD_OUTSIDE, as_one_distance
 
 MEANINGS = {
     "held": "within the tolerance, and stable",
@@ -25,8 +28,7 @@ def results(found: Answer) -> str:
         f'<div style="font-size:1.25em;font-weight:700;color:rgb{ink}">{escape(found.verdict)}</div>',
         f"<div>{escape(_meaning(found))}</div>",
     ]
-    if found.reason:
-        parts.append(f"<div>{escape(found.reason)}</div>")
+    parts += [f"<div>{escape(said)}</div>" for said in (found.reason, *_explained(found)) if said]
     parts += [f'<div style="color:rgb{VERMILLION}">{escape(warning)}</div>' for warning in found.warnings]
     rows = "".join(
         f'<tr><td style="padding-right:0.8em">{escape(name)}</td><td style="text-align:right">{escape(value)}</td>'
@@ -34,6 +36,14 @@ def results(found: Answer) -> str:
         for name, value, unit in _numbers(found)
     )
     return f'<div style="{TOP}">{"".join(parts)}<table style="margin-top:0.3em">{rows}</table></div>'
+
+
+def _explained(found: Answer) -> Iterator[str]:
+    """What would else puzzle."""
+    if "change from the base" in found.reason:
+        yield f"{CHANGE.capitalize()}."
+    if found.verdict == "held" and found.margins.min() < 0:
+        yield f"{HELD_OUTSIDE.capitalize()}."
 
 
 def _meaning(found: Answer) -> str:
@@ -66,16 +76,32 @@ def _signed(value: float) -> str:
 
 
 def legend() -> str:
-    """What the colours of the arm and its shade mean."""
+    """What the colours of the arm mean."""
     stops = ", ".join(
         f"rgb({', '.join(str(round(255 * part)) for part in COLOURS(share)[:3])})"
         for share in (0.0, 0.25, 0.5, 0.75, 1.0)
     )
     return (
         f'<div style="{TOP}"><div style="display:flex;align-items:center;gap:0.5em;padding-right:0.8em">no pressure'
-        f'<span style="flex:1;height:0.8em;background:linear-gradient(to right, {stops})"></span>its limit</div>'
-        "<div>Grey shade and black line: the shape that is asked for. Margins: 1 N·m counts as 1 N, unless the study "
-        "weighs them otherwise. Actuators and nodes count from 1.</div></div>"
+        f'<span style="flex:1;height:0.8em;background:linear-gradient(to right, {stops})"></span>its limit</div></div>'
+    )
+
+
+def explanation(settings: Settings) -> str:
+    """What else there is to know of the picture and the numbers."""
+    return (
+        f'<div style="{TOP}">'
+        "<div>Grey shade and black line: the shape that is asked for. Actuators and nodes count from 1.</div>"
+        "<div>Margin: how far inside of what pressures can give a node lies what it needs at that shape; below 0 it "
+        f"lacks that much, force and moment together, {escape(as_one_distance(settings))}.</div></div>"
+    )
+
+
+def ended() -> str:
+    """What is left to say once the server has ended."""
+    return (
+        f'<div style="{TOP}"><div style="font-size:1.25em;font-weight:700;color:rgb{VERMILLION}">This page has ended'
+        "</div><div>torcharm explore was stopped in its terminal: start it again, and reload this page.</div></div>"
     )
 
 

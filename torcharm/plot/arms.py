@@ -52,7 +52,9 @@ SEEN: dict[str, Any] = {
     "zorder": 6,
     "bbox": {"facecolor": "white", "edgecolor": "none", "alpha": 0.8},
 }
-"""How words look that may lie over a shape."""
+"""How words look that stand above a shape."""
+WORDS = 0.4
+"""Above a shape, as a share of its size, the room for words on why no arm is drawn at it."""
 LEAST_SIDE = 0.5
 """Of the longest side of a box in space, the shortest that has room for its numbers."""
 CORNER = 0.2
@@ -141,7 +143,8 @@ def draw_wanted(axes: Any, arm: Arm, task: Task, words: str) -> None:
     wanted = centreline(arm, task.twists, task)
     draw_plate(axes, wanted.segments[0][0], PLATE, "base")
     _draw_line(axes, wanted.points, ATTAINABLE, "-", "full", ("task", "its tip"))
-    _limit(axes, wanted.points, PLATE)
+    above = wanted.points.max(0) + WORDS * float(np.ptp(wanted.points, 0).max()) * np.array([0.0, 1.0, 0.0])
+    _limit(axes, np.concatenate((wanted.points, above[None])), PLATE)
     place = axes.text2D if axes.name == "3d" else axes.text
     place(0.5, 0.97, textwrap.fill(words, 40), transform=axes.transAxes, **SEEN)
 

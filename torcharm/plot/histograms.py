@@ -14,6 +14,11 @@ from torcharm.plot._common import ARM_COLOURS, ARM_LINES, PLAIN, VERDICT_STYLES,
 
 BINS = 24
 """Of the histograms of several arms, which share them."""
+NEAR = "missed by turn or shape"
+"""Of loads whose tip's place is within the tolerance, and yet they are missed."""
+BARS = {word: (colour, 1.0, filled) for word, (colour, _, filled) in VERDICT_STYLES.items()}
+BARS |= {NEAR: (VERDICT_STYLES["missed"][0], 0.35, True)}
+"""Of verdicts colour, how opaque they are, and whether they are filled."""
 LEAST = 0.01
 """What the tip is off by less [mm] is counted there: a logarithmic axis has no zero."""
 
@@ -68,6 +73,8 @@ def tip_error_edges(evaluated: Sequence[Attainability]) -> Array:
 def draw_tip_errors(axes: Axes, found: Attainability, edges: Array) -> int:
     """How far off the tip is predicted over the loads: bars by verdict, the median and the tolerance as lines.
 
+    Of those missed, where the tip is within the tolerance, but turned too far or the shape too far off, bars are faint.
+
     Args:
         axes: 2-D ones.
         found: of one arm, with a predicted error.
@@ -76,13 +83,14 @@ def draw_tip_errors(axes: Axes, found: Attainability, edges: Array) -> int:
     Returns:
         How many loads have no error, as no shape was found: they are in no bar.
     """
-    errors, words = _tip_errors(found), np.ravel(np.asarray(found.verdict))
+    errors, words, tolerance = _tip_errors(found), np.ravel(np.asarray(found.verdict)), _tolerance(found)
+    words = np.where((words == "missed") & (errors <= tolerance), NEAR, words)
     known = np.isfinite(errors)
     below = np.zeros(len(edges) - 1)
-    for word, (colour, _, filled) in VERDICT_STYLES.items():
+    for word, (colour, alpha, filled) in BARS.items():
         counts = np.histogram(errors[known & (words == word)], edges)[0]
         if counts.any():
-            inks: dict[str, Any] = {"facecolor": colour} if filled else {"facecolor": "none", "hatch": "////"}
+            inks: dict[str, Any] = {"facecolor": (colour, alpha)} if filled else {"facecolor": "none", "hatch": "////"}
             full = counts > 0
             left, wide = edges[:-1][full], np.diff(edges)[full]
             axes.bar(left, counts[full], wide, below[full], align="edge", edgecolor=colour, label=word, **inks)
@@ -90,8 +98,9 @@ def draw_tip_errors(axes: Axes, found: Attainability, edges: Array) -> int:
     if known.any():
         middle = float(np.median(np.where(known, errors, np.inf)))
         if np.isfinite(middle):
-            axes.axvline(middle, color="#0072B2", linewidth=2, label=f"median, {three_digits(middle)} mm")
-    tolerance = _tolerance(found)
+            name = "median, " if len(errors) > 1 else "tip off, "
+            name += "at most " if middle <= LEAST else ""
+            axes.axvline(middle, color="#0072B2", linewidth=2, label=f"{name}{three_digits(middle)} mm")
     axes.axvline(tolerance, color="black", linestyle=":", label=f"tolerance, {three_digits(tolerance)} mm")
     axes.set(xscale="log", xlim=(edges[0], edges[-1]), xlabel="tip off by [mm]", ylabel="number of loads")
     close = edges[-1] < 100 * edges[0]  # few powers of ten to be named

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.colors import CenteredNorm, Normalize, TwoSlopeNorm
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from torch import Tensor
@@ -27,6 +28,8 @@ AZIMUTH = "azimuth of the force [°] (0 right, 90 to the viewer)"
 ELEVATION = "elevation of the force [°] (90 up)"
 BANDS = 24
 """Shades of a map."""
+HALO = [withStroke(linewidth=4, foreground="white")]
+"""Around lines and marks, so that they are seen on any shade."""
 SIGNED_COLOURS, POSITIVE_COLOURS, LOST_COLOUR = "PuOr_r", "cividis", "#BBBBBB"
 
 
@@ -146,7 +149,8 @@ def load_map(
     if bar:
         colour_bar(axes.figure, shades, axes, f"{quantity} [{unit}]" if unit else quantity, contour if drawn else None)
     if drawn:
-        axes.contour(x, y, shown, levels=[contour], colors="black", linewidths=2.2)
+        line = axes.contour(x, y, shown, levels=[contour], colors="black", linewidths=2.2)
+        line.set_path_effects(HALO)
         axes.plot(
             [], [], color="black", linewidth=2.2, label=contour_label or f"{quantity} = {contour:g} {unit}".rstrip()
         )
@@ -220,7 +224,7 @@ def _label(axes: Axes, labels: tuple[str, str]) -> None:
     if labels[0] == AZIMUTH:
         axes.set(xticks=range(-180, 181, 45), yticks=range(-90, 91, 30))
     else:
-        axes.plot(0, 0, "+", color="black", markersize=9, label="no load")
+        axes.plot(0, 0, "+", color="black", markersize=9, label="no load", path_effects=HALO)
     axes.set(xlabel=labels[0], ylabel=labels[1])
     axes.set_aspect("equal")
     if axes.get_legend_handles_labels()[0]:

@@ -13,6 +13,7 @@ from torcharm.attainability import VERDICTS
 from torcharm.inputs import three_digits
 from torcharm.plot import VERDICT_STYLES
 from torcharm.report.content import Column, Count
+from torcharm.report.svg import themed
 from torcharm.statics.balance import segments_of
 from torcharm.study import NamedArm, StudyResult, csv_text, summarise
 from torcharm.study.results import DEG, MM
@@ -102,7 +103,7 @@ def _verdicts(results: Sequence[StudyResult], loads: int) -> Iterator[Measure]:
     counted = Counter[str]()
     for summary in summaries:
         counted.update(summary.verdicts or {})
-    bar = [Count(word, counted[word], VERDICT_STYLES[word][0]) for word in VERDICTS if counted[word]]
+    bar = [Count(word, counted[word], themed(VERDICT_STYLES[word][0])) for word in VERDICTS if counted[word]]
     yield Measure("loads by verdict", "", "", None, bar)
     for word in VERDICTS:
         yield Measure("", "", word.replace(" ", "_"), counted[word])
@@ -117,8 +118,9 @@ def _errors(results: Sequence[StudyResult], title: str, name: str, scale: float)
     unit, ending = ("mm", "mm") if scale == MM else ("°", "deg")
     yield Measure(f"{title}, median", unit, f"{name}_median_{ending}", _finite(np.median(errors)))
     if name == "tip_error":
-        most = np.quantile(errors, MOST, method="higher")  # a load's own: between an error and none there is no number
-        yield Measure(f"{title}, {100 * MOST:.0f} %", unit, f"{name}_{100 * MOST:.0f}_percent_{ending}", _finite(most))
+        # A load's own: between an error and none there is no number.
+        most, share = np.quantile(errors, MOST, method="higher"), f"{100 * MOST:.0f}"
+        yield Measure(f"{title}, {share}\N{NO-BREAK SPACE}%", unit, f"{name}_{share}_percent_{ending}", _finite(most))
         yield Measure(f"{title}, largest", unit, f"{name}_largest_{ending}", _finite(errors.max()))
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from torcharm.attainability.verdict import over_tolerance
 from torcharm.plot import ARM_COLOURS
 from torcharm.plot._common import array, projection_of
 from torcharm.plot.histograms import draw_tip_errors, tip_error_edges
@@ -25,14 +26,17 @@ WIDE = 9.5
 """Width of one that stands alone."""
 LEGEND = 7.5
 """Size of its text [pt]: two entries beside each other."""
-FEWEST = 2
-"""Loads that a histogram is drawn of."""
+MISSED_BY = ("the tip's place", "the tip's turn", "the shape")
+"""The errors that verdicts are by, in their order."""
 
 
 def new_axes(height: float, projection: str = "rectilinear") -> Any:
     """Axes in a figure of their own, whose height is given over its width."""
     width = IN_SPACE if projection == "3d" else PANEL
-    return Figure(figsize=(width, height * width), layout="constrained").add_subplot(projection=projection)
+    axes: Any = Figure(figsize=(width, height * width), layout="constrained").add_subplot(projection=projection)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis) if projection == "3d" else ():
+        axis.set_pane_color((1.0, 1.0, 1.0, 0.0))  # a grey that would be in the way in the dark
+    return axes
 
 
 def to_panel(figure: Any, result: StudyResult, evaluated: Evaluated, what: str, caption: str) -> Panel:
@@ -54,13 +58,13 @@ def arm_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Iterator
     if results[0].task.task.dimension == 2:
         share_limits([axes for _, axes, _ in drawn])
     for result, axes, shown in drawn:
-        caption = f"under load {shown + 1} of {result.loads}, of the median error" if shown is not None else ""
+        caption = f"under load {shown + 1} of {result.loads}" if shown is not None and result.loads > 1 else ""
         yield to_panel(axes.figure, result, evaluated, "arm", caption)
 
 
 def error_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Iterator[Panel]:
     """How far off each design's tip is over the loads of one task, over the same bins."""
-    known = [one for one in results if one.attainability.prediction is not None and one.loads >= FEWEST]
+    known = [one for one in results if _has_errors(one)]
     edges = tip_error_edges([one.attainability for one in known]) if known else None
     drawn = []
     for result in known:
@@ -71,8 +75,25 @@ def error_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Iterat
     highest = max((axes.get_ylim()[1] for _, axes, _ in drawn), default=1.0)
     for result, axes, lost in drawn:
         axes.set_ylim(0, highest)
-        words = f"without a number, as no shape was found: {lost} of {result.loads}"
-        yield to_panel(axes.figure, result, evaluated, "errors", words if lost else "")
+        said = [f"without a number, as no shape was found: {lost} of {result.loads}"] if lost else []
+        yield to_panel(axes.figure, result, evaluated, "errors", "; ".join((*_missed_by(result), *said)))
+
+
+def _has_errors(result: StudyResult) -> bool:
+    """Whether a shape was found for any load."""
+    error = result.attainability.tip_error
+    return error is not None and bool(error.isfinite().any())
+
+
+def _missed_by(result: StudyResult) -> Iterator[str]:
+    """By which error, the largest over its tolerance, loads are missed; of several, counted."""
+    found, words = result.attainability, np.asarray(result.verdicts)
+    assert found.prediction is not None
+    over = array(over_tolerance(result.arm.design, found.prediction, found.tolerance)).reshape(len(MISSED_BY), -1)
+    worst = over[:, words == "missed"].argmax(0).tolist()
+    if worst:
+        counts = [(name, f" {worst.count(place)}") for place, name in enumerate(MISSED_BY) if place in worst]
+        yield f"missed by {', '.join(name + count * (result.loads > 1) for name, count in counts)}"
 
 
 def hull_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Iterator[Panel]:

@@ -5,12 +5,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from matplotlib.patheffects import withStroke
 from torch import Tensor
 
 from torcharm.attainability import PREDICTED, VERDICTS, evaluate
 from torcharm.plot._common import VERDICT_STYLES, array, mark_inks, pick
-from torcharm.plot.loads import attainable_load_map, load_grid, load_map
+from torcharm.plot.loads import HALO, attainable_load_map, load_grid, load_map
 from torcharm.plot.median_case import is_lost, median_case
 from torcharm.report.content import Evaluated, Panel
 from torcharm.report.figures import new_axes, put_legend_below, to_panel
@@ -25,8 +24,6 @@ USUAL = 10.0
 """How far it reaches where the study's loads have no force [N]."""
 HIGHEST = 4.0
 """Tolerances at which the shades of errors end: what is further off is far off."""
-HALO = [withStroke(linewidth=2.5, foreground="white")]
-"""Around marks, so that they are seen on any shade."""
 PLANES = {(0, 1): "xy", (0, 2): "xz", (1, 2): "zy"}
 """Of components of forces in space, those that differ most in a study, and the plane of `load_grid`."""
 

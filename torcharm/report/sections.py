@@ -14,7 +14,7 @@ from torcharm.report.load_maps import load_map_panels
 from torcharm.study import Study, StudyResult, csv_text, result_rows, summarise
 from torcharm.study.advice import advice
 from torcharm.study.built import built_rows
-from torcharm.study.words import next_commands, verdict_legend, worst_node_legend
+from torcharm.study.words import CHANGE, HELD_OUTSIDE, next_commands, verdict_legend, weighing_legend, worst_node_legend
 
 Panels = Callable[[Sequence[StudyResult], Evaluated], Iterable[Panel]]
 
@@ -51,6 +51,19 @@ def _legend(evaluated: Evaluated) -> Iterator[str]:
         yield worst_node_legend(settings)
     if evaluated.results[0].attainability.capacity_margin is not None:
         yield "least margin: from what loads require of nodes to the boundary of what pressures give; above 0 inside."
+        if any(map(_held_outside, evaluated.results)):
+            yield f"{HELD_OUTSIDE}."
+    yield weighing_legend(settings)
+    if any("change from the base" in reason for result in evaluated.results for reason in result.reasons):
+        yield f"{CHANGE}."
+
+
+def _held_outside(result: StudyResult) -> bool:
+    """Whether a load is held whose margin is below 0."""
+    found = result.attainability
+    assert found.capacity_margin is not None
+    margins = found.capacity_margin.ravel().tolist()
+    return any(word == "held" and margin < 0 for word, margin in zip(result.verdicts or (), margins, strict=False))
 
 
 def next_steps(evaluated: Evaluated) -> Section | None:
@@ -67,21 +80,27 @@ def next_steps(evaluated: Evaluated) -> Section | None:
 
 def arms(evaluated: Evaluated) -> Section | None:
     """The arms where they are predicted to be."""
-    predicted = "The task's centreline is solid, the one reached dashed; under each design's load of the median error."
+    predicted = (
+        "The task's centreline is solid, the one reached dashed. Of several loads, the one whose errors, over their "
+        "tolerances, are the median of that design's."
+    )
     text = predicted if evaluated.predicted else "Each design at the task's shape, with all of its loads."
     return _drawn(evaluated, "Arms", text, arm_panels, in_space=2)
 
 
 def errors(evaluated: Evaluated) -> Section | None:
     """Histograms of the tip's error."""
-    text = "Under how many loads the tip is predicted to be how far off; bars not filled: figures not to be relied on."
+    text = (
+        "Under how many loads the tip is predicted to be how far off. Faint bars: it is near enough, but turned too "
+        "far, or the shape is too far off. Bars not filled: figures not to be relied on."
+    )
     return _drawn(evaluated, "Tip errors", text, error_panels)
 
 
 def load_maps(evaluated: Evaluated) -> Section | None:
     """Maps over tip forces."""
     predicted = (
-        "How far off each design is at the task's shape under tip forces without a moment: within the black line all "
+        "How far off each design is at the task's shape under tip forces without a moment: within the line all "
         "errors are within the tolerance."
     )
     sets = "Which tip forces, without a moment, each design bears at the task's shape, as far as sets can tell."

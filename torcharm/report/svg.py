@@ -10,7 +10,14 @@ from matplotlib.figure import Figure
 
 DOTS = 144
 """Per inch of what is kept as an image: shades of maps and bodies in space, which as outlines are megabytes."""
+THEMED = {"#000000": "currentColor", "#ffffff": "var(--paper)", "#882255": "var(--wine)", "#555555": "var(--link)"}
+"""Colours that would not be seen in the dark, and what the page's style has for them."""
 NO_METADATA = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+
+
+def themed(colour: str) -> str:
+    """A colour such as #0072B2 as the page has it in the light and in the dark."""
+    return THEMED.get(colour.lower(), colour)
 
 
 def inline_svg(figure: Figure, name: str, words: str) -> Markup:
@@ -25,7 +32,7 @@ def inline_svg(figure: Figure, name: str, words: str) -> Markup:
     """
     for axes in figure.axes:
         for artist in axes.collections:
-            if axes.name == "3d" or isinstance(artist, ContourSet):
+            if axes.name == "3d" or (isinstance(artist, ContourSet) and artist.filled):
                 artist.set_rasterized(True)
     file = io.StringIO()
     with matplotlib.rc_context({"svg.fonttype": "path", "svg.hashsalt": name}):
@@ -36,6 +43,7 @@ def inline_svg(figure: Figure, name: str, words: str) -> Markup:
     referred = set(re.findall(r'(?:href="#|url\(#)([^")]+)', text))
     text = re.sub(r' id="([^"]*)"', lambda found: found[0] if found[1] in referred else "", text)
     text = re.sub(r'( id="|href="#|url\(#)', rf"\g<1>{name}-", text)
+    text = re.sub(r"(?<=(?:fill|roke): )#[0-9a-f]{6}", lambda found: themed(found[0]), text)
     text = re.sub(r"\s*\n\s*", "\n", text)
     wide = 96 * figure.get_figwidth()
     start = f'<svg role="img" aria-label="{escape(words)}" style="max-width:{wide:.0f}px"'

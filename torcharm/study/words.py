@@ -13,6 +13,15 @@ MEANINGS = {
     "impossible": "an actuator would have no length",
 }
 
+# What puzzles beside results, in a sentence that begins in the middle of a line or, with a capital, on its own.
+HELD_OUTSIDE = (
+    "held beside a margin below 0: the margin is that of the exact shape, and held allows a shape within the tolerance"
+)
+CHANGE = (
+    "change from the base: a segment's nodes share its pressures, so these have to give each node what it needs beyond "
+    "the first"
+)
+
 
 def why_not(summary: Summary, load: int, verdict: str, reason: str) -> str:
     """The sentence on the load that stands for those not held, after the arm's name."""
@@ -44,6 +53,11 @@ def as_one_distance(settings: Settings) -> str:
     """How forces and moments are one distance."""
     force, moment = settings.weights
     return "1 N·m as 1 N" if force == moment == 1 else f"{force:g} f² + {moment:g} m²"
+
+
+def weighing_legend(settings: Settings) -> str:
+    """How moments come into newtons, in a line."""
+    return f"{as_one_distance(settings)}: so do moments count beside forces in what nodes lack, and in margins."
 
 
 def next_commands(study: str, results: Sequence[StudyResult]) -> Iterator[tuple[str, str]]:
