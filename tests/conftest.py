@@ -1,6 +1,16 @@
 """Shapes in signatures are checked at run time for as long as the tests run; tensors are small, so one thread does."""
 
+import os
+
+# numpy's and scipy's threads, and those of processes that tests start, would wait for one another
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("MKL_NUM_THREADS", "1")
+os.environ["MPLBACKEND"] = "Agg"  # figures open no window
+
+import pytest
 import torch
+import typecheck
 from hypothesis import HealthCheck, settings
 from jaxtyping import install_import_hook
 
@@ -13,6 +23,11 @@ settings.register_profile(
 settings.load_profile("torcharm")
 
 torch.set_num_threads(1)
+
+
+@pytest.fixture(autouse=True)
+def _signatures_are_checked_anew():
+    typecheck.check_again()
 
 
 def pytest_collection_modifyitems(items):
