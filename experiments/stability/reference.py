@@ -102,9 +102,9 @@ class Sections:
     limit: Array
     relative: bool
 
-    def wrench(self, pressure: Array) -> Array:
-        """(N, M, K, 2) what each actuator adds to the reaction at pressures (N, M, K)."""
-        own = self._wrench(self.strain, self.bending, pressure)
+    def wrench(self, pressure: Array, nodes: Any = slice(None)) -> Array:
+        """(K, M, S, 2) what each actuator adds to the reaction at pressures (K, M, S) of some of the nodes."""
+        own = self._wrench(self.strain[nodes], self.bending[nodes], pressure)
         return own - self._wrench(self.strain[:1], self.bending[:1], pressure) if self.relative else own
 
     def _wrench(self, strain: Array, bending: Array, pressure: Array) -> Array:
@@ -284,28 +284,31 @@ def curve_distance(point: Array, own: Sections) -> Array:
 
     Where the sampled sets are furthest from the point, every curve is sampled once more where it reaches
     furthest that way, until none reaches further: the sampled distance is an upper bound, the
-    line a lower one.
+    line a lower one. Nodes where these agree are left out of what follows.
     """
-    pressure = _grid(own, 9)
+    pressure, nodes, found = _grid(own, 9), np.arange(len(point)), np.zeros(len(point), Real)
     for _ in range(ROUNDS):
-        sets = own.wrench(pressure)
-        upper, direction = best_direction(point, sets)
-        more = furthest_pressure(own, direction)
+        sets, wanted = own.wrench(pressure, nodes), point[nodes]
+        upper, direction = best_direction(wanted, sets)
+        found[nodes] = np.maximum(upper, 0)
+        more = furthest_pressure(own, direction, nodes)
         pressure = np.concatenate((pressure, more[..., None]), -1)
-        reach = _reach(own.wrench(pressure), direction[:, None])[:, 0]
-        lower = (direction * point).sum(-1) - reach
-        open_ = np.maximum(upper, 0) - np.maximum(lower, 0) > 1e-14 * size(point, sets)
+        reach = _reach(own.wrench(pressure, nodes), direction[:, None])[:, 0]
+        lower = (direction * wanted).sum(-1) - reach
+        open_ = found[nodes] - np.maximum(lower, 0) > 1e-14 * size(wanted, sets)
         if not open_.any():
             break
-    return np.maximum(upper, 0)
+        pressure, nodes = pressure[open_], nodes[open_]
+    return found
 
 
-def furthest_pressure(own: Sections, direction: Array) -> Array:
-    """(N, M) pressures at which each actuator reaches furthest along directions (N, 2), by zooming in."""
-    low, high = np.zeros_like(own.strain), np.broadcast_to(own.limit, own.strain.shape)
+def furthest_pressure(own: Sections, direction: Array, nodes: Any = slice(None)) -> Array:
+    """(K, M) pressures at which each actuator of some nodes reaches furthest along directions (K, 2), by zooming in."""
+    low = np.zeros_like(own.strain[nodes])
+    high = np.broadcast_to(own.limit, low.shape)
     for count in (257, *(17,) * 16):
         grid = low[..., None] + (high - low)[..., None] * (np.arange(count, dtype=Real) / (count - 1))
-        reach = (own.wrench(grid) * direction[:, None, None]).sum(-1)
+        reach = (own.wrench(grid, nodes) * direction[:, None, None]).sum(-1)
         best = reach.argmax(-1)[..., None]
         low = np.take_along_axis(grid, np.maximum(best - 1, 0), -1)[..., 0]
         high = np.take_along_axis(grid, np.minimum(best + 1, count - 1), -1)[..., 0]
