@@ -24,6 +24,8 @@ ROUNDS = 24
 STEP = Real(2) ** -15
 """Largest relative step of the differences that derivatives are taken from."""
 CHUNK = 2_000_000
+GAP = 1e-14
+"""By this part of max|H - w| bounds of a distance from both sides may differ: derivatives are taken of it."""
 
 BELLOWS = (
     (1, 0, 10.47),
@@ -252,7 +254,13 @@ class Distances:
 
 
 def node_distances(
-    arm: ta.ArmDesign, task: ta.Task, metric: str, samples: int | None, radius: Real = ONE, length: Real = ONE
+    arm: ta.ArmDesign,
+    task: ta.Task,
+    metric: str,
+    samples: int | None,
+    radius: Real = ONE,
+    length: Real = ONE,
+    gap: float = GAP,
 ) -> Distances:
     """Distances from what a task requires to what a design can provide.
 
@@ -261,6 +269,7 @@ def node_distances(
         metric: "absolute" or "relative".
         samples: points on each curve, evenly spaced; None for the whole curve.
         radius, length: factors on radii and neutral lengths.
+        gap: the part of max|H - w| by which distances from whole curves may be off.
     """
     relative = metric == "relative"
     absolute = sections(arm, task, False, radius, length)
@@ -270,7 +279,7 @@ def node_distances(
     if relative:  # differences of numbers that large: their rounding is the unit of the error
         own, point, scale = sections(arm, task, True, radius, length), wanted - wanted[0], scale + scale[0]
     if samples is None:
-        return Distances(curve_distance(point, own), scale)
+        return Distances(curve_distance(point, own, gap), scale)
     return Distances(np.maximum(signed_distance(point, own.wrench(_grid(own, samples))), 0), scale)
 
 
@@ -279,7 +288,7 @@ def _grid(own: Sections, samples: int) -> Array:
     return np.broadcast_to(own.limit[:, None] * steps, (*own.strain.shape, samples))
 
 
-def curve_distance(point: Array, own: Sections) -> Array:
+def curve_distance(point: Array, own: Sections, gap: float = GAP) -> Array:
     """(N,) distances to the sums of whole curves.
 
     Where the sampled sets are furthest from the point, every curve is sampled once more where it reaches
@@ -295,7 +304,7 @@ def curve_distance(point: Array, own: Sections) -> Array:
         pressure = np.concatenate((pressure, more[..., None]), -1)
         reach = _reach(own.wrench(pressure, nodes), direction[:, None])[:, 0]
         lower = (direction * wanted).sum(-1) - reach
-        open_ = found[nodes] - np.maximum(lower, 0) > 1e-14 * size(wanted, sets)
+        open_ = found[nodes] - np.maximum(lower, 0) > gap * size(wanted, sets)
         if not open_.any():
             break
         pressure, nodes = pressure[open_], nodes[open_]
