@@ -25,6 +25,20 @@ settings.load_profile("torcharm")
 torch.set_num_threads(1)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _each_worker_compiles_its_own_part():
+    """Of the two kernels that take longest to compile: at once both workers would need, and compile, the same one."""
+    if os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1") == "1":
+        return
+    import torcharm as ta
+
+    arm = ta.antagonistic_arm()
+    if os.environ["PYTEST_XDIST_WORKER"] == "gw0":
+        ta.search_pressure(arm, ta.Task(ta.constant_curvature(0.1, nodes=2), [0.0] * 3), starts=1)
+    else:
+        ta.solve_equilibrium(arm, [0.0] * 4, [0.0] * 3, nodes=2)
+
+
 @pytest.fixture(autouse=True)
 def _signatures_are_checked_anew():
     typecheck.check_again()

@@ -1,7 +1,6 @@
 """The commands `torcharm optimise` and `torcharm plan`, run as a person runs them."""
 
 import csv
-import math
 import re
 import sys
 from collections.abc import Callable
@@ -11,11 +10,11 @@ from pathlib import Path
 
 import pytest
 import torch
+from commands import one_start, twists_of
 from standard_error import without_notice
 
 import torcharm as ta
 from torcharm import cli, files
-from torcharm.cli.plan import TWISTS
 from torcharm.design.objective import task_values
 from torcharm.inputs import three_digits
 from torcharm.study import load_study, moved_files, parse_study
@@ -88,13 +87,6 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
 
 FEW = STUDY.replace("starts = 2", "starts = 1").replace("iterations = 6", "iterations = 1")
-
-
-def twists_of(rows: list[dict[str, str]]) -> torch.Tensor:
-    """The shape in the rows that torcharm plan writes [m, rad]."""
-    names = TWISTS[3] if rows[0].get("twist_shear_mm") else TWISTS[6]
-    scale = torch.tensor([1e-3 if name.endswith("_mm") else math.pi / 180 for name in names]).double()
-    return scale * torch.tensor([[float(row[name]) for name in names] for row in rows]).double()
 
 
 def test_optimise_shows_and_saves_a_better_arm(run: Run, tmp_path: Path) -> None:
@@ -192,7 +184,10 @@ def test_models_of_a_study_are_found_from_where_the_best_arms_are_written(tmp_pa
     assert moved_files(("models/own.toml", None), study, tmp_path / "best.toml") == ("models/own.toml", None)
 
 
-def test_one_plan_without_a_shape_costs_only_its_own_row(run: Run, tmp_path: Path) -> None:
+def test_one_plan_without_a_shape_costs_only_its_own_row(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one_start(monkeypatch)
     far = '[[plan]]\nname = "far"\ntip_pose = [3.0, 3.0, 0.0]\ntip_load = [6.0, 0.0, 0.0]\nnodes = 3\n\n'
     answer = run("plan", "study.toml", "--out", "shapes.csv", text=STUDY.replace("[[plan]]", far + "[[plan]]"))
     assert answer.returncode == 0, answer.stderr
@@ -256,7 +251,7 @@ def test_a_failing_save_costs_no_result(run: Run, tmp_path: Path, monkeypatch: p
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(files, "_to_disk", full)
+    monkeypatch.setattr(files, "to_disk", full)
     (tmp_path / "best.csv").write_text("old")
     answer = run("optimise", "study.toml", "--out", "best.csv", "--checkpoint", "run.json", text=FEW)
     assert answer.returncode == 2

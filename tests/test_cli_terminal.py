@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numba
 import pytest
+from commands import invoke, mistake
 from standard_error import without_notice
-from test_cli import invoke, mistake
 from test_cli_optimise import STUDY
 from typer.testing import CliRunner
 

@@ -80,7 +80,8 @@ def test_shards_of_a_killed_process_are_done_again(tmp_path, undisturbed):
 
 def test_a_script_without_a_main_guard_is_told_so(tmp_path):
     script = tmp_path / "unguarded.py"
-    script.write_text(SCRIPT.format(here=str(Path(__file__).parent)).replace('if __name__ == "__main__":', "if True:"))
+    text = SCRIPT.format(here=str(Path(__file__).parent)).replace('if __name__ == "__main__":', "if True:")
+    script.write_text(f"from torcharm.sweeps import executors\nexecutors.ATTEMPTS = 1\n{text}")
     command = [sys.executable, script, str(tmp_path / "run"), "2"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode != 0
