@@ -5,18 +5,13 @@ The scenes and the extended-precision reference are those of experiments/stabili
 
 import importlib.util
 import math
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
 import torcharm as ta
-
-sys.path.insert(0, str(Path(__file__).parents[1]))  # plain pytest does not look there
-
 from experiments.stability import reference, run, scenes
 
 HAS_QPTH = importlib.util.find_spec("qpth") is not None

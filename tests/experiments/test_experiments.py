@@ -12,7 +12,7 @@ import pytest
 
 from experiments import runner
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 
 
 def command(*arguments, cwd=ROOT, timeout=600):
