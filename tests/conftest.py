@@ -32,10 +32,10 @@ def _each_worker_compiles_its_own_part():
         return
     import torcharm as ta
 
-    arm = ta.antagonistic_arm()
-    if os.environ["PYTEST_XDIST_WORKER"] == "gw0":
+    arm, worker = ta.antagonistic_arm(), os.environ["PYTEST_XDIST_WORKER"]
+    if worker == "gw0":
         ta.search_pressure(arm, ta.Task(ta.constant_curvature(0.1, nodes=2), [0.0] * 3), starts=1)
-    else:
+    elif worker == "gw1":
         ta.solve_equilibrium(arm, [0.0] * 4, [0.0] * 3, nodes=2)
 
 
