@@ -1,9 +1,8 @@
-"""The README: short, and its examples run and fit the types."""
+"""The README: short, and its examples run."""
 
 import re
 from pathlib import Path
 
-import pytest
 import torch
 
 ROOT = Path(__file__).parents[1]
@@ -42,16 +41,3 @@ def test_the_examples_run():
     assert bool((names["radius"].grad != 0).any())
     assert len(BLOCKS) >= 2
     assert isinstance(names["arm"].length, torch.Tensor)
-
-
-def test_the_examples_fit_the_types(tmp_path):
-    api = pytest.importorskip("mypy.api")
-    path = tmp_path / "readme.py"
-    path.write_text("\n".join(BLOCKS), encoding="utf-8")
-    options = ["--ignore-missing-imports", "--check-untyped-defs"]
-    options += [
-        "--disable-error-code",
-        "union-attr",
-    ]  # what was asked for is there, and nobody asks again in an example
-    said, errors, code = api.run([str(path), "--config-file=", *options])
-    assert (errors, code) == ("", 0), said

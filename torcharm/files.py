@@ -45,7 +45,7 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
             with suppress(OSError):
                 partial.chmod(stat.S_IMODE(target.stat().st_mode))
         yield partial
-        _to_disk(partial, os.O_RDWR)
+        to_disk(partial, os.O_RDWR)
         os.replace(partial, target)
     except OSError as error:
         if error.errno is not None and error.filename in (None, str(partial), partial):  # a person knows the target
@@ -56,7 +56,7 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
             partial.unlink(missing_ok=True)
     if os.name == "posix":
         with suppress(OSError):  # the file is whole already; some file systems cannot bring a folder to disk
-            _to_disk(target.parent, os.O_RDONLY)
+            to_disk(target.parent, os.O_RDONLY)
 
 
 def check_writable(path: StrPath, name: str = "") -> None:
@@ -139,7 +139,8 @@ def _reason(error: Exception) -> str:
     return str(getattr(error, "strerror", None) or error)
 
 
-def _to_disk(path: Path, flags: int) -> None:
+def to_disk(path: Path, flags: int) -> None:
+    """Wait until what was written to a file or a directory is on the disk."""
     handle = os.open(path, flags)
     try:
         os.fsync(handle)

@@ -30,7 +30,7 @@ SIDES, NODES = (0, 2, 4), [0, 4, 9]
 """Directions, as their numbers, and nodes whose sets are examined; by symmetry the other directions' are alike."""
 ALIKE = -0.06
 """The length at which every strain of every arm is characterised."""
-QUICK_ARMS = 4
+QUICK_ARMS = 2
 
 
 def main() -> None:
@@ -42,9 +42,9 @@ def main() -> None:
     from experiments.antagonism_in_space import figure
 
     arms = dict(list(scenes.arms().items())[: QUICK_ARMS if quick else None])
-    lengths = [row for name, arm in arms.items() for row in by_length(name, arm, 3 if quick else COARSE)]
+    lengths = [row for name, arm in arms.items() for row in by_length(name, arm, 1 if quick else COARSE)]
     best = {name: suiting(lengths, name) for name in arms}
-    count = 4 if quick else scenes.DIRECTIONS
+    count = 2 if quick else scenes.DIRECTIONS
     results = [row for name, arm in arms.items() for row in by_task(name, arm, best[name], count, 2)]
     sets = [row for name, arm in arms.items() for row in by_set(name, arm, best[name], quick)]
     bodies = [row for name, arm in arms.items() for row in by_body(name, arm, best[name], quick)]

@@ -66,7 +66,7 @@ def synthetic(quick: bool) -> Iterator[list[Measurement]]:
         "the same, errors as if it were white": (Noise(), 55.0, {"correlated": 1}),
         "the same, the paper's smoothing": (Noise(), 440.0, {}),
     }
-    repeats = 3 if quick else 60
+    repeats = 1 if quick else 60
     missed: dict[str, list[Any]] = {name: [] for name in cases}
     with tempfile.TemporaryDirectory() as folder:
         for seed in track(range(repeats), "synthetic recordings", transient=True):
@@ -273,7 +273,7 @@ def uncertainty(spread: Any) -> list[Measurement]:
 
 def check_gradient(model: ta.FittedActuator, spread: Any, quick: bool) -> list[Measurement]:
     part, rows = "the same deviations by drawing coefficients", []
-    loads, draws = (3, 20) if quick else (20, 200)
+    loads, draws = (3, 4) if quick else (20, 200)
     drawn = drawn_deviation(model, loads, draws)
     for key, found in spread.items():
         ratio = found.deviation[:loads] / drawn[key]

@@ -29,12 +29,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Problems:
-    """DESIGNS × TASKS × NODES problems of one kind.
+    """B designs × P tasks × NODES problems of one kind.
 
     Attributes:
-        radii: (DESIGNS, 4) or, in space, offsets (DESIGNS, 4, 2) [m]; gradients are taken in them.
-        length: (DESIGNS, 1) [m].
-        task: TASKS shapes, each with a load.
+        radii: (B, 4) or, in space, offsets (B, 4, 2) [m]; gradients are taken in them.
+        length: (B, 1) [m].
+        task: P shapes, each with a load.
     """
 
     radii: Tensor
@@ -48,10 +48,15 @@ class Problems:
         places: dict[str, Any] = {"radii" if where.ndim == 2 else "offsets": where}
         return ta.ArmDesign(**places, length=self.length[: len(where)], actuators=models)
 
+    def first(self, designs: int, tasks: int) -> "Problems":
+        """Those of the first so many."""
+        task = paper_task(self.task.twists[:tasks], self.task.tip_load[:tasks])
+        return Problems(self.radii[:designs], self.length[:designs], task)
+
 
 @cache
 def problems(space: str) -> Problems:
-    """Arms like the paper's antagonistic one; in space the four sit around the backbone."""
+    """All: of arms like the paper's antagonistic one; in space the four sit around the backbone."""
     rng = np.random.default_rng(5)
     flat = space == "plane"
     size = rng.uniform([0.04, 0.01], [0.10, 0.03], (DESIGNS, 2))
@@ -75,14 +80,14 @@ def problems(space: str) -> Problems:
 
 
 @cache
-def reference(space: str, metric: str) -> tuple[Array, Array]:
-    """Lower bounds of the distances (DESIGNS, TASKS, NODES), which are theirs to rounding, and max|H - w|.
+def reference(space: str, metric: str, designs: int = DESIGNS, tasks: int = TASKS) -> tuple[Array, Array]:
+    """Lower bounds of the distances (B, P, N), which are theirs to rounding, and max|H - w|, of the first B and P.
 
     Of any direction n, `n·w - Σ_α max_p n·c_α(p)` is a lower bound. The engine only says in which direction to look;
     that each maximum is one is found by a scan of the models' own forces, and the difference between an answer and
     the bound is an error that the answer may have.
     """
-    given, relative = problems(space), metric == "relative"
+    given, relative = problems(space).first(designs, tasks), metric == "relative"
     grid = design_task_grid(given.arm(), given.task)
     everything = slice(None)
     sections = grid.sections(0, everything, everything)

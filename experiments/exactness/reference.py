@@ -173,8 +173,9 @@ def _nearest(points: list[Array]) -> tuple[Array, list[Array]]:
 
 
 def _reached(sets: Sets, directions: Array, size: float) -> list[Array]:
-    """Points of the set furthest along directions (K, D), seen from the target, as parts of a size."""
-    return [support(sets, d[None] / np.linalg.norm(d))[1][0].astype(float) / size for d in directions]
+    """Points of the one set furthest along directions (K, D), seen from the target, as parts of a size."""
+    unit = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+    return list(support(sets.those(np.zeros(len(unit), int)), unit)[1].astype(float) / size)
 
 
 def margin(sets: Sets, size: float, gap: float = 1e-8) -> tuple[float, float]:

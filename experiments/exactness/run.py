@@ -28,9 +28,9 @@ from experiments.rows import write_rows
 from torcharm.wrench_sets.distance import NearestPoints, evaluate_distance, find_nearest
 
 HERE = Path(__file__).parent
-PROBLEMS, QUICK_PROBLEMS = 100_000, 60
+PROBLEMS, QUICK_PROBLEMS = 100_000, 12
 """In each dimension."""
-TOGETHER, QUICK_TOGETHER = 500, 20
+TOGETHER, QUICK_TOGETHER = 500, 6
 """Problems with the same force models, which are made and solved at once."""
 MOST_ACTUATORS = 12
 MARGINS = 3
@@ -101,8 +101,7 @@ def compare(job: tuple[int, int, int]) -> Row:
     torch.set_num_threads(1)
     dimension, seed, count = job
     generator = np.random.default_rng((dimension, seed))
-    # half of all are ordinary; every family has its turn
-    family = FAMILIES[0] if seed % 2 else FAMILIES[1 + seed // 2 % (len(FAMILIES) - 1)]
+    family = family_of(seed)
     names = tuple(generator.choice(list(PAIRS), size=generator.integers(1, MOST_ACTUATORS + 1)).tolist())
     problems = make(family, dimension, count, generator, names)
     found, value, lost = answers(problems)
@@ -128,6 +127,11 @@ def compare(job: tuple[int, int, int]) -> Row:
         len(depth),
         max(depth, default=0.0),
     )
+
+
+def family_of(seed: int) -> str:
+    """Half of all are ordinary; every family has its turn."""
+    return FAMILIES[0] if seed % 2 else FAMILIES[1 + seed // 2 % (len(FAMILIES) - 1)]
 
 
 def answers(problems: Problems) -> tuple[NearestPoints, Array, Array]:

@@ -24,6 +24,8 @@ ROUNDS = 24
 STEP = Real(2) ** -15
 """Largest relative step of the differences that derivatives are taken from."""
 CHUNK = 2_000_000
+GAP = 1e-14
+"""By this part of max|H - w| bounds of a distance from both sides may differ: derivatives are taken of it."""
 
 BELLOWS = (
     (1, 0, 10.47),
@@ -102,9 +104,9 @@ class Sections:
     limit: Array
     relative: bool
 
-    def wrench(self, pressure: Array) -> Array:
-        """(N, M, K, 2) what each actuator adds to the reaction at pressures (N, M, K)."""
-        own = self._wrench(self.strain, self.bending, pressure)
+    def wrench(self, pressure: Array, nodes: Any = slice(None)) -> Array:
+        """(K, M, S, 2) what each actuator adds to the reaction at pressures (K, M, S) of some of the nodes."""
+        own = self._wrench(self.strain[nodes], self.bending[nodes], pressure)
         return own - self._wrench(self.strain[:1], self.bending[:1], pressure) if self.relative else own
 
     def _wrench(self, strain: Array, bending: Array, pressure: Array) -> Array:
@@ -252,7 +254,13 @@ class Distances:
 
 
 def node_distances(
-    arm: ta.ArmDesign, task: ta.Task, metric: str, samples: int | None, radius: Real = ONE, length: Real = ONE
+    arm: ta.ArmDesign,
+    task: ta.Task,
+    metric: str,
+    samples: int | None,
+    radius: Real = ONE,
+    length: Real = ONE,
+    gap: float = GAP,
 ) -> Distances:
     """Distances from what a task requires to what a design can provide.
 
@@ -261,6 +269,7 @@ def node_distances(
         metric: "absolute" or "relative".
         samples: points on each curve, evenly spaced; None for the whole curve.
         radius, length: factors on radii and neutral lengths.
+        gap: the part of max|H - w| by which distances from whole curves may be off.
     """
     relative = metric == "relative"
     absolute = sections(arm, task, False, radius, length)
@@ -270,7 +279,7 @@ def node_distances(
     if relative:  # differences of numbers that large: their rounding is the unit of the error
         own, point, scale = sections(arm, task, True, radius, length), wanted - wanted[0], scale + scale[0]
     if samples is None:
-        return Distances(curve_distance(point, own), scale)
+        return Distances(curve_distance(point, own, gap), scale)
     return Distances(np.maximum(signed_distance(point, own.wrench(_grid(own, samples))), 0), scale)
 
 
@@ -279,33 +288,36 @@ def _grid(own: Sections, samples: int) -> Array:
     return np.broadcast_to(own.limit[:, None] * steps, (*own.strain.shape, samples))
 
 
-def curve_distance(point: Array, own: Sections) -> Array:
+def curve_distance(point: Array, own: Sections, gap: float = GAP) -> Array:
     """(N,) distances to the sums of whole curves.
 
     Where the sampled sets are furthest from the point, every curve is sampled once more where it reaches
     furthest that way, until none reaches further: the sampled distance is an upper bound, the
-    line a lower one.
+    line a lower one. Nodes where these agree are left out of what follows.
     """
-    pressure = _grid(own, 9)
+    pressure, nodes, found = _grid(own, 9), np.arange(len(point)), np.zeros(len(point), Real)
     for _ in range(ROUNDS):
-        sets = own.wrench(pressure)
-        upper, direction = best_direction(point, sets)
-        more = furthest_pressure(own, direction)
+        sets, wanted = own.wrench(pressure, nodes), point[nodes]
+        upper, direction = best_direction(wanted, sets)
+        found[nodes] = np.maximum(upper, 0)
+        more = furthest_pressure(own, direction, nodes)
         pressure = np.concatenate((pressure, more[..., None]), -1)
-        reach = _reach(own.wrench(pressure), direction[:, None])[:, 0]
-        lower = (direction * point).sum(-1) - reach
-        open_ = np.maximum(upper, 0) - np.maximum(lower, 0) > 1e-14 * size(point, sets)
+        reach = _reach(own.wrench(pressure, nodes), direction[:, None])[:, 0]
+        lower = (direction * wanted).sum(-1) - reach
+        open_ = found[nodes] - np.maximum(lower, 0) > gap * size(wanted, sets)
         if not open_.any():
             break
-    return np.maximum(upper, 0)
+        pressure, nodes = pressure[open_], nodes[open_]
+    return found
 
 
-def furthest_pressure(own: Sections, direction: Array) -> Array:
-    """(N, M) pressures at which each actuator reaches furthest along directions (N, 2), by zooming in."""
-    low, high = np.zeros_like(own.strain), np.broadcast_to(own.limit, own.strain.shape)
+def furthest_pressure(own: Sections, direction: Array, nodes: Any = slice(None)) -> Array:
+    """(K, M) pressures at which each actuator of some nodes reaches furthest along directions (K, 2), by zooming in."""
+    low = np.zeros_like(own.strain[nodes])
+    high = np.broadcast_to(own.limit, low.shape)
     for count in (257, *(17,) * 16):
         grid = low[..., None] + (high - low)[..., None] * (np.arange(count, dtype=Real) / (count - 1))
-        reach = (own.wrench(grid) * direction[:, None, None]).sum(-1)
+        reach = (own.wrench(grid, nodes) * direction[:, None, None]).sum(-1)
         best = reach.argmax(-1)[..., None]
         low = np.take_along_axis(grid, np.maximum(best - 1, 0), -1)[..., 0]
         high = np.take_along_axis(grid, np.minimum(best + 1, count - 1), -1)[..., 0]

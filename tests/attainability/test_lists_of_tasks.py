@@ -71,19 +71,3 @@ def test_errors_say_which_task(call):
             CALLS[call](given)
     with pytest.raises(ValueError, match=r"^weights: must be finite and above 0"):
         ta.evaluate(ARM, TASKS, weights=(math.nan, 1.0))
-
-
-RETURNED = {"evaluate": "Attainability", "predict_error": "PredictedError", "search_pressure": "PressureSearch"}
-
-
-def test_the_types_say_what_is_returned(tmp_path):
-    api = pytest.importorskip("mypy.api")
-    path = tmp_path / "lists.py"
-    lines = ["from typing import assert_type", "import torcharm as ta"]
-    lines.append("def check(arm: ta.ArmDesign, task: ta.Task) -> None:")
-    for name, kind in RETURNED.items():
-        lines.append(f"    assert_type(ta.{name}(arm, task), ta.{kind})")
-        lines.append(f"    assert_type(ta.{name}(arm, [task, task]), tuple[ta.{kind}, ...])")
-    path.write_text("\n".join(lines), encoding="utf-8")
-    said, errors, code = api.run([str(path), "--config-file=", "--ignore-missing-imports", "--strict"])
-    assert (errors, code) == ("", 0), said

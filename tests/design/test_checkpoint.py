@@ -160,7 +160,7 @@ def test_a_failing_save_warns_once_and_costs_no_result(tmp_path: Path, monkeypat
     def full(path: Path, flags: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("torcharm.files._to_disk", full)
+    monkeypatch.setattr("torcharm.files.to_disk", full)
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         found = _run(_arm(Spring()), tmp_path / "run")

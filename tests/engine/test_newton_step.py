@@ -4,7 +4,7 @@ import balances
 import numpy as np
 import pytest
 import torch
-from spatial_scenes import SCENES, arm_and_task
+from oracle.spatial import SCENES, arm_and_task
 
 import torcharm as ta
 from torcharm.engine.arms import arms_of

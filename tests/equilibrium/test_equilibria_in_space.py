@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from oracle.spatial import SCENES, STIFFNESS, arm_and_task, required_wrench
 from scipy.optimize import root
-from spatial_scenes import SCENES, STIFFNESS, arm_and_task, required_wrench
 
 import torcharm as ta
 from experiments.exactness import models

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import torch
+from oracle.spatial import SCENES, arm_and_task
 from scipy.optimize import minimize
-from spatial_scenes import SCENES, arm_and_task
 
 import torcharm as ta
 

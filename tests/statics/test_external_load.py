@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import spatial_scenes as scenes
 import torch
+from oracle import spatial as scenes
 
 import torcharm as ta
 from torcharm.geometry import rod, se2, se3

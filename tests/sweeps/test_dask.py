@@ -26,9 +26,9 @@ class Cluster:
         return subprocess.Popen([sys.executable, "-m", "dask", *command, *where], **quiet)
 
     def ready(self):
-        """The scheduler's address, once all workers are there."""
+        """The scheduler's address, once all workers are there that were not killed."""
         with distributed.Client(scheduler_file=str(self.file), timeout=60) as client:
-            client.wait_for_workers(len(self.workers), timeout=60)
+            client.wait_for_workers(sum(worker.poll() is None for worker in self.workers), timeout=60)
             return client.scheduler.address
 
     def end(self):
@@ -37,7 +37,7 @@ class Cluster:
             process.wait()
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def cluster(tmp_path_factory):
     found = Cluster(tmp_path_factory.mktemp("cluster"), 3)
     try:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from vertex_problems import (
+from oracle.vertex_sets import (
     NAMES,
     SETS,
     WITHOUT_INSIDE,

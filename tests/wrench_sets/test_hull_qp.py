@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 import torch
-from vertex_problems import derivatives, double, random_problems
+from oracle.vertex_sets import derivatives, double, random_problems
 
 import torcharm as ta
 from torcharm.wrench_sets import qp

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 import torch
-from vertex_problems import (
+from oracle.vertex_sets import (
     NAMES,
     SETS,
     coordinates_of,

@@ -3,8 +3,8 @@
 import math
 
 import pytest
-import spatial_scenes as scenes
 import torch
+from oracle import spatial as scenes
 
 import torcharm as ta
 

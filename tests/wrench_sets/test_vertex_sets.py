@@ -9,9 +9,9 @@ from itertools import product
 import numpy as np
 import oracle
 import pytest
-import spatial_scenes
 import torch
 from hull_cases import PAPER_ARMS, SIZES, paper_scene, random_scene, unchecked
+from oracle.spatial import SCENES, arm_and_task
 
 import torcharm as ta
 from torcharm.statics.cross_section import cross_sections
@@ -192,10 +192,10 @@ def test_a_planar_arm_in_space_gives_the_planar_values():
 
 def test_segments_gravity_and_following_loads():
     """Scenes of several segments in space: scipy's distances to hulls of edges are the engine's."""
-    scenes = [scene for scene in spatial_scenes.SCENES if len(scene.segments) > 1]
+    scenes = [scene for scene in SCENES if len(scene.segments) > 1]
     assert scenes
     for scene in scenes[:2]:
-        arm, task = spatial_scenes.arm_and_task(scene)
+        arm, task = arm_and_task(scene)
         expected, found = (
             ta.evaluate(arm, task, ("absolute", "relative"), hull="edges", distance=one) for one in ("gjk", "scipy")
         )

@@ -1,4 +1,5 @@
 import math
+from functools import cache
 from itertools import combinations
 
 import numpy as np
@@ -74,10 +75,17 @@ def designs(case):
     return arm, oracle.Arm(tuple(radii), tuple(lengths), tuple(limits), twins)
 
 
-def tables(twin, twists, samples, *, relative):
+def tables(case, shape, samples, *, relative):
     """(N, M, S, 2) curves of the oracle."""
-    found = np.array([oracle.curves(twin, twist, samples) for twist in twists])
+    found = oracle_curves(case, shape, samples)
     return found - found[:1] if relative else found
+
+
+@cache
+def oracle_curves(case, shape, samples):
+    """The same, of sets that are not relative: scalar arithmetic, which takes its time."""
+    _, twin = designs(case)
+    return np.array([oracle.curves(twin, twist, samples) for twist in SHAPES[shape]])
 
 
 def double(values):
@@ -102,10 +110,10 @@ def miss(points, corners):
 @pytest.mark.parametrize("samples", [2, 7])
 def test_hull_is_the_oracles(case, shape, kind, relative, samples):
     """To exact hulls muscles add their kinks: these hold the oracle's, and lie in the hull of its finest samples."""
-    arm, twin = designs(case)
+    arm, _ = designs(case)
     hulls = ta.wrench_hulls(arm, double(SHAPES[shape]), relative=relative, hull=kind, samples=samples)
     kinks = kind == "exact" and "muscle" in CASES[case][0]
-    for node, table in enumerate(tables(twin, SHAPES[shape], samples, relative=relative)):
+    for node, table in enumerate(tables(case, shape, samples, relative=relative)):
         expected, found = oracle.attainable_hull(table, kind), oracle.hull(hulls.vertices[node])
         tolerance = 1e-11 * (1 + np.abs(table).sum(0).max())
         if not kinks:
@@ -113,7 +121,7 @@ def test_hull_is_the_oracles(case, shape, kind, relative, samples):
             assert miss(expected, found) < tolerance
             continue
         assert max(oracle.distance(corner, found) for corner in expected) < tolerance
-        fine = tables(twin, SHAPES[shape], 1001, relative=relative)[node]
+        fine = tables(case, shape, 251, relative=relative)[node]
         step = np.abs(np.diff(fine, axis=1)).max(1).sum()  # a kink lies within one step of a sample
         whole = oracle.attainable_hull(fine, kind)
         assert max(oracle.distance(vertex, whole) for vertex in hulls.vertices[node].numpy()) < step + tolerance
@@ -160,9 +168,9 @@ def test_vertices_go_round_once_counter_clockwise(case, shape, kind, relative):
 
 
 def test_exact_hull_is_the_hull_of_all_combinations_of_samples():
-    arm, twin = designs("wavy")
+    arm, _ = designs("wavy")
     hulls = ta.wrench_hulls(arm, double(CURVED), samples=5)
-    for vertices, table in zip(hulls.vertices, tables(twin, CURVED, 5, relative=False), strict=True):
+    for vertices, table in zip(hulls.vertices, tables("wavy", "curved", 5, relative=False), strict=True):
         everything = oracle.box_points(table)
         corners = everything[ConvexHull(everything).vertices]
         found = oracle.hull(vertices)
@@ -172,10 +180,11 @@ def test_exact_hull_is_the_hull_of_all_combinations_of_samples():
 
 @pytest.mark.parametrize("samples", [2, 3, 4])
 def test_edges_hull_is_qhull_of_the_papers_samples(samples):
-    arm, twin = designs("paper's antagonistic")
+    arm, _ = designs("paper's antagonistic")
     bent = CURVED[:2]  # no collinear samples, of which Qhull keeps some by chance
     hulls = ta.wrench_hulls(arm, double(bent), hull="edges", samples=samples)
-    for vertices, table in zip(hulls.vertices, tables(twin, bent, samples, relative=False), strict=True):
+    curves = tables("paper's antagonistic", "curved", samples, relative=False)
+    for vertices, table in zip(hulls.vertices, curves[:2], strict=True):
         points = oracle.edge_points(table)
         assert len(points) == samples * 4 * 2**3
         expected = points[ConvexHull(points).vertices]
@@ -249,10 +258,10 @@ def test_default_sampling_is_17_a_curve_or_the_papers_three_an_edge(kind):
 
 @every_kind
 def test_two_samples_serve_forces_linear_in_pressure(kind):
-    arm, twin = designs("linear")
+    arm, _ = designs("linear")
     assert slots(arm, hull=kind) == slots(arm, hull=kind, samples=2)
     hulls = ta.wrench_hulls(arm, double(CURVED), hull=kind)
-    for vertices, table in zip(hulls.vertices, tables(twin, CURVED, 33, relative=False), strict=True):
+    for vertices, table in zip(hulls.vertices, tables("linear", "curved", 33, relative=False), strict=True):
         expected = oracle.minkowski_hull(table)
         assert max(abs(oracle.distance(corner, oracle.hull(vertices))) for corner in expected) < 1e-11
 

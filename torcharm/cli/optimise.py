@@ -134,7 +134,7 @@ def _tell(results: Found) -> None:
     console = open_console()
     print_table(_errors(results))
     console.print()
-    print_table(_designs(results), lead=2)
+    print_table(design_columns(results), lead=2)
     console.print()
     for line in _legend(results):
         say(console, line)
@@ -187,7 +187,7 @@ def _outputs(
         from torcharm.study import check_format
 
         ending = ".toml" if out.suffix.lower() == ".toml" else f".{check_format(out)}"
-        yield out, lambda path: _write(path, study, out, plan, results, ending), "."
+        yield out, lambda path: write_best(path, study, out, plan, results, ending), "."
     places = dict(zip((arm.name for arm in plan.arms), figures, strict=False))
     for arm, result in results if figures else ():
         from torcharm.plot import optimisation_figure
@@ -205,7 +205,7 @@ def _warnings_in_a_line() -> Iterator[None]:
         yield
 
 
-def _write(path: Path, study: Path, out: Path, plan: "Study", results: Found, ending: str) -> None:
+def write_best(path: Path, study: Path, out: Path, plan: "Study", results: Found, ending: str) -> None:
     """The file of --out, written where it is to be moved from."""
     if ending == ".toml":
         path.write_text(_toml(study, out, plan, results), encoding="utf-8", newline="\n")
@@ -294,7 +294,7 @@ def _pair(told: Callable[[float], str], given: float, best: float) -> tuple[str,
     return told(given), told(best)
 
 
-def _designs(results: Found) -> list[Column]:
+def design_columns(results: Found) -> list[Column]:
     """A row for each actuator: what it was and is."""
     from torcharm.actuators import model_name
 

@@ -99,7 +99,7 @@ class TipProblem:
 
     def tip_jacobian(self, unknowns: Array) -> Array:
         """(3, 2N) or (6, 3N)."""
-        return np.asarray(torch.autograd.functional.jacobian(self._miss, torch.from_numpy(unknowns)))
+        return np.asarray(torch.autograd.functional.jacobian(self._miss, torch.from_numpy(unknowns), vectorize=True))
 
     def violation(self, unknowns: Array) -> float:
         """Of the tip pose, and of strains."""

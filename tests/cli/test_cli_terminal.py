@@ -1,6 +1,7 @@
 """What every command shares: help texts, widths, endings of outputs, progress bars and Ctrl-C."""
 
 import csv
+import io
 import os
 import re
 import subprocess
@@ -9,8 +10,8 @@ from pathlib import Path
 
 import numba
 import pytest
+from commands import invoke, mistake
 from standard_error import without_notice
-from test_cli import invoke, mistake
 from test_cli_optimise import STUDY
 from typer.testing import CliRunner
 
@@ -300,17 +301,42 @@ def on_a_terminal(*arguments: object) -> str:
     return b"".join(parts).decode()
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="terminals are other ones there")
-@pytest.mark.parametrize(
-    ("command", "words"),
-    [("evaluate", "evaluating"), ("search", "hold"), ("plan", "planning"), ("optimise", "optimising")],
-)
-def test_bars_end_at_100_percent(study_file, command, words):
-    shown = re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", on_a_terminal(command, study_file))
-    frames = [frame for frame in re.split(r"[\r\n]+", shown) if words in frame]
+class Terminal(io.StringIO):
+    """A terminal of which nothing but what is written to it is of interest."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def in_this_process(monkeypatch, *arguments: object) -> str:
+    """The same without a process and a terminal of its own."""
+    with monkeypatch.context() as patch:
+        patch.setenv("TERM", "xterm")
+        patch.setenv("COLUMNS", "100")
+        patch.setattr(sys, "stderr", Terminal())
+        patch.setattr(sys, "argv", ["torcharm", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        assert not ended.value.code
+        return sys.stderr.getvalue()
+
+
+def check_bar(shown: str, words: str) -> None:
+    frames = re.split(r"[\r\n]+", re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", shown))
+    frames = [frame for frame in frames if words in frame]
     assert frames
     assert "100%" in frames[-1]
     assert any("0%" in frame and "100%" not in frame for frame in frames)
+
+
+@pytest.mark.parametrize(("command", "words"), [("search", "hold"), ("plan", "planning"), ("optimise", "optimising")])
+def test_bars_end_at_100_percent(study_file, monkeypatch, command, words):
+    check_bar(in_this_process(monkeypatch, command, study_file), words)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="terminals are other ones there")
+def test_a_bar_on_a_terminal_ends_at_100_percent(study_file):
+    check_bar(on_a_terminal("evaluate", study_file), "evaluating")
 
 
 INTERRUPTED_IMPORT = """

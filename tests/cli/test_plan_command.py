@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from test_cli import invoke
+from commands import invoke, one_start
 
 import torcharm as ta
 from torcharm.cli.plan import NONE_FOUND
@@ -28,6 +28,11 @@ payloads = [{ mass = "10 g", at = 0.5 }]
 nodes = 4
 """
 FAR = STUDY.replace("[0.1, -0.2,", "[1.0, -0.2,")
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch):
+    one_start(monkeypatch)
 
 
 def planned(tmp_path, *options, text=STUDY, code=0):

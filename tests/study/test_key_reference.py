@@ -5,7 +5,7 @@ import re
 
 import pytest
 import torch
-from test_cli import invoke
+from commands import invoke
 
 import torcharm as ta
 from torcharm.actuators import Chamber, ElasticCore

@@ -4,7 +4,7 @@ import re
 
 import pytest
 import torch
-from test_cli import invoke
+from commands import invoke
 from typer.testing import CliRunner
 
 import torcharm as ta

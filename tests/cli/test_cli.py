@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import invoke, mistake
 from standard_error import without_notice
 from typer.testing import CliRunner
 
@@ -43,27 +44,6 @@ def study_file(tmp_path: Path) -> Path:
     path = tmp_path / "study.toml"
     path.write_text(STUDY, encoding="utf-8")
     return path
-
-
-def invoke(*args: object, code: int = 0) -> str:
-    """Standard output of a command that ends with a code, run in this process."""
-    result = CliRunner().invoke(app, [str(arg) for arg in args], env={"COLUMNS": "80"})
-    assert result.exit_code == code, result.output
-    return result.stdout
-
-
-def mistake(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *args: object) -> str:
-    """The one line, less its start, on which `main` ends."""
-    monkeypatch.setattr(sys, "argv", ["torcharm", *map(str, args)])
-    with pytest.raises(SystemExit) as caught:
-        cli.main()
-    output = capsys.readouterr()
-    assert caught.value.code == 2
-    assert output.out == ""
-    said = without_notice(output.err)
-    assert said.startswith("torcharm: ")
-    assert said.count("\n") == 1
-    return said.removeprefix("torcharm: ").strip()
 
 
 def run(*args: object, **env: str) -> subprocess.CompletedProcess[bytes]:

@@ -10,8 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from test_cli import invoke, mistake
-from test_cli_optimise import twists_of
+from commands import invoke, mistake, one_start, twists_of
 
 import torcharm as ta
 from torcharm.cli import optimise
@@ -261,9 +260,10 @@ def test_optimise_tells_and_writes_arms_in_space(small, tmp_path):
     assert [float(row["radius_mm"]) for row in rows] == pytest.approx((1e3 * found.norm(dim=-1)).tolist())
 
 
-def test_plan_finds_a_shape_in_space(small, tmp_path):
+def test_plan_finds_a_shape_in_space(small, tmp_path, monkeypatch):
+    one_start(monkeypatch)
     pose = ta.poses(ta.constant_curvature(0.26, 0.35, 4, direction=0.0))[-1]
-    table = f'[[plan]]\nname = "p"\ntip_pose = {pose.tolist()}\ntip_load = [0, 0, 0, 0, 0, 0]\nnodes = 4\n'
+    table = f'[[plan]]\nname = "p"\ntip_pose = {pose.tolist()}\ntip_load = [0, 0, 0, 0, 0, 0]\nnodes = 3\n'
     small.write_text(f"{SMALL}\n{table}")
     out = tmp_path / "plan.csv"
     invoke("plan", small, "--out", out, "--figure", tmp_path / "p.png")
@@ -286,10 +286,11 @@ MIXED = (
 IN_THE_PLANE = '[[plan]]\nname = "q"\ntip_pose = [0.0, -0.5, "-90 deg"]\ntip_load = [0, 0, 0]\nnodes = 3\n'
 
 
-def test_files_of_studies_in_the_plane_and_in_space_name_every_column(tmp_path):
+def test_files_of_studies_in_the_plane_and_in_space_name_every_column(tmp_path, monkeypatch):
+    one_start(monkeypatch)
     path, out = tmp_path / "s.toml", tmp_path / "out.csv"
     pose = ta.poses(ta.constant_curvature(0.26, 0.35, 4, direction=0.0))[-1]
-    plan = f'[[plan]]\nname = "p"\ntip_pose = {pose.tolist()}\ntip_load = [0, 0, 0, 0, 0, 0]\nnodes = 4\n'
+    plan = f'[[plan]]\nname = "p"\ntip_pose = {pose.tolist()}\ntip_load = [0, 0, 0, 0, 0, 0]\nnodes = 3\n'
     path.write_text(MIXED + IN_THE_PLANE + plan)
 
     invoke("search", path, "--starts", 1, "--out", out)
@@ -300,7 +301,7 @@ def test_files_of_studies_in_the_plane_and_in_space_name_every_column(tmp_path):
 
     invoke("plan", path, "--out", out)
     rows = list(csv.DictReader(out.open(encoding="utf-8")))
-    assert [(one["plan"], one["arm"]) for one in rows] == [("q", "flat")] * 3 + [("q", "row")] * 6 + [("p", "a")] * 4
+    assert [(one["plan"], one["arm"]) for one in rows] == [("q", "flat")] * 3 + [("q", "row")] * 6 + [("p", "a")] * 3
     assert (rows[0]["twist_curvature_deg"] != "", rows[0]["twist_curvature_z_deg"]) == (True, "")
     assert ta.poses(twists_of(rows[:3]))[-1].tolist() == pytest.approx([0.0, -0.5, -math.pi / 2], abs=1e-7)
     assert (rows[-1]["twist_curvature_deg"], rows[-1]["twist_curvature_z_deg"] != "") == ("", True)
@@ -311,8 +312,8 @@ def test_angles_of_arms_in_space_are_told_beside_arms_in_the_plane(tmp_path):
     arms = parse_study(MIXED).arms[:2]
     results = [(arm, SimpleNamespace(given=arm.design, best=arm.design)) for arm in arms]
     study = parse_study(MIXED)
-    optimise._write(out, tmp_path / "study.toml", out, study, results, ".csv")
-    text = " ".join(cell for column in optimise._designs(results) for cell in column.cells)
+    optimise.write_best(out, tmp_path / "study.toml", out, study, results, ".csv")
+    text = " ".join(cell for column in optimise.design_columns(results) for cell in column.cells)
     rows = list(csv.DictReader(out.open(encoding="utf-8")))
     angles = {name: [one["given_angle_deg"] for one in rows if one["arm"] == name] for name in ("flat", "a")}
     assert angles["flat"] == [""] * 4

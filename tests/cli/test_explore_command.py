@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from test_cli import mistake
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 STUDY = """
 name = "small"
 [[arm]]

@@ -2,6 +2,7 @@
 
 import json
 import os
+import runpy
 import subprocess
 import sys
 import time
@@ -11,7 +12,7 @@ import pytest
 
 from experiments import runner
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 
 
 def command(*arguments, cwd=ROOT, timeout=600):
@@ -48,14 +49,20 @@ def test_every_experiment_has_a_folder_a_summary_a_readme_and_results():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("experiment", runner.discover(), ids=lambda experiment: experiment.name)
-def test_a_smoke_run_succeeds_and_leaves_the_folder_as_it_was(experiment, tmp_path):
+def test_a_smoke_run_succeeds_and_leaves_the_folder_as_it_was(experiment, monkeypatch, capfd):
+    """In this process, where all is imported, with the signatures checked."""
     before = contents(experiment.folder)
-    done = command("run", experiment.name, "--quick", "--state", tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
+    monkeypatch.setattr(sys, "argv", [experiment.name, "--quick"])
+    runpy.run_module(f"experiments.{experiment.name}", run_name="__main__")
     assert contents(experiment.folder) == before
-    record = json.loads((tmp_path / f"{experiment.name}.json").read_text())
-    assert record["code"] == 0
-    assert (tmp_path / f"{experiment.name}.log").stat().st_size > 0
+    assert capfd.readouterr().out
+
+
+def test_a_smoke_run_in_a_process_of_its_own_is_recorded(tmp_path):
+    done = command("run", "refinement", "--quick", "--state", tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert json.loads((tmp_path / "refinement.json").read_text())["code"] == 0
+    assert (tmp_path / "refinement.log").stat().st_size > 0
 
 
 @pytest.fixture

@@ -223,10 +223,10 @@ def pieces(scene, parts=12):
 
 def required_wrench(scene):
     """Wrenches (N, 6) at the starts of the elements: a piece anywhere on element j loads all nodes up to j in full."""
-    found = []
+    found, loading = [], pieces(scene)
     for node, pose in enumerate(node_poses(scene)[:-1]):
         total = np.zeros(6)
-        for element, _, place, force, moment in pieces(scene):
+        for element, _, place, force, moment in loading:
             if element >= node:
                 total[:3] += pose[:3, :3].T @ force
                 total[3:] += pose[:3, :3].T @ (moment + np.cross(place - pose[:3, 3], force))

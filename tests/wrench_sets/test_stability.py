@@ -5,18 +5,13 @@ The scenes and the extended-precision reference are those of experiments/stabili
 
 import importlib.util
 import math
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
 import torcharm as ta
-
-sys.path.insert(0, str(Path(__file__).parents[1]))  # plain pytest does not look there
-
 from experiments.stability import reference, run, scenes
 
 HAS_QPTH = importlib.util.find_spec("qpth") is not None
@@ -59,7 +54,7 @@ def test_solvers_are_right(scene):
         assert row.error <= (1e-12 if row.backend == "scipy" else 1e-6), row
 
 
-@each_scene(SCENES[1::2])
+@each_scene(SCENES[1::3])
 def test_float32_is_right_to_its_rounding(scene):
     for row in rows_of(scene, "exact, float32"):
         assert row.error <= 5e-6, row
@@ -88,7 +83,7 @@ def test_strains_out_of_range_are_flagged():
 
 # --- fuzz ---
 
-FUZZED = 100_000
+FUZZED = 40_000
 DESIGNS, TASKS = 25, 40
 MODELS = (ta.Bellows(), ta.McKibben(), ta.McKibben(force_scale=2.0))
 
@@ -163,7 +158,7 @@ def assert_finite_or_flagged(found):
     assert not found.strain_excess.isnan().any()
 
 
-def test_a_hundred_thousand_fuzzed_scenes_are_finite_or_flagged():
+def test_fuzzed_scenes_are_finite_or_flagged():
     rng = np.random.default_rng(2026)
     seen, in_range, finite = 0, 0, 0
     for batch in range(FUZZED // (DESIGNS * TASKS)):
@@ -205,7 +200,7 @@ def test_fuzzed_scenes_without_a_flag_are_right():
         for design, index in found.in_range.nonzero()[:3].tolist():
             own = ta.Task(task.twists[index], task.tip_load[index], wrench_at=task.wrench_at)
             for metric in run.METRICS:
-                expected = reference.node_distances(arm[design], own, metric, None)
+                expected = reference.node_distances(arm[design], own, metric, None, gap=run.DISTANCES_GAP)
                 value = getattr(found, f"{metric}_per_node")[design, index].numpy()
                 np.testing.assert_array_less(abs(value - expected.value), EXACT_ERROR * expected.scale + 1e-300)
             checked += 1

@@ -1,19 +1,20 @@
 """The commands `torcharm optimise` and `torcharm plan`, run as a person runs them."""
 
 import csv
-import math
 import re
-import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 import torch
+from commands import one_start, twists_of
 from standard_error import without_notice
 
 import torcharm as ta
-from torcharm.cli.plan import TWISTS
+from torcharm import cli, files
 from torcharm.design.objective import task_values
 from torcharm.inputs import three_digits
 from torcharm.study import load_study, moved_files, parse_study
@@ -56,23 +57,40 @@ reference_length = 0.5
 SHAPE = 'shape = { kind = "affine", slope = 0.0, intercept = 1.0, nodes = 3 }\n\n'
 
 
-def _run(folder: Path, *arguments: str, text: str = STUDY) -> subprocess.CompletedProcess[str]:
-    (folder / "study.toml").write_text(text, encoding="utf-8")
-    command = [sys.executable, "-m", "torcharm.cli", *arguments]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, encoding="utf-8")
-    done.stderr = without_notice(done.stderr)
-    return done
+@dataclass(frozen=True)
+class Answer:
+    """How a command ended, and what it printed."""
+
+    returncode: int
+    stdout: str
+    stderr: str
 
 
-def twists_of(rows: list[dict[str, str]]) -> torch.Tensor:
-    """The shape in the rows that torcharm plan writes [m, rad]."""
-    names = TWISTS[3] if rows[0].get("twist_shear_mm") else TWISTS[6]
-    scale = torch.tensor([1e-3 if name.endswith("_mm") else math.pi / 180 for name in names]).double()
-    return scale * torch.tensor([[float(row[name]) for name in names] for row in rows]).double()
+Run = Callable[..., Answer]
 
 
-def test_optimise_shows_and_saves_a_better_arm(tmp_path: Path) -> None:
-    answer = _run(tmp_path, "optimise", "study.toml", "--out", "best.csv", "--figure", "best.png")
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """The command on a study in a folder, as a person runs it but in this process."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+
+    def run(*arguments: str, text: str = STUDY) -> Answer:
+        Path("study.toml").write_text(text, encoding="utf-8")
+        monkeypatch.setattr(sys, "argv", ["torcharm", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        said = capsys.readouterr()
+        return Answer(int(ended.value.code or 0), said.out, without_notice(said.err))
+
+    return run
+
+
+FEW = STUDY.replace("starts = 2", "starts = 1").replace("iterations = 6", "iterations = 1")
+
+
+def test_optimise_shows_and_saves_a_better_arm(run: Run, tmp_path: Path) -> None:
+    answer = run("optimise", "study.toml", "--out", "best.csv", "--figure", "best.png")
     assert answer.returncode == 0, answer.stderr
     assert "Wrote best.csv" in answer.stdout
     assert (tmp_path / "best.png").stat().st_size > 1000
@@ -96,10 +114,10 @@ def test_optimise_shows_and_saves_a_better_arm(tmp_path: Path) -> None:
     assert "antagonistic: better, as a pressure search confirms" in answer.stdout
 
 
-def test_one_arm_that_is_refused_costs_no_other(tmp_path: Path) -> None:
+def test_one_arm_that_is_refused_costs_no_other(run: Run, tmp_path: Path) -> None:
     bad = '[[arm]]\nname = "short"\nkind = "antagonistic"\nlength = 0.1\n\n'
     text = STUDY.replace("[[task]]", f'{bad}[[arm]]\nname = "last"\nkind = "antagonistic"\n\n[[task]]', 1)
-    answer = _run(tmp_path, "optimise", "study.toml", "--out", "best.toml", "--figure", "best.png", text=text)
+    answer = run("optimise", "study.toml", "--out", "best.toml", "--figure", "best.png", text=text)
     assert answer.returncode == 2
     assert answer.stderr.count("\n") == 1
     assert answer.stderr.startswith("torcharm: short: space: no design within the bounds")
@@ -110,18 +128,18 @@ def test_one_arm_that_is_refused_costs_no_other(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == names
 
 
-def test_a_spacing_that_nobody_gave_is_said(tmp_path: Path) -> None:
+def test_a_spacing_that_nobody_gave_is_said(run: Run) -> None:
     said = "without a diameter may come as close as 5 mm, axis to axis: give them one, or set optimise.spacing."
-    bare = STUDY.replace("spacing = 0.005\n", "")
+    bare = FEW.replace("spacing = 0.005\n", "")
     wide = bare.replace("length = 0.51\n", 'length = 0.51\ndiameter = "6 mm"\n')
-    for text, expected in ((STUDY, False), (bare, True), (wide, False)):
-        answer = _run(tmp_path, "optimise", "study.toml", text=text)
+    for text, expected in ((FEW, False), (bare, True), (wide, False)):
+        answer = run("optimise", "study.toml", text=text)
         assert answer.returncode == 0, answer.stderr
         assert (said in answer.stdout) == expected
 
 
-def test_numbers_of_a_search_are_distances_that_it_reaches(tmp_path: Path) -> None:
-    answer = _run(tmp_path, "optimise", "study.toml")
+def test_numbers_of_a_search_are_distances_that_it_reaches(run: Run) -> None:
+    answer = run("optimise", "study.toml")
     study = parse_study(STUDY)
     tasks = [named.task for named in study.tasks]
     found = [ta.search_pressure(study.arms[0].design, task) for task in tasks]
@@ -131,14 +149,14 @@ def test_numbers_of_a_search_are_distances_that_it_reaches(tmp_path: Path) -> No
     assert f"out of range on {beyond} → " in answer.stdout
 
 
-def test_the_best_arms_are_a_study_to_evaluate(tmp_path: Path) -> None:
+def test_the_best_arms_are_a_study_to_evaluate(run: Run, tmp_path: Path) -> None:
     """Of arms of which one is refused, on tasks that name arms; what was free is as round as one builds."""
     bad = '[[arm]]\nname = "short"\nkind = "antagonistic"\nlength = 0.1\n\n'
     text = STUDY.replace("[[task]]", f"{bad}[[task]]", 1)
     text = text.replace('name = "reach"', 'name = "reach"\narms = ["short", "antagonistic"]')
     text = text.replace("[optimise]", '[[task]]\nname = "gone"\narms = ["short"]\n' + SHAPE + "[optimise]")
     (tmp_path / "there").mkdir()
-    answer = _run(tmp_path, "optimise", "study.toml", "--out", "there/best.toml", text=text)
+    answer = run("optimise", "study.toml", "--out", "there/best.toml", text=text)
     assert "Wrote there/best.toml." in answer.stdout
     assert "Next: torcharm evaluate there/best.toml" in answer.stdout.splitlines()[-1]
     best, given = load_study(tmp_path / "there/best.toml"), parse_study(text)
@@ -156,7 +174,7 @@ def test_the_best_arms_are_a_study_to_evaluate(tmp_path: Path) -> None:
     for values in (arm.radii, arm.length):
         assert all(f"{1e3 * value:.1f}" in answer.stdout for value in values.tolist())
         assert values.tolist() == [round(value, 5) for value in values.tolist()]
-    assert _run(tmp_path, "evaluate", "there/best.toml", text=text).returncode == 0
+    assert run("evaluate", "there/best.toml", text=text).returncode == 0
 
 
 def test_models_of_a_study_are_found_from_where_the_best_arms_are_written(tmp_path: Path) -> None:
@@ -166,19 +184,20 @@ def test_models_of_a_study_are_found_from_where_the_best_arms_are_written(tmp_pa
     assert moved_files(("models/own.toml", None), study, tmp_path / "best.toml") == ("models/own.toml", None)
 
 
-def test_one_plan_without_a_shape_costs_only_its_own_row(tmp_path: Path) -> None:
+def test_one_plan_without_a_shape_costs_only_its_own_row(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one_start(monkeypatch)
     far = '[[plan]]\nname = "far"\ntip_pose = [3.0, 3.0, 0.0]\ntip_load = [6.0, 0.0, 0.0]\nnodes = 3\n\n'
-    answer = _run(
-        tmp_path, "plan", "study.toml", "--out", "shapes.csv", text=STUDY.replace("[[plan]]", far + "[[plan]]")
-    )
+    answer = run("plan", "study.toml", "--out", "shapes.csv", text=STUDY.replace("[[plan]]", far + "[[plan]]"))
     assert answer.returncode == 0, answer.stderr
     assert "\nantagonistic: no shape: none of 3 elements was found" in answer.stdout
     with (tmp_path / "shapes.csv").open(encoding="utf-8") as file:
         assert {row["plan"] for row in csv.DictReader(file)} == {"shape 1"}
 
 
-def test_plan_writes_the_paper_s_shape(tmp_path: Path) -> None:
-    answer = _run(tmp_path, "plan", "study.toml", "--out", "shapes.csv")
+def test_plan_writes_the_paper_s_shape(run: Run, tmp_path: Path) -> None:
+    answer = run("plan", "study.toml", "--out", "shapes.csv")
     assert answer.returncode == 0, answer.stderr
     with (tmp_path / "shapes.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -202,16 +221,16 @@ def test_plan_writes_the_paper_s_shape(tmp_path: Path) -> None:
         ("plan", ("[[plan]]", "[[plans]]"), "plans"),
     ],
 )
-def test_mistakes_end_in_one_line(tmp_path: Path, command: str, change: tuple[str, str], words: str) -> None:
+def test_mistakes_end_in_one_line(run: Run, command: str, change: tuple[str, str], words: str) -> None:
     assert change[0] in STUDY
-    answer = _run(tmp_path, command, "study.toml", text=STUDY.replace(*change))
+    answer = run(command, "study.toml", text=STUDY.replace(*change))
     assert answer.returncode == 2
     assert words in answer.stderr
     assert answer.stderr.count("\n") == 1
     assert "Traceback" not in answer.stderr
 
 
-def test_outputs_that_cannot_be_written_are_found_before_the_work(tmp_path: Path) -> None:
+def test_outputs_that_cannot_be_written_are_found_before_the_work(run: Run, tmp_path: Path) -> None:
     two = STUDY.replace("[[task]]", '[[arm]]\nname = "other"\nkind = "bellows"\n\n[[task]]', 1)
     (tmp_path / "best-2.png").mkdir()
     for arguments, words in (
@@ -221,38 +240,25 @@ def test_outputs_that_cannot_be_written_are_found_before_the_work(tmp_path: Path
         (("--checkpoint", "study.toml"), "--checkpoint: study.toml: is the study itself"),
         (("--out", "a.csv", "--checkpoint", "a.csv"), "--checkpoint: a.csv: is the file of --out"),
     ):
-        answer = _run(tmp_path, "optimise", "study.toml", *arguments, text=two)
+        answer = run("optimise", "study.toml", *arguments, text=two)
         assert answer.returncode == 2
         assert answer.stderr == f"torcharm: {words}{answer.stderr.partition(words)[2]}"
         assert answer.stderr.count("\n") == 1
         assert answer.stdout == ""
 
 
-FULL = """
-import sys
-import torcharm.files as files
+def test_a_failing_save_costs_no_result(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
 
-def full(path, flags):
-    raise OSError(28, "No space left on device")
-
-files._to_disk = full
-from torcharm.cli import main
-sys.argv = ["torcharm", *sys.argv[1:]]
-main()
-"""
-
-
-def test_a_failing_save_costs_no_result(tmp_path: Path) -> None:
-    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
-    (tmp_path / "full.py").write_text(FULL, encoding="utf-8")
+    monkeypatch.setattr(files, "to_disk", full)
     (tmp_path / "best.csv").write_text("old")
-    command = [sys.executable, "full.py", "optimise", "study.toml", "--out", "best.csv", "--checkpoint", "run.json"]
-    answer = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    answer = run("optimise", "study.toml", "--out", "best.csv", "--checkpoint", "run.json", text=FEW)
     assert answer.returncode == 2
     assert "Shape: mean predicted shape error." in answer.stdout, "the results are shown"
-    lines = [line for line in without_notice(answer.stderr).splitlines() if line.startswith("torcharm:")]
+    lines = [line for line in answer.stderr.splitlines() if line.startswith("torcharm:")]
     assert len(lines) == 2, answer.stderr
     assert "checkpoint: run.json could not be written: No space left" in lines[0]
     assert "best.csv: cannot be written: No space left" in lines[1]
     assert (tmp_path / "best.csv").read_text() == "old"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["best.csv", "full.py", "study.toml"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["best.csv", "study.toml"]

@@ -38,7 +38,7 @@ def test_what_is_said_to_work_after_a_large_call_works(tmp_path):
     assert done.returncode == 0, done.stderr
     here, *others = map(float, done.stdout.split())
     assert others == [here, here]
-    for text in (ta.evaluate.__doc__, (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")):
+    for text in (ta.evaluate.__doc__, (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")):
         assert '"spawn"' in text
         assert "torch.set_num_threads(1)" in text
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from test_cli import invoke, mistake
+from commands import invoke, mistake
 
 import torcharm as ta
 
