@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -36,12 +37,20 @@ WEIGHTS = (0.0, 2.0, 5.0)
 """What hangs from the tip [N];"""
 WEIGHTS_IN_SPACE = (2.0,)
 """of arms in space."""
-STATES, PRESSURES, PRESSURES_IN_SPACE = 20_000, 1_000_000, 20_000
+STATES, PRESSURES = 20_000, 1_000_000
 QUICK = 200
 """By which a smoke run divides them."""
 AT_ONCE = 20_000
 OVERHANG = 0.25
-"""By which random pressures overshoot their range, where they are held: a third lie on the box's faces."""
+"""By which random pressures overshoot their range, where they are held: each is at an end of it in a third of all, so
+that nine of ten lie on faces, edges and corners of a box of six."""
+NEAR = 2e-3
+"""What counts as near [m]."""
+FACETS = 30
+"""Of the boundary, those with the nearest middles, from which distances are measured."""
+NEIGHBOURS, MIXES = 8, 100
+"""Near a place of the boundary at which no random pressure arrived, so many mixes of the pressures of so many tips
+around it are tried."""
 
 Array = NDArray[Any]
 
@@ -59,7 +68,9 @@ class Row:
         seconds: of one core that it took.
         pressures: of the brute force.
         beyond, beyond_extrapolated: how far its furthest tip lies outside of each region [mm].
-        closer: of its tips in range, how many are inside or at most 2 mm outside [%].
+        outside: of its tips in range, how many are more than 2 mm outside [%].
+        empty: how far the boundary's furthest place is from all of its tips in range [mm].
+        doubtful: the same, with mixes of pressures tried around places further than 2 mm.
     """
 
     arm: str
@@ -77,7 +88,9 @@ class Row:
     pressures: int
     beyond: float
     beyond_extrapolated: float
-    closer: float
+    outside: float
+    empty: float
+    doubtful: float
 
 
 def main() -> None:
@@ -104,7 +117,7 @@ def main() -> None:
 def rows(quick: bool, known: set[tuple[str, float]]) -> Iterator[Row]:
     """All that are not known yet."""
     for name, arm in (PLANE | SPACE).items():
-        pressures = (PRESSURES if arm.dimension == 2 else PRESSURES_IN_SPACE) // (QUICK if quick else 1)
+        pressures = PRESSURES // (QUICK if quick else 1)
         ta.workspace(arm, hanging(arm, 1.0), states=100)  # compiled
         for weight in WEIGHTS if arm.dimension == 2 else WEIGHTS_IN_SPACE:
             if (name, weight) not in known:
@@ -121,8 +134,10 @@ def measured(name: str, arm: ta.ArmDesign, weight: float, states: int, pressures
     begun = time.process_time()
     found = ta.workspace(arm, hanging(arm, weight), states=states)
     seconds = time.process_time() - begun
-    tips, codes = brute_force(arm, hanging(arm, weight), pressures)
+    place = random_places(arm, pressures)
+    tips, codes, kept = brute_force(arm, hanging(arm, weight), place)
     apart = beyond(tips[codes == 0], found.region)
+    empty, doubtful = unconfirmed(arm, hanging(arm, weight), found, tips[codes == 0], place[kept][codes == 0])
     scale = 1e4 if arm.dimension == 2 else 1e3
     low, high = found.heights
     cells = found.cells()
@@ -142,37 +157,85 @@ def measured(name: str, arm: ta.ArmDesign, weight: float, states: int, pressures
         pressures=pressures,
         beyond=round(1e3 * float(apart.max(initial=0)), 2),
         beyond_extrapolated=round(1e3 * float(beyond(tips, found.extrapolated_region).max(initial=0)), 2),
-        closer=round(100 * float((apart < 2e-3).mean()) if len(apart) else 100.0, 3),
+        outside=round(100 * float((apart > NEAR).mean()) if len(apart) else 0.0, 4),
+        empty=round(1e3 * empty, 2),
+        doubtful=round(1e3 * doubtful, 2),
     )
 
 
-def brute_force(arm: ta.ArmDesign, wrench: list[float], count: int, nodes: int = 10) -> tuple[Array, Array]:
-    """The tips (T, D) that random pressures reach from rest along one branch, and stay at; and 0 for each in range, 1
-    for the others."""
-    draw, tips, codes = np.random.default_rng(5), [], []
+def random_places(arm: ta.ArmDesign, count: int) -> Array:
+    """Normalised pressures (P, M)."""
+    random = np.random.default_rng(5).random((count, arm.actuator_count))
+    return ((1 + 2 * OVERHANG) * random - OVERHANG).clip(0, 1)
+
+
+def brute_force(arm: ta.ArmDesign, wrench: list[float], place: Array, nodes: int = 10) -> tuple[Array, Array, Array]:
+    """The tips (T, D) that normalised pressures (P, M) reach from rest along one branch, and stay at; 0 for each in
+    range, 1 for the others; and which of the pressures these are."""
+    tips, codes, kept = [], [], []
     load = ta.ExternalLoad(wrench, gravity=True)
-    for first in range(0, count, AT_ONCE):
-        size = min(AT_ONCE, count - first), arm.actuator_count
-        place = ((1 + 2 * OVERHANG) * draw.random(size) - OVERHANG).clip(0, 1)
-        found = ta.solve_equilibrium(arm, torch.from_numpy(place) * arm.max_pressure, load, nodes)
+    for first in range(0, len(place), AT_ONCE):
+        own = torch.from_numpy(place[first : first + AT_ONCE])
+        found = ta.solve_equilibrium(arm, own * arm.max_pressure, load, nodes)
         stays = found.continued & found.stable
         pose = found.poses[stays, -1]
         tips.append((pose[:, :2] if arm.dimension == 2 else pose[:, :3, 3]).numpy())
         codes.append((~found.in_range[stays]).numpy().astype(int))
-    return np.concatenate(tips), np.concatenate(codes)
+        kept.append(first + np.flatnonzero(stays.numpy()))
+    return np.concatenate(tips), np.concatenate(codes), np.concatenate(kept)
+
+
+def unconfirmed(
+    arm: ta.ArmDesign, wrench: list[float], found: ta.Workspace, tips: Array, place: Array
+) -> tuple[float, float]:
+    """How far the middle of a facet of the boundary is from known tips (T, D) in range, at most [m]; and the same, once
+    mixes of the pressures (T, M) of tips around those further than 2 mm are tried."""
+    region = found.region
+    middle = region.points[region.facets].mean(1)
+    if not len(middle) or not len(tips):
+        return np.nan, np.nan
+    away = cKDTree(tips).query(middle)[0]
+    far, least = np.flatnonzero(away > NEAR), away.copy()
+    if len(far):
+        tips = np.concatenate((tips, region.points))
+        place = np.concatenate((place, (found.pressure / arm.max_pressure)[found.reached].numpy()))
+        around = place[cKDTree(tips).query(middle[far], NEIGHBOURS)[1]]
+        mixes = np.random.default_rng(6).dirichlet(np.full(NEIGHBOURS, 0.5), (len(far), MIXES)) @ around
+        more, codes, kept = brute_force(arm, wrench, mixes.reshape(-1, mixes.shape[2]))
+        owner = far[kept[codes == 0] // MIXES]
+        np.minimum.at(least, owner, np.linalg.norm(more[codes == 0] - middle[owner], axis=1))
+    return float(away.max()), float(least.max())
 
 
 def beyond(points: Array, region: AlphaShape) -> Array:
-    """(P,) how far points (P, D) lie outside of a region, by places spread over its boundary, or of its nearest state
+    """(P,) how far points (P, D) lie outside of a region: from its boundary's nearest facet, or from its nearest state
     where that is nearer, as at the end of a spike too thin for an area; 0 within."""
     away = np.zeros(len(points))
-    outside = ~region.contains(points)
-    if outside.any():
-        ends = region.points[region.facets]
-        mixed = np.random.default_rng(0).dirichlet(np.ones(points.shape[1]), 21)
-        boundary = np.einsum("km,fmd->kfd", mixed, ends).reshape(-1, points.shape[1])
-        away[outside] = cKDTree(np.concatenate((boundary, region.points))).query(points[outside])[0]
+    outside = np.flatnonzero(~region.contains(points))
+    if len(outside):
+        away[outside] = cKDTree(region.points).query(points[outside])[0]
+    if len(outside) and len(region.facets):
+        corners = region.points[region.facets]
+        near = cKDTree(corners.mean(1)).query(points[outside], min(FACETS, len(corners)))[1]
+        for own in near.reshape(len(outside), -1).T:
+            away[outside] = np.minimum(away[outside], to_facet(points[outside], corners[own]))
     return away
+
+
+def to_facet(points: Array, corners: Array) -> Array:
+    """(P,) distances of points (P, D) from lines or triangles (P, D, D) with these corners."""
+    least, count = np.full(len(points), np.inf), corners.shape[1]
+    for one, other in combinations(range(count), 2):
+        start, way = corners[:, one], corners[:, other] - corners[:, one]
+        along = ((points - start) * way).sum(1) / np.maximum((way**2).sum(1), 1e-300)
+        least = np.minimum(least, np.linalg.norm(points - start - along.clip(0, 1)[:, None] * way, axis=1))
+    if count == 3:
+        edges, way = corners[:, 1:] - corners[:, :1], points - corners[:, 0]
+        share = np.einsum("pdk,pd->pk", np.linalg.pinv(edges), way)
+        inside = (share >= 0).all(1) & (share.sum(1) <= 1)
+        height = np.linalg.norm(way - np.einsum("pk,pkd->pd", share, edges), axis=1)
+        least = np.where(inside, np.minimum(least, height), least)
+    return least
 
 
 def as_table(found: list[Row]) -> Table:
@@ -180,7 +243,7 @@ def as_table(found: list[Row]) -> Table:
     table = Table(title=r"reached: cm² in the plane, dm³ in space; beyond: mm outside, by brute force")
     for heading in (
         *("arm", "dim.", "N", "reached", "extrapolated", "furthest", "lowest", "highest", "factor", "snapped %"),
-        *("unstable %", "s", "pressures", "beyond", "extrapolated", "within 2 mm %"),
+        *("unstable %", "s", "pressures", "beyond", "extrapolated", "outside %", "empty", "doubtful"),
     ):
         table.add_column(heading, justify="right")
     for row in found:

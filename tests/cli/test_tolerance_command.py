@@ -61,6 +61,19 @@ def test_rows_are_those_of_the_library(study, tmp_path):
     assert "40 built arms; tolerances are half widths; pressures are the drawn arm's, kept." in output
 
 
+def test_margins_and_indices_on_request(study, tmp_path):
+    out = tmp_path / "built.csv"
+    output = invoke("tolerance", study, "--margin", "--sobol", "--samples", 16, "--out", out)
+    assert "margin" in output
+    assert "Sobol' indices, alone to with others: offsets" in " ".join(output.split())
+    row = next(csv.DictReader(out.open(encoding="utf-8")))
+    plan = load_study(study)
+    options = {"radii": 1e-3, "force": 0.05, "samples": 16, "distribution": "uniform", "correlated": {"force": 0.5}}
+    found = ta.tolerance(plan.arms[0].design, plan.tasks[0].task, **options, margin=True, sobol=True)
+    assert float(row["capacity_margin_p5_N"]) == pytest.approx(float(found.margin[:, 0].quantile(0.05)))
+    assert float(row["total_order_force"]) == pytest.approx(float(found.total_order[1, 0]))
+
+
 def test_options_replace_the_table_of_the_study(study):
     rows = json.loads(invoke("tolerance", study, "--length", "2 mm", "--samples", 16, "--compensated", "--json"))
     plan = load_study(study)

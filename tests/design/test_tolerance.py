@@ -122,6 +122,22 @@ def test_gradients_and_samples_agree_where_the_tip_moves_in_proportion():
     assert result.sensitivity("radii").shape == (2, 4)
 
 
+def test_sobol_indices_are_the_shares_where_the_tip_moves_in_proportion():
+    told = []
+    options = {"samples": 256, "callback": lambda *now: told.append(now)}
+    result = ta.tolerance(ARM, TASK, radii=1e-4, length=2e-4, force=0.005, sobol=True, **options)
+    assert told[-1] == (256 + 5 * 256,) * 2
+    for name, first, total in zip(result.names, result.first_order, result.total_order, strict=True):
+        assert float(first.mean()) == pytest.approx(result.shares[name], abs=0.05)
+        assert float(total.mean()) == pytest.approx(result.shares[name], abs=0.05)
+    assert "total_order_force" in result.to_dict()
+
+
+def test_margins_of_scattered_coefficients_are_refused():
+    with pytest.raises(ValueError, match="margin: must be False with model_covariance"):
+        ta.tolerance(ARM, TASK, model_covariance=True, margin=True)
+
+
 def test_where_no_shape_is_stable_nothing_is_told_to_decide():
     coiled = ta.Task(ta.affine_curvature(0.0, 9.0, length=0.5), [0.0, 0.0, 0.0])
     result = ta.tolerance(ARM, coiled, **SPREAD, samples=8)

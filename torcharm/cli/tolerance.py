@@ -55,6 +55,12 @@ def tolerance(
         bool,
         typer.Option("--compensated", help="Find each built arm's own best pressures, not the drawn arm's."),
     ] = False,
+    margin: Annotated[
+        bool, typer.Option("--margin", help="Measure capacity margins, too, which takes longer than all else.")
+    ] = False,
+    sobol: Annotated[
+        bool, typer.Option("--sobol", help="Find Sobol' indices of what is scattered, by several times the built arms.")
+    ] = False,
     samples: Annotated[int | None, typer.Option("--samples", help="Built arms.", show_default="1000")] = None,
     seed: Annotated[int | None, typer.Option("--seed", help="Of the samples.", show_default="0")] = None,
     out: Annotated[
@@ -90,7 +96,7 @@ def tolerance(
         refused: dict[str, list[str]] = {}
         interrupted = False
         try:
-            find_built(plan, how, found, refused)
+            find_built(plan, how, found, refused, margin, sobol)
         except KeyboardInterrupt:  # what is finished is shown and written all the same
             interrupted = True
         if found:
@@ -130,7 +136,14 @@ def _manufacture(
     return replace(plan.manufacture, scatter=Scatter(**given, model_covariance=model_covariance, distribution=kind))  # type: ignore[arg-type]
 
 
-def find_built(plan: "Study", how: "Manufacture", found: list["BuiltStudy"], refused: dict[str, list[str]]) -> None:
+def find_built(
+    plan: "Study",
+    how: "Manufacture",
+    found: list["BuiltStudy"],
+    refused: dict[str, list[str]],
+    margin: bool = False,
+    sobol: bool = False,
+) -> None:
     """Append to `found` what is found, task by task; arms that are refused by why they are."""
     from torcharm.design.tolerance import built_as
     from torcharm.study.built import BuiltStudy
@@ -141,8 +154,8 @@ def find_built(plan: "Study", how: "Manufacture", found: list["BuiltStudy"], ref
         for index, (arm, task) in enumerate(pairs):
             before, name = index * how.samples, arm.name
 
-            def told(done: int, _: int, before: int = before, name: str = name) -> None:
-                move(to=before + done, words=name)
+            def told(done: int, of: int, before: int = before, name: str = name) -> None:
+                move(to=before + done * how.samples // of, words=name)
 
             try:
                 built = built_as(
@@ -153,6 +166,8 @@ def find_built(plan: "Study", how: "Manufacture", found: list["BuiltStudy"], ref
                     how.samples,
                     how.seed,
                     tolerance=plan.settings.tolerance,
+                    margin=margin,
+                    sobol=sobol,
                     callback=told,
                 )
             except ValueError as error:  # costs this arm alone
@@ -162,6 +177,8 @@ def find_built(plan: "Study", how: "Manufacture", found: list["BuiltStudy"], ref
 
 
 def _tell(plan: "Study", found: Sequence["BuiltStudy"]) -> None:
+    from torcharm.study.built import sobol_words
+
     console = open_console()
     for task in plan.tasks:
         own = [one for one in found if one.task is task]
@@ -171,7 +188,8 @@ def _tell(plan: "Study", found: Sequence["BuiltStudy"]) -> None:
         console.print()
         print_table(list(_columns(own)))
         for one in own:
-            say(console, f"{one.arm.name}: {one.built.agreement}.")
+            for words in filter(None, (one.built.agreement, sobol_words(one.built))):
+                say(console, f"{one.arm.name}: {words}.")
         console.print()
     for line in _legend(plan, found[0].built):
         say(console, line)
@@ -200,6 +218,8 @@ def _legend(plan: "Study", built: "BuiltArms") -> Iterator[str]:
     near = "2 % of the drawn arm's length" if tip is None else f"{1e3 * tip:g} mm"
     yield f"yield: tip and shape within {near}, turned within {math.degrees(built.tolerance.rotation):.3g}°;"
     yield "in brackets its bounds with 95 % confidence. drawn: where loading from rest leads, median over loads."
+    if built.margin is not None:
+        yield "margin: of capacity at the tightest node; 5 % of built arms and loads have less."
     yield "beyond range: strains or limits that were not characterised, where force models guess."
     yield "what scatters the tip: shares in its variance, by gradients at the drawn arm."
 

@@ -14,6 +14,7 @@ from torcharm.attainability.evaluation import as_tolerance
 from torcharm.attainability.verdict import judge, over_tolerance
 from torcharm.design.scatter import Scatter, Sizes, Source, built_arms, normal_numbers, scattered
 from torcharm.design.sensitivity import fitted_slopes, tip_places, tip_slopes, variances
+from torcharm.design.sobol import index_numbers, sobol_indices
 from torcharm.design.space import Arm
 from torcharm.design.tolerance_result import BuiltArms
 from torcharm.inputs import check_count, check_flag, shown
@@ -51,6 +52,7 @@ def tolerance(
     tolerance: PoseTolerance | float | None = None,
     pose_cost: PoseCost | None = None,
     margin: bool = False,
+    sobol: bool = False,
     callback: Told | None = None,
 ) -> BuiltArms:
     """How far off a design's tip will be once it is built, how often it is within tolerance, and what decides that.
@@ -72,7 +74,10 @@ def tolerance(
         tolerance: how far off a pose may be for an arm to count in the yield, as for `torcharm.evaluate`; without it
             2 % of the drawn arm's length, and 5°.
         pose_cost: what pressures minimise; None is `PoseCost()`.
-        margin: whether to measure the capacity margin of each built arm, too, which costs more than all else.
+        margin: whether to measure the capacity margin of each built arm, too, which costs more than all else; not with
+            `model_covariance`.
+        sobol: whether to find Sobol' indices of what is scattered, too, for which G names need G + 2 times the built
+            arms.
         callback: is told how many built arms are done, and of how many.
 
     Raises:
@@ -86,10 +91,8 @@ def tolerance(
     """
     spread = (radii, length, limits, force, force_offset, bending)
     scatter = Scatter(*spread, model_covariance, distribution, {} if correlated is None else correlated)
-    check_flag("compensated", compensated)
-    check_flag("margin", margin)
-    options: dict[str, Any] = {"tolerance": tolerance, "pose_cost": pose_cost, "margin": margin, "callback": callback}
-    return built_as(arm, task, scatter, compensated, samples, seed, **options)
+    options: dict[str, Any] = {"tolerance": tolerance, "pose_cost": pose_cost, "margin": margin, "sobol": sobol}
+    return built_as(arm, task, scatter, compensated, samples, seed, **options, callback=callback)
 
 
 def built_as(
@@ -103,12 +106,20 @@ def built_as(
     tolerance: PoseTolerance | float | None = None,
     pose_cost: PoseCost | None = None,
     margin: bool = False,
+    sobol: bool = False,
     callback: Told | None = None,
 ) -> BuiltArms:
     """The same for a `Scatter`; arguments and errors as of `tolerance`."""
     tasks = checked_tasks(arm, task)
+    for name, flag in (("compensated", compensated), ("margin", margin), ("sobol", sobol)):
+        check_flag(name, flag)
+    if margin and scatter.model_covariance:
+        raise ValueError(
+            "margin: must be False with model_covariance: sets do not know scattered coefficients, got True"
+        )
     sources = scatter.sources(arm)
     normal = normal_numbers(sources, check_count("samples", samples, 2), check_count("seed", seed, 0))
+    more = index_numbers(sources, samples, seed + 1) if sobol else normal[:0]
     how = Evaluation(tasks, nominal_tolerance(arm, tolerance), pose_cost, margin)
     with torch.no_grad():
         drawn = [predict_error(arm, one, pose_cost) for one in tasks]
@@ -116,13 +127,25 @@ def built_as(
         if kept is not None:  # the drawn arm is loaded from rest, as the built ones are
             drawn = [error_at_pressure(arm, one, own, pose_cost) for one, own in zip(tasks, kept, strict=True)]
         nominal = how.of_found(arm, drawn)
-        built = how.of_samples(arm, sources, normal, kept, callback)
+        built = how.of_samples(arm, sources, normal, kept, _teller(callback, 0, len(normal) + len(more)))
+        if sobol:
+            told = _teller(callback, len(normal), len(normal) + len(more))
+            others = replace(how, margin=False).of_samples(arm, sources, more, kept, told)
     both = [
         tip_slopes(arm, one, sources, found, pose_cost, compensated=compensated)
         for one, found in zip(tasks, drawn, strict=True)
     ]
     slopes = [torch.cat([part.reshape(-1, *part.shape[-2:]) for part in column]) for column in zip(*both, strict=True)]
-    return _result(arm, scatter, sources, normal, how.tolerance, compensated, nominal, built, slopes)
+    result = _result(arm, scatter, sources, normal, how.tolerance, compensated, nominal, built, slopes)
+    if not sobol:
+        return result
+    first, total = sobol_indices(others["tip"], len(result.names))
+    return replace(result, first_order=first, total_order=total)
+
+
+def _teller(callback: Told | None, before: int, every: int) -> Told | None:
+    """Tells of a part of all arms that are built."""
+    return None if callback is None else lambda done, _: callback(before + done, every)
 
 
 def _result(

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from torcharm.design.scatter import SOURCE_WORDS
 from torcharm.design.tolerance_result import BuiltArms
@@ -74,6 +74,7 @@ def _draw_curves(axes: Axes, results: Sequence[tuple[str, BuiltArms]]) -> None:
         axes.annotate(f"tolerance: {limit:g} mm", (limit, 100), fontsize="small", **place)
     low, high = min(lowest, *(one[0] for one in ends)), max(one[1] for one in ends)
     axes.set(xscale="log", xlim=(max(LEAST, min(low, *lines)) / 1.3, 1.3 * max(high, LEAST, *lines)), ylim=(0, 100))
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set(xlabel="tip off by at most [mm]   (triangles: drawn arm, median)", ylabel="share of built arms [%]")

@@ -176,7 +176,8 @@ def _seen_shape(found: Workspace, seen: tuple[int, int], which: Tensor) -> Alpha
     """The region of some states, in space as it is seen."""
     if found.dimension == 2:
         return found.region if which.equal(found.reached) else found.extrapolated_region
-    return alpha_shape(array(found.position[which])[:, list(seen)], found.resolution)
+    resolution = found.resolution if which.equal(found.reached) else found.extrapolated_resolution
+    return alpha_shape(array(found.position[which])[:, list(seen)], resolution)
 
 
 def _values(found: Workspace, seen: tuple[int, int], show: str) -> Array:

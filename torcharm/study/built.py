@@ -36,6 +36,9 @@ def built_columns(found: Sequence[BuiltStudy]) -> Iterator[tuple[str, str, list[
     whole = [built.yield_of_all for built in every]
     ends = [f"{100 * one.value:.1f} ({100 * one.low:.1f}-{100 * one.high:.1f})" for one in whole]
     yield "yield, all loads", "%", ends
+    if all(built.margin is not None for built in every):
+        low = [float(built.margin.quantile(0.05)) for built in every if built.margin is not None]
+        yield "margin, 5 % below", "N", [three_digits(value) for value in low]
     yield "beyond range", "%", [f"{100 * built.extrapolated:.0f}" for built in every]
     yield "what scatters the tip", "", [_shares(built) for built in every]
 
@@ -44,6 +47,18 @@ def _shares(built: BuiltArms) -> str:
     """The largest first."""
     ordered = sorted(built.shares.items(), key=lambda pair: -pair[1])
     return ", ".join(f"{SOURCE_WORDS[name]} {100 * share:.0f} %" for name, share in ordered)
+
+
+def sobol_words(built: BuiltArms) -> str:
+    """Sobol' indices, if there are any, means over the loads."""
+    if built.first_order is None or built.total_order is None:
+        return ""
+    pairs = zip(built.first_order.nanmean(-1).tolist(), built.total_order.nanmean(-1).tolist(), strict=True)
+    each = [
+        f"{SOURCE_WORDS[name]} {100 * alone:.0f} to {100 * whole:.0f} %"
+        for name, (alone, whole) in zip(built.names, pairs, strict=True)
+    ]
+    return f"Sobol' indices, alone to with others: {', '.join(each)}"
 
 
 def built_rows(found: Sequence[BuiltStudy]) -> Iterator[dict[str, Any]]:
@@ -55,7 +70,7 @@ def built_rows(found: Sequence[BuiltStudy]) -> Iterator[dict[str, Any]]:
             for name, values in columns.items():
                 if name == "task":
                     continue
-                length = "tip_error" in name
-                value = values[index] * (MM if length else 1.0)
-                row[f"{name}_mm" if length else name] = value if math.isfinite(value) else None
+                unit = "_mm" if "tip_error" in name else "_N" if "margin" in name else ""
+                value = values[index] * (MM if unit == "_mm" else 1.0)
+                row[f"{name}{unit}"] = value if math.isfinite(value) else None
             yield row

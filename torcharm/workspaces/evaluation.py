@@ -40,19 +40,23 @@ SPREAD = 0.2
 """Of the states, over the whole box of pressures."""
 MIXED = 0.1
 """Of the states, between those of them that are reached, of which the box may hold few."""
+STAGES = {2: ((1.0, 1.0),), 3: ((0.5, 1.0), (1.0, 0.15))}
+"""In which boundaries are followed: how many of the states are known by its end, and how far attempts go in parts of
+the resolution. In space, where the resolution is coarse, first far and then near."""
+INSIDE = 0.1
+"""Of the states, among those reached before boundaries are followed near: what a region lacks inside is no boundary."""
 OVERHANG = 0.25
 """By which random pressures overshoot each end of their range, where they are held: a third lie on the box's faces, by
 which most of a workspace is bounded."""
 AT_ONCE = 2000
 """States solved between two looks at the clock: at most a second's work in space."""
-ROUNDS = {2: 25, 3: 8}
-"""In which each region grows, at most: by then those of the ready planar arms end within 2 mm of where they can. In
-space all states are used by then."""
+ROUNDS = 25
+"""In which a region grows, at most, of a stage."""
 FURTHER = 3
 """Pushes of a round, one from where the other got to: as many resolutions at most."""
-FEW = 1e-4
-"""Of the states: a round with fewer is a region's last."""
-TYPICAL = 0.95
+FEW = 1e-3
+"""Of the states: a round with fewer is a region's last of its stage."""
+TYPICAL = 0.99
 """Of the states have as many neighbours as a simplex has corners within the resolution."""
 FINER = {2: 0.4, 3: 0.9}
 """Times the distance within which they do: so much denser states become. In space most go to the boundary."""
@@ -101,8 +105,8 @@ def workspace(
         nodes: elements of the arm, or of each segment.
         base_pose: (3,) or (4, 4) pose of node 1 [m, rad], or "hanging" (None), "upright" or "horizontal".
         wrench_at: where an element's wrench is taken, as of `Task`.
-        resolution: α of the region's alpha shape [m]: gaps between states narrower than twice that belong to it. None
-            chooses it by the states and how far they lie apart.
+        resolution: α of the regions' alpha shapes [m]: gaps between states narrower than twice that belong to them.
+            None chooses one for each by its states and how far they lie apart.
         seed: of the random pressures.
         callback: is told how many states are known and how many are wanted, from time to time; returning True stops.
 
@@ -124,10 +128,14 @@ def workspace(
     stopped = "finished"
     try:
         run.spread(int(SPREAD * states), seed)
-        run.choose_resolution()
+        run.resolve(EXCLUDED)
         run.mix(int((SPREAD + MIXED) * states), seed)
-        run.follow_boundary()
-        run.mix(states, seed + 1)
+        for stage, (share, scale) in enumerate(STAGES[scene.arm.dimension]):
+            if stage == 1:
+                run.mix(run.count + int(INSIDE * states), seed + 1)
+                run.resolve(REACHED)
+            run.follow_boundaries(scale, int(share * states))
+        run.mix(states, seed + 2)
     except KeyboardInterrupt:
         stopped = "interrupted"
     except _Stopped:
@@ -137,13 +145,17 @@ def workspace(
 
 @dataclass
 class _Run:
-    """States that become more."""
+    """States that become more; the resolutions are those of the region in range, and of where models extrapolate."""
 
     scene: Problem
     wanted: int
-    resolution: float | None
+    given: float | None
     callback: Callback | None
     batches: list[Batch] = field(default_factory=list)
+    resolutions: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        self.slopes = KnownSlopes(self.scene)
 
     @property
     def count(self) -> int:
@@ -170,9 +182,12 @@ class _Run:
         place[:, driven] = np.concatenate((corners, inside.clip(0, 1)))
         self.add(place)
 
-    def choose_resolution(self) -> None:
-        """Unless it is given, that at which hardly any state lies alone."""
-        self.resolution = self.resolution or _resolution(joined(self.batches), self.scene)
+    def resolve(self, worst: int) -> None:
+        """Choose the resolutions, unless one is given; again the finer, of states no worse than a code."""
+        found = self.given or _resolution(joined(self.batches), self.scene, worst)
+        self.resolutions = (
+            (found, found) if self.resolutions is None else (min(found, self.resolutions[0]), self.resolutions[1])
+        )
 
     def mix(self, until: int, seed: int) -> None:
         """Solve states between pairs of those reached, or if none is, all over the box; up to so many in all."""
@@ -185,39 +200,46 @@ class _Run:
         one, other = own[draw.integers(len(own), size=(2, max(until - self.count, 0)))]
         self.add(one + draw.random((len(one), 1)) * (other - one))
 
-    def follow_boundary(self) -> None:
-        """Solve states beyond the boundary while there are any, first of the region in range."""
-        states = joined(self.batches)
-        assert self.resolution is not None
-        known, one = KnownSlopes(self.scene), np.ones(self.scene.arm.actuator_count)
-        for share, frontier in (
-            (0.5, Frontier(known, self.resolution, (REACHED,), *_range_of_places(self.scene), True)),
-            (1.0, Frontier(known, self.resolution, (REACHED, EXCLUDED), 0 * one, one, False)),
+    def follow_boundaries(self, scale: float, end: int) -> None:
+        """Solve states beyond the boundaries while there are any, first of the region in range; so many in all."""
+        assert self.resolutions is not None
+        one = np.ones(self.scene.arm.actuator_count)
+        for share, resolution, region in (
+            (0.5, self.resolutions[0], ((REACHED,), *_range_of_places(self.scene), True)),
+            (1.0, self.resolutions[1], ((REACHED, EXCLUDED), 0 * one, one, False)),
         ):
-            end = self.count + int(share * (self.wanted - self.count))
-            for _ in range(ROUNDS[self.scene.arm.dimension]):
-                before = self.count
-                push = frontier.push(states, (end - before) // 2)
-                for _ in range(FURTHER):
-                    self.add(push.place)
-                    states = joined(self.batches)
-                    push = frontier.push_on(states, push, (end - self.count) // 2)
-                if self.count - before < FEW * self.wanted:
-                    break
+            frontier = Frontier(self.slopes, resolution, scale * resolution, *region)
+            self._push(frontier, self.count + int(share * (end - self.count)))
+
+    def _push(self, frontier: Frontier, end: int) -> None:
+        """Solve states beyond one boundary, up to so many in all."""
+        states = joined(self.batches)
+        for _ in range(ROUNDS):
+            before = self.count
+            push = frontier.push(states, (end - before) // 2)
+            for _ in range(FURTHER):
+                self.add(push.place)
+                states = joined(self.batches)
+                push = frontier.push_on(states, push, (end - self.count) // 2)
+            if self.count - before < FEW * self.wanted:
+                break
 
     def result(self, stopped: str) -> Workspace:
         """What is known."""
-        states = joined(self.batches or [solve_states(self.scene, np.zeros((0, self.scene.arm.actuator_count)), False)])
-        resolution = self.resolution or _resolution(states, self.scene)
-        return Workspace.of(self.scene, states, resolution, stopped)
+        if not self.batches:
+            self.batches.append(solve_states(self.scene, np.zeros((0, self.scene.arm.actuator_count)), False))
+        if self.resolutions is None:
+            self.resolve(EXCLUDED)
+        assert self.resolutions is not None
+        return Workspace.of(self.scene, joined(self.batches), self.resolutions, stopped)
 
 
-def _resolution(states: Batch, scene: Problem) -> float:
-    """At which hardly any state lies alone."""
+def _resolution(states: Batch, scene: Problem, worst: int) -> float:
+    """At which hardly any state of a code no worse lies alone."""
     from scipy.spatial import cKDTree
 
     least, position = THIN * float(scene.arm.neutral_length), states.position
-    position = np.unique(position[states.code.numpy() <= EXCLUDED], axis=0)
+    position = np.unique(position[states.code.numpy() <= worst], axis=0)
     corners = position.shape[1] + 1
     if len(position) <= corners:
         return least

@@ -18,18 +18,19 @@ from torcharm.workspaces.states import Batch, KnownSlopes, Slopes
 Array = NDArray[np.float64]
 
 LEAST_GAIN = 0.05
-"""Of the resolution: a step that promises less is not worth a state."""
+"""Of the scale: a step that promises less is not worth a state."""
 APART = 1.0
-"""Of the resolution: the side of squares (cubes) of which each gets one attempt at a time."""
+"""Of the scale: the side of squares (cubes) of which each gets one attempt at a time."""
 TRIES = 4
 """Of each facet: every further one goes half as far, for where the model is good for short steps alone, as near a
 snap."""
 LONGEST_STEP = 0.25
-"""Of a normalised pressure: as far as the slopes may tell."""
+"""Of a normalised pressure: as far as the slopes may tell, at the first attempt. Of many pressures that do the same, a
+step may change all, and little comes of what it promises."""
 MARGIN = 1e-3
 """Of the width of a range of strains, kept free: what slopes do not tell of steps of a resolution."""
 DAMPING = 1e-2
-"""Of the resolution, that a whole range of pressure counts as: of steps to one place the shortest is taken."""
+"""Of the scale, that a whole range of pressure counts as: of steps to one place the shortest is taken."""
 PASSES = 6
 """In which the limits are found that a step meets: as many settle, or the next try does."""
 
@@ -59,6 +60,7 @@ class Frontier:
     Attributes:
         slopes: of the states, as far as they are known.
         resolution: of the alpha shape [m].
+        scale: of attempts: how far they go, at most, and how far they lie apart [m].
         codes: indices into `STATES`.
         low, high: (M,) of normalised pressures.
         in_range: whether strains must stay in their range.
@@ -67,6 +69,7 @@ class Frontier:
 
     slopes: KnownSlopes
     resolution: float
+    scale: float
     codes: tuple[int, ...]
     low: Array
     high: Array
@@ -89,9 +92,10 @@ class Frontier:
         still = np.flatnonzero(tried < TRIES)
         facets, normal = facets[still], normal[still]
         centre = position[facets].mean(1)
-        goal = centre + self.resolution * 0.5 ** tried[still, None] * normal
+        half = 0.5 ** tried[still, None]
+        goal = centre + self.scale * half * normal
         height = (centre * normal).sum(1)
-        attempts = [self._attempts(states, corner, goal) for corner in facets.T]
+        attempts = [self._attempts(states, corner, goal, half) for corner in facets.T]
         place, promised = (np.stack(part) for part in zip(*attempts, strict=True))
         best = (promised * normal).sum(2).argmax(0), np.arange(len(facets))
         chosen = self._worthwhile(promised[best], normal, height, most)
@@ -104,44 +108,44 @@ class Frontier:
         index = np.arange(len(states) - len(last), len(states))
         position = states.position[index]
         height = (position * last.normal).sum(1)
-        gained = np.isin(states.code.numpy()[index], self.codes) & (height - last.height > LEAST_GAIN * self.resolution)
+        gained = np.isin(states.code.numpy()[index], self.codes) & (height - last.height > LEAST_GAIN * self.scale)
         index, position, height, normal = index[gained], position[gained], height[gained], last.normal[gained]
-        place, promised = self._attempts(states, index, position + self.resolution * normal)
+        place, promised = self._attempts(states, index, position + self.scale * normal, np.ones((len(index), 1)))
         chosen = self._worthwhile(promised, normal, height, most)
         return Pushes(place[chosen], normal[chosen], height[chosen])
 
-    def _attempts(self, states: Batch, source: Indices, goal: Array) -> tuple[Array, Array]:
+    def _attempts(self, states: Batch, source: Indices, goal: Array, part: Array) -> tuple[Array, Array]:
         """(b, M) normalised pressures that should take tips from states to goals (b, D), and where slopes see them
         end (b, D)."""
         slopes, start, place = self.slopes.of(states, source), states.position[source], states.place.numpy()[source]
-        step = self._steps(place, slopes, goal - start)
+        step = self._steps(place, slopes, goal - start, LONGEST_STEP * part)
         return (place + step).clip(self.low, self.high), start + (slopes.tip @ step[..., None])[..., 0]
 
     def _worthwhile(self, promised: Array, normal: Array, height: Array, most: int) -> Indices:
         """The attempts that promise enough beyond the boundary, so many at most; of several to one place the best."""
         gain = (promised * normal).sum(1) - height
         order = np.argsort(-gain, kind="stable")
-        order = order[gain[order] > LEAST_GAIN * self.resolution]
-        cell = np.floor(promised[order] / (APART * self.resolution))
+        order = order[gain[order] > LEAST_GAIN * self.scale]
+        cell = np.floor(promised[order] / (APART * self.scale))
         first = np.sort(np.unique(cell, axis=0, return_index=True)[1])
         return np.asarray(order[first[:most]])
 
-    def _steps(self, place: Array, slopes: Slopes, way: Array) -> Array:
+    def _steps(self, place: Array, slopes: Slopes, way: Array, longest: Array) -> Array:
         """(F, M) that move the tip by a way (F, D), as nearly as slopes and limits allow."""
-        low, high = np.maximum(self.low, place - LONGEST_STEP), np.minimum(self.high, place + LONGEST_STEP)
+        low, high = np.maximum(self.low, place - longest), np.minimum(self.high, place + longest)
         width = high - low
         tip = slopes.tip * width[:, None]
         gradient, curvature = -(tip.swapaxes(1, 2) @ way[..., None])[..., 0], tip.swapaxes(1, 2) @ tip
         beyond, slope = slopes.beyond + MARGIN, slopes.beyond_slope * width[:, None]
         start = np.where(width > 0, (place - low) / np.where(width > 0, width, 1.0), 0.0)
-        weight, met = (self.resolution / MARGIN) ** 2, np.zeros(beyond.shape, dtype=bool)
+        weight, met = (self.scale / MARGIN) ** 2, np.zeros(beyond.shape, dtype=bool)
         for _ in range(PASSES if self.in_range else 1):
             held = slope * met[..., None]
             step = box_steps(
                 gradient + weight * (held.swapaxes(1, 2) @ np.where(met, beyond, 0.0)[..., None])[..., 0],
                 curvature + weight * (held.swapaxes(1, 2) @ held),
                 start,
-                (DAMPING * self.resolution) ** 2,
+                (DAMPING * self.scale) ** 2,
             )
             before, met = met, beyond + (slope @ step[..., None])[..., 0] > 0
             if (before == met).all():

@@ -39,6 +39,7 @@ class Workspace(HoldsTensors):
         payload_factor: (S,) the largest factor by which the payload could grow at the shape, by the sets of all nodes;
             infinite without a payload, NaN of states that are not stable.
         resolution: α of the region's alpha shape [m].
+        extrapolated_resolution: of that where force models may be extrapolated, whose states are less dense.
         arm, load: what was asked.
         base_pose: (3,) or (4, 4).
         segment_nodes: elements of each segment.
@@ -58,6 +59,7 @@ class Workspace(HoldsTensors):
     strain_excess: Tensor
     payload_factor: Tensor
     resolution: float
+    extrapolated_resolution: float
     arm: ArmDesign | ArmSeries
     load: ExternalLoad
     base_pose: Tensor
@@ -66,8 +68,8 @@ class Workspace(HoldsTensors):
     stopped: str
 
     @classmethod
-    def of(cls, scene: Problem, states: Batch, resolution: float, stopped: str) -> "Workspace":
-        """Of states of a scene, at a resolution."""
+    def of(cls, scene: Problem, states: Batch, resolutions: tuple[float, float], stopped: str) -> "Workspace":
+        """Of states of a scene, at the resolutions of both regions."""
         return cls(
             states.tip_pose,
             states.place * scene.arm.max_pressure,
@@ -75,7 +77,7 @@ class Workspace(HoldsTensors):
             states.code,
             states.strain_excess,
             states.payload_factor,
-            resolution,
+            *resolutions,
             scene.arm,
             scene.load,
             scene.base_pose,
@@ -124,15 +126,17 @@ class Workspace(HoldsTensors):
     @cached_property
     def region(self) -> AlphaShape:
         """What is reached."""
-        return self._shape(self.reached)
+        return self._shape(self.reached, self.resolution)
 
     @cached_property
     def extrapolated_region(self) -> AlphaShape:
         """What is reached where force models may be extrapolated."""
-        return self.region if bool((self.reached == self.extrapolated).all()) else self._shape(self.extrapolated)
+        if bool((self.reached == self.extrapolated).all()):
+            return self.region
+        return self._shape(self.extrapolated, self.extrapolated_resolution)
 
-    def _shape(self, which: Tensor) -> AlphaShape:
-        return alpha_shape(self.position[which].double().numpy(force=True), self.resolution)
+    def _shape(self, which: Tensor, resolution: float) -> AlphaShape:
+        return alpha_shape(self.position[which].double().numpy(force=True), resolution)
 
     @property
     def size(self) -> float:

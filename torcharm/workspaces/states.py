@@ -123,9 +123,9 @@ class Slopes:
 
     Attributes:
         tip: (b, D, M) of the tip's position [m].
-        beyond: (b, M) by how much of its width each actuator's strain leaves its characterised range at its worst node;
-            negative within.
-        beyond_slope: (b, M, M) of that.
+        beyond: (b, 3 M) by how much of its width each actuator's strain leaves its characterised range at its worst
+            node, and at the first and the last of its segment; negative within. Another may become the worst.
+        beyond_slope: (b, 3 M, M) of that.
     """
 
     tip: Array
@@ -181,18 +181,18 @@ def _tip_slope(scene: Problem, twists: Tensor, rate: Tensor) -> Tensor:
 
 
 def _range_slopes(problem: Problem, twists: Tensor, rate: Tensor) -> tuple[Tensor, Tensor]:
-    """How far strains leave their range (b, M), and the slope of that (b, M, M)."""
+    """How far strains leave their range (b, 3 M), and the slope of that (b, 3 M, M)."""
     values, slopes, node = [], [], 0
-    every = zip(segments_of(problem.arm)[0], beyond_range(problem, twists), strict=True)
-    for segment, (_, beyond, width, side) in every:
+    segments = segments_of(problem.arm)[0]
+    for segment, (_, beyond, width, side) in zip(segments, beyond_range(problem, twists), strict=True):
         here = slice(node, node + beyond.shape[1])
         node = here.stop
         across = segment.radii if segment.dimension == 2 else segment.offsets
         change = rod.actuator_lengths(rate[:, :, here], across) / segment.length  # lengths are linear in the twists
-        worst = (beyond / width).max(1)
-        values.append(worst.values)
-        own = (change * (side / width).unsqueeze(1)).gather(
-            2, worst.indices[:, None, None].expand(-1, change.shape[1], 1, -1)
-        )
-        slopes.append(own[:, :, 0].mT)
+        worst = (beyond / width).argmax(1, keepdim=True)
+        ends = torch.zeros_like(worst), torch.full_like(worst, beyond.shape[1] - 1)
+        some = torch.cat((worst, *ends), 1)
+        values.append((beyond / width).gather(1, some).flatten(1))
+        own = change * (side / width).unsqueeze(1)
+        slopes.append(own.gather(2, some.unsqueeze(1).expand(-1, change.shape[1], -1, -1)).flatten(2).mT)
     return torch.cat(values, 1), torch.cat(slopes, 1)
