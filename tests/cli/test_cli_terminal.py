@@ -41,7 +41,7 @@ def study_file(tmp_path: Path) -> Path:
 
 COMMANDS = {
     "evaluate": (".csv or .json",),
-    "fit": ("[N·m²]", "[default: (40; 0 where the tester's file holds the pressure)]", "[required]"),
+    "fit": ("[N·m²]", "[default: (440, the paper's, if forces fit better so)]", "[required]"),
     "init": ("--all",),
     "optimise": ("its table [optimise]", "as a study on the same tasks", ".toml", ".csv"),
     "plan": ("begin with [[plan]]", "to a file .csv or .json"),
