@@ -15,6 +15,7 @@ from torcharm.equilibrium.stability import beyond_range
 from torcharm.geometry import rod
 from torcharm.load import ExternalLoad
 from torcharm.statics.balance import segments_of
+from torcharm.statics.cross_section import RANGE_SLACK
 from torcharm.task import Task
 from torcharm.wrench_sets.capacity import held_factor
 
@@ -181,10 +182,11 @@ def _tip_slope(scene: Problem, twists: Tensor, rate: Tensor) -> Tensor:
 
 
 def _range_slopes(problem: Problem, twists: Tensor, rate: Tensor) -> tuple[Tensor, Tensor]:
-    """How far strains leave their range (b, 3 M), and the slope of that (b, 3 M, M)."""
+    """How far strains leave their range and its slack (b, 3 M), and the slope of that (b, 3 M, M)."""
     values, slopes, node = [], [], 0
     segments = segments_of(problem.arm)[0]
     for segment, (_, beyond, width, side) in zip(segments, beyond_range(problem, twists), strict=True):
+        beyond = beyond - RANGE_SLACK
         here = slice(node, node + beyond.shape[1])
         node = here.stop
         across = segment.radii if segment.dimension == 2 else segment.offsets
