@@ -40,9 +40,9 @@ SPREAD = 0.2
 """Of the states, over the whole box of pressures."""
 MIXED = 0.1
 """Of the states, between those of them that are reached, of which the box may hold few."""
-STAGES = {2: ((1.0, 1.0),), 3: ((0.5, 1.0), (1.0, 0.15))}
-"""In which boundaries are followed: how many of the states are known by its end, and how far attempts go in parts of
-the resolution. In space, where the resolution is coarse, first far and then near."""
+STAGES = {2: ((0.5, 1.0), (0.8, 0.3), (1.0, 0.1)), 3: ((0.5, 1.0), (0.75, 0.3), (1.0, 0.1))}
+"""In which boundaries are followed, in the plane and in space: how many of the states are known by its end, and how far
+attempts go in parts of the resolution: first far and then near."""
 INSIDE = 0.1
 """Of the states, among those reached before boundaries are followed near: what a region lacks inside is no boundary."""
 OVERHANG = 0.25
@@ -50,7 +50,7 @@ OVERHANG = 0.25
 which most of a workspace is bounded."""
 AT_ONCE = 2000
 """States solved between two looks at the clock: at most a second's work in space."""
-ROUNDS = 25
+ROUNDS = 12
 """In which a region grows, at most, of a stage."""
 FURTHER = 3
 """Pushes of a round, one from where the other got to: as many resolutions at most."""
@@ -131,7 +131,7 @@ def workspace(
         run.resolve(EXCLUDED)
         run.mix(int((SPREAD + MIXED) * states), seed)
         for stage, (share, scale) in enumerate(STAGES[scene.arm.dimension]):
-            if stage == 1:
+            if stage == 1 and scene.arm.dimension == 3:  # in the plane the first resolution is fine enough
                 run.mix(run.count + int(INSIDE * states), seed + 1)
                 run.resolve(REACHED)
             run.follow_boundaries(scale, int(share * states))
