@@ -123,7 +123,7 @@ def _cell(knots, s, value):  # type: ignore[no-untyped-def]
 
 
 @part
-def _between(x, width, f0, d0, f1, d1):  # type: ignore[no-untyped-def]
+def hermite(x, width, f0, d0, f1, d1):  # type: ignore[no-untyped-def]
     """Value and slope at x of the cubic with values and slopes at 0 and at a width; beyond both, of its tangents."""
     if x <= 0.0:
         return f0 + d0 * x, d0
@@ -144,7 +144,7 @@ def _set_level(tables, level, a, p):  # type: ignore[no-untyped-def]
     value = tables.value
     for e in range(tables.strain.shape[1]):
         for k in range(2):
-            f, slope = _between(
+            f, slope = hermite(
                 x, width, value[s, e, j, k], value[s, e, j, 2 + k], value[s, e, j + 1, k], value[s, e, j + 1, 2 + k]
             )
             level[a, e, k], level[a, e, 2 + k] = f, slope
@@ -156,7 +156,7 @@ def _at_level(tables, level, a, strain, k):  # type: ignore[no-untyped-def]
     s = tables.force[a]
     e = _cell(tables.strain, s, strain)
     x, width = strain - tables.strain[s, e], tables.strain[s, e + 1] - tables.strain[s, e]
-    return _between(x, width, level[a, e, k], level[a, e, k + 1], level[a, e + 1, k], level[a, e + 1, k + 1])
+    return hermite(x, width, level[a, e, k], level[a, e, k + 1], level[a, e + 1, k], level[a, e + 1, k + 1])
 
 
 @part
@@ -170,7 +170,7 @@ def bending_moment(tables, a, curvature, rest, pressure):  # type: ignore[no-unt
     d0 = rest * value[t, j, 1] + pressure * value[t, j, 3]
     f1 = rest * value[t, j + 1, 0] + pressure * value[t, j + 1, 2]
     d1 = rest * value[t, j + 1, 1] + pressure * value[t, j + 1, 3]
-    return _between(x, width, f0, d0, f1, d1)
+    return hermite(x, width, f0, d0, f1, d1)
 
 
 @part
