@@ -131,9 +131,10 @@ def workspace(
         run.resolve(EXCLUDED)
         run.mix(int((SPREAD + MIXED) * states), seed)
         for stage, (share, scale) in enumerate(STAGES[scene.arm.dimension]):
-            if stage == 1 and scene.arm.dimension == 3:  # in the plane the first resolution is fine enough
+            if stage == 1:
                 run.mix(run.count + int(INSIDE * states), seed + 1)
-                run.resolve(REACHED)
+                if scene.arm.dimension == 3:  # in the plane the first resolution is fine enough
+                    run.resolve(REACHED)
             run.follow_boundaries(scale, int(share * states))
         run.mix(states, seed + 2)
     except KeyboardInterrupt:
