@@ -343,6 +343,33 @@ def test_percents_without_a_unit_are_asked_about(fit):
     assert model.strain_range[0] == pytest.approx(-0.2)
 
 
+@pytest.mark.parametrize(("unit", "newtons"), [("kN", 1000.0), ("N", 1.0)])
+def test_commas_behind_a_leading_zero_are_decimal_signs(tmp_path, unit, newtons):
+    samples = [line.split(",") for line in layouts.LONG.splitlines()[1:]]
+    quoted = [f"{float(force) / newtons:.3f}".replace(".", ",") for *_, force in samples]
+    rows = [f'{100 * float(e):.0f},{p},"{force}"' for (e, p, _), force in zip(samples, quoted, strict=True)]
+    text = layouts.text(f"strain [%],pressure [kPa],force [{unit}]", rows)
+    (tmp_path / "t.csv").write_text(text)
+    found = read_table(tmp_path / "t.csv", positive="push")
+    np.testing.assert_allclose(found.force, layouts.muscle(found.strain, found.pressure), atol=0.501e-3 * newtons)
+
+
+@pytest.mark.parametrize(("separator", "read"), [(",", "thousands"), (";", "decimal signs")])
+def test_commas_that_may_be_either_are_a_warning(tmp_path, separator, read):
+    rows = [separator.join((str(10 * (k % 4)), str(k // 4), f'"{1200 + 37 * k:,}"')) for k in range(16)]
+    names = separator.join(("contraction [%]", "pressure [bar]", "force [N]"))
+    (tmp_path / "t.csv").write_text(layouts.text(names, rows))
+    with pytest.warns(UserWarning, match=f"t.csv: commas read as {read}, as in 1,234, but no number tells"):
+        found = read_table(tmp_path / "t.csv")
+    assert abs(found.force[0]) == pytest.approx(1200 if read == "thousands" else 1.2)
+
+
+def test_decimal_commas_beside_points_are_named(fit):
+    rows = [f'{k / 10:.1f},"{k % 7},50","{k % 5},125"' for k in range(40)]
+    said = fit("--tester", "tester.txt", tester=layouts.text("Time (s),Strain (%),Force (N)", rows))
+    assert "are there decimal commas beside decimal points?" in said
+
+
 def test_one_column_is_not_two_quantities(fit):
     said = fit("--table", "table.txt", "--columns", "force=2:N", table=TABLE)
     assert "line 1: force must be in another column than pressure, got 2 for both" in said

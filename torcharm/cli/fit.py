@@ -324,5 +324,5 @@ def _warnings_on_stderr() -> Iterator[None]:
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always", UserWarning)
         yield
-    for warning in found:
-        print("torcharm: warning:", " ".join(str(warning.message).split()), file=sys.stderr)
+    for message in dict.fromkeys(" ".join(str(warning.message).split()) for warning in found):
+        print("torcharm: warning:", message, file=sys.stderr)
