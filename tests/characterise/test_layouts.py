@@ -145,7 +145,7 @@ ASKED = [
     (BOTH, ("--columns", "strain=3,extension=2"), r"columns: must name one of strain, contraction and extension, .*"),
     (
         ("reference", "seconds since 1970, no header"),
-        (),
+        ("--unit", "kPa"),
         r"tester.txt and log.txt: do not overlap in time: .*; an offset of -1690000000013 ms \(--offset\) would .*",
     ),
 ]

@@ -61,6 +61,15 @@ def test_pressure_units(tmp_path, unit, factor):
     np.testing.assert_allclose(ta.read_pressure(log(tmp_path, rows), unit).pressure, [0, 30, 60], rtol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("head", "got"), [("time_s,pressure\n", "got none in 'time_s,pressure'"), ("", "got none in no header")]
+)
+def test_pressures_of_no_unit_are_refused_but_in_the_papers_layout(tmp_path, head, got):
+    with pytest.raises(ValueError, match=rf"the unit of pressure must be one of kPa, .*{got}; .*=.*:kPa\", or --unit"):
+        ta.read_pressure(log(tmp_path, head=head))
+    np.testing.assert_array_equal(ta.read_pressure(log(tmp_path, head=head), "kPa").pressure, [0, 3, 5, 5.5])
+
+
 @pytest.mark.parametrize("unit", ["kPa", "Pa", "MPa"])
 def test_an_implausible_pressure_is_a_warning(tmp_path, unit):
     with pytest.warns(UserWarning, match=rf"log.txt: pressures reach .* kPa when read as {unit}"):

@@ -39,6 +39,8 @@ _PREFERRED_ALONE = ("time", "extension", "force")
 _AMBIGUOUS = ("min", "h", "1", "-", "in", "g")
 """What names a unit in brackets, or in a row of units, but may mean something else as a word of a name."""
 _BRACKETS = re.compile(r"\(([^()]*)\)|\[([^\[\]]*)\]")
+USUAL_UNIT = {"time": "s", "strain": "%", "contraction": "%", "extension": "mm", "force": "N", "pressure": "kPa"}
+"""What examples in messages name."""
 _OPTION = re.compile(r"(?:^|,)\s*([A-Za-z_]+)\s*=")
 
 
@@ -243,7 +245,8 @@ def _column(sheet: Sheet, header: Header, quantity: str, choice: _Choice | None,
         got = f"{unknown!r} in {header.shown}" if unknown else f"none in {header.shown}"
         raise ValueError(
             f"{where}: {_allowed(quantity)}, got {got}; {option} says it, "
-            f'as in "{quantity}={header.names[index] or index + 1}:{next(iter(MEASURED[quantity]))}"'
+            f'as in "{quantity}={header.names[index] or index + 1}:{USUAL_UNIT[quantity]}"'
+            f"{', or --unit' if quantity == 'pressure' else ''}"
         )
     name = header.names[index].lower()
     texts = [*_unit_texts(header, index), *re.split(r"[_,;/\s]", name)]

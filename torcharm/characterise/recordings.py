@@ -47,8 +47,10 @@ POSITIVE = ("pull", "push")
 """What positive forces of a file may do."""
 SURROUNDINGS = 101.325
 """The standard atmosphere [kPa], which is taken off absolute pressures."""
-LOG_UNITS = {"time": "ms", "pressure": "psi"}
-"""Of a pressure log that names none."""
+CLOCK = {"time": "ms"}
+"""The unit of a pressure log's times that name none."""
+PSI_LOG = ("Time", "Pressure")
+"""The whole header of the logs published with the paper, whose pressures are in psi; others have to name their unit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,14 +135,15 @@ def read_pressure(
 ) -> PressureRecord:
     """Read time and pressure of a log, or of a file with more columns.
 
-    Units are those that the file names, else ms and `unit`; times like seconds since 1970 are such. Without a
+    Units are those that the file names, else ms and `unit`; a header of Time and Pressure alone, as the paper's
+    recordings have it, means psi. Times like seconds since 1970 are such. Without a
     header, the first of two columns is the time. A highest pressure that is implausible for a soft actuator (outside 20
     to 1000 kPa) is a warning: it tells of a wrong unit. A log without a closing line, such as "Logging end", is read
     and noted.
 
     Args:
         path: the file.
-        unit: of its pressures; None: what the file names, psi where it names none.
+        unit: of its pressures, where the file names none.
         columns: as for `read_tester`, of time and pressure.
         truncated: as for `read_tester`.
 
@@ -148,7 +151,7 @@ def read_pressure(
         `time` (n) [ms] and gauge `pressure` (n) [kPa].
 
     Raises:
-        ValueError: unknown unit, or another one than the file names; or as for `read_tester`.
+        ValueError: no or unknown unit, or another one than the file names; or as for `read_tester`.
 
     Example:
         >>> _ = (path := folder / "log.txt").write_text("Time,Pressure\\n0,0\\n10,5\\n20,10\\nLogging end\\n")
@@ -203,7 +206,8 @@ def as_pressure_record(
     numeric = [place for place, own in enumerate(sheet.form.numeric, 1) if own]
     if not told(columns) and not sheet.above and len(numeric) == 2:
         columns = {"time": numeric[0], "pressure": numeric[1]}
-    defaults = (LOG_UNITS if alone else {}) | ({"pressure": unit} if unit else {}) | _clock_unit(sheet, columns)
+    usual = unit or ("psi" if alone and header_of(sheet).names == PSI_LOG else None)
+    defaults = (CLOCK if alone else {}) | ({"pressure": usual} if usual else {}) | _clock_unit(sheet, columns)
     found = find_columns(sheet, ("time", "pressure"), columns, defaults, option)
     pressure = found["pressure"]
     pressure.check_unit(unit, sheet.source, option)
@@ -310,7 +314,7 @@ def strain_scale(sheet: Sheet, stretch: Column, gauge_length: float | None) -> f
 def _clock_unit(sheet: Sheet, columns: Columns | None) -> dict[str, str]:
     """The unit of times that count from 1970, whose size names it; nothing of others."""
     try:
-        found = find_columns(sheet, ("time",), columns, LOG_UNITS)
+        found = find_columns(sheet, ("time",), columns, CLOCK)
     except ValueError:  # is told when all columns are looked for
         return {}
     first = _first_number(sheet, found["time"])

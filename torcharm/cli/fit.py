@@ -72,7 +72,7 @@ def fit(
         str | None,
         typer.Option(
             help="Of pressures that the file names none for: psi, kPa, bar, MPa, Pa, mbar.",
-            show_default="the file's, or psi",
+            show_default="the file's; psi for logs of Time,Pressure",
         ),
     ] = None,
     vacuum: Annotated[
