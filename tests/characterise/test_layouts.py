@@ -370,6 +370,14 @@ def test_decimal_commas_beside_points_are_named(fit):
     assert "are there decimal commas beside decimal points?" in said
 
 
+def test_parts_of_1_in_a_column_of_percents_and_units_taken_are_told(fit, tmp_path):
+    (tmp_path / "t.csv").write_text(layouts.LONG.replace("strain", "strain [%]"))
+    with pytest.warns(UserWarning, match=r"is the unit of strain, %, right, or are the cells parts of 1\?"):
+        read_table(tmp_path / "t.csv")
+    _, shown = fit("--table", "table.txt", table=layouts.LONG)
+    assert "names no unit of strain: read as parts of 1" in shown
+
+
 def test_one_column_is_not_two_quantities(fit):
     said = fit("--table", "table.txt", "--columns", "force=2:N", table=TABLE)
     assert "line 1: force must be in another column than pressure, got 2 for both" in said

@@ -31,7 +31,7 @@ _COMPRESSIVE = re.compile(r"compressi|stauchung|druckkraft")
 """What a tester names so is positive where it squeezes: such strains and extensions shorten, such forces push."""
 _LENGTHENING = re.compile(r"extension|elongation|verlängerung|tensile|tension|dehnung")
 """What is positive where longer; strokes and positions count either way."""
-_ABSOLUTE = re.compile(r"\babs\b|absolut")
+_ABSOLUTE = re.compile(r"(?<![a-z])abs(?![a-z])|absolut")
 _GAUGE_OR_NOT = re.compile(r"(?<=[A-Za-z²])\s?\((g|gauge|rel\.?|ü|a|abs\.?|absolute?)\)", re.IGNORECASE)
 """What follows a unit of pressure in brackets of its own, as in `bar(g)`."""
 _PREFERRED_ALONE = ("time", "extension", "force")

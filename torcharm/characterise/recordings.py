@@ -33,6 +33,8 @@ PLAUSIBLE_PRESSURE = (20.0, 1000.0)
 """Between these [kPa] lies the highest pressure of a recording, or its unit is doubted."""
 PLAUSIBLE_STRAIN = (0.01, 5.0)
 """Between these lies the largest strain, or percents were taken for parts of 1, or these for percents."""
+FAR_FROM_REST = 3.0
+"""In widths of their range, how far from 0 lengths all lie that are positions, if further than the gauge length."""
 ATMOSPHERE = (80.0, 108.0)
 """Between these [kPa] lies the pressure of the surroundings: a log that rests there is absolute."""
 LONGEST_GAUGE = 3.0
@@ -212,7 +214,7 @@ def as_pressure_record(
     pressure = found["pressure"]
     pressure.check_unit(unit, sheet.source, option)
     table, _, notes = _in_time(sheet, found, truncated=truncated)
-    table["pressure"], taken_off = gauge_pressure(table["pressure"], sheet.source, absolute=pressure.absolute)
+    table["pressure"], taken_off = gauge_pressure(table["pressure"], sheet.source, pressure, rests=True)
     notes = (*notes, *taken_off)
     if not sheet.closing and len(found) == sheet.form.width:
         notes = (*notes, "has no closing line, taken as whole")
@@ -227,13 +229,17 @@ def as_pressure_record(
     return PressureRecord(table["time"], table["pressure"], sheet.source, notes)
 
 
-def gauge_pressure(pressure: Array, source: str, *, absolute: bool) -> tuple[Array, tuple[str, ...]]:
-    """Pressures above that of the surroundings [kPa], and what was assumed for it; a warning, too."""
-    if not absolute:
-        if ATMOSPHERE[0] <= pressure.min() <= ATMOSPHERE[1]:
+def gauge_pressure(pressure: Array, source: str, column: Column, *, rests: bool) -> tuple[Array, tuple[str, ...]]:
+    """Pressures above that of the surroundings [kPa], and what was assumed for it; a warning, too.
+
+    Pressures of a run rest at that of the surroundings; those of a data sheet's table may begin at any.
+    """
+    if not column.absolute:
+        if rests and ATMOSPHERE[0] <= pressure.min() <= ATMOSPHERE[1]:
             warnings.warn(
-                f"{source}: pressures are never below {pressure.min():.4g} kPa: are they absolute? A unit such as bara "
-                'says so, in the file or by --columns (or --pressure-columns) "pressure=2:bara"',
+                f"{source}: pressures are never below {pressure.min():.4g} kPa: are they absolute? A unit such as "
+                f"{column.unit} abs says so, in the file or by --columns (or --pressure-columns) "
+                f'"pressure={column.index + 1}:{column.unit} abs"',
                 stacklevel=4,
             )
         return pressure, ()
@@ -243,13 +249,26 @@ def gauge_pressure(pressure: Array, source: str, *, absolute: bool) -> tuple[Arr
 
 
 def check_strains(source: str, strain: Array, stretch: Column) -> None:
-    """Warn about strains that are implausible for soft actuators."""
+    """Raise a ValueError about strains that no actuator can have; warn about those implausible for soft ones."""
+    if strain.min() <= -1.0:
+        raise ValueError(
+            f"{source}: strains must be above -1, at which no length is left, got {strain.min():.3g} from "
+            f"{stretch.quantity} in {stretch.unit}: are unit and gauge length right, or is this a position?"
+        )
+    size = np.abs(strain)
+    if stretch.unit in LENGTH and size.min() > max(1.0, FAR_FROM_REST * float(np.ptp(strain))):
+        raise ValueError(
+            f"{source}: strains must count from the actuators' own length, got {strain.min():.3g} to "
+            f"{strain.max():.3g}, never near 0: is this a position, or is the gauge length wrong?"
+        )
     low, high = PLAUSIBLE_STRAIN
-    most = float(np.abs(strain).max())
+    most = float(size.max())
     if not low <= most <= high:
         how = f"more than {high:g}" if most > high else f"less than {low:g}"
+        cells = ", or are the cells parts of 1" if most < low and stretch.unit == "%" else ""
         warnings.warn(
-            f"{source}: strains reach {most:.3g}, {how}: is the unit of {stretch.quantity}, {stretch.unit}, right?",
+            f"{source}: strains reach {most:.3g}, {how}: is the unit of {stretch.quantity}, {stretch.unit}, right"
+            f"{cells}?",
             stacklevel=4,
         )
 
@@ -284,7 +303,7 @@ def stretch_quantity(sheet: Sheet, columns: Columns | None, gauge_length: float 
         header = header_of(sheet)
         raise ValueError(
             f"{sheet.source}: line {header.line}: must name one column of strain, contraction or extension, got "
-            f'{header.none}; --columns says which, as in "contraction=2:mm"'
+            f'{header.none}; --columns says which, as in "extension=2:mm" or "contraction=2:%"'
         )
     return found[0]
 
