@@ -378,6 +378,17 @@ def test_parts_of_1_in_a_column_of_percents_and_units_taken_are_told(fit, tmp_pa
     assert "names no unit of strain: read as parts of 1" in shown
 
 
+def test_strains_that_may_count_compression_are_told(fit):
+    rows = [f"{e},{p},{1.2 * e + 0.9 * p:.2f}" for e in range(-10, 25, 5) for p in range(0, 120, 20)]
+    text = layouts.text("Strain [%],Pressure [kPa],Force [N]", rows)
+    model, shown = fit("--table", "table.txt", table=text)
+    hint = "so pressure makes it pull, as a muscle does; of a bellows whose strains count compression"
+    assert hint in " ".join(shown.split())
+    model, shown = fit("--table", "table.txt", "--columns", "contraction=1:%", table=text)
+    assert hint not in " ".join(shown.split())
+    assert float(model.force(torch.tensor(0.0), torch.tensor(100.0))) == pytest.approx(90, rel=0.05)
+
+
 def test_one_column_is_not_two_quantities(fit):
     said = fit("--table", "table.txt", "--columns", "force=2:N", table=TABLE)
     assert "line 1: force must be in another column than pressure, got 2 for both" in said
