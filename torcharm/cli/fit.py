@@ -292,9 +292,14 @@ def _fitted(
     from torcharm.inputs import check_choice
 
     check_choice("model", kind, KINDS)
-    return (
-        best_fit(recording, degree, **options) if kind == "best" else ([], fit_kind(recording, kind, degree, **options))
-    )
+    try:
+        if kind == "best":
+            return best_fit(recording, degree, **options)
+        return [], fit_kind(recording, kind, degree, **options)
+    except ValueError as error:
+        if str(error).startswith(("strain", "pressure", "force")):  # of the files' samples, and not of an option
+            raise ValueError(f"{'; '.join(recording.sources)}: {error}") from None
+        raise
 
 
 def _outputs(
