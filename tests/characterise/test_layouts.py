@@ -145,7 +145,7 @@ ASKED = [
     (BOTH, ("--columns", "strain=3,extension=2"), r"columns: must name one of strain, contraction and extension, .*"),
     (
         ("reference", "seconds since 1970, no header"),
-        (),
+        ("--unit", "kPa"),
         r"tester.txt and log.txt: do not overlap in time: .*; an offset of -1690000000013 ms \(--offset\) would .*",
     ),
 ]
@@ -171,7 +171,7 @@ def test_vacuum_is_refused_or_taken_by_its_depth(fit):
     text = layouts.text("Time (ms),Strain (%),Force (N),Pressure (kPa)", layouts.lines(*columns))
     said = fit("--tester", "tester.txt", "--smoothing", 0, "--degree", 1, tester=text)
     assert isinstance(said, str)
-    assert re.match(r"torcharm: pressure: must be gauge .* vacuum is not supported as such; .*--vacuum", said)
+    assert re.match(r"torcharm: tester.txt.*: pressure: must be gauge .* vacuum is not supported .*--vacuum", said)
     model, shown = fit("--tester", "tester.txt", "--smoothing", 0, "--degree", 1, "--vacuum", tester=text)
     assert_law(model, {(1, 0): -30.0, (0, 1): -1.2})
     assert model.pressure_range == (0.0, pytest.approx(40.0, rel=1e-3))
@@ -341,6 +341,52 @@ def test_percents_without_a_unit_are_asked_about(fit):
     assert 'is it in %? --columns "contraction=1:%" says so' in said
     model, _ = fit("--table", "table.txt", "--columns", "contraction=1:%", table=TABLE.replace(" (%)", ""))
     assert model.strain_range[0] == pytest.approx(-0.2)
+
+
+@pytest.mark.parametrize(("unit", "newtons"), [("kN", 1000.0), ("N", 1.0)])
+def test_commas_behind_a_leading_zero_are_decimal_signs(tmp_path, unit, newtons):
+    samples = [line.split(",") for line in layouts.LONG.splitlines()[1:]]
+    quoted = [f"{float(force) / newtons:.3f}".replace(".", ",") for *_, force in samples]
+    rows = [f'{100 * float(e):.0f},{p},"{force}"' for (e, p, _), force in zip(samples, quoted, strict=True)]
+    text = layouts.text(f"strain [%],pressure [kPa],force [{unit}]", rows)
+    (tmp_path / "t.csv").write_text(text)
+    found = read_table(tmp_path / "t.csv", positive="push")
+    np.testing.assert_allclose(found.force, layouts.muscle(found.strain, found.pressure), atol=0.501e-3 * newtons)
+
+
+@pytest.mark.parametrize(("separator", "read"), [(",", "thousands"), (";", "decimal signs")])
+def test_commas_that_may_be_either_are_a_warning(tmp_path, separator, read):
+    rows = [separator.join((str(10 * (k % 4)), str(k // 4), f'"{1200 + 37 * k:,}"')) for k in range(16)]
+    names = separator.join(("contraction [%]", "pressure [bar]", "force [N]"))
+    (tmp_path / "t.csv").write_text(layouts.text(names, rows))
+    with pytest.warns(UserWarning, match=f"t.csv: commas read as {read}, as in 1,234, but no number tells"):
+        found = read_table(tmp_path / "t.csv")
+    assert abs(found.force[0]) == pytest.approx(1200 if read == "thousands" else 1.2)
+
+
+def test_decimal_commas_beside_points_are_named(fit):
+    rows = [f'{k / 10:.1f},"{k % 7},50","{k % 5},125"' for k in range(40)]
+    said = fit("--tester", "tester.txt", tester=layouts.text("Time (s),Strain (%),Force (N)", rows))
+    assert "are there decimal commas beside decimal points?" in said
+
+
+def test_parts_of_1_in_a_column_of_percents_and_units_taken_are_told(fit, tmp_path):
+    (tmp_path / "t.csv").write_text(layouts.LONG.replace("strain", "strain [%]"))
+    with pytest.warns(UserWarning, match=r"is the unit of strain, %, right, or are the cells parts of 1\?"):
+        read_table(tmp_path / "t.csv")
+    _, shown = fit("--table", "table.txt", table=layouts.LONG)
+    assert "names no unit of strain: read as parts of 1" in shown
+
+
+def test_strains_that_may_count_compression_are_told(fit):
+    rows = [f"{e},{p},{1.2 * e + 0.9 * p:.2f}" for e in range(-10, 25, 5) for p in range(0, 120, 20)]
+    text = layouts.text("Strain [%],Pressure [kPa],Force [N]", rows)
+    model, shown = fit("--table", "table.txt", table=text)
+    hint = "so pressure makes it pull, as a muscle does; of a bellows whose strains count compression"
+    assert hint in " ".join(shown.split())
+    model, shown = fit("--table", "table.txt", "--columns", "contraction=1:%", table=text)
+    assert hint not in " ".join(shown.split())
+    assert float(model.force(torch.tensor(0.0), torch.tensor(100.0))) == pytest.approx(90, rel=0.05)
 
 
 def test_one_column_is_not_two_quantities(fit):

@@ -61,6 +61,15 @@ def test_pressure_units(tmp_path, unit, factor):
     np.testing.assert_allclose(ta.read_pressure(log(tmp_path, rows), unit).pressure, [0, 30, 60], rtol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("head", "got"), [("time_s,pressure\n", "got none in 'time_s,pressure'"), ("", "got none in no header")]
+)
+def test_pressures_of_no_unit_are_refused_but_in_the_papers_layout(tmp_path, head, got):
+    with pytest.raises(ValueError, match=rf"the unit of pressure must be one of kPa, .*{got}; .*=.*:kPa\", or --unit"):
+        ta.read_pressure(log(tmp_path, head=head))
+    np.testing.assert_array_equal(ta.read_pressure(log(tmp_path, head=head), "kPa").pressure, [0, 3, 5, 5.5])
+
+
 @pytest.mark.parametrize("unit", ["kPa", "Pa", "MPa"])
 def test_an_implausible_pressure_is_a_warning(tmp_path, unit):
     with pytest.warns(UserWarning, match=rf"log.txt: pressures reach .* kPa when read as {unit}"):
@@ -75,8 +84,12 @@ def test_a_plausible_pressure_is_none(tmp_path):
 
 def test_pressures_that_rest_at_the_atmosphere_are_asked_about_and_read_if_said_to_be_absolute(tmp_path):
     path = log(tmp_path, ["0,101.4", "10,121.3", "20,141.3"], head="Time (ms),Pressure (kPa)\n")
-    with pytest.warns(UserWarning, match=r"pressures are never below 101.4 kPa: are they absolute\? .*=2:bara"):
+    with pytest.warns(UserWarning, match=r"pressures are never below 101.4 kPa: are they absolute\? .*=2:kPa abs"):
         ta.read_pressure(path)
+    named = log(tmp_path, ["0,1014", "10,1213", "20,1413"], head="time_ms,pressure_mbar_abs\n")
+    with pytest.warns(UserWarning, match=r"101.325 kPa of the surroundings taken off, assumed"):
+        np.testing.assert_allclose(ta.read_pressure(named).pressure, [0.075, 19.975, 39.975])
+    path = log(tmp_path, ["0,101.4", "10,121.3", "20,141.3"], head="Time (ms),Pressure (kPa)\n")
     with pytest.warns(UserWarning, match=r"101.325 kPa of the surroundings taken off, assumed"):
         found = ta.read_pressure(path, columns="pressure=2:kPa abs")
     np.testing.assert_allclose(found.pressure, [0.075, 19.975, 39.975])
@@ -86,6 +99,20 @@ def test_a_strain_that_is_none_is_a_warning(tmp_path):
     path = csv_file(tmp_path, ['"0","0","0","1"', '"20","0","0.4","1"'])
     with pytest.warns(UserWarning, match=r"tester.csv: strains reach 0.004, less than 0.01: is the unit of strain, %"):
         ta.read_tester(path)
+
+
+@pytest.mark.parametrize(
+    ("first", "message"),
+    [
+        (304, "must count from the actuators' own length, got 3.8 to 3.9, never near 0: is this a position"),
+        (-82, "must be above -1, at which no length is left, got -1.0"),
+    ],
+)
+def test_positions_are_no_extensions(tmp_path, first, message):
+    rows = [f"{k},{first + 2 * k},{k}" for k in range(5)]
+    path = write(tmp_path / "t.csv", "\n".join(["Time (s),Position (mm),Force (N)", *rows, ""]))
+    with pytest.raises(ValueError, match=f"t.csv: strains {message}"):
+        ta.read_tester(path, gauge_length=0.08)
 
 
 def test_an_implausible_strain_is_a_warning(tmp_path):

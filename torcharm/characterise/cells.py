@@ -12,9 +12,10 @@ Row = list[str]
 NUMBER = r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?"
 _IS_NUMBER = re.compile(rf"\s*(?:{NUMBER}|[+-]?\d{{1,3}}(?:[.,'\u00a0\u202f]\d{{3}})+(?:[.,]\d+)?)\s*")
 _GROUPED = {
-    ",": re.compile(r"\s*[+-]?\d{1,3}(?:,\d{3})+(?:\.\d*)?\s*"),
-    ".": re.compile(r"\s*[+-]?\d{1,3}(?:\.\d{3})+(?:,\d*)?\s*"),
+    ",": re.compile(r"\s*[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d*)?\s*"),
+    ".": re.compile(r"\s*[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d*)?\s*"),
 }
+"""Numbers with a sign between thousands, none of which begins with 0: `0,515` has a decimal comma."""
 _BETWEEN_THOUSANDS = re.compile(r"(?<=\d)['\u00a0\u202f](?=\d{3})")
 _DRESSED = re.compile(
     rf"(?P<label>\s*[^\W\d_][^:=,;]{{0,30}}?\s*[:=]\s*)?{NUMBER}(?P<unit>\s*[^\d\s.,;:+-][^\d,;:]{{0,11}}?)?\s*"
@@ -56,8 +57,8 @@ def dress(cell: str) -> tuple[str, str]:
     return (label, unit) if not unit or any(unit_named(unit, quantity) for quantity in MEASURED) else ("", "")
 
 
-def decimal_sign(rows: Sequence[Row], separator: str) -> str:
-    """The decimal sign of numbers.
+def decimal_sign(rows: Sequence[Row], separator: str) -> tuple[str, bool]:
+    """The decimal sign of numbers, and whether it is sure: it is not where each comma may stand between thousands.
 
     A comma is one where it is told from a comma between thousands, by its digits or as the only sign in files that
     commas do not separate; in comma-separated files `"1,234"` is a thousand and some.
@@ -65,13 +66,15 @@ def decimal_sign(rows: Sequence[Row], separator: str) -> str:
     cells = [cell for row in rows for cell in row if _IS_NUMBER.fullmatch(cell) and ("," in cell or "." in cell)]
     commas, points = [c for c in cells if "," in c], [c for c in cells if "." in c]
     if not commas:
-        return "," if any(c.count(".") > 1 for c in points) else "."
+        return "," if any(c.count(".") > 1 for c in points) else ".", True
     both = [c for c in commas if "." in c]
     if both:
-        return "," if both[0].rindex(",") > both[0].rindex(".") else "."
-    if any(c.count(",") > 1 for c in commas) or (points and not all(_GROUPED["."].fullmatch(c) for c in points)):
-        return "."
-    return "." if separator == "," and all(_GROUPED[","].fullmatch(c) for c in commas) else ","
+        return "," if both[0].rindex(",") > both[0].rindex(".") else ".", True
+    if any(c.count(",") > 1 for c in commas):
+        return ".", True
+    grouped = all(_GROUPED[","].fullmatch(c) for c in commas)
+    decimal_points = any(not _GROUPED["."].fullmatch(c) for c in points)
+    return "." if decimal_points or (separator == "," and grouped) else ",", not grouped
 
 
 def number(cell: str, decimal: str, *, sparse: bool = False) -> float:

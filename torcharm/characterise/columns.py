@@ -31,7 +31,7 @@ _COMPRESSIVE = re.compile(r"compressi|stauchung|druckkraft")
 """What a tester names so is positive where it squeezes: such strains and extensions shorten, such forces push."""
 _LENGTHENING = re.compile(r"extension|elongation|verlängerung|tensile|tension|dehnung")
 """What is positive where longer; strokes and positions count either way."""
-_ABSOLUTE = re.compile(r"\babs\b|absolut")
+_ABSOLUTE = re.compile(r"(?<![a-z])abs(?![a-z])|absolut")
 _GAUGE_OR_NOT = re.compile(r"(?<=[A-Za-z²])\s?\((g|gauge|rel\.?|ü|a|abs\.?|absolute?)\)", re.IGNORECASE)
 """What follows a unit of pressure in brackets of its own, as in `bar(g)`."""
 _PREFERRED_ALONE = ("time", "extension", "force")
@@ -39,6 +39,8 @@ _PREFERRED_ALONE = ("time", "extension", "force")
 _AMBIGUOUS = ("min", "h", "1", "-", "in", "g")
 """What names a unit in brackets, or in a row of units, but may mean something else as a word of a name."""
 _BRACKETS = re.compile(r"\(([^()]*)\)|\[([^\[\]]*)\]")
+USUAL_UNIT = {"time": "s", "strain": "%", "contraction": "%", "extension": "mm", "force": "N", "pressure": "kPa"}
+"""What examples in messages name."""
 _OPTION = re.compile(r"(?:^|,)\s*([A-Za-z_]+)\s*=")
 
 
@@ -243,7 +245,8 @@ def _column(sheet: Sheet, header: Header, quantity: str, choice: _Choice | None,
         got = f"{unknown!r} in {header.shown}" if unknown else f"none in {header.shown}"
         raise ValueError(
             f"{where}: {_allowed(quantity)}, got {got}; {option} says it, "
-            f'as in "{quantity}={header.names[index] or index + 1}:{next(iter(MEASURED[quantity]))}"'
+            f'as in "{quantity}={header.names[index] or index + 1}:{USUAL_UNIT[quantity]}"'
+            f"{', or --unit' if quantity == 'pressure' else ''}"
         )
     name = header.names[index].lower()
     texts = [*_unit_texts(header, index), *re.split(r"[_,;/\s]", name)]

@@ -7,6 +7,7 @@ so that 10 MB take less than a second, and no data frame library is needed for w
 
 import csv
 import re
+import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -45,6 +46,7 @@ class Form:
         separator: of cells.
         width: cells of a line.
         decimal: the decimal sign, "." or ",".
+        sure: whether numbers tell it; not so where each comma may stand between thousands.
         numeric: of each cell, whether it mostly holds numbers.
         dress: of each cell, what stands before and behind most of its numbers, as in `p: 12.5 kPa`; "" for nothing.
     """
@@ -52,6 +54,7 @@ class Form:
     separator: str
     width: int
     decimal: str
+    sure: bool
     numeric: tuple[bool, ...]
     dress: tuple[tuple[str, str], ...]
 
@@ -131,6 +134,12 @@ def numbers(
     """
     rows, places = sheet.rows, sheet.places
     said = ["commas are read as decimal signs"] if sheet.form.decimal == "," else []
+    if not sheet.form.sure:
+        read, other = ("decimal signs", "thousands") if said else ("thousands", "decimal signs")
+        warnings.warn(
+            f"{sheet.source}: commas read as {read}, as in 1,234, but no number tells them from {other}: are they?",
+            stacklevel=4,
+        )
     if sheet.cut and not truncated:
         raise ValueError(
             f"{sheet.source}: line {places[-1]}: must be a whole line of {sheet.form.width} cells, got "
@@ -191,6 +200,8 @@ def _too_damaged(sheet: Sheet, bad: Sequence[int], columns: Sequence[int]) -> Va
     row = dict(zip(sheet.places, sheet.rows, strict=True)).get(bad[0])
     got = f"more than {LONGEST_LINE} characters" if row is None else short(" ".join(row))
     more = f"; {len(bad)} of {len(sheet.rows)} lines are damaged, too many to leave out" if len(bad) > 1 else ""
+    if sheet.form.decimal == "." and any("," in cell and is_number(cell) for cell in row or ()):
+        more += "; are there decimal commas beside decimal points?"
     return ValueError(
         f"{sheet.source}: line {bad[0]}: must be {sheet.form.width} cells with finite numbers in columns "
         f"{_listed(sorted(column + 1 for column in columns))}, got {got}{more}"
@@ -263,7 +274,7 @@ def _form(lines: Sequence[str]) -> Form:
     width = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
     own = _dress(rows, width)
     rows = _undressed(rows, own)
-    return Form(separator, width, decimal_sign(rows, separator), _numeric(rows, width), own)
+    return Form(separator, width, *decimal_sign(rows, separator), _numeric(rows, width), own)
 
 
 def _extent(rows: Sequence[Row], form: Form) -> tuple[int, int]:

@@ -26,6 +26,7 @@ from torcharm.characterise.delimited import Array, Sheet, numbers, read_sheet, s
 from torcharm.characterise.recordings import (
     PLAUSIBLE_STRAIN,
     POSITIVE,
+    check_strains,
     gauge_pressure,
     known_signs,
     strain_scale,
@@ -80,6 +81,7 @@ def read_table(
     samples = _long(sheet, unit, columns, gauge_length) if wide is None else _wide(sheet, wide, unit, gauge_length)
     own = np.isfinite(samples.force)
     strain, pressure, force = (x[own] for x in (samples.strain, samples.pressure, samples.force))
+    check_strains(sheet.source, strain, samples.stretch)
     usual = "pull" if samples.stretch.quantity == "contraction" else "push"
     signs = known_signs(samples.stretch, squeezes=samples.squeezes, positive=positive, usual=usual)
     strain, force, words = settled(signs, strain, pressure, force, sheet.source)
@@ -157,8 +159,9 @@ def _long(sheet: Sheet, unit: str | None, columns: Columns | None, gauge_length:
             f"{sheet.source}: {quantity} reaches {np.abs(strain).max():g} and names no unit, must be a part of 1 or "
             f'name one: is it in %? --columns "{quantity}={stretch.index + 1}:%" says so'
         )
-    pressure, taken_off = gauge_pressure(pressure, sheet.source, absolute=found["pressure"].absolute)
+    pressure, taken_off = gauge_pressure(pressure, sheet.source, found["pressure"], rests=False)
     strain = strain_scale(sheet, stretch, gauge_length) * strain
+    notes = notes if stretch.named else (*notes, f"names no unit of {quantity}: read as parts of 1")
     squeezes = found["force"].compressive
     return _Samples(strain, pressure, force, np.array(line), stretch, squeezes, (*notes, *taken_off))
 
@@ -225,7 +228,7 @@ def _wide(sheet: Sheet, columns: list[tuple[float, str]], unit: str | None, gaug
     scaled = [axes[quantity].factor * values[quantity] for quantity in values]
     grid = dict(zip(values, np.meshgrid(*scaled, indexing="ij"), strict=True))
     stretch = axes[lead if lead != "pressure" else other]
-    pressure, taken_off = gauge_pressure(grid["pressure"].ravel(), sheet.source, absolute=axes["pressure"].absolute)
+    pressure, taken_off = gauge_pressure(grid["pressure"].ravel(), sheet.source, axes["pressure"], rests=False)
     return _Samples(
         strain_scale(sheet, stretch, gauge_length) * grid[stretch.quantity].ravel(),
         pressure,

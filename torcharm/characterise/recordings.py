@@ -33,6 +33,8 @@ PLAUSIBLE_PRESSURE = (20.0, 1000.0)
 """Between these [kPa] lies the highest pressure of a recording, or its unit is doubted."""
 PLAUSIBLE_STRAIN = (0.01, 5.0)
 """Between these lies the largest strain, or percents were taken for parts of 1, or these for percents."""
+FAR_FROM_REST = 3.0
+"""In widths of their range, how far from 0 lengths all lie that are positions, if further than the gauge length."""
 ATMOSPHERE = (80.0, 108.0)
 """Between these [kPa] lies the pressure of the surroundings: a log that rests there is absolute."""
 LONGEST_GAUGE = 3.0
@@ -47,8 +49,10 @@ POSITIVE = ("pull", "push")
 """What positive forces of a file may do."""
 SURROUNDINGS = 101.325
 """The standard atmosphere [kPa], which is taken off absolute pressures."""
-LOG_UNITS = {"time": "ms", "pressure": "psi"}
-"""Of a pressure log that names none."""
+CLOCK = {"time": "ms"}
+"""The unit of a pressure log's times that name none."""
+PSI_LOG = ("Time", "Pressure")
+"""The whole header of the logs published with the paper, whose pressures are in psi; others have to name their unit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,14 +137,15 @@ def read_pressure(
 ) -> PressureRecord:
     """Read time and pressure of a log, or of a file with more columns.
 
-    Units are those that the file names, else ms and `unit`; times like seconds since 1970 are such. Without a
+    Units are those that the file names, else ms and `unit`; a header of Time and Pressure alone, as the paper's
+    recordings have it, means psi. Times like seconds since 1970 are such. Without a
     header, the first of two columns is the time. A highest pressure that is implausible for a soft actuator (outside 20
     to 1000 kPa) is a warning: it tells of a wrong unit. A log without a closing line, such as "Logging end", is read
     and noted.
 
     Args:
         path: the file.
-        unit: of its pressures; None: what the file names, psi where it names none.
+        unit: of its pressures, where the file names none.
         columns: as for `read_tester`, of time and pressure.
         truncated: as for `read_tester`.
 
@@ -148,7 +153,7 @@ def read_pressure(
         `time` (n) [ms] and gauge `pressure` (n) [kPa].
 
     Raises:
-        ValueError: unknown unit, or another one than the file names; or as for `read_tester`.
+        ValueError: no or unknown unit, or another one than the file names; or as for `read_tester`.
 
     Example:
         >>> _ = (path := folder / "log.txt").write_text("Time,Pressure\\n0,0\\n10,5\\n20,10\\nLogging end\\n")
@@ -203,12 +208,13 @@ def as_pressure_record(
     numeric = [place for place, own in enumerate(sheet.form.numeric, 1) if own]
     if not told(columns) and not sheet.above and len(numeric) == 2:
         columns = {"time": numeric[0], "pressure": numeric[1]}
-    defaults = (LOG_UNITS if alone else {}) | ({"pressure": unit} if unit else {}) | _clock_unit(sheet, columns)
+    usual = unit or ("psi" if alone and header_of(sheet).names == PSI_LOG else None)
+    defaults = (CLOCK if alone else {}) | ({"pressure": usual} if usual else {}) | _clock_unit(sheet, columns)
     found = find_columns(sheet, ("time", "pressure"), columns, defaults, option)
     pressure = found["pressure"]
     pressure.check_unit(unit, sheet.source, option)
     table, _, notes = _in_time(sheet, found, truncated=truncated)
-    table["pressure"], taken_off = gauge_pressure(table["pressure"], sheet.source, absolute=pressure.absolute)
+    table["pressure"], taken_off = gauge_pressure(table["pressure"], sheet.source, pressure, rests=True)
     notes = (*notes, *taken_off)
     if not sheet.closing and len(found) == sheet.form.width:
         notes = (*notes, "has no closing line, taken as whole")
@@ -223,13 +229,17 @@ def as_pressure_record(
     return PressureRecord(table["time"], table["pressure"], sheet.source, notes)
 
 
-def gauge_pressure(pressure: Array, source: str, *, absolute: bool) -> tuple[Array, tuple[str, ...]]:
-    """Pressures above that of the surroundings [kPa], and what was assumed for it; a warning, too."""
-    if not absolute:
-        if ATMOSPHERE[0] <= pressure.min() <= ATMOSPHERE[1]:
+def gauge_pressure(pressure: Array, source: str, column: Column, *, rests: bool) -> tuple[Array, tuple[str, ...]]:
+    """Pressures above that of the surroundings [kPa], and what was assumed for it; a warning, too.
+
+    Pressures of a run rest at that of the surroundings; those of a data sheet's table may begin at any.
+    """
+    if not column.absolute:
+        if rests and ATMOSPHERE[0] <= pressure.min() <= ATMOSPHERE[1]:
             warnings.warn(
-                f"{source}: pressures are never below {pressure.min():.4g} kPa: are they absolute? A unit such as bara "
-                'says so, in the file or by --columns (or --pressure-columns) "pressure=2:bara"',
+                f"{source}: pressures are never below {pressure.min():.4g} kPa: are they absolute? A unit such as "
+                f"{column.unit} abs says so, in the file or by --columns (or --pressure-columns) "
+                f'"pressure={column.index + 1}:{column.unit} abs"',
                 stacklevel=4,
             )
         return pressure, ()
@@ -239,13 +249,26 @@ def gauge_pressure(pressure: Array, source: str, *, absolute: bool) -> tuple[Arr
 
 
 def check_strains(source: str, strain: Array, stretch: Column) -> None:
-    """Warn about strains that are implausible for soft actuators."""
+    """Raise a ValueError about strains that no actuator can have; warn about those implausible for soft ones."""
+    if strain.min() <= -1.0:
+        raise ValueError(
+            f"{source}: strains must be above -1, at which no length is left, got {strain.min():.3g} from "
+            f"{stretch.quantity} in {stretch.unit}: are unit and gauge length right, or is this a position?"
+        )
+    size = np.abs(strain)
+    if stretch.unit in LENGTH and size.min() > max(1.0, FAR_FROM_REST * float(np.ptp(strain))):
+        raise ValueError(
+            f"{source}: strains must count from the actuators' own length, got {strain.min():.3g} to "
+            f"{strain.max():.3g}, never near 0: is this a position, or is the gauge length wrong?"
+        )
     low, high = PLAUSIBLE_STRAIN
-    most = float(np.abs(strain).max())
+    most = float(size.max())
     if not low <= most <= high:
         how = f"more than {high:g}" if most > high else f"less than {low:g}"
+        cells = ", or are the cells parts of 1" if most < low and stretch.unit == "%" else ""
         warnings.warn(
-            f"{source}: strains reach {most:.3g}, {how}: is the unit of {stretch.quantity}, {stretch.unit}, right?",
+            f"{source}: strains reach {most:.3g}, {how}: is the unit of {stretch.quantity}, {stretch.unit}, right"
+            f"{cells}?",
             stacklevel=4,
         )
 
@@ -280,7 +303,7 @@ def stretch_quantity(sheet: Sheet, columns: Columns | None, gauge_length: float 
         header = header_of(sheet)
         raise ValueError(
             f"{sheet.source}: line {header.line}: must name one column of strain, contraction or extension, got "
-            f'{header.none}; --columns says which, as in "contraction=2:mm"'
+            f'{header.none}; --columns says which, as in "extension=2:mm" or "contraction=2:%"'
         )
     return found[0]
 
@@ -310,7 +333,7 @@ def strain_scale(sheet: Sheet, stretch: Column, gauge_length: float | None) -> f
 def _clock_unit(sheet: Sheet, columns: Columns | None) -> dict[str, str]:
     """The unit of times that count from 1970, whose size names it; nothing of others."""
     try:
-        found = find_columns(sheet, ("time",), columns, LOG_UNITS)
+        found = find_columns(sheet, ("time",), columns, CLOCK)
     except ValueError:  # is told when all columns are looked for
         return {}
     first = _first_number(sheet, found["time"])

@@ -50,6 +50,12 @@ def positive_forces(strain: Array, pressure: Array, force: Array) -> str:
     return "pull" if mean > 0 else "push"
 
 
+def _pulls(strain: Array, pressure: Array, push: Array) -> bool:
+    """Whether what pushes falls with pressure, by a plane through the samples."""
+    plane = np.column_stack((np.ones_like(strain), strain, pressure))
+    return bool(np.linalg.lstsq(plane, push, rcond=None)[0][2] < 0)
+
+
 @dataclass(frozen=True)
 class Signs:
     """What is known of the signs of a file before its samples are looked at.
@@ -97,6 +103,11 @@ def settled(
         way = told or way
         why = "as what is stretched pulls back" if told else ASSUMED
         words = f"{way}, {why} (--positive {other[way]} takes them the other way)"
+        if not signs.longer and _pulls(strain, pressure, -force if way == "pull" else force):
+            words += (
+                "; so pressure makes it pull, as a muscle does; of a bellows whose strains count compression: "
+                "--columns contraction=1:%"
+            )
     elif told == other[way] and not shorter:
         less = "pulls less the more it is stretched" if way == "pull" else "pushes less the more it is squeezed"
         warnings.warn(

@@ -72,7 +72,7 @@ def fit(
         str | None,
         typer.Option(
             help="Of pressures that the file names none for: psi, kPa, bar, MPa, Pa, mbar.",
-            show_default="the file's, or psi",
+            show_default="the file's; psi for logs of Time,Pressure",
         ),
     ] = None,
     vacuum: Annotated[
@@ -292,9 +292,14 @@ def _fitted(
     from torcharm.inputs import check_choice
 
     check_choice("model", kind, KINDS)
-    return (
-        best_fit(recording, degree, **options) if kind == "best" else ([], fit_kind(recording, kind, degree, **options))
-    )
+    try:
+        if kind == "best":
+            return best_fit(recording, degree, **options)
+        return [], fit_kind(recording, kind, degree, **options)
+    except ValueError as error:
+        if str(error).startswith(("strain", "pressure", "force")):  # of the files' samples, and not of an option
+            raise ValueError(f"{'; '.join(recording.sources)}: {error}") from None
+        raise
 
 
 def _outputs(
@@ -324,5 +329,5 @@ def _warnings_on_stderr() -> Iterator[None]:
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always", UserWarning)
         yield
-    for warning in found:
-        print("torcharm: warning:", " ".join(str(warning.message).split()), file=sys.stderr)
+    for message in dict.fromkeys(" ".join(str(warning.message).split()) for warning in found):
+        print("torcharm: warning:", message, file=sys.stderr)
