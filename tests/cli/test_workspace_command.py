@@ -80,6 +80,8 @@ def test_one_arm_without_payload_in_space(tmp_path):
     [
         (("--arm", "none"), "--arm: must be one of short, with a muscle, round, got 'none'"),
         (("--payload", "much"), "--payload: must be a number [kg] or a text of one and a unit"),
+        (("--payload", "0 -2 0"), "numbers separated by commas, 3 in the plane and 6 in space: 0, -2, 0"),
+        (("--payload", "2 N"), "numbers separated by commas, 3 in the plane and 6 in space: 0, -2, 0"),
         (("--payload=-1",), "payload: must be at least 0 kg, got -1"),
         (("--payload", "1", "--no-gravity"), "payload: a mass has no weight with gravity=False"),
         (("--base", "sideways"), "base_pose: must be one of hanging, upright, horizontal, got 'sideways'"),

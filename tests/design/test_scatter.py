@@ -131,3 +131,8 @@ def test_an_arm_that_deviates_already_is_not_scattered_again():
     built = built_arms(ARM, *drawn(ta.Scatter(force=0.1), count=1))[0]
     with pytest.raises(ValueError, match="arm: must be as it was drawn"):
         ta.Scatter(force=0.1).sources(built)
+
+
+def test_a_correlation_of_what_is_not_scattered_is_refused():
+    with pytest.raises(ValueError, match=r"correlated\.length: must be of what is scattered, got 1 with length=0"):
+        ta.Scatter(radii=1e-3, correlated={"length": 1.0})

@@ -1,5 +1,6 @@
 """What built arms do: yields, percentiles and slopes against plain samples and finite differences."""
 
+import dataclasses
 import math
 import pickle
 import sys
@@ -145,6 +146,15 @@ def test_where_no_shape_is_stable_nothing_is_told_to_decide():
     assert bool(result.percentiles().isinf().all())
     assert "no task has a stable shape" in result.agreement
     assert "decides" not in repr(result)
+
+
+def test_slopes_of_an_arm_that_never_has_a_stable_shape_decide_nothing():
+    result = ta.tolerance(ARM, TASK, **SPREAD, samples=8)
+    assert result.decisive
+    never = {"tip_error": torch.full_like(result.tip_error, math.inf), "tip": torch.full_like(result.tip, math.nan)}
+    lost = dataclasses.replace(result, **never)
+    assert lost.decisive == ""
+    assert all(math.isnan(share) for share in lost.shares.values())
 
 
 def test_of_few_samples_no_fit_is_told():

@@ -105,6 +105,23 @@ class TestFigure:
         assert f"{three_digits(1e4 * other.size)} cm² reached" in second.get_title()
         assert "payload" in bar.get_ylabel()
 
+    def test_a_region_without_an_area_is_drawn_as_points(self, recwarn):
+        line = ta.workspace(
+            ta.ArmDesign(radii=[0.0], length=0.4, actuators=["mckibben"]),
+            0.1,
+            states=100,
+            nodes=3,
+            callback=lambda *_: True,
+        )
+        figure = plot.workspace_figure([("line", line)])
+        (axes,) = (own for own in figure.axes if own.get_xlabel().startswith("x"))
+        points = axes.collections[0].get_offsets()
+        np.testing.assert_allclose(points, line.position[line.reached])
+        (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+        assert right - left == pytest.approx(plot.workspaces.NARROWEST * (top - bottom))
+        assert f"interrupted: {len(line.code)} of 100 states" in axes.get_title()
+        assert not recwarn.list
+
     def test_space_has_two_views_and_rows_wrap(self, flat, spatial):
         assert len(plot.workspace_figure([("ring", spatial)]).axes) == 3
         wrapped = plot.workspace_figure([("a", flat), ("b", flat), ("c", flat)], columns=2)

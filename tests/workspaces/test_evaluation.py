@@ -165,3 +165,15 @@ def test_what_is_no_arm():
 def test_mistakes(arm, options, message):
     with pytest.raises(ValueError, match=message):
         ta.workspace(arm, **options)
+
+
+@pytest.mark.parametrize(("stop", "rtol"), [(1200, 0.05), (3000, 0.0)])
+def test_a_stopped_workspace_has_no_gaps_between_states_that_are_yet_to_come(stop, rtol):
+    options = {"payload": 0.1, "states": 3000, "nodes": 4}
+    arm = ta.antagonistic_arm()
+    whole = ta.workspace(arm, **options)
+    part = ta.workspace(arm, **options, callback=lambda done, _: done >= stop)
+    assert part.stopped == "callback"
+    assert part.interruption == f"interrupted: {len(part.code)} of 3000 states"
+    assert part.size == pytest.approx(whole.size, rel=rtol, abs=0)
+    assert whole.interruption == ""

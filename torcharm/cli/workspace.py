@@ -145,7 +145,9 @@ def _payload(text: str, dimension: int) -> float | list[float]:
     try:
         numbers = numbers_in(text, wrench if "," in text else (MASS,))
     except ValueError as error:
-        raise ValueError(f"--payload: {error}") from None
+        example = "0, -2, 0" if dimension == 2 else "0, -2, 0, 0, 0, 0"
+        several = f"; or force and moment as numbers separated by commas, 3 in the plane and 6 in space: {example}"
+        raise ValueError(f"--payload: {error}{'' if ',' in text else several}") from None
     return numbers if "," in text else numbers[0]
 
 
@@ -161,7 +163,14 @@ def _report(found: "Found", seconds: float) -> None:
         if any(own[word] > 0 for own in shares):
             say(console, f"{word}: {meaning}.")
     if any(one.has_payload for _, one in found):
-        say(console, "payload x: the largest factor by which the payload could grow anywhere, shape kept.")
+        say(
+            console,
+            "payload x: the largest factor by which the payload could grow anywhere, if each node had pressures",
+        )
+        say(console, "of its own: an upper bound of what the arm bears.")
+    for arm, one in found:
+        if one.interruption:
+            say(console, f"{arm.name}: {one.interruption}; the region is smaller or coarser than that of all.")
     states = sum(len(one.code) for _, one in found)
     say(console, f"{count(states, 'state')} in {seconds:.2g} s.")
 

@@ -113,6 +113,8 @@ class Scatter:
             check_choice("correlated", name, FIELDS)
             if check_number(f"correlated.{name}", value, 0.0) > 1:
                 raise ValueError(f"correlated.{name}: must be from 0 to 1, got {value:g}")
+            if np.max(getattr(self, name)) == 0:
+                raise ValueError(f"correlated.{name}: must be of what is scattered, got {value:g} with {name}=0")
         if not self.model_covariance and not any(np.max(getattr(self, name)) > 0 for name in FIELDS):
             raise ValueError(f"scatter: must have one of {', '.join(FIELDS)} above 0, or model_covariance, got none")
 

@@ -175,7 +175,14 @@ class BuiltArms(HoldsTensors):
     @property
     def shares(self) -> dict[str, float]:
         """Of each source the share in the variance of the tip's place, mean over the tasks, by gradients."""
-        return self._shares(self.variance_by_gradient)
+        return self._shares(self._variance_of_stable)
+
+    @property
+    def _variance_of_stable(self) -> Tensor:
+        """(G, T) what sources add to the variance by gradients; NaN where the drawn arm or all built ones have no
+        stable shape, whose slopes would tell of a tip that never is there."""
+        stable = self.nominal_tip_error.isfinite() & self.tip_error.isfinite().any(0)
+        return self.variance_by_gradient.where(stable, torch.nan)
 
     @property
     def shares_by_samples(self) -> dict[str, float]:
@@ -239,8 +246,9 @@ class BuiltArms(HoldsTensors):
         columns |= {"yield": [one.value for one in yields], "yield_low": [one.low for one in yields]}
         columns |= {"yield_high": [one.high for one in yields], "explained": self.explained.tolist()}
         for name in self.names:
-            rows = [row for other, row in zip(self.sources, self.variance_by_gradient, strict=True) if other == name]
-            columns[f"share_{name}"] = (torch.stack(rows).sum(0) / self.variance_by_gradient.sum(0)).tolist()
+            variance = self._variance_of_stable
+            rows = [row for other, row in zip(self.sources, variance, strict=True) if other == name]
+            columns[f"share_{name}"] = (torch.stack(rows).sum(0) / variance.sum(0)).tolist()
         for order, indices in (("first_order", self.first_order), ("total_order", self.total_order)):
             if indices is not None:
                 columns |= {f"{order}_{name}": own.tolist() for name, own in zip(self.names, indices, strict=True)}

@@ -18,7 +18,7 @@ from torcharm.workspaces import STATES, Workspace
 from torcharm.workspaces.states import position_of
 
 SHOWN = {
-    "payload factor": "factor by which the payload can grow, shape kept (1: as it is)",
+    "payload factor": "largest factor by which the payload could grow,\nif each node had pressures of its own",
     "angle range": "range of the tip's angle [°]",
     "reached": "",
 }
@@ -38,6 +38,10 @@ TICKS = tuple(digit * 10.0**power for power in range(6) for digit in (1, 2, 5))
 """Of factors."""
 PANEL, ROOM = 4.6, 0.06
 """Width of a panel [inch], and what is free around a region, of its largest extent."""
+NARROWEST = 0.5
+"""Of its longer side a panel's shorter one, however narrow what it shows is."""
+SMALLEST = 1e-3
+"""Extent of a panel [m]: of an arm that reaches one place, or none, there is the base alone."""
 
 
 def workspace(
@@ -75,6 +79,8 @@ def workspace(
     if region.triangulation is not None and region.kept.any():
         _fill(axes, region, _values(found, seen, show), show, highest)
         _outline(axes, region, "-", "reached")
+    elif len(region.points):
+        _draw_points(axes, region.points, _values(found, seen, show), show, highest)
     if bar and show != "reached" and axes.collections:
         coloured = [one for one in axes.collections if one.get_gid() == show]
         if coloured:
@@ -239,6 +245,19 @@ def _fill_beyond(axes: Any, beyond: AlphaShape) -> None:
             *beyond.points.T, triangles, facecolors=np.zeros(len(triangles)), cmap=_one_colour(BEYOND), rasterized=True
         )
         _outline(axes, beyond, "--", "excluded by range")
+    elif len(beyond.points):
+        axes.plot(*beyond.points.T, ".", color=BEYOND, markersize=3, label="excluded by range", zorder=0.5)
+
+
+def _draw_points(axes: Any, points: Array, values: Array, show: str, highest: float | None) -> None:
+    """The tips of a region without an area, as of an arm that moves along a line."""
+    how: dict[str, Any] = {"s": 9, "label": "reached"}
+    if show == "reached":
+        axes.scatter(*points.T, color=ATTAINABLE, **how)
+        return
+    norm = _scale(show, _top(values) if highest is None else highest)
+    shades = np.nan_to_num(values, posinf=norm.vmax)
+    axes.scatter(*points.T, c=shades, cmap=COLOURS, norm=norm, gid=show, **how)
 
 
 def _one_colour(colour: str) -> Any:
@@ -264,16 +283,18 @@ def _mark_apart(axes: Any, found: Workspace, seen: tuple[int, int]) -> None:
 def _words(found: Workspace) -> str:
     """How large a region is."""
     size = f"{three_digits(1e4 * found.size)} cm²" if found.dimension == 2 else f"{three_digits(1e3 * found.size)} dm³"
-    return f"{size} reached" if bool(found.reached.any()) else "nothing reached in range"
+    words = f"{size} reached" if bool(found.reached.any()) else "nothing reached in range"
+    return f"{words}\n{found.interruption}" if found.interruption else words
 
 
 def _same_limits(panels: Sequence[Any]) -> float:
     """One scale for all panels; how much higher than wide they are."""
     boxes = torch.tensor([[*axes.dataLim.min, *axes.dataLim.max] for axes in panels])
     low, high = boxes[:, :2].amin(0), boxes[:, 2:].amax(0)
-    room = ROOM * float((high - low).max())
+    longest = max((1 + 2 * ROOM) * float((high - low).max()), SMALLEST)
+    extent = (high - low + 2 * ROOM * (high - low).max()).clamp(min=NARROWEST * longest)
+    middle = (low + high) / 2
+    (left, bottom), (right, top) = (middle - extent / 2).tolist(), (middle + extent / 2).tolist()
     for axes in panels:
-        ends = low[1] - room, high[1] + room
-        axes.set(xlim=(low[0] - room, high[0] + room), ylim=ends[::-1] if axes.yaxis.get_inverted() else ends)
-    wide, tall = (high - low + 2 * room).tolist()
-    return float(tall / wide)
+        axes.set(xlim=(left, right), ylim=(top, bottom) if axes.yaxis.get_inverted() else (bottom, top))
+    return float(extent[1] / extent[0])

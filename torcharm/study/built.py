@@ -46,7 +46,7 @@ def built_columns(found: Sequence[BuiltStudy]) -> Iterator[tuple[str, str, list[
 def _shares(built: BuiltArms) -> str:
     """The largest first."""
     ordered = sorted(built.shares.items(), key=lambda pair: -pair[1])
-    return ", ".join(f"{SOURCE_WORDS[name]} {100 * share:.0f} %" for name, share in ordered)
+    return ", ".join(f"{SOURCE_WORDS[name]} {100 * share:.0f} %" for name, share in ordered) if built.decisive else "-"
 
 
 def sobol_words(built: BuiltArms) -> str:

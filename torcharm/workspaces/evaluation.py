@@ -229,23 +229,32 @@ class _Run:
         """What is known."""
         if not self.batches:
             self.batches.append(solve_states(self.scene, np.zeros((0, self.scene.arm.actuator_count)), False))
-        if self.resolutions is None:
-            self.resolve(EXCLUDED)
-        assert self.resolutions is not None
-        return Workspace.of(self.scene, joined(self.batches), self.resolutions, stopped)
+        states, resolutions = joined(self.batches), self.resolutions or (0.0, 0.0)
+        if stopped != "finished":  # those chosen were for more states than there are
+            spread = int(SPREAD * self.wanted)
+            near, far = (self.given or _resolution(states, self.scene, worst, spread) for worst in (REACHED, EXCLUDED))
+            resolutions = max(near, resolutions[0]), max(far, resolutions[1])
+        return Workspace.of(self.scene, states, resolutions, stopped, self.wanted)
 
 
-def _resolution(states: Batch, scene: Problem, worst: int) -> float:
-    """At which hardly any state of a code no worse lies alone."""
+def _resolution(states: Batch, scene: Problem, worst: int, spread: int | None = None) -> float:
+    """At which hardly any state of a code no worse lies alone, once as many as are wanted are known.
+
+    Where the first so many, `spread` over the box, are told, none come any more: those must not lie alone among all
+    there are. The others are too close together where the boundary was followed to tell how far apart states lie.
+    """
     from scipy.spatial import cKDTree
 
     least, position = THIN * float(scene.arm.neutral_length), states.position
-    position = np.unique(position[states.code.numpy() <= worst], axis=0)
+    counted = states.code.numpy() <= worst
+    asked = position[:spread][counted[:spread]]
+    position = np.unique(position[counted], axis=0)
     corners = position.shape[1] + 1
-    if len(position) <= corners:
+    if len(position) <= corners or not len(asked):
         return least
-    away = cKDTree(position).query(position, corners + 1)[0][:, -1]
-    return float(max(FINER[corners - 1] * np.quantile(away, TYPICAL), least))
+    away = cKDTree(position).query(np.unique(asked, axis=0), corners + 1)[0][:, -1]
+    denser = FINER[corners - 1] if spread is None else 1.0
+    return float(max(denser * np.quantile(away, TYPICAL), least))
 
 
 def _range_of_places(scene: Problem) -> tuple[Array, Array]:

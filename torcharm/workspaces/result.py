@@ -45,6 +45,7 @@ class Workspace(HoldsTensors):
         segment_nodes: elements of each segment.
         wrench_at: where an element's wrench was taken.
         stopped: "finished", or what stopped it: "interrupted", "callback".
+        wanted: how many states were asked for.
 
     Example:
         >>> found = ta.workspace(ta.bellows_arm(), states=200, nodes=3)
@@ -66,9 +67,12 @@ class Workspace(HoldsTensors):
     segment_nodes: tuple[int, ...]
     wrench_at: str
     stopped: str
+    wanted: int
 
     @classmethod
-    def of(cls, scene: Problem, states: Batch, resolutions: tuple[float, float], stopped: str) -> "Workspace":
+    def of(
+        cls, scene: Problem, states: Batch, resolutions: tuple[float, float], stopped: str, wanted: int
+    ) -> "Workspace":
         """Of states of a scene, at the resolutions of both regions."""
         return cls(
             states.tip_pose,
@@ -84,7 +88,13 @@ class Workspace(HoldsTensors):
             scene.nodes,
             scene.wrench_at,
             stopped,
+            wanted,
         )
+
+    @property
+    def interruption(self) -> str:
+        """That it was stopped before its end, and after how many states; empty if it was not."""
+        return "" if self.stopped == "finished" else f"interrupted: {len(self.code)} of {self.wanted} states"
 
     @property
     def dimension(self) -> int:
