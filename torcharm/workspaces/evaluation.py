@@ -43,7 +43,7 @@ MIXED = 0.1
 STAGES = {2: ((0.5, 1.0), (0.8, 0.3), (1.0, 0.1)), 3: ((0.5, 1.0), (0.75, 0.3), (1.0, 0.1))}
 """In which boundaries are followed, in the plane and in space: how many of the states are known by its end, and how far
 attempts go in parts of the resolution: first far and then near."""
-INSIDE = 0.1
+INSIDE = 0.05
 """Of the states, among those reached before boundaries are followed near: what a region lacks inside is no boundary."""
 OVERHANG = 0.25
 """By which random pressures overshoot each end of their range, where they are held: a third lie on the box's faces, by
