@@ -115,6 +115,16 @@ def test_positions_are_no_extensions(tmp_path, first, message):
         ta.read_tester(path, gauge_length=0.08)
 
 
+def test_a_gauge_length_that_is_not_the_files_own_is_a_warning(tmp_path, recwarn):
+    rows = [f"{k},{2 * k},{100 * 2 * k / 60:.4f},{k}" for k in range(8)]
+    path = write(tmp_path / "t.csv", "\n".join(["Time (s),Extension (mm),Strain (%),Force (N)", *rows, ""]))
+    assert np.allclose(ta.read_tester(path, gauge_length=0.06).strain, ta.read_tester(path).strain, atol=1e-6)
+    assert not recwarn.list
+    with pytest.warns(UserWarning, match=r"t.csv: its own strains mean a gauge length of 60 mm, got 80 mm"):
+        found = ta.read_tester(path, gauge_length=0.08)
+    assert np.allclose(found.strain, 2e-3 * np.arange(8) / 0.08)
+
+
 def test_an_implausible_strain_is_a_warning(tmp_path):
     path = csv_file(tmp_path, ['"0","0","0","1"', '"20","0","66.8","1"'], HEAD.replace("(%)", "(mm/mm)"))
     with pytest.warns(UserWarning, match=r"tester.csv: strains reach 66.8"):

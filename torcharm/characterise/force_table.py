@@ -23,16 +23,9 @@ from torcharm.characterise.columns import (
     units_among_words,
 )
 from torcharm.characterise.delimited import Array, Sheet, numbers, read_sheet, short
-from torcharm.characterise.recordings import (
-    PLAUSIBLE_STRAIN,
-    POSITIVE,
-    check_strains,
-    gauge_pressure,
-    known_signs,
-    strain_scale,
-    stretch_quantity,
-)
+from torcharm.characterise.recordings import POSITIVE, gauge_pressure
 from torcharm.characterise.signs import settled
+from torcharm.characterise.stretch import PLAUSIBLE_STRAIN, check_strains, known_signs, strain_scale, stretch_quantity
 from torcharm.files import StrPath
 from torcharm.inputs import check_choice
 from torcharm.units import FORCE, MEASURED, PRESSURE, is_absolute, unit_named

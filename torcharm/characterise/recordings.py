@@ -15,12 +15,20 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from torcharm.characterise.cells import number
-from torcharm.characterise.columns import Column, Columns, find_columns, has_column, header_of, told
+from torcharm.characterise.columns import Column, Columns, find_columns, header_of, told
 from torcharm.characterise.delimited import Sheet, numbers, read_sheet
-from torcharm.characterise.signs import ASSUMED, NAMED, PLAIN, SAID, Signs
+from torcharm.characterise.signs import PLAIN, Signs
+from torcharm.characterise.stretch import (
+    check_gauge_length,
+    check_strains,
+    known_signs,
+    own_strains,
+    strain_scale,
+    stretch_quantity,
+)
 from torcharm.files import StrPath
-from torcharm.inputs import check_choice, check_number
-from torcharm.units import LENGTH, PRESSURE
+from torcharm.inputs import check_choice
+from torcharm.units import PRESSURE
 
 Array = NDArray[np.float64]
 if TYPE_CHECKING:
@@ -31,14 +39,8 @@ Lines = NDArray[np.int64] | None
 
 PLAUSIBLE_PRESSURE = (20.0, 1000.0)
 """Between these [kPa] lies the highest pressure of a recording, or its unit is doubted."""
-PLAUSIBLE_STRAIN = (0.01, 5.0)
-"""Between these lies the largest strain, or percents were taken for parts of 1, or these for percents."""
-FAR_FROM_REST = 3.0
-"""In widths of their range, how far from 0 lengths all lie that are positions, if further than the gauge length."""
 ATMOSPHERE = (80.0, 108.0)
 """Between these [kPa] lies the pressure of the surroundings: a log that rests there is absolute."""
-LONGEST_GAUGE = 3.0
-"""A gauge length [m] beyond which metres were hardly meant."""
 BACKWARD_STEPS = 3.0
 """By how many usual steps a clock may go back and still be averaged; beyond, samples are out of order."""
 MOST_BACKWARD = 0.05
@@ -179,7 +181,10 @@ def as_tester_record(
     stretch = stretch_quantity(sheet, columns, gauge_length)
     found = find_columns(sheet, ("time", "force", stretch), columns, _clock_unit(sheet, columns))
     scale = strain_scale(sheet, found[stretch], gauge_length)
+    found |= own_strains(sheet, stretch, columns, gauge_length)
     table, line, notes = _in_time(sheet, found, truncated=truncated)
+    if gauge_length is not None and "strain" in found:
+        check_gauge_length(sheet.source, table[stretch], table["strain"], gauge_length)
     strain = table[stretch] * scale
     check_strains(sheet.source, strain, found[stretch])
     signs = known_signs(found[stretch], squeezes=found["force"].compressive, positive=positive, usual="pull")
@@ -246,88 +251,6 @@ def gauge_pressure(pressure: Array, source: str, column: Column, *, rests: bool)
     note = f"pressures are absolute: {SURROUNDINGS:g} kPa of the surroundings taken off, assumed"
     warnings.warn(f"{source}: {note}", stacklevel=4)
     return pressure - SURROUNDINGS, (note,)
-
-
-def check_strains(source: str, strain: Array, stretch: Column) -> None:
-    """Raise a ValueError about strains that no actuator can have; warn about those implausible for soft ones."""
-    if strain.min() <= -1.0:
-        raise ValueError(
-            f"{source}: strains must be above -1, at which no length is left, got {strain.min():.3g} from "
-            f"{stretch.quantity} in {stretch.unit}: are unit and gauge length right, or is this a position?"
-        )
-    size = np.abs(strain)
-    if stretch.unit in LENGTH and size.min() > max(1.0, FAR_FROM_REST * float(np.ptp(strain))):
-        raise ValueError(
-            f"{source}: strains must count from the actuators' own length, got {strain.min():.3g} to "
-            f"{strain.max():.3g}, never near 0: is this a position, or is the gauge length wrong?"
-        )
-    low, high = PLAUSIBLE_STRAIN
-    most = float(size.max())
-    if not low <= most <= high:
-        how = f"more than {high:g}" if most > high else f"less than {low:g}"
-        cells = ", or are the cells parts of 1" if most < low and stretch.unit == "%" else ""
-        warnings.warn(
-            f"{source}: strains reach {most:.3g}, {how}: is the unit of {stretch.quantity}, {stretch.unit}, right"
-            f"{cells}?",
-            stacklevel=4,
-        )
-
-
-def known_signs(stretch: Column, *, squeezes: bool, positive: str | None, usual: str) -> Signs:
-    """What a person and the names of columns tell of signs, squeezing forces' among them; else forces do the usual."""
-    if positive is None and not squeezes:
-        return Signs(usual, ASSUMED, stretch.sure)
-    return Signs(positive or "push", SAID if positive else NAMED, stretch.sure)
-
-
-def stretch_quantity(sheet: Sheet, columns: Columns | None, gauge_length: float | None) -> str:
-    """Which of strain, contraction and extension a file is read by.
-
-    Raises:
-        ValueError: a gauge length is no such length; two of the three are named by a person, or none by the file.
-    """
-    stretches = ("strain", "contraction", "extension")
-    said = [quantity for quantity in told(columns) if quantity in stretches]
-    if len(said) > 1:
-        raise ValueError(f"columns: must name one of strain, contraction and extension, got {' and '.join(said)}")
-    if gauge_length is not None:
-        check_number("gauge_length", gauge_length, 0.0, strict=True, unit="m")
-        if gauge_length > LONGEST_GAUGE:
-            raise ValueError(
-                f"gauge_length: must be at most {LONGEST_GAUGE:g} m, got {gauge_length:g} m: is it in millimetres? "
-                f"Write '{gauge_length:g} mm' then"
-            )
-        stretches = ("contraction", "extension", "strain")  # with lengths the former two go
-    found = said or [quantity for quantity in stretches if has_column(sheet, quantity, None)]
-    if not found:
-        header = header_of(sheet)
-        raise ValueError(
-            f"{sheet.source}: line {header.line}: must name one column of strain, contraction or extension, got "
-            f'{header.none}; --columns says which, as in "extension=2:mm" or "contraction=2:%"'
-        )
-    return found[0]
-
-
-def strain_scale(sheet: Sheet, stretch: Column, gauge_length: float | None) -> float:
-    """What the numbers of a column, in torcharm's unit, are multiplied with to be strains, positive where longer.
-
-    Raises:
-        ValueError: they are lengths and there is no gauge length; or the other way round.
-    """
-    sign = -1.0 if stretch.quantity == "contraction" or stretch.compressive else 1.0
-    if stretch.unit not in LENGTH:
-        if gauge_length is not None:
-            raise ValueError(
-                "gauge_length: must stand with extensions or contractions that are lengths, got one and "
-                f"{stretch.quantity} in {stretch.unit} in column {stretch.index + 1} of {sheet.source}"
-            )
-        return sign
-    if gauge_length is None:
-        raise ValueError(
-            f"gauge_length: is missing, must be the actuators' length, to which {sheet.source} gives "
-            f"{stretch.quantity}s in {stretch.unit} and no strains: --gauge-length '80 mm'"
-        )
-    return sign / gauge_length
 
 
 def _clock_unit(sheet: Sheet, columns: Columns | None) -> dict[str, str]:
