@@ -5,6 +5,7 @@ reads sees the old file or the new one. What is read must be a regular file of b
 device or a folder given by mistake is refused in a sentence rather than waited for.
 """
 
+import gc
 import os
 import secrets
 import stat
@@ -146,3 +147,16 @@ def to_disk(path: Path, flags: int) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+@contextmanager
+def without_collection() -> Iterator[None]:
+    """Without Python's search for circles of references: lines become many small lists that have none, and to look
+    through them again and again takes longer than to read them."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()

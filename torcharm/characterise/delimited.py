@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torcharm.characterise.cells import NUMBER, Row, decimal_sign, dress, has_value, is_number, number
-from torcharm.files import StrPath, read_file
+from torcharm.files import StrPath, read_file, without_collection
 
 Array = NDArray[np.float64]
 
@@ -84,6 +84,7 @@ class Sheet:
     cut: bool | None
 
 
+@without_collection()
 def read_sheet(path: StrPath) -> Sheet:
     """Read a file of numbers in columns.
 
