@@ -256,8 +256,7 @@ def _draw_points(axes: Any, points: Array, values: Array, show: str, highest: fl
         axes.scatter(*points.T, color=ATTAINABLE, **how)
         return
     norm = _scale(show, _top(values) if highest is None else highest)
-    shades = np.nan_to_num(values, posinf=norm.vmax)
-    axes.scatter(*points.T, c=shades, cmap=COLOURS, norm=norm, gid=show, **how)
+    axes.scatter(*points.T, c=np.minimum(values, norm.vmax), cmap=COLOURS, norm=norm, gid=show, **how)
 
 
 def _one_colour(colour: str) -> Any:
