@@ -217,7 +217,9 @@ def _fill(axes: Any, region: AlphaShape, values: Array, show: str, highest: floa
         )
         return
     norm = _scale(show, _top(values) if highest is None else highest)
-    shades = np.nan_to_num(values, posinf=norm.vmax)[triangles].max(1)
+    known = values.copy()
+    known[np.isposinf(known)] = norm.vmax
+    shades = np.fmax.reduce(known[triangles], axis=1)
     how: dict[str, Any] = {"cmap": COLOURS, "norm": norm, "gid": show, "rasterized": True}
     axes.tripcolor(*region.points.T, triangles, facecolors=shades, **how)
 
@@ -256,7 +258,7 @@ def _draw_points(axes: Any, points: Array, values: Array, show: str, highest: fl
         axes.scatter(*points.T, color=ATTAINABLE, **how)
         return
     norm = _scale(show, _top(values) if highest is None else highest)
-    axes.scatter(*points.T, c=np.minimum(values, norm.vmax), cmap=COLOURS, norm=norm, gid=show, **how)
+    axes.scatter(*points.T, c=values.clip(max=norm.vmax), cmap=COLOURS, norm=norm, gid=show, **how)
 
 
 def _one_colour(colour: str) -> Any:
