@@ -18,7 +18,7 @@ import torcharm as ta
 from experiments.design_optimisation.scenes import ARMS, SHAPES, tasks_of
 from experiments.rows import Measurement, measurements_table, read_rows, write_rows
 from torcharm.design.scatter import normal_numbers
-from torcharm.design.tolerance import Evaluation, built_as, nominal_tolerance
+from torcharm.design.tolerance import Evaluation, built_as, joined, nominal_tolerance
 from torcharm.design.tolerance_result import Yield
 from torcharm.plot import tolerance_figure
 
@@ -43,7 +43,7 @@ class Size:
     iterations: int
 
 
-FULL, QUICK = Size(20, 1000, 1_000_000, 500_000, 4, 60), Size(2, 64, 400, 64, 1, 3)
+FULL, QUICK = Size(20, 1000, 1_000_000, 1_000_000, 4, 60), Size(2, 64, 400, 64, 1, 3)
 
 
 def main() -> None:
@@ -120,7 +120,7 @@ def yields(size: Size) -> Iterator[Measurement]:
         begun = time.process_time()
         with torch.no_grad():
             numbers = normal_numbers(sources, plain, 1, quasi=False)
-            many = how.of_samples(arm, sources, numbers, None if compensated else [drawn.pressure], None)
+            many = joined(list(how.chunks(arm, sources, numbers, None if compensated else [drawn.pressure], None)))
         taken = time.process_time() - begun
         for name, own in (
             (f"{size.samples} Sobol'", found.yields[0]),

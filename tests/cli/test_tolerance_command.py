@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import sys
 
 import pytest
 import torch
@@ -65,7 +66,7 @@ def test_margins_and_indices_on_request(study, tmp_path):
     out = tmp_path / "built.csv"
     output = invoke("tolerance", study, "--margin", "--sobol", "--samples", 16, "--out", out)
     assert "margin" in output
-    assert "Sobol' indices, alone to with others: offsets" in " ".join(output.split())
+    assert "Sobol' indices of 16 samples, alone to with others: offsets" in " ".join(output.split())
     row = next(csv.DictReader(out.open(encoding="utf-8")))
     plan = load_study(study)
     options = {"radii": 1e-3, "force": 0.05, "samples": 16, "distribution": "uniform", "correlated": {"force": 0.5}}
@@ -88,10 +89,18 @@ def test_options_replace_the_table_of_the_study(study):
     [
         ([], "tolerance: must say what is scattered"),
         (["--radii", "1 mmm"], "--radii: must be a number [m] or a text of one and a unit"),
-        (["--radii", "1"], "radii: must be at most 0.1 m (is it in millimetres?), got 1"),
-        (["--force", "5"], "force: must be at most 1 (is it in percent?), got 5"),
-        (["--length", "-1 mm"], "length: must be a finite number and at least 0 m"),
-        (["--radii", "1 mm", "--samples", "1"], "samples: must be an integer of at least 2, got 1"),
+        (["--radii", "1 mm, 2 mm"], "--radii: must be one number, got 1 mm, 2 mm"),
+        (["--radii", "1 mmm"], "got 1 mmm; did you mean mm?"),
+        (["--radii", "1"], "--radii: must be at most 0.1 m (is it in millimetres?), got 1"),
+        (["--force", "500 %"], "--force: must be at most 1 (is it in percent?), got 500 %"),
+        (["--length", "-1 mm"], "--length: must be a finite number and at least 0 m, got -1 mm"),
+        (["--force", "5 %", "--correlated", "force=2"], "--correlated: must be from 0 to 1, got force=2"),
+        (["--force", "5 %", "--correlated", "force"], "--correlated: must be a name and a number such as force=0.5"),
+        (
+            ["--force", "5 %", "--correlated", "x=1"],
+            "--correlated: must be one of radii, length, limits, force, force_",
+        ),
+        (["--radii", "1 mm", "--samples", "1"], "--samples: must be an integer of at least 2, got 1"),
         (["--radii", "1 mm", "--out", "built.toml"], "--out: built.toml: must end in"),
         (["--model-covariance"], "model_covariance: must be False for arms without a fitted model"),
     ],
@@ -100,6 +109,56 @@ def test_mistakes_are_one_line(tmp_path, monkeypatch, capsys, arguments, words):
     path = tmp_path / "plain.toml"
     path.write_text(STUDY, encoding="utf-8")
     assert words in mistake(monkeypatch, capsys, "tolerance", path, *arguments)
+
+
+def test_actuators_are_scattered_alike_on_request(study, tmp_path):
+    plan = load_study(study)
+    arm, task = plan.arms[0].design, plan.tasks[0].task
+    given = ["--force", "5 %", "--force-offset", "0.2 N", "--correlated", "force=50 %", "--correlated=force-offset=1"]
+    row, *_ = json.loads(invoke("tolerance", study, *given, "--samples", 16, "--json"))
+    alike = {"force": 0.5, "force_offset": 1.0}
+    found = ta.tolerance(arm, task, force=0.05, force_offset=0.2, correlated=alike, samples=16)
+    assert row["tip_error_p95_mm"] == pytest.approx(1e3 * float(found.percentiles([95])[0, 0]), rel=1e-9)
+    row, *_ = json.loads(invoke("tolerance", study, "--correlated", "radii=1", "--json"))  # beside those of the study
+    options = {"radii": 1e-3, "force": 0.05, "samples": 40, "distribution": "uniform"}
+    found = ta.tolerance(arm, task, **options, correlated={"force": 0.5, "radii": 1.0})
+    assert row["tip_error_p95_mm"] == pytest.approx(1e3 * float(found.percentiles([95])[0, 0]), rel=1e-9)
+
+
+def test_what_fails_is_told_where_every_tip_is_within_tolerance(study):
+    text = STUDY.replace("[[1.0, -1.0, 0.1], [0.5, 0.0, 0.0]]", "[[0.0, 0.0, 0.0]]")
+    tight = f'{text}{TABLE}[evaluate]\ntolerance = "200 mm"\nrotation_tolerance = "0.001 deg"\n'
+    study.write_text(tight, encoding="utf-8")
+    output = invoke("tolerance", study)
+    assert "0.0 (0.0-8.8)" in output
+    assert output.count("turn 40") == 2
+    assert "what fails: pairs of a built arm and a load" in output
+
+
+@pytest.mark.parametrize("more", [[], ["--compensated"], ["--sobol"]])
+def test_ctrl_c_keeps_the_arms_that_are_built(study, tmp_path, monkeypatch, more):
+    module = sys.modules["torcharm.design.tolerance"]
+    evaluated = module.Evaluation.of_found
+
+    calls = []
+
+    def interrupted(self, arm, found):
+        calls.append(arm)
+        if len(calls) == stop:
+            raise KeyboardInterrupt
+        return evaluated(self, arm, found)
+
+    monkeypatch.setattr(module, "AT_ONCE", 20)
+    monkeypatch.setattr(module.Evaluation, "of_found", interrupted)
+    stop, out = 2, tmp_path / "built.csv"  # the drawn arm alone is known
+    assert invoke("tolerance", study, "--out", out, *more, code=130) == ""
+    calls, stop = [], 4  # two chunks of built ones are known, too
+    output = invoke("tolerance", study, "--out", out, *more, code=130)
+    assert "antagonist: interrupted: 20 of 40 built arms." in output
+    rows = list(csv.DictReader(out.open(encoding="utf-8")))
+    assert [(row["arm"], row["samples"], row["stopped"]) for row in rows] == [("antagonist", "20", "interrupted")] * 2
+    assert float(rows[0]["yield_high"]) - float(rows[0]["yield_low"]) > 0.1
+    assert "total_order_force" not in rows[0]
 
 
 def test_a_study_is_optimised_for_its_built_arms(tmp_path):

@@ -35,7 +35,7 @@ def test_indices_of_a_known_function(lost):
 
 def test_indices_are_those_of_scipy():
     places = ishigami(index_numbers(SOURCES, 256, 3))
-    one, other, *mixed = places[:, 0, :1].reshape(5, 256, 1).mT.numpy()
+    one, other, *mixed = places[:, 0, 0].reshape(256, 5).mT.unsqueeze(1).numpy()
     found = stats.sobol_indices(func={"f_A": one, "f_B": other, "f_AB": np.stack(mixed)}, n=256)
     for own, its in zip(sobol_indices(places, 3), (found.first_order, found.total_order), strict=True):
         torch.testing.assert_close(own.squeeze(1), torch.from_numpy(its).squeeze(0))
@@ -43,6 +43,6 @@ def test_indices_are_those_of_scipy():
 
 def test_sources_of_one_name_are_one_group():
     alike = [SOURCES[0], Source("first", torch.eye(2).double(), torch.ones(2).double(), False), SOURCES[1]]
-    one, other, first, second = index_numbers(alike, 8, 0).reshape(4, 8, 4)
+    one, other, first, second = index_numbers(alike, 8, 0).reshape(8, 4, 4).unbind(1)
     assert torch.equal(first, torch.cat((other[:, :3], one[:, 3:]), -1))
     assert torch.equal(second, torch.cat((one[:, :3], other[:, 3:]), -1))

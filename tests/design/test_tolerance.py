@@ -134,6 +134,41 @@ def test_sobol_indices_are_the_shares_where_the_tip_moves_in_proportion():
     assert "total_order_force" in result.to_dict()
 
 
+@pytest.mark.parametrize("after", [1, 2, 3, 5, 6])
+def test_an_interrupted_run_is_that_of_fewer_built_arms(monkeypatch, after):
+    monkeypatch.setattr(sys.modules["torcharm.design.tolerance"], "AT_ONCE", 32)  # 16 of 32 built arms, then Sobol's
+
+    def callback(done, _):
+        if done == 16 * after:  # as Ctrl-C, once
+            raise KeyboardInterrupt
+
+    options = {"samples": 32, "sobol": True, "callback": callback}
+    whole = ta.tolerance(ARM, TASK, radii=1e-3, force=0.05, samples=32, sobol=True)
+    found = ta.tolerance(ARM, TASK, radii=1e-3, force=0.05, **options)
+    count = 16 if after == 1 else 32
+    assert found.stopped == "interrupted"
+    assert f"interrupted: {count} of 32 built arms" in repr(found)
+    torch.testing.assert_close(found.tip_error, whole.tip_error[:count])
+    assert found.yields[0] == Yield.of(whole.within[:count, 0])
+    assert found.sobol_samples == 4 * max(0, after - 2)  # of 4 built arms each
+    assert (found.first_order is None) == (after <= 2)
+
+
+def test_what_fails_is_counted_for_each_criterion():
+    result = ta.tolerance(ARM, TASK, **SPREAD, samples=64)
+    built = built_arms(ARM, *(lambda s: (s, scattered(s, normal_numbers(s, 64, 0))))(ta.Scatter(**SPREAD).sources(ARM)))
+    found = error_at_pressure(built, TASK, ta.predict_error(ARM, TASK).pressure)
+    most = {"tip": 0.01, "turn": math.radians(5), "shape": 0.01}
+    errors = {"tip": found.tip_error, "turn": found.tip_rotation_error, "shape": found.shape_error}
+    counts = {name: int((errors[name] > most[name]).sum()) for name in most}
+    for name, count in counts.items():
+        assert f"{name} {count}" in result.failing
+    first = max(counts, key=counts.get)
+    assert result.failing.startswith(f"{first} {counts[first]} of 128")
+    assert f"not within tolerance: {result.failing}" in repr(result)
+    assert result.to_dict()["failed_shape"] == (found.shape_error > 0.01).double().mean(0).tolist()
+
+
 def test_margins_of_scattered_coefficients_are_refused():
     with pytest.raises(ValueError, match="margin: must be False with model_covariance"):
         ta.tolerance(ARM, TASK, model_covariance=True, margin=True)
@@ -145,6 +180,7 @@ def test_where_no_shape_is_stable_nothing_is_told_to_decide():
     assert (result.decisive, result.yield_of_all.value) == ("", 0.0)
     assert bool(result.percentiles().isinf().all())
     assert "no task has a stable shape" in result.agreement
+    assert result.failing == "no stable shape 8 of 8"
     assert "decides" not in repr(result)
 
 

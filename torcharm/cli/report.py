@@ -51,22 +51,24 @@ def report(
         plan = with_margins(asked_about(load_study(study)))
         results, refused, interrupted = evaluate_all(plan)
         if results:
-            more = {} if interrupted else _more(plan, reach, refused)
+            more: dict[str, Any] = {}
+            if not interrupted:
+                more, interrupted = _more(plan, reach, refused)
             html = _drawn(Evaluated(plan, results, refused, study.name, **more))
             told = f" ({count(len(plan.arms), 'arm')}, {len(html.encode()) / 1e6:.1f} MB)."
             save_all(open_console(), [(out, lambda path: path.write_text(html, encoding="utf-8"), told)])
         finish(interrupted, results, refused)
 
 
-def _more(plan: "Study", reach: bool, refused: dict[str, list[str]]) -> dict[str, Any]:
-    """Arms as they are built, where the study says how, and where they can reach, if that is asked for."""
+def _more(plan: "Study", reach: bool, refused: dict[str, list[str]]) -> tuple[dict[str, Any], bool]:
+    """Arms as they are built, where the study says how, and where they can reach, if that is asked for; and whether
+    Ctrl-C came."""
     built: list[BuiltStudy] = []
     workspaces: list[tuple[NamedArm, Workspace]] = []
-    if plan.manufacture.scatter is not None:
-        find_built(plan, plan.manufacture, built, refused)
-    if reach:
-        find_workspaces(plan.arms, None, STATES, {}, workspaces, refused)
-    return {"built": built, "workspaces": workspaces}
+    stopped = plan.manufacture.scatter is not None and find_built(plan, plan.manufacture, built, refused)
+    if reach and not stopped:
+        stopped = find_workspaces(plan.arms, None, STATES, {}, workspaces, refused)
+    return {"built": built, "workspaces": workspaces}, stopped
 
 
 def _drawn(evaluated: "Evaluated") -> str:

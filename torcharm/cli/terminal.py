@@ -45,6 +45,18 @@ def mistakes() -> Iterator[None]:
         fail(str(error))
 
 
+@contextmanager
+def as_given(option: str, text: str) -> Iterator[None]:
+    """Let a ValueError about an option's value name the option, and tell the value as it was given, unit and all."""
+    try:
+        yield
+    except ValueError as error:
+        words, _, got = str(error).rpartition(", got ")
+        _, must, allowed = words.partition("must be ")
+        _, also, hint = got.partition("; ")
+        raise ValueError(f"{option}: {must}{allowed}, got {text}{also}{hint}") from None
+
+
 def finish(interrupted: bool, finished: Sized, refused: Mapping[str, Sequence[str]]) -> None:
     """Say who was refused, and end the command by an error unless all is well.
 

@@ -13,6 +13,7 @@ from torcharm.cli.summaries import heading
 from torcharm.cli.tables import LONGEST_WORD, Column, print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
+    as_given,
     asked_about,
     check_ending,
     check_outputs,
@@ -28,6 +29,7 @@ from torcharm.cli.terminal import (
 from torcharm.files import check_writable
 
 if TYPE_CHECKING:
+    from torcharm.design.scatter import Scatter
     from torcharm.design.tolerance_result import BuiltArms
     from torcharm.study import NamedTask, Study
     from torcharm.study.built import BuiltStudy
@@ -51,6 +53,13 @@ def tolerance(
     uniform: Annotated[
         bool, typer.Option("--uniform", help="Values are half widths that nothing exceeds, not standard deviations.")
     ] = False,
+    correlated: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--correlated",
+            help="How alike actuators are scattered, 0 to 1, as 'force=1' of one pressure supply; may be repeated.",
+        ),
+    ] = None,
     compensated: Annotated[
         bool,
         typer.Option("--compensated", help="Find each built arm's own best pressures, not the drawn arm's."),
@@ -75,10 +84,11 @@ def tolerance(
     """Predict the tip errors of built arms: percentiles, yields, and which tolerance decides them.
 
     Options of what is scattered replace the table [tolerance] of the study as a whole. Ctrl-C ends the work and shows
-    what was found until then.
+    what was found until then, of the arm at work from those built by then.
     """
     with mistakes():
         check_outputs(study, out, figure)
+        from torcharm.inputs import check_count
         from torcharm.study import RESULT_FORMATS, example_study, load_study
         from torcharm.study.built import built_rows
 
@@ -86,19 +96,15 @@ def tolerance(
         plan = example_study() if study is None else asked_about(load_study(study))
         sizes = {"radii": radii, "length": length, "limits": limits, "force": force}
         sizes |= {"force_offset": force_offset, "bending": bending}
-        how = _manufacture(plan, sizes, model_covariance, uniform)
+        how = replace(plan.manufacture, scatter=_scatter(plan, sizes, correlated or [], model_covariance, uniform))
         how = replace(how, compensated=compensated or how.compensated)
-        how = replace(how, samples=how.samples if samples is None else samples)
-        how = replace(how, seed=how.seed if seed is None else seed)
+        how = replace(how, samples=how.samples if samples is None else check_count("--samples", samples, 2))
+        how = replace(how, seed=how.seed if seed is None else check_count("--seed", seed, 0))
         for path in numbered(figure, len(plan.tasks)):
             check_writable(path, "--figure")
         found: list[BuiltStudy] = []
         refused: dict[str, list[str]] = {}
-        interrupted = False
-        try:
-            find_built(plan, how, found, refused, margin, sobol)
-        except KeyboardInterrupt:  # what is finished is shown and written all the same
-            interrupted = True
+        interrupted = find_built(plan, how, found, refused, margin, sobol)
         if found:
             if as_json:
                 typer.echo(json.dumps(list(built_rows(found)), indent=1))
@@ -108,32 +114,56 @@ def tolerance(
         finish(interrupted, found, refused)
 
 
-def _manufacture(
-    plan: "Study", sizes: Mapping[str, str | None], model_covariance: bool, uniform: bool
-) -> "Manufacture":
+def _scatter(
+    plan: "Study",
+    sizes: Mapping[str, str | None],
+    correlated: Sequence[str],
+    model_covariance: bool,
+    uniform: bool,
+) -> "Scatter":
     """How arms are built: by options where there are any, else by the study."""
-    from torcharm.design.scatter import UNITS, Scatter
+    from torcharm.design.scatter import Scatter
+
+    given = {name: _size(name, text) for name, text in sizes.items() if text is not None}
+    alike = dict(map(_correlation, correlated))
+    if given or model_covariance:
+        kind = "uniform" if uniform else "normal"
+        return Scatter(**given, model_covariance=model_covariance, distribution=kind, correlated=alike)
+    scatter = plan.manufacture.scatter
+    if scatter is None:
+        raise ValueError(
+            "tolerance: must say what is scattered: by options such as --radii '1 mm' --force '5 %', "
+            "or by a table [tolerance] of the study"
+        )
+    scatter = replace(scatter, distribution="uniform") if uniform else scatter
+    return replace(scatter, correlated={**scatter.correlated, **alike})
+
+
+def _size(name: str, text: str) -> float:
+    """How far something is scattered, of an option's text."""
+    from torcharm.design.scatter import UNITS, check_size
     from torcharm.study.units import numbers_in
     from torcharm.units import FORCE, LENGTH, PRESSURE, SHARE
 
     units = {"m": LENGTH, "kPa": PRESSURE, "1": SHARE, "N": FORCE}
-    given: dict[str, float] = {}
-    for name, text in sizes.items():
-        if text is not None:
-            try:
-                (given[name],) = numbers_in(text, [units[UNITS[name]]])
-            except ValueError as error:
-                raise ValueError(f"--{name.replace('_', '-')}: {error}") from None
-    if not given and not model_covariance:
-        if plan.manufacture.scatter is None:
-            raise ValueError(
-                "tolerance: must say what is scattered: by options such as --radii '1 mm' --force '5 %', "
-                "or by a table [tolerance] of the study"
-            )
-        scatter = plan.manufacture.scatter
-        return replace(plan.manufacture, scatter=replace(scatter, distribution="uniform") if uniform else scatter)
-    kind = "uniform" if uniform else "normal"
-    return replace(plan.manufacture, scatter=Scatter(**given, model_covariance=model_covariance, distribution=kind))  # type: ignore[arg-type]
+    with as_given(f"--{name.replace('_', '-')}", text):
+        (value,) = numbers_in(text, [units[UNITS[name]]])
+        return check_size(name, value)
+
+
+def _correlation(text: str) -> tuple[str, float]:
+    """What is scattered alike, and how much, of a text such as `force=0.5`."""
+    from torcharm.design.scatter import check_correlation
+    from torcharm.study.units import numbers_in
+    from torcharm.units import SHARE
+
+    name, equals, number = text.partition("=")
+    name = name.strip().replace("-", "_")
+    with as_given("--correlated", text):
+        if not equals:
+            raise ValueError("must be a name and a number such as force=0.5, got none")
+        (value,) = numbers_in(number, [SHARE])
+        return name, check_correlation(name, value)
 
 
 def find_built(
@@ -143,8 +173,8 @@ def find_built(
     refused: dict[str, list[str]],
     margin: bool = False,
     sobol: bool = False,
-) -> None:
-    """Append to `found` what is found, task by task; arms that are refused by why they are."""
+) -> bool:
+    """Append to `found` what is found, task by task, arms that are refused by why they are; whether Ctrl-C came."""
     from torcharm.design.tolerance import built_as
     from torcharm.study.built import BuiltStudy
 
@@ -173,7 +203,12 @@ def find_built(
             except ValueError as error:  # costs this arm alone
                 refused.setdefault(str(error), []).append(arm.name)
                 continue
+            except KeyboardInterrupt:  # before one arm was built
+                return True
             found.append(BuiltStudy(arm, task, built))
+            if built.stopped == "interrupted":
+                return True
+    return False
 
 
 def _tell(plan: "Study", found: Sequence["BuiltStudy"]) -> None:
@@ -188,7 +223,7 @@ def _tell(plan: "Study", found: Sequence["BuiltStudy"]) -> None:
         console.print()
         print_table(list(_columns(own)))
         for one in own:
-            for words in filter(None, (one.built.agreement, sobol_words(one.built))):
+            for words in filter(None, (one.built.interruption, one.built.agreement, sobol_words(one.built))):
                 say(console, f"{one.arm.name}: {words}.")
         console.print()
     for line in _legend(plan, found[0].built):
@@ -213,11 +248,13 @@ def _legend(plan: "Study", built: "BuiltArms") -> Iterator[str]:
 
     kept = "found anew for each built arm" if built.compensated else "the drawn arm's, kept"
     size = "half widths" if built.scatter.distribution == "uniform" else "standard deviations"
-    yield f"{count(len(built.tip_error), 'built arm')}; tolerances are {size}; pressures are {kept}."
+    yield f"{count(built.wanted, 'built arm')}; tolerances are {size}; pressures are {kept}."
     tip = plan.settings.tolerance.tip
     near = "2 % of the drawn arm's length" if tip is None else f"{1e3 * tip:g} mm"
     yield f"yield: tip and shape within {near}, turned within {math.degrees(built.tolerance.rotation):.3g}°;"
     yield "in brackets its bounds with 95 % confidence. drawn: where loading from rest leads, median over loads."
+    yield "what fails: pairs of a built arm and a load, by the tip's place, its turn or the shape's mean distance; some"
+    yield "fail by several. Neither range nor margin counts against the yield."
     if built.margin is not None:
         yield "margin: of capacity at the tightest node; 5 % of built arms and loads have less."
     yield "beyond range: strains or limits that were not characterised, where force models guess."

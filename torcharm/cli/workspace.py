@@ -10,6 +10,7 @@ import typer
 from torcharm.cli.tables import LONGEST_WORD, Column, print_table
 from torcharm.cli.terminal import (
     FIGURE_FORMATS,
+    as_given,
     asked_about,
     check_ending,
     check_outputs,
@@ -70,11 +71,14 @@ def workspace(
     """
     with mistakes():
         check_outputs(study, out, figure)
+        from torcharm.geometry.rod import HEADINGS
         from torcharm.inputs import check_choice, check_count
         from torcharm.study import RESULT_FORMATS, example_study, load_study
 
         check_ending("--out", out, RESULT_FORMATS)
         check_count("--states", states, 100)
+        check_count("--nodes", nodes, 1)
+        check_choice("--base", base, tuple(HEADINGS))
         plan = example_study() if study is None else asked_about(load_study(study))
         names = [one.name for one in plan.arms]
         if arm is not None:
@@ -138,17 +142,21 @@ def _teller(move: Callable[..., None], before: int, name: str) -> Callable[[int,
 
 def _payload(text: str, dimension: int) -> float | list[float]:
     """A mass [kg] or a wrench [N, N·m]."""
+    from torcharm.inputs import check_number
     from torcharm.study.units import numbers_in
     from torcharm.units import FORCE, MASS, MOMENT
 
     wrench = (FORCE, FORCE, MOMENT) if dimension == 2 else (FORCE,) * 3 + (MOMENT,) * 3
-    try:
-        numbers = numbers_in(text, wrench if "," in text else (MASS,))
-    except ValueError as error:
-        example = "0, -2, 0" if dimension == 2 else "0, -2, 0, 0, 0, 0"
-        several = f"; or force and moment as numbers separated by commas, 3 in the plane and 6 in space: {example}"
-        raise ValueError(f"--payload: {error}{'' if ',' in text else several}") from None
-    return numbers if "," in text else numbers[0]
+    with as_given("--payload", text):
+        if "," in text:
+            return numbers_in(text, wrench)
+        try:
+            (mass,) = numbers_in(text, (MASS,))
+        except ValueError as error:
+            example = "0, -2, 0" if dimension == 2 else "0, -2, 0, 0, 0, 0"
+            several = f"force and moment as numbers separated by commas, 3 in the plane and 6 in space: {example}"
+            raise ValueError(f"{error}; or {several}") from None
+        return check_number("payload", mass, 0.0, unit="kg")
 
 
 def _report(found: "Found", seconds: float) -> None:

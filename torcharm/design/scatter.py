@@ -102,17 +102,12 @@ class Scatter:
         for name in FIELDS:
             given = getattr(self, name)
             listed = isinstance(given, (Sequence, np.ndarray, Tensor)) and not isinstance(given, str) and np.ndim(given)
-            values = tuple(check_number(name, one, 0.0, unit=UNITS[name].strip("1")) for one in _list(given, listed))
-            most, words = MOST.get(name, (math.inf, ""))
-            if max(values, default=0.0) > most:
-                raise ValueError(f"{name}: must be at most {words}, got {max(values):g}")
+            values = tuple(check_size(name, one) for one in _list(given, listed))
             object.__setattr__(self, name, values if listed else values[0])
         if not isinstance(self.correlated, Mapping):
             raise ValueError(f"correlated: must map names to correlations, got {shown(self.correlated)}")
         for name, value in self.correlated.items():
-            check_choice("correlated", name, FIELDS)
-            if check_number(f"correlated.{name}", value, 0.0) > 1:
-                raise ValueError(f"correlated.{name}: must be from 0 to 1, got {value:g}")
+            check_correlation(name, value)
             if np.max(getattr(self, name)) == 0:
                 raise ValueError(f"correlated.{name}: must be of what is scattered, got {value:g} with {name}=0")
         if not self.model_covariance and not any(np.max(getattr(self, name)) > 0 for name in FIELDS):
@@ -140,7 +135,7 @@ class Scatter:
         if name == "length" and bool((SHORTEST * size >= _whole(arm, "length")).any()):
             shortest = float(_whole(arm, "length").min())
             raise ValueError(
-                f"length: must be below a sixth of the shortest, {shortest:g} m, got {float(size.max()):g}"
+                f"length: must be below a sixth of the shortest, {shortest:g} m, got {float(size.max()):g} m"
             )
         if not bool((size > 0).any()):
             return None
@@ -150,6 +145,22 @@ class Scatter:
             return Source(name, torch.block_diag(both, both), torch.cat((size, size)), self.distribution == "uniform")
         mix = _mixed(items, self.correlated.get(name, 0.0))
         return Source(name, mix, size, self.distribution == "uniform")
+
+
+def check_size(name: str, value: Any) -> float:
+    """How far one of `FIELDS` is scattered, if that is at least 0 and makes sense in its unit."""
+    size, (most, words) = check_number(name, value, 0.0, unit=UNITS[name].strip("1")), MOST.get(name, (math.inf, ""))
+    if size > most:
+        raise ValueError(f"{name}: must be at most {words}, got {size:g}")
+    return size
+
+
+def check_correlation(name: str, value: Any) -> float:
+    """A correlation of one of `FIELDS`, if it is from 0 to 1."""
+    check_choice("correlated", name, FIELDS)
+    if not 0 <= check_number(f"correlated.{name}", value) <= 1:
+        raise ValueError(f"correlated.{name}: must be from 0 to 1, got {value:g}")
+    return float(value)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,8 @@ from torcharm.design.scatter import Source, normal_numbers
 
 
 def index_numbers(sources: Sequence[Source], samples: int, seed: int) -> Tensor:
-    """((G + 2) n, ΣL) the normal numbers A, B and all A_g for G names; n is the power of 2 that samples hold."""
+    """(n (G + 2), ΣL) for each sample the normal numbers A, B and all A_g of G names; n is the power of 2 that samples
+    hold."""
     count = 2 ** (samples.bit_length() - 1)
     one, other = normal_numbers((*sources, *sources), count, seed).chunk(2, -1)
     parts = [pair.split([source.mix.shape[1] for source in sources], -1) for pair in (one, other)]
@@ -23,15 +24,15 @@ def index_numbers(sources: Sequence[Source], samples: int, seed: int) -> Tensor:
     for name in dict.fromkeys(source.name for source in sources):
         chosen = [parts[source.name == name][k] for k, source in enumerate(sources)]
         mixes.append(torch.cat(chosen, -1))
-    return torch.cat((one, other, *mixes))
+    return torch.stack((one, other, *mixes), 1).flatten(0, 1)
 
 
 def sobol_indices(tip: Tensor, names: int) -> tuple[Tensor, Tensor]:
-    """First-order and total indices (G, T), of the places ((G + 2) n, T, D) of tips that `index_numbers` built.
+    """First-order and total indices (G, T), of the places (n (G + 2), T, D) of tips that `index_numbers` built.
 
     Arms without a tip are left out, with all that are compared with them. NaN where tips do not differ.
     """
-    tip = tip.reshape(names + 2, -1, *tip.shape[1:])
+    tip = tip.unflatten(0, (-1, names + 2)).movedim(1, 0)
     known = tip.isfinite().all(-1).all(0).unsqueeze(-1)  # (n, T, 1)
     count = known.sum(0)
     mean = torch.where(known, tip[:2], 0.0).sum((0, 1)) / (2 * count)

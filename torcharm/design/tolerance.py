@@ -1,6 +1,6 @@
 """`tolerance`: what the errors of a design will be once it is built."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,7 +16,7 @@ from torcharm.design.scatter import Scatter, Sizes, Source, built_arms, normal_n
 from torcharm.design.sensitivity import fitted_slopes, tip_places, tip_slopes, variances
 from torcharm.design.sobol import index_numbers, sobol_indices
 from torcharm.design.space import Arm
-from torcharm.design.tolerance_result import BuiltArms
+from torcharm.design.tolerance_result import CRITERIA, BuiltArms
 from torcharm.inputs import check_count, check_flag, shown
 from torcharm.pressure.at_pressure import error_at_pressure
 from torcharm.pressure.pose_cost import PoseCost
@@ -80,6 +80,9 @@ def tolerance(
             arms.
         callback: is told how many built arms are done, and of how many.
 
+    After Ctrl-C the result is of the arms built by then, with the wider bounds of their number, and without Sobol'
+    indices that no whole sample tells; where no arm is built yet, KeyboardInterrupt goes on.
+
     Raises:
         ValueError: an argument is none of those allowed, or arm and tasks do not fit.
 
@@ -127,20 +130,43 @@ def built_as(
         if kept is not None:  # the drawn arm is loaded from rest, as the built ones are
             drawn = [error_at_pressure(arm, one, own, pose_cost) for one, own in zip(tasks, kept, strict=True)]
         nominal = how.of_found(arm, drawn)
-        built = how.of_samples(arm, sources, normal, kept, _teller(callback, 0, len(normal) + len(more)))
-        if sobol:
-            told = _teller(callback, len(normal), len(normal) + len(more))
-            others = replace(how, margin=False).of_samples(arm, sources, more, kept, told)
+        every = len(normal) + len(more)
+        parts, stopped = _until_interrupted(how.chunks(arm, sources, normal, kept, _teller(callback, 0, every)))
+        if not parts:
+            raise KeyboardInterrupt
+        built, others = joined(parts), list[dict[str, Tensor]]()
+        if not stopped:
+            told = _teller(callback, len(normal), every)
+            others, stopped = _until_interrupted(replace(how, margin=False).chunks(arm, sources, more, kept, told))
     both = [
         tip_slopes(arm, one, sources, found, pose_cost, compensated=compensated)
         for one, found in zip(tasks, drawn, strict=True)
     ]
     slopes = [torch.cat([part.reshape(-1, *part.shape[-2:]) for part in column]) for column in zip(*both, strict=True)]
     result = _result(arm, scatter, sources, normal, how.tolerance, compensated, nominal, built, slopes)
-    if not sobol:
+    result = replace(result, stopped="interrupted" if stopped else "finished")
+    tips = joined(others)["tip"] if others else more[:0]
+    whole = len(tips) // (len(result.names) + 2)
+    if not whole:
         return result
-    first, total = sobol_indices(others["tip"], len(result.names))
-    return replace(result, first_order=first, total_order=total)
+    first, total = sobol_indices(tips[: whole * (len(result.names) + 2)], len(result.names))
+    return replace(result, first_order=first, total_order=total, sobol_samples=whole)
+
+
+def _until_interrupted(parts: Iterable[dict[str, Tensor]]) -> tuple[list[dict[str, Tensor]], bool]:
+    """Those finished before Ctrl-C, and whether it came."""
+    done = []
+    try:
+        for part in parts:
+            done.append(part)
+    except KeyboardInterrupt:
+        return done, True
+    return done, False
+
+
+def joined(parts: Sequence[Mapping[str, Tensor]]) -> dict[str, Tensor]:
+    """Columns of all chunks of built arms."""
+    return {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
 
 
 def _teller(callback: Told | None, before: int, every: int) -> Told | None:
@@ -160,16 +186,17 @@ def _result(
     slopes: Sequence[Tensor],
 ) -> BuiltArms:
     """All of it together, with the fit to the samples."""
-    fits = [fitted_slopes(built["tip"][:, t], sources, normal) for t in range(built["tip"].shape[1])]
+    drawn = normal[: len(built["tip"])]
+    fits = [fitted_slopes(built["tip"][:, t], sources, drawn) for t in range(built["tip"].shape[1])]
     by_samples = torch.stack([variances(own, sources) for own, _ in fits], -1)
     return BuiltArms(
         tip_error=built["tip_error"],
-        within=built["within"],
+        failed=built["failed"],
         verdict_code=built["verdict"],
         tip=built["tip"],
         margin=built.get("margin"),
         nominal_tip_error=nominal["tip_error"][0],
-        nominal_within=nominal["within"][0],
+        nominal_failed=nominal["failed"][0],
         nominal_verdict_code=nominal["verdict"][0],
         sources=tuple(source.name for source in sources),
         slopes=tuple(slopes),
@@ -180,6 +207,7 @@ def _result(
         tolerance=tolerance,
         compensated=compensated,
         arm=arm,
+        wanted=len(normal),
     )
 
 
@@ -220,17 +248,17 @@ class Evaluation:
     pose_cost: PoseCost | None
     margin: bool
 
-    def of_samples(
+    def chunks(
         self, arm: Arm, sources: Sequence[Source], normal: Tensor, kept: Sequence[Tensor] | None, told: Told | None
-    ) -> dict[str, Tensor]:
-        """Of built arms, chunk by chunk: columns (S, T, ...).
+    ) -> Iterator[dict[str, Tensor]]:
+        """Of built arms, chunk by chunk, for `joined`: columns (S of the chunk, T, ...).
 
         Args:
             normal: (S, ΣL) from which they are built.
             kept: for each batch of tasks the pressures (*task batch, M) [kPa]; None finds the best of each arm.
         """
         count = sum(task.batch_shape.numel() for task in self.tasks)
-        step, parts = max(1, AT_ONCE // count), list[dict[str, Tensor]]()
+        step = max(1, AT_ONCE // count)
         for first in range(0, len(normal), step):
             built = built_arms(arm, sources, scattered(sources, normal[first : first + step]))
             found: list[PredictedError] = []
@@ -239,10 +267,9 @@ class Evaluation:
                     found.append(predict_error(built, task, self.pose_cost))
                 else:
                     found.append(error_at_pressure(built, task, kept[index], self.pose_cost))
-            parts.append(self.of_found(built, found))
+            yield self.of_found(built, found)
             if told is not None:
                 told(min(first + step, len(normal)), len(normal))
-        return {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
 
     def of_found(self, arm: Arm, found: Sequence[PredictedError]) -> dict[str, Tensor]:
         """Columns (B, T, ...) of what was found of arms (B,), or of one, for each batch of tasks."""
@@ -253,14 +280,15 @@ class Evaluation:
         metrics = ("absolute",) if self.margin else (PREDICTED,)
         options: dict[str, Any] = {"signed": True} if self.margin else {}
         seen = evaluate(arm, task, metrics, found=found, tolerance=self.tolerance, **options)
-        close = (over_tolerance(arm, found, self.tolerance) <= 1).all(0)
+        held = found.stable & found.reached & found.possible
         columns = {
             "tip_error": found.tip_error,
-            "within": close & found.stable & found.reached & found.possible,
             "verdict": judge(arm, found, self.tolerance, seen.in_range, seen.impossible),
         }
         if seen.capacity_margin is not None:
             columns["margin"] = seen.capacity_margin
         designs = arm.batch_shape.numel()
         flat = {name: column.reshape(designs, -1) for name, column in columns.items()}
+        beyond = ~(over_tolerance(arm, found, self.tolerance) <= 1) & held  # of no shape no error counts
+        flat["failed"] = torch.stack((*beyond, ~held), -1).reshape(designs, -1, len(CRITERIA))
         return flat | {"tip": tip_places(found.pose_errors).reshape(designs, -1, arm.dimension)}

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 PERCENTILES = (5.0, 50.0, 95.0)
 CONFIDENCE = 0.95
+CRITERIA = ("tip", "turn", "shape", "no stable shape")
+"""What an arm may fail on a task: the tip's place, its turn, the shape; or no stable equilibrium that loading leads to,
+which fails in nothing else."""
 LINEAR = 0.9
 """Of the variance of tips, so much is explained by slopes that what decides is told by them alone."""
 
@@ -61,13 +64,13 @@ class BuiltArms(HoldsTensors):
 
     Attributes:
         tip_error: (S, T) distance of the tip from the task's [m]; infinite where there is no stable equilibrium.
-        within: (S, T) whether tip, its turn and the shape are within the tolerance, at a stable equilibrium that
-            loading leads to: what yields count. Strains may be beyond what was characterised: manufacture does not know
-            of that range, and the verdict does.
+        failed: (S, T, 4) which of `CRITERIA` each arm fails: yields count those that fail none. Strains may be beyond
+            what was characterised: manufacture does not know of that range, and the verdict does.
         verdict_code: (S, T) indices into `torcharm.attainability.verdict.VERDICTS`: "held" is within, and in range.
         tip: (S, T, D) the tip's place seen from the task's [m]; NaN where there is none.
         margin: (S, T) capacity margin [N], if it was asked for.
-        nominal_tip_error, nominal_within, nominal_verdict_code: (T,) of the drawn arm.
+        nominal_tip_error, nominal_verdict_code: (T,) of the drawn arm.
+        nominal_failed: (T, 4) of the drawn arm.
         sources: G names of what is scattered, in the order in which it is told.
         slopes: for each source (T, D, K) of the tip's place by its K parameters, at the drawn arm.
         variance_by_gradient: (G, T) what each source adds to the variance of the tip's place by these slopes [m²].
@@ -79,9 +82,12 @@ class BuiltArms(HoldsTensors):
         tolerance: what counts as within, in metres.
         compensated: whether pressures were found anew for each arm.
         arm: the drawn one.
+        wanted: how many built arms were asked for.
+        stopped: "finished", or "interrupted": then S is less than that, or Sobol' indices are of fewer samples or none.
         first_order, total_order: (names, T) Sobol' indices of the tip's place, if they were asked for: the share of its
             variance that goes with each of `names` alone, and with all in which it has a part; good to some hundredths
             at 1,000 samples. Where both agree with the shares, gradients told it all.
+        sobol_samples: of how many samples, each of G + 2 built arms for G names, they are.
 
     Example:
         >>> found = ta.tolerance(ta.antagonistic_arm(), ta.Task(ta.constant_curvature(0.5)), length=2e-3, samples=64)
@@ -90,12 +96,12 @@ class BuiltArms(HoldsTensors):
     """
 
     tip_error: Tensor
-    within: Tensor
+    failed: Tensor
     verdict_code: Tensor
     tip: Tensor
     margin: Tensor | None
     nominal_tip_error: Tensor
-    nominal_within: Tensor
+    nominal_failed: Tensor
     nominal_verdict_code: Tensor
     sources: tuple[str, ...]
     slopes: tuple[Tensor, ...]
@@ -106,13 +112,45 @@ class BuiltArms(HoldsTensors):
     tolerance: PoseTolerance
     compensated: bool
     arm: Arm
+    wanted: int
+    stopped: str = "finished"
     first_order: Tensor | None = None
     total_order: Tensor | None = None
+    sobol_samples: int = 0
 
     @property
     def verdict(self) -> NDArray[Any]:
         """(S, T) the verdicts in words."""
         return np.array(VERDICTS)[self.verdict_code.numpy(force=True)]
+
+    @property
+    def within(self) -> Tensor:
+        """(S, T) which built arms fail no criterion: what yields count."""
+        return ~self.failed.any(-1)
+
+    @property
+    def nominal_within(self) -> Tensor:
+        """(T,) on which tasks the drawn arm fails no criterion."""
+        return ~self.nominal_failed.any(-1)
+
+    @property
+    def failing(self) -> str:
+        """Of the pairs of a built arm and a task how many fail each criterion, most often first; empty if none does.
+
+        One pair may fail several.
+        """
+        counts = dict(zip(CRITERIA, self.failed.sum((0, 1)).tolist(), strict=True))
+        words = [f"{name} {counts[name]}" for name in sorted(CRITERIA, key=lambda one: -counts[one]) if counts[name]]
+        return ", ".join([f"{words[0]} of {self.tip_error.numel()}", *words[1:]]) if words else ""
+
+    @property
+    def interruption(self) -> str:
+        """That it was stopped before its end, and after how many built arms; empty if it was not."""
+        if self.stopped == "finished":
+            return ""
+        done = f"{len(self.tip_error)} of {self.wanted} built arms"
+        also = f", Sobol' indices of {self.sobol_samples} samples" if self.sobol_samples else ""
+        return f"interrupted: {done}{also}"
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -252,6 +290,8 @@ class BuiltArms(HoldsTensors):
         for order, indices in (("first_order", self.first_order), ("total_order", self.total_order)):
             if indices is not None:
                 columns |= {f"{order}_{name}": own.tolist() for name, own in zip(self.names, indices, strict=True)}
+        for name, rate in zip(CRITERIA, self.failed.double().mean(0).unbind(-1), strict=True):
+            columns[f"failed_{name.replace(' ', '_')}"] = rate.tolist()
         if self.margin is not None:
             columns["capacity_margin_p5"] = self.margin.quantile(0.05, dim=0).tolist()
         return columns
@@ -269,8 +309,10 @@ class BuiltArms(HoldsTensors):
     def __repr__(self) -> str:
         """Counts and the yield, no tensors."""
         samples, tasks = self.tip_error.shape
-        decides = f", {self.decisive} decides" if self.decisive else ""
-        return f"BuiltArms({samples} arms on {tasks} tasks, yield {self.yield_of_all}{decides})"
+        parts = [f"{samples} arms on {tasks} tasks", f"yield {self.yield_of_all}"]
+        parts += [f"not within tolerance: {self.failing}"] if self.failing else []
+        parts += [f"{self.decisive} decides"] if self.decisive else []
+        return f"BuiltArms({', '.join([*parts, *filter(None, [self.interruption])])})"
 
 
 def _place(share: float, count: int) -> int:

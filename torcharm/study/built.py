@@ -26,6 +26,8 @@ class BuiltStudy:
 def built_columns(found: Sequence[BuiltStudy]) -> Iterator[tuple[str, str, list[str]]]:
     """Titles, units and cells of a table with a row for each arm on one task."""
     every = [one.built for one in found]
+    if any(built.interruption for built in every):
+        yield "built", "", [f"{len(built.tip_error)} of {built.wanted}" for built in every]
     drawn = [MM * float(np.median(built.nominal_tip_error)) for built in every]
     yield "tip off, drawn", "mm", [three_digits(value) for value in drawn]
     for percent in (50, 95):
@@ -36,6 +38,7 @@ def built_columns(found: Sequence[BuiltStudy]) -> Iterator[tuple[str, str, list[
     whole = [built.yield_of_all for built in every]
     ends = [f"{100 * one.value:.1f} ({100 * one.low:.1f}-{100 * one.high:.1f})" for one in whole]
     yield "yield, all loads", "%", ends
+    yield "what fails", "", [built.failing or "-" for built in every]
     if all(built.margin is not None for built in every):
         low = [float(built.margin.quantile(0.05)) for built in every if built.margin is not None]
         yield "margin, 5 % below", "N", [three_digits(value) for value in low]
@@ -58,7 +61,7 @@ def sobol_words(built: BuiltArms) -> str:
         f"{SOURCE_WORDS[name]} {100 * alone:.0f} to {100 * whole:.0f} %"
         for name, (alone, whole) in zip(built.names, pairs, strict=True)
     ]
-    return f"Sobol' indices, alone to with others: {', '.join(each)}"
+    return f"Sobol' indices of {built.sobol_samples} samples, alone to with others: {', '.join(each)}"
 
 
 def built_rows(found: Sequence[BuiltStudy]) -> Iterator[dict[str, Any]]:
@@ -73,4 +76,5 @@ def built_rows(found: Sequence[BuiltStudy]) -> Iterator[dict[str, Any]]:
                 unit = "_mm" if "tip_error" in name else "_N" if "margin" in name else ""
                 value = values[index] * (MM if unit == "_mm" else 1.0)
                 row[f"{name}{unit}"] = value if math.isfinite(value) else None
+            row |= {"samples": len(one.built.tip_error), "stopped": one.built.stopped}
             yield row

@@ -40,7 +40,8 @@ def numbers_in(text: str, units: Sequence[dict[str, float]]) -> list[float]:
     """
     parts = [part.strip() for part in text.split(",")]
     if len(parts) != len(units):
-        raise ValueError(f"must be {len(units)} numbers with commas between them, got {text}")
+        many = f"{len(units)} numbers with commas between them" if len(units) > 1 else "one number"
+        raise ValueError(f"must be {many}, got {text}")
     found = []
     for part, own in zip(parts, units, strict=True):
         try:
