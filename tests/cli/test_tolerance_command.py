@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import re
 import sys
 
@@ -206,6 +207,21 @@ def test_the_picture_shows_curves_tolerance_and_shares():
     widths = [bar.get_width() for bar in right.patches[:2]]
     assert widths == pytest.approx([100 * share for share in found[0][1].shares.values()])
     assert "[mm]" in left.get_xlabel()
+    words = left.get_legend().get_texts()[0].get_text()
+    assert f"yield {100 * found[0][1].yield_of_all.value:.1f} %; fails most: " in words
+    marks = [line for line in left.get_lines() if line.get_marker() == "^"]
+    assert len({mark.get_ydata()[0] for mark in marks}) == 2  # none hides another
+
+
+def test_a_share_that_is_not_known_is_no_bar_of_no_length():
+    plan = parse_study(STUDY)
+    few = ta.tolerance(plan.arms[0].design, plan.tasks[0].task, radii=1e-3, samples=4)
+    right = tolerance_figure([("few", few)]).axes[1]
+    filled, hollow = right.patches
+    assert filled.get_width() == pytest.approx(100)
+    assert math.isnan(hollow.get_width())
+    assert [text.get_text() for text in right.texts] == ["100", "not known: too few samples"]
+    assert filled.get_height() < 0.2  # of a single source, too, a bar is no block
 
 
 def test_a_picture_of_nothing_is_refused():

@@ -146,8 +146,27 @@ class TestLoadFigure:
         np.testing.assert_array_equal(shades[0].levels, shades[1].levels)
         assert shades[0].levels[0] == 0
         error = 1e3 * ta.evaluate(self.ARMS[1][1], ta.Task(self.TASK.twists, loads), ("predicted_error",)).tip_error
-        assert f"tip within 10 mm: {int((error <= 10).sum())} of 9 forces" in second.get_title()
+        verdict = ta.evaluate(self.ARMS[1][1], ta.Task(self.TASK.twists, loads), ("predicted_error",)).verdict
+        assert f"held: {(verdict == 'held').sum()} of 9 forces" in second.get_title()
+        assert f"{(verdict == 'missed').sum()} missed" in second.get_title()
+        assert f"{float(error.max()):.3g} mm (most)" in second.get_title()
         assert bar.get_ylabel() == "tip error [mm]"
+        norm, ticks = shades[1].norm, bar.get_yticks()
+        assert (norm.vmin, norm.vcenter, norm.vmax) == (0.0, 10.0, 40.0)  # the tolerance is seen, whatever the errors
+        assert {0.0, 10.0, 40.0} <= set(ticks)
+        assert error.max() > 40
+        assert bar.get_ylim()[1] == 40
+        assert shades[1].extend == "max"
+
+    def test_what_is_within_the_tip_s_tolerance_and_not_held_is_hatched(self):
+        loads = plot.load_grid(4.0, 3)
+        figure = plot.load_figure(self.ARMS[:1], self.TASK, loads=loads)
+        found = ta.evaluate(self.ARMS[0][1], ta.Task(self.TASK.twists, loads), ("predicted_error",))
+        odd = (found.tip_error <= 0.01).numpy() & (found.verdict != "held")
+        assert odd.any()
+        words = [text.get_text() for text in figure.legends[0].get_texts()]
+        assert "tip within tolerance, yet not held: turn, shape, range or stability" in words
+        assert any(shades.hatches == ["///"] for shades in figure.axes[0].collections if hasattr(shades, "hatches"))
 
     def test_factors(self):
         loads = plot.load_grid(4.0, 3)
@@ -157,7 +176,17 @@ class TestLoadFigure:
         factor = ta.load_capacity(arm, ta.Task(held, loads)).factor
         borne = int((factor >= 1).sum())
         assert borne > 0
-        assert f"borne, shape kept: {borne} of 9 forces" in figure.axes[0].get_title()
+        assert f"not excluded at this shape: {borne} of 9 forces" in figure.axes[0].get_title()
+        assert not any("no multiple" in text.get_text() for text in figure.legends[0].get_texts())
+        assert bool(factor[1, 1].isinf())  # what weighs nothing could grow without end: no gap in the map
+
+    def test_where_no_force_is_possible_the_panel_says_so(self):
+        loads = plot.load_grid(1.0, 3)
+        figure = plot.load_figure(self.ARMS, ta.Task(ta.affine_curvature(0.5, 0.5)), "payload factor", loads=loads)
+        none = figure.axes[1]
+        assert "0 of 9 forces" in none.get_title()
+        assert none.axison
+        assert "no multiple of the force possible at this shape" in none.texts[0].get_text()
 
     def test_mistakes(self):
         with pytest.raises(ValueError, match="quantity: must be one of tip error, payload factor"):

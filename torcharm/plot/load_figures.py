@@ -1,30 +1,52 @@
-"""Load maps of several arms side by side: how far off each is, or by what its load could grow, at the same scale."""
+"""Load maps of several arms side by side: which loads each holds, and by how much, at the same scale."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
 from torch import Tensor
 
 from torcharm.attainability import evaluate
+from torcharm.attainability.verdict import VERDICTS
 from torcharm.design.space import Arm
-from torcharm.inputs import check_choice
+from torcharm.inputs import check_choice, three_digits
 from torcharm.plot._common import PLAIN, Array, array, one_design, one_shape
-from torcharm.plot.loads import colour_bar, load_grid, load_map
+from torcharm.plot.loads import colour_bar, load_grid, load_map, map_places, unknown_map
 from torcharm.task import Task
 from torcharm.wrench_sets.capacity import load_capacity
 
-QUANTITIES = {"tip error": "mm", "payload factor": "times the load"}
-LOST = {"tip error": "without an equilibrium", "payload factor": "borne by no factor"}
+QUANTITIES = {"tip error": "mm", "payload factor": "times the force"}
+LOST = {"tip error": "no equilibrium found", "payload factor": "no multiple of the force possible at this shape"}
 """Of forces that have no value."""
-HIGHEST_FACTOR = 4.0
-"""Of the colours: by how much more a load could grow hardly matters."""
-HIGHEST_ERROR = 0.9
-"""Of all errors, those below the end of the colours; a few arms' few failures would leave the others no shades."""
+HIGHEST = 4.0
+"""End of the colours, in tolerances or in factors: by how much more a tip is off, or a load could grow, hardly
+matters."""
 PANEL = 5.2
 """Width of a panel [inch]."""
+NOT_HELD = "tip within tolerance, yet not held: turn, shape, range or stability"
+
+
+@dataclass(frozen=True)
+class _Map:
+    """What is shown of one arm.
+
+    Attributes:
+        value: (R, C) of each force; NaN where it has none.
+        line: the value that decides.
+        words: below the arm's name.
+        hatched: (R, C) which forces are not held, though their values are on the good side of the line.
+    """
+
+    value: Array
+    line: float
+    words: str
+    hatched: NDArray[np.bool_]
 
 
 def load_figure(
@@ -37,14 +59,17 @@ def load_figure(
 ) -> Figure:
     """One page of load maps of several arms at one shape, at the same scale, for `figure.savefig(path)`.
 
+    Two hues meet at what decides: the factor 1, or the tolerance of the tip, of arms of several the largest.
+
     Args:
         arms: names and designs.
         task: of one shape, beside whose weight and point loads the tip forces act.
-        quantity: "tip error", the predicted distance of the tip from the task's, with a line at the tolerance; or
-            "payload factor", by which each force (with the task's point loads) could grow with the shape kept, with a
-            line at 1: within it a force is borne.
+        quantity: "tip error", the predicted distance of the tip from the task's, hatched where that is within the
+            tolerance and the verdict is not "held" all the same; or "payload factor", by which each force (with the
+            task's point loads) could grow at the very shape until a node's set excludes it. What weighs nothing could
+            grow without end.
         loads: (R, C, 3 or 6) as for `load_map`; None takes `load_grid(count=21)`, in space of the plane "xy".
-        highest: end of the colours; None takes what 90 % of the errors are below, or a factor of 4.
+        highest: end of the colours; None takes 4 times the largest tolerance, or a factor of 4.
 
     Raises:
         ValueError: there is no arm, a design is a batch, the task holds several shapes, or as of `load_map`.
@@ -55,67 +80,67 @@ def load_figure(
     shape = one_shape(task, [0])
     grid = load_grid(count=21, plane="xy" if task.dimension == 3 else None) if loads is None else loads
     loaded = Task(shape.twists, grid, shape.base_pose, _one_load(shape), shape.wrench_at, shape.segment_nodes)
+    find = _errors if quantity == "tip error" else _factors
     with torch.no_grad():
-        found = [_values(one_design(name, arm, task), loaded, quantity) for name, arm in arms]
-    top = _top(quantity, [value for value, _ in found]) if highest is None else highest
-    figure = Figure(figsize=(PANEL * len(arms) + 1.0, PANEL + 0.6), layout="constrained", dpi=130)
+        found = [find(one_design(name, arm, task), loaded) for name, arm in arms]
+    middle = max(one.line for one in found)
+    scale: dict[str, Any] = {"lowest": 0.0, "highest": HIGHEST * middle if highest is None else highest}
+    scale |= {"middle": middle, "rising": quantity == "payload factor", "bar": False}
+    figure = Figure(figsize=(PANEL * len(arms) + 1.0, PANEL + 1.1), layout="constrained", dpi=130)
     panels: Any = figure.subplots(1, len(arms), squeeze=False)[0]
     labels: dict[str, Any] = {}
-    for axes, (name, _), (value, line) in zip(panels, arms, found, strict=True):
-        axes.set_title(f"{name}\n{_counted(quantity, value, line)}", fontsize="medium", **PLAIN)
-        if not np.isfinite(value).any():
-            axes.set_axis_off()
-            continue
-        word = f"tolerance, {line:.3g} mm" if quantity == "tip error" else "payload factor 1"
-        how: dict[str, Any] = {"contour": line, "contour_label": word, "lowest": 0.0, "highest": top, "bar": False}
-        load_map(grid, value, ax=axes, **how)
-        labels |= {
-            _label(quantity, label): handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-        }
-        axes.get_legend().remove()
-    shades = next((axes.collections[0] for axes in panels if axes.collections), None)
-    if shades is not None:
-        lines = {line for _, line in found}
-        common = lines.pop() if len(lines) == 1 else None
+    for axes, (name, _), one in zip(panels, arms, found, strict=True):
+        labels |= _draw(axes, grid, one, quantity, scale)
+        axes.set_title(f"{name}\n{one.words}", fontsize="medium", **PLAIN)
+    every = [axes.collections[0] for axes in panels if axes.collections]
+    if every:
+        shades = max(every, key=lambda one: one.extend == "max")  # its bar has an end for what is beyond
+        common = middle if len({one.line for one in found}) == 1 else None
         colour_bar(figure, shades, panels.tolist(), f"{quantity} [{QUANTITIES[quantity]}]", common)
-        figure.legend(labels.values(), labels.keys(), loc="outside lower center", ncols=4, frameon=False)
+    figure.legend(labels.values(), labels.keys(), loc="outside lower center", ncols=2, frameon=False)
     return figure
 
 
-def _label(quantity: str, label: str) -> str:
-    """Of the legend, without what differs between arms."""
-    word = label.split(":")[0]
-    return LOST[quantity] if word == "not known" else word
+def _draw(axes: Axes, grid: Tensor, one: _Map, quantity: str, scale: dict[str, Any]) -> dict[str, Any]:
+    """One arm's map; what its legend would hold, without what differs between arms."""
+    if np.isnan(one.value).all():
+        unknown_map(grid, f"{LOST[quantity]},\nwhatever the force", ax=axes)
+    else:
+        word = f"tolerance of the tip, {one.line:.3g} mm" if quantity == "tip error" else "factor 1: the force itself"
+        drawn = np.where(np.isinf(one.value), 2 * scale["highest"], one.value)  # beyond the colours, which have an end
+        load_map(grid, drawn, contour=one.line, contour_label=word, ax=axes, **scale)
+    if one.hatched.any():
+        x, y, _ = map_places(grid)
+        axes.contourf(x, y, one.hatched.astype(float), levels=[0.5, 1.5], colors="none", hatches=["///"])
+        axes.add_patch(Rectangle((0, 0), 0, 0, facecolor="none", edgecolor="black", hatch="///", label=NOT_HELD))
+    pairs = zip(*axes.get_legend_handles_labels(), strict=True)
+    axes.legend().remove()
+    return {LOST[quantity] if word.startswith("not known") else word: handle for handle, word in pairs}
 
 
-def _counted(quantity: str, value: Array, line: float) -> str:
-    """How many forces are within the line, and how many are not known."""
-    within = int((value <= line if quantity == "tip error" else value >= line).sum())
-    lost = int(np.isnan(value).sum())
-    what = f"tip within {line:.3g} mm" if quantity == "tip error" else "borne, shape kept"
-    return f"{what}: {within} of {value.size} forces" + (f", {lost} {LOST[quantity]}" if lost else "")
+def _errors(arm: Arm, task: Task) -> _Map:
+    """How far off the tip is [mm], and which forces are held."""
+    found = evaluate(arm, task, ("predicted_error",))
+    assert found.tip_error is not None
+    error, line = 1e3 * array(found.tip_error), 1e3 * float(found.tolerance.lengths(arm)[0].max())
+    verdict, known = np.asarray(found.verdict), np.isfinite(error)
+    held = verdict == "held"
+    others = [f"{(verdict == word).sum()} {word}" for word in VERDICTS[1:] if (verdict == word).any()]
+    words = "\n".join([f"held: {held.sum()} of {held.size} forces", ", ".join(others) or "all within its tolerance"])
+    if known.any():
+        middle, worst = (three_digits(float(value)) for value in (np.median(error[known]), error[known].max()))
+        words += f"\ntip off by {middle} mm (median), {worst} mm (most)"
+    return _Map(np.where(known, error, np.nan), line, words, (error <= line) & ~held)
 
 
-def _top(quantity: str, values: Sequence[Array]) -> float:
-    """The end of the colours."""
-    known = np.concatenate([value[np.isfinite(value)] for value in values])
-    if quantity == "payload factor" or not len(known):
-        return HIGHEST_FACTOR
-    return float(np.quantile(known, HIGHEST_ERROR))
+def _factors(arm: Arm, task: Task) -> _Map:
+    """By what each force could grow."""
+    factor = array(load_capacity(arm, task).factor)
+    words = f"not excluded at this shape: {(factor >= 1).sum()} of {factor.size} forces"
+    return _Map(factor, 1.0, words, np.zeros(factor.shape, dtype=np.bool_))
 
 
 def _one_load(task: Task) -> Any:
     """The weight and point loads of a task of one load in a batch, without its tip load."""
     load = task.load.with_tip(None)
     return load._map(lambda value: value.reshape(value.shape[1:]) if value.ndim else value)
-
-
-def _values(arm: Arm, task: Task, quantity: str) -> tuple[Array, float]:
-    """What is shown of each load, and where the line is."""
-    if quantity == "payload factor":
-        factor = array(load_capacity(arm, task).factor)
-        return factor, 1.0
-    found = evaluate(arm, task, ("predicted_error",))
-    assert found.tip_error is not None
-    error = 1e3 * array(found.tip_error)
-    return np.where(np.isfinite(error), error, np.nan), 1e3 * float(found.tolerance.lengths(arm)[0].max())

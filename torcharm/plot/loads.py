@@ -28,9 +28,13 @@ AZIMUTH = "azimuth of the force [°] (0 right, 90 to the viewer)"
 ELEVATION = "elevation of the force [°] (90 up)"
 BANDS = 24
 """Shades of a map."""
+NEAR = 0.1
+"""Of a side of a colour bar: no tick is so near to that of its middle."""
 HALO = [withStroke(linewidth=4, foreground="white")]
 """Around lines and marks, so that they are seen on any shade."""
 SIGNED_COLOURS, POSITIVE_COLOURS, LOST_COLOUR = "PuOr_r", "cividis", "#BBBBBB"
+RISING_COLOURS = "PuOr"
+"""Of what is good where it is large; the hue of what is good is the same as of `SIGNED_COLOURS`."""
 
 
 def load_grid(
@@ -109,12 +113,15 @@ def load_map(
     contour_label: str | None = None,
     lowest: float | None = None,
     highest: float | None = None,
+    middle: float = 0.0,
+    rising: bool = False,
     bar: bool = True,
     ax: Axes | None = None,
 ) -> Axes:
     """Any quantity that depends on the tip load, over a grid of tip forces: shades, and a contour where it matters.
 
-    A quantity of both signs gets two hues that meet at 0; one of a single sign gets one scale.
+    A quantity on both sides of 0, or of another middle, gets two hues that meet there, each with half of the shades;
+    one on a single side gets one scale.
 
     Args:
         loads: (R, C, 3) or (R, C, 6) of `load_grid`, `polar_load_grid` or `force_directions`, or any grid with four
@@ -125,6 +132,8 @@ def load_map(
         contour_label: of the line, in the legend; None takes the value.
         lowest, highest: ends of the colour scale; values beyond get its first or last shade. None takes the least and
             the largest value.
+        middle: where the two hues meet.
+        rising: whether large values are good; else small ones are.
         bar: whether to draw a colour bar.
         ax: 2-D axes to draw in; None makes some.
 
@@ -132,7 +141,7 @@ def load_map(
         ValueError: shapes do not fit, no value is finite, or the axes are not 2-D.
     """
     places, field = as_floating(loads=loads, values=values)
-    x, y, labels = _places(places)
+    x, y, labels = map_places(places)
     if field.shape != places.shape[:2]:
         raise ValueError(f"values: must have shape {tuple(places.shape[:2])}, got {tuple(field.shape)}")
     value = array(field)
@@ -141,7 +150,8 @@ def load_map(
         raise ValueError("values: must hold at least one finite value, got none")
     axes = axes_or_new(ax)
     shown = np.ma.masked_where(~finite, value)
-    norm, levels, colours = _scale(value[finite], lowest, highest)
+    norm, levels, colours = _scale(value[finite], lowest, highest, middle)
+    colours = RISING_COLOURS if rising and colours == SIGNED_COLOURS else colours
     ends = value[finite].min() < levels[0], value[finite].max() > levels[-1]
     extend = {(False, False): "neither", (True, False): "min", (False, True): "max"}.get(ends, "both")
     shades = axes.contourf(x, y, shown, levels=levels, norm=norm, cmap=colours, extend=extend)
@@ -161,10 +171,22 @@ def load_map(
     return axes
 
 
+def unknown_map(loads: TensorLike, words: str, *, ax: Axes) -> None:
+    """Axes as of `load_map` where no load has a value, and words that say why."""
+    (places,) = as_floating(loads=loads)
+    x, y, labels = map_places(places)
+    ax.set_facecolor(LOST_COLOUR)
+    ax.set(xlim=(x.min(), x.max()), ylim=(y.min(), y.max()))
+    ax.annotate(words, (0.5, 0.6), xycoords="axes fraction", ha="center")
+    _label(ax, labels)
+
+
 def colour_bar(figure: Any, shades: Any, axes: Any, label: str, line: float | None) -> None:
     """A colour bar of the shades of a map, beside axes, with round numbers, and a line where the map has one."""
     bar = figure.colorbar(shades, ax=axes, label=label, shrink=0.8)
-    bar.set_ticks(_ticks(float(shades.levels[0]), float(shades.levels[-1])))
+    middle = getattr(shades.norm, "vcenter", None)
+    ticks = _ticks(float(shades.levels[0]), float(shades.levels[-1]), middle)
+    bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
     if line is not None:
         bar.ax.axhline(line, color="black", linewidth=2.2)
 
@@ -181,7 +203,7 @@ def verdict_map(loads: TensorLike, verdict: Sequence[Any] | NDArray[Any], *, ax:
         ValueError: shapes do not fit, a word is no verdict, or the axes are not 2-D.
     """
     (places,) = as_floating(loads=loads)
-    x, y, labels = _places(places)
+    x, y, labels = map_places(places)
     words = np.asarray(verdict)
     if words.shape != x.shape:
         raise ValueError(f"verdict: must have shape {x.shape}, got {words.shape}")
@@ -197,7 +219,7 @@ def verdict_map(loads: TensorLike, verdict: Sequence[Any] | NDArray[Any], *, ax:
     return axes
 
 
-def _places(loads: Tensor) -> tuple[Array, Array, tuple[str, str]]:
+def map_places(loads: Tensor) -> tuple[Array, Array, tuple[str, str]]:
     """Where loads (R, C, 3 or 6) are drawn, and what the axes say."""
     if loads.ndim != 3 or loads.shape[-1] not in (3, 6) or min(loads.shape[:2]) < 2:
         raise ValueError(
@@ -290,25 +312,31 @@ def attainable_load_map(
     return axes
 
 
-def _scale(values: Array, lowest: float | None, highest: float | None) -> tuple[Normalize, Array, str]:
+def _scale(values: Array, lowest: float | None, highest: float | None, middle: float) -> tuple[Normalize, Array, str]:
     """A norm, the bounds of the shades, and the colours' name."""
     low, high = (float(own if end is None else end) for own, end in ((values.min(), lowest), (values.max(), highest)))
     if high - low <= 1e-9 * max(abs(low), 1e-9):  # one value everywhere, or a scale that ends below them all
         high = low + max(abs(low), 1.0) * 1e-3
-    if low < 0 < high:
+    if low < middle < high:
         # Margins are small beside sums of misses: each side has half of the shades.
-        levels = np.concatenate((np.linspace(low, 0, BANDS // 2 + 1), np.linspace(0, high, BANDS // 2 + 1)[1:]))
-        return TwoSlopeNorm(0.0, low, high), levels, SIGNED_COLOURS
+        sides = np.linspace(low, middle, BANDS // 2 + 1), np.linspace(middle, high, BANDS // 2 + 1)[1:]
+        return TwoSlopeNorm(middle, low, high), np.concatenate(sides), SIGNED_COLOURS
     if high < 0 or (low < 0 and high <= 0):
         return CenteredNorm(0.0, -low), np.linspace(low, high, BANDS + 1), SIGNED_COLOURS
     return Normalize(low, high), np.linspace(low, high, BANDS + 1), POSITIVE_COLOURS
 
 
-def _ticks(low: float, high: float) -> list[float]:
-    """Round numbers between the two; with both signs, each sign has its own scale."""
-    sides = [(low, 0.0), (0.0, high)] if low < 0 < high else [(low, high)]
-    ticks = {float(tick) for side in sides for tick in MaxNLocator(4).tick_values(*side)}
-    return sorted(tick for tick in ticks if low <= tick <= high)
+def _ticks(low: float, high: float, middle: float | None) -> list[float]:
+    """Round numbers between the two; on both sides of a middle, each has its own scale, and none hides the middle's."""
+
+    def between(start: float, end: float) -> set[float]:
+        return {float(tick) for tick in MaxNLocator(4).tick_values(start, end) if start <= tick <= end}
+
+    if middle is None or not low < middle < high:
+        return sorted(between(low, high))
+    below, above = middle - NEAR * (middle - low), middle + NEAR * (high - middle)
+    ticks = between(low, middle) | between(middle, high)
+    return sorted({middle} | {tick for tick in ticks if not below < tick < above})
 
 
 def _limits(limit: float | tuple[float, float]) -> tuple[float, float]:

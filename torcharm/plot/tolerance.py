@@ -18,6 +18,10 @@ UNITS = {"radii": (1e3, "mm"), "length": (1e3, "mm"), "limits": (1.0, "kPa"), "f
 """In which its size is shown; others in percent."""
 FARTHEST = 99.5
 """Percentile of the tip errors at which the picture ends, and as far from the least at which it begins."""
+HIGHER = 4.0
+"""By so much [%] stand marks of drawn arms above each other, which else would hide each other."""
+THICKEST = 0.15
+"""Of the height of a source's row: no bar is thicker."""
 LEAST = 0.1
 """Of a tip error [mm]: what is nearer is drawn no nearer, as a logarithmic axis has no zero."""
 
@@ -25,9 +29,10 @@ LEAST = 0.1
 def tolerance_figure(results: Sequence[tuple[str, BuiltArms]], title: str = "") -> Figure:
     """Which part of built arms stays within which tip error, and what share each tolerance has in the tip's scatter.
 
-    On the left a curve for each arm, over all built arms and tasks, with a mark where the drawn arm's median is, and a
-    line at the tolerance of the tip. On the right bars for each source of scatter: filled by gradients at the drawn
-    arm, and open by a fit to the samples.
+    On the left a curve for each arm, over all built arms and tasks, with a mark where the drawn arm's median is, each
+    arm's a little higher, and a line at the tolerance of the tip; below it yields, and what fails most where arms fail.
+    On the right bars for each source of scatter: filled by gradients at the drawn arm, and open by a fit to the
+    samples; a share that is not known has words in place of a bar.
 
     Args:
         results: names and what `torcharm.tolerance` found.
@@ -56,14 +61,14 @@ def _draw_curves(axes: Axes, results: Sequence[tuple[str, BuiltArms]]) -> None:
         error = np.sort(1e3 * array(found.tip_error).ravel())
         known = error[np.isfinite(error)]
         share = 100 * np.arange(1, len(known) + 1) / len(error)
-        middle = three_digits(float(np.median(error)))
-        high = three_digits(float(np.quantile(error, 0.95, method="higher")))
-        label = f"{name}: half within {middle} mm, 95 % within {high} mm"
+        middle, high = (float(np.quantile(error, share, method="higher")) for share in (0.5, 0.95))
+        label = f"{name}: half within {_number(middle)} mm, 95 % within {_number(high)} mm\n{_yield_words(found)}"
         axes.step(known, share, where="post", color=colour, linestyle=line, linewidth=2, label=label)
         drawn = float(np.median(1e3 * array(found.nominal_tip_error)))
         if np.isfinite(drawn):
             lowest = min(lowest, drawn)
-            axes.plot([max(drawn, LEAST)], [0], marker="^", color=colour, markersize=9, clip_on=False, linestyle="none")
+            mark: Any = {"marker": "^", "color": colour, "markersize": 9, "clip_on": False, "linestyle": "none"}
+            axes.plot([max(drawn, LEAST)], [HIGHER * index], **mark)
         if len(known):
             ends.append(np.percentile(known, (100 - FARTHEST, FARTHEST)))
         assert found.tolerance.tip is not None
@@ -81,33 +86,49 @@ def _draw_curves(axes: Axes, results: Sequence[tuple[str, BuiltArms]]) -> None:
     _put_legend(axes, 1)
 
 
+def _number(value: float) -> str:
+    return three_digits(value) if math.isfinite(value) else "∞"
+
+
+def _yield_words(found: BuiltArms) -> str:
+    """Of all that counts, beside the tip's place that the curve tells of."""
+    words = f"yield {100 * found.yield_of_all.value:.1f} %"
+    if not bool(found.nominal_tip_error.median().isfinite()):
+        words += "; drawn arm: no stable shape"
+    if found.failing:
+        words += f"; fails most: {found.failing.split(', ')[0]}"
+    return words if found.stopped == "finished" else f"{words}; {found.interruption}"
+
+
 def _draw_shares(axes: Axes, results: Sequence[tuple[str, BuiltArms]]) -> None:
     """Bars of the sources' shares in the variance of the tip's place."""
     names = list(dict.fromkeys(name for _, found in results for name in found.shares))
-    height = 0.8 / (2 * len(results))
+    height = min(0.8 / (2 * len(results)), THICKEST)
     for index, (name, found) in enumerate(results):
         colour = ARM_COLOURS[index % len(ARM_COLOURS)]
         own = [place for place, one in enumerate(names) if one in found.shares]
         for offset, shares, filled in ((0, found.shares, True), (1, found.shares_by_samples, False)):
-            places = np.array(own) - 0.4 + (2 * index + offset + 0.5) * height
+            places = np.array(own) + (2 * index + offset + 0.5 - len(results)) * height
             widths = np.array([100 * shares[names[place]] for place in own])
             style: Any = {"facecolor": colour if filled else "none", "edgecolor": colour}
             label = f"{name}, {'by gradients' if filled else 'by samples'}"
-            axes.barh(places, np.nan_to_num(widths), 0.9 * height, label=label, linewidth=1.4, **style)
+            axes.barh(places, widths, 0.9 * height, label=label, linewidth=1.4, **style)  # NaN draws no bar
+            text: Any = {"xytext": (3, 0), "textcoords": "offset points", "va": "center", "fontsize": 8}
             for place, width in zip(places, widths, strict=True):
-                said = "too few samples" if np.isnan(width) else f"{width:.0f}"
-                axes.annotate(
-                    said,
-                    (np.nan_to_num(width), place),
-                    xytext=(3, 0),
-                    textcoords="offset points",
-                    va="center",
-                    fontsize=8,
-                )
+                if np.isfinite(width):
+                    axes.annotate(f"{width:.0f}", (width, place), **text)
+                else:
+                    axes.annotate(_unknown(found, filled), (0, place), color=colour, **text)
     axes.set_yticks(range(len(names)), [_with_size(name, results) for name in names])
-    axes.invert_yaxis()
-    axes.set(xlim=(0, 108), xlabel="share in the variance of the tip's place [%]")
+    axes.set(ylim=(len(names) - 0.5, -0.5), xlim=(0, 108), xlabel="share in the variance of the tip's place [%]")
     _put_legend(axes, 2)
+
+
+def _unknown(found: BuiltArms, by_gradients: bool) -> str:
+    """Why there is no share."""
+    if by_gradients or not found.decisive:
+        return "not known: no stable shape"
+    return "not known: too few samples"
 
 
 def _with_size(name: str, results: Sequence[tuple[str, BuiltArms]]) -> str:
