@@ -75,6 +75,13 @@ def test_one_arm_without_payload_in_space(tmp_path):
     assert "payload_factor" not in out.read_text()
 
 
+def test_a_region_of_few_states_is_said_to_be_unsettled(tmp_path):
+    few = asked(tmp_path, "--arm", "with a muscle", "--states", 100)
+    assert "with a muscle: not settled: the last quarter of 100 states still counts" in few
+    assert "ask for more by --states." in few
+    assert "settled" not in asked(tmp_path, "--arm", "with a muscle", "--states", 3000)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -1,3 +1,4 @@
+import dataclasses
 import math
 import pickle
 
@@ -6,6 +7,8 @@ import pytest
 import torch
 
 import torcharm as ta
+
+ROWS = ("tip_pose", "pressure", "twists", "code", "strain_excess", "payload_factor")
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +38,27 @@ def test_extents(found):
     assert found.contains(torch.zeros(2)).item() is False
     with pytest.raises(ValueError, match=r"points: must have shape \(..., 2\)"):
         found.contains([0.0, 0.0, 0.0])
+
+
+def test_a_region_that_still_grows_says_so(found):
+    assert found.unsettled == ""
+    assert "settled" not in repr(found)
+    few = ta.workspace(ta.antagonistic_arm(), [0.0, -2.0, 0.0], states=200, nodes=4)
+    assert few.extrapolated_region.size < found.extrapolated_region.size
+    assert few.unsettled.startswith("not settled: the last quarter of 200 states still counts")
+    assert "ask for more states" in repr(few)
+
+
+def test_how_far_a_region_grows_is_told_of_the_region_that_does(found):
+    """Of states that come to the right of the region last."""
+    order = found.position[:, 0].where(found.reached, -math.inf).argsort()
+    columns = {name: value[order] for name, value in vars(found).items() if name in ROWS}
+    sorted_ = dataclasses.replace(found, **columns)
+    early = dataclasses.replace(found, **{name: value[: int(0.75 * 1500)] for name, value in columns.items()})
+    assert sorted_.size == pytest.approx(found.size)
+    less = 100 * (1 - early.size / found.size)
+    assert less > 3
+    assert f"the region reached was {less:.0f} % smaller without them" in sorted_.unsettled
 
 
 def test_columns(found):

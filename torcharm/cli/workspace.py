@@ -179,6 +179,8 @@ def _report(found: "Found", seconds: float) -> None:
     for arm, one in found:
         if one.interruption:
             say(console, f"{arm.name}: {one.interruption}; the region is smaller or coarser than that of all.")
+        if one.unsettled:
+            say(console, f"{arm.name}: {one.unsettled}; ask for more by --states.")
     states = sum(len(one.code) for _, one in found)
     say(console, f"{count(states, 'state')} in {seconds:.2g} s.")
 

@@ -23,9 +23,15 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
+LATE = 0.25
+"""Of the states, those solved last; they refine the boundary."""
+GROWN = 0.03
+"""Of a region's size: where the late states add more than so much, more states would add as much again and more."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Workspace(HoldsTensors):
-    """Where an arm's tip can be under a load: S states, in no order.
+    """Where an arm's tip can be under a load: S states, in the order in which they were solved.
 
     The region is the alpha shape of the states that are reached: where no three (in space four) of them lie within a
     circle (sphere) of radius `resolution` with no other inside, there is a gap.
@@ -153,6 +159,25 @@ class Workspace(HoldsTensors):
         """Area [m²] of the region, in space its volume [m³]."""
         return self.region.size
 
+    @cached_property
+    def unsettled(self) -> str:
+        """That a region's size is not known yet, in a sentence; empty where both regions hardly grow any more.
+
+        Of a region that the last quarter of the states made larger by more than 3 %, as many again may well find more.
+        """
+        shapes = {
+            "the region reached": (self.reached, self.region, self.resolution),
+            "the extrapolated region": (self.extrapolated, self.extrapolated_region, self.extrapolated_resolution),
+        }
+        early, words = torch.arange(len(self.code)) < (1 - LATE) * len(self.code), list[str]()
+        for name, (which, region, resolution) in shapes.items():
+            before = self._shape(which & early.to(which.device), resolution).size
+            if before < (1 - GROWN) * region.size:
+                words.append(f"{name} was {100 * (1 - before / region.size):.0f} % smaller without them")
+        if not words:
+            return ""
+        return f"not settled: the last quarter of {len(self.code)} states still counts, {' and '.join(words)}"
+
     def contains(self, points: TensorLike) -> Tensor:
         """(...) which points (..., D) of the world [m] lie within the region.
 
@@ -230,7 +255,8 @@ class Workspace(HoldsTensors):
         counts = torch.bincount(self.code, minlength=len(STATES)).tolist()
         said = ", ".join(f"{count} {word}" for word, count in zip(STATES, counts, strict=True) if count)
         unit = "m²" if self.dimension == 2 else "m³"
-        return f"Workspace({len(self.code)} states: {said or 'none'}; {self.size:.3g} {unit})"
+        more = f"; {self.unsettled}: ask for more states" if self.unsettled else ""
+        return f"Workspace({len(self.code)} states: {said or 'none'}; {self.size:.3g} {unit}{more})"
 
 
 @dataclass(frozen=True, eq=False)
