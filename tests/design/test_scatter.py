@@ -133,6 +133,12 @@ def test_an_arm_that_deviates_already_is_not_scattered_again():
         ta.Scatter(force=0.1).sources(built)
 
 
+def test_limits_of_an_arm_without_pressure_are_refused():
+    arm = ta.ArmDesign([-0.03, 0.03], 0.3, "bellows", max_pressure=0.0)
+    with pytest.raises(ValueError, match="limits: must be of actuators that are driven"):
+        ta.Scatter(limits=1.0).sources(arm)
+
+
 def test_a_correlation_of_what_is_not_scattered_is_refused():
     with pytest.raises(ValueError, match=r"correlated\.length: must be of what is scattered, got 1 with length=0"):
         ta.Scatter(radii=1e-3, correlated={"length": 1.0})

@@ -22,11 +22,13 @@ class Column:
     Attributes:
         title, cells: of one line or several; a cell for each row.
         widest: of texts, over which width they go on in another line; 0: these are numbers.
+        whole: whether lines of cells of texts are not broken either.
     """
 
     title: str
     cells: Sequence[str]
     widest: int = 0
+    whole: bool = False
 
     def widths(self) -> tuple[int, int]:
         """The least width, and the one beyond which none is of use."""
@@ -34,7 +36,7 @@ class Column:
 
         lines = [line for cell in (self.title, *self.cells) for line in cell.splitlines()]
         longest = max(map(cell_len, lines), default=0)
-        if not self.widest:
+        if not self.widest or self.whole:
             return longest, longest
         words = max((cell_len(word) for line in lines for word in line.split()), default=0)
         return min(words, LONGEST_WORD), min(longest, max(self.widest, words))

@@ -239,7 +239,7 @@ def _columns(found: Sequence["BuiltStudy"]) -> Iterator[Column]:
         if unit:
             yield Column(f"{title}\n[{unit}]", cells)
         else:
-            yield Column(title, [cell.replace(", ", ",\n") for cell in cells], LONGEST_WORD)
+            yield Column(title, [cell.replace(", ", ",\n") for cell in cells], LONGEST_WORD, whole=True)
 
 
 def _legend(plan: "Study", built: "BuiltArms") -> Iterator[str]:

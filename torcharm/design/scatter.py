@@ -123,7 +123,10 @@ class Scatter:
         if any(segment.deviation is not None for segment in segments):
             raise ValueError("arm: must be as it was drawn, got one whose actuators deviate from their models")
         found = [source for name in FIELDS if (source := self._source(name, arm)) is not None]
-        return (*found, *(_model_sources(arm) if self.model_covariance else ()))
+        found += _model_sources(arm) if self.model_covariance else []
+        if not found:
+            raise ValueError("limits: must be of actuators that are driven, got an arm whose pressure limits are all 0")
+        return tuple(found)
 
     def _source(self, name: str, arm: Arm) -> "Source | None":
         count, given = arm.actuator_count, np.asarray(getattr(self, name), dtype=np.float64)

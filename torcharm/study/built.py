@@ -61,7 +61,9 @@ def sobol_words(built: BuiltArms) -> str:
         f"{SOURCE_WORDS[name]} {100 * alone:.0f} to {100 * whole:.0f} %"
         for name, (alone, whole) in zip(built.names, pairs, strict=True)
     ]
-    return f"Sobol' indices of {built.sobol_samples} samples, alone to with others: {', '.join(each)}"
+    within = 100 / math.sqrt(built.sobol_samples)
+    words = f"of {built.sobol_samples} samples, good to about {within:.0f} %, alone to with others"
+    return f"Sobol' indices {words}: {', '.join(each)}"
 
 
 def built_rows(found: Sequence[BuiltStudy]) -> Iterator[dict[str, Any]]:
