@@ -208,7 +208,7 @@ def test_the_picture_shows_curves_tolerance_and_shares():
     assert widths == pytest.approx([100 * share for share in found[0][1].shares.values()])
     assert "[mm]" in left.get_xlabel()
     words = left.get_legend().get_texts()[0].get_text()
-    assert f"yield {100 * found[0][1].yield_of_all.value:.1f} %; fails most: " in words
+    assert f"yield on all loads {100 * found[0][1].yield_of_all.value:.1f} %; fails most: " in words
     marks = [line for line in left.get_lines() if line.get_marker() == "^"]
     assert len({mark.get_ydata()[0] for mark in marks}) == 2  # none hides another
 

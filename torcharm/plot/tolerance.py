@@ -92,7 +92,7 @@ def _number(value: float) -> str:
 
 def _yield_words(found: BuiltArms) -> str:
     """Of all that counts, beside the tip's place that the curve tells of."""
-    words = f"yield {100 * found.yield_of_all.value:.1f} %"
+    words = f"yield on all loads {100 * found.yield_of_all.value:.1f} %"
     if not bool(found.nominal_tip_error.median().isfinite()):
         words += "; drawn arm: no stable shape"
     if found.failing:
