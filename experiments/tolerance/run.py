@@ -124,7 +124,7 @@ def yields(size: Size) -> Iterator[Measurement]:
         taken = time.process_time() - begun
         for name, own in (
             (f"{size.samples} Sobol'", found.yields[0]),
-            (f"{plain} plain", Yield.of(many["within"][:, 0])),
+            (f"{plain} plain", Yield.of(~many["failed"][:, 0].any(-1))),
         ):
             for quantity, value in (("yield", own.value), ("at least", own.low), ("at most", own.high)):
                 yield Measurement("yields", f"{case}, {name}", quantity, round(100 * value, 2), "%")
