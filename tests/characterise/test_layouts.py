@@ -89,11 +89,52 @@ def test_one_file_with_a_header(fit):
     assert_found(fit("--tester", "tester.txt", *FIT, tester=text))
 
 
+def test_a_labview_measurement_names_its_units_and_says_which_column_it_cannot_tell(fit):
+    columns = layouts.PULL / 1000, layouts.EXTENSION, layouts.pressure_at(layouts.TIME) / 100
+    named = layouts.labview(["Force", "Displacement", "Pressure"], ["kN", "mm", "bar"], columns)
+    one = ("--tester", "tester.txt", "--gauge-length", "80 mm", *FIT)
+    nameless = layouts.labview(["Untitled", "Untitled 1", "Untitled 2"], ["kN", "mm", "bar"], columns)
+    pasted = hint(fit(*one, tester=nameless))
+    without = layouts.labview(["Force", "Displacement", "Pressure"], ["kN", "mm", "bar"], columns, "Frequency")
+    assert hint(fit(*one, tester=without)) == "time=X_Value:s"
+    volts = layouts.labview(["Force", "Displacement", "Pressure"], ["Volts", "mm", "bar"], columns)
+    said = fit(*one, tester=volts)
+    assert "column 2, 'Force', must hold forces, got a sensor's reading in Volts: convert it in the file" in said
+    assert "--columns" not in said
+    assert_found(fit(*one, tester=named))
+    assert_found(fit(*one, "--columns", pasted, tester=nameless))
+
+
+def hint(said):
+    """The columns that a message says to paste."""
+    return re.search(r'--columns[^"]*"([^"]+)"', said)[1]
+
+
+@pytest.mark.parametrize(
+    ("header", "factors"),
+    [
+        ("t,eps,F,p", (1e-3, 1, 1, 1)),
+        ("time,strain,force,pressure", (1, 100, 1, 0.01)),
+        ("time (ms),strain (%),force (N),force (N)", (1, 100, 1, 0.01)),
+    ],
+)
+def test_what_is_pasted_fits_the_file(fit, header, factors):
+    truth = (layouts.TIME, layouts.STRAIN, layouts.PULL, layouts.pressure_at(layouts.TIME))
+    rows = layouts.lines(*(factor * own for factor, own in zip(factors, truth, strict=True)), formats=["{:.9f}"] * 4)
+    text, said = layouts.text(header, rows), ""
+    for options in ((), *[("--columns",)] * 3):
+        found = fit("--tester", "tester.txt", *FIT, *options, *([hint(said)] if options else []), tester=text)
+        if not isinstance(found, str):
+            break
+        said = found
+    assert_found(found)
+
+
 def test_notes_say_what_was_left_out_averaged_and_assumed(fit):
     model, shown = fit(
         *RUN, tester=layouts.TESTERS["words in three lines"][0], log=layouts.LOGS["two samples in one line"][0]
     )
-    words = "2 lines of words or with empty cells passed over (1 with 'NaN')"
+    words = "lines 53, 84 of words or with empty cells passed over (1 with 'NaN')"
     assert f"Notes on tester.txt: {words}" in shown
     assert "Notes on log.txt: line 201 damaged, left out; names no unit: read time in ms and pressure in psi" in shown
     assert dict(model.provenance)["notes on tester.txt"] == words
@@ -244,7 +285,7 @@ def test_forces_that_contradict_each_other_are_a_warning(fit):
     ("change", "message"),
     [
         (("%", ""), r"table.txt: line 1: must name the unit of contraction, one of mm/mm, %"),
-        ((" bar", ""), r"table.txt: line 1: must name the unit of pressure, .*; --unit says it"),
+        ((" bar", ""), r"table.txt: line 1: must name the unit of pressure, .*\"pressure=2:bar\", or --unit"),
         (("contraction", "wear"), r"table.txt: line 1: must begin with what the first column holds, .*'wear \[%\]'"),
         (("\n5;", "\n5;x"), r"table.txt: line 3: must be 8 cells with finite numbers .*"),
         (("25;", f"contraction [%]{';9 bar' * 7}\n25;"), r"table.txt: line 7: must be forces, got another header than"),
