@@ -22,8 +22,10 @@ MEASURED = {
     "strain": STRAIN | LENGTH,
     "contraction": STRAIN | LENGTH,
     "extension": LENGTH | STRAIN,
-    "force": FORCE,
-    "pressure": PRESSURE | {"atm": 101.325, "kgf/cm²": 98.0665, "mmHg": 101.325 / 760},
+    "force": FORCE | {"cN": 0.01, "daN": 10.0, "ozf": 4.4482216152605 / 16},
+    "pressure": PRESSURE
+    | {"atm": 101.325, "kgf/cm²": 98.0665, "mmHg": 101.325 / 760, "inHg": 3.386389, "mmH2O": 9.80665e-3}
+    | {"cmH2O": 0.0980665, "inH2O": 0.249089},
 }
 """The units of what columns of recordings and of data sheets' tables hold, by the names of columns."""
 
@@ -51,6 +53,7 @@ _SPELLINGS = {
     "cm": ("centimetre", "centimetres", "centimeter", "centimeters"),
     "µm": ("um", "micron", "microns", "micrometre", "micrometres", "micrometer", "micrometers"),
     "%": ("percent", "pct"),
+    "‰": ("mm/m", "promille"),
     "mm/mm": ("m/m", "in/in", "1", "-", "strain"),
     "µε": ("ue", "ustrain", "microstrain"),
 }

@@ -414,6 +414,14 @@ TURNED = text(
 )
 
 
+def across(corner, unit):
+    """A table with a line for each pressure [bar] and a column for each contraction [%]."""
+    return text(
+        ",".join([corner, *(f"{-100 * e:g}{unit}" for e in _STRAINS)]),
+        [",".join([f"{p / 100:g}", *(f"{-muscle(e, p):.3f}" for e in _STRAINS)]) for p in _PRESSURES],
+    )
+
+
 def data_sheet_muscle(contraction, pressure):
     """A fluidic muscle's pull [N] by pressure [kPa], not below 0, with exponentials of contraction as Sárosi has them.
 

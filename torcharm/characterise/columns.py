@@ -2,47 +2,24 @@
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from torcharm.characterise.cells import is_number, number
+from torcharm.characterise.column_names import NAMES, STRESS, candidates, is_compressive, is_sure, named_units
 from torcharm.characterise.delimited import Array, Sheet, short
-from torcharm.characterise.headers import BRACKETS, Header, base, header_of, plain
+from torcharm.characterise.headers import Header, base, header_of, plain
 from torcharm.inputs import check_choice, shown
-from torcharm.units import LENGTH, MEASURED, PRESSURE, is_absolute, unit_named
+from torcharm.units import MEASURED, PRESSURE, is_absolute, unit_named
 
 Columns = str | Mapping[str, str | int]
 """`"time=Time:s, force=4"` or `{"time": "Time:s", "force": 4}`: names or numbers from 1, perhaps with a unit."""
 
-_NAMED = {
-    "time": r"timestamp|\btime|elapsed(?! cycle)|millis|micros|zeit|\bx value",
-    "strain": r"strain|dehnung|stauchung",
-    "contraction": r"contraction|shortening|kontraktion|verkürzung",
-    "extension": r"extension|displacement|elongation|crosshead|stroke|position|travel|weg\b|traverse|verlängerung",
-    "force": r"force|load|kraft",
-    "pressure": r"pressure|druck(?!kraft)",
-}
-"""What the names of columns hold, in lower case and without units."""
-_SYMBOLS = {"time": ("t",), "strain": ("ε", "eps", "epsilon"), "force": ("f",), "pressure": ("p",)}
-"""What they are called alone."""
-_SET_POINT = re.compile(r"set ?point|target|command|demand|desired|reference|\bref\b|\bset\b|\bsp\b|soll")
-"""What was asked for is no measurement."""
-_TOLD_BY_UNIT = ("time", "force", "pressure")
-"""Quantities whose units are those of nothing else that a bench records."""
 _ELECTRICAL = re.compile(r"[mµ]?v(?:olts?|dc)?|mv/v|m?a|counts?|adc|digits?|ticks|raw", re.IGNORECASE)
 """What sensors give, and no unit of what they measure."""
-_COMPRESSIVE = re.compile(r"compressi|stauchung|druckkraft")
-"""What a tester names so is positive where it squeezes: such strains and extensions shorten, such forces push."""
-_LENGTHENING = re.compile(r"extension|elongation|verlängerung|tensile|tension|dehnung")
-"""What is positive where longer; strokes and positions count either way."""
 _ABSOLUTE = re.compile(r"(?<![a-z])abs(?![a-z])|absolut")
-_PREFERRED_ALONE = ("time", "extension", "force")
-"""Of which the column of that name alone is taken among several: others, such as a cycle's time, follow it."""
-_AMBIGUOUS = ("min", "h", "1", "-", "in")
-"""What names a unit in brackets, or in a row of units, but may mean something else as a word of a name."""
 _LIKELY: dict[str, tuple[tuple[float, str], ...]] = {
     "strain": ((1.0, "mm/mm"), (math.inf, "%")),
     "contraction": ((1.0, "mm/mm"), (math.inf, "%")),
@@ -51,8 +28,12 @@ _LIKELY: dict[str, tuple[tuple[float, str], ...]] = {
     "force": ((math.inf, "N"),),
 }
 """The units that examples in messages name, each up to the largest number that it is likely for."""
+_LIKE_A_UNIT = re.compile(r"[^\s\d]+(?:\d[^\s\d]+)?")
+"""What stands in a unit's place and is no channel's name."""
 _PASTED = re.compile(r"[^\"$`\\!]+")
 """Names that any shell takes as they are between double quotes."""
+VARIED = 0.1
+"""Of the range of a column's numbers, what that of one named alike must reach to be as likely."""
 LONGEST_STEP = 2.0
 """Steps of times [s], above which they are rather in ms: benches sample more often."""
 _OPTION = re.compile(r"(?:^|,)\s*([A-Za-z_]+)\s*=")
@@ -130,9 +111,14 @@ def find_columns(
         ValueError: a column is not found, or more than one; its unit is not known; or the file and a person differ.
     """
     header, said = header_of(sheet), choices(columns)
-    _check_one_header(sheet, header)
-    hint = partial(example, sheet, quantities, columns, defaults)
-    found = {q: _column(sheet, header, q, said.get(q), (defaults or {}).get(q, ""), option, hint) for q in quantities}
+    check_one_header(sheet, header)
+    if not all(own.column.isdigit() for own in said.values()) or len(said) < len(quantities):
+        _check_names(sheet, header)
+    try:
+        found = {q: _column(sheet, header, q, said.get(q), (defaults or {}).get(q, "")) for q in quantities}
+    except _UnclearError as error:
+        hint, of_pressure = example(sheet, quantities, columns, defaults), "unit of pressure" in str(error)
+        raise ValueError(f'{error}; {option} says it, perhaps as in "{hint}"{", or --unit" * of_pressure}') from None
     taken: dict[int, str] = {}
     for quantity, column in found.items():
         if taken.setdefault(column.index, quantity) != quantity:
@@ -145,22 +131,7 @@ def find_columns(
 
 def has_column(sheet: Sheet, quantity: str, columns: Columns | None) -> bool:
     """Whether a quantity is said to have a column, or the header names one or more."""
-    return quantity in choices(columns) or bool(_candidates(sheet, header_of(sheet), quantity))
-
-
-def named_by(quantity: str) -> str:
-    """A regular expression that finds the name of a quantity in lower case."""
-    return _NAMED[quantity]
-
-
-def is_compressive(name: str) -> bool:
-    """Whether a name says that what is positive squeezes."""
-    return _COMPRESSIVE.search(name.lower()) is not None
-
-
-def is_sure(quantity: str, name: str) -> bool:
-    """Whether a quantity or a name says which way a stretch counts: contraction, compressive, extension, tensile."""
-    return quantity == "contraction" or is_compressive(name) or _LENGTHENING.search(name.lower()) is not None
+    return quantity in choices(columns) or bool(candidates(sheet, header_of(sheet), quantity))
 
 
 def told(columns: Columns | None) -> list[str]:
@@ -201,23 +172,15 @@ def _choice(quantity: str, text: str) -> Choice:
     return Choice(text, None)
 
 
-def _column(
-    sheet: Sheet,
-    header: Header,
-    quantity: str,
-    choice: Choice | None,
-    default: str,
-    option: str,
-    hint: Callable[[], str],
-) -> Column:
+def _column(sheet: Sheet, header: Header, quantity: str, choice: Choice | None, default: str) -> Column:
     if choice is not None and choice.column:
         index = _chosen(sheet, header, quantity, choice.column)
     else:
-        found = _candidates(sheet, header, quantity)
+        found = candidates(sheet, header, quantity)
         if len(found) != 1:
-            raise ValueError(_not_one(sheet, header, quantity, found, option, hint))
+            raise _not_one(sheet, header, quantity, found)
         (index,) = found
-    named, unknown = _units(header, index, quantity)
+    named, unknown = named_units(header, index, quantity)
     if _ELECTRICAL.fullmatch(unknown):
         raise ValueError(
             f"{sheet.source}: line {header.line}: column {index + 1}, {header.names[index]!r}, must hold {quantity}s, "
@@ -235,10 +198,7 @@ def _column(
     unit = said or (named[0] if named else "")
     if not unit and (unknown or not default):
         got = f"{unknown!r} in {header.shown}" if unknown else f"none in {header.shown}"
-        raise ValueError(
-            f"{where}: {_allowed(quantity)}, got {got}; {option} says it, by the numbers perhaps "
-            f'"{hint()}"{", or --unit" if quantity == "pressure" else ""}'
-        )
+        raise _UnclearError(f"{where}: {_allowed(quantity)}, got {got}")
     name = header.names[index].lower()
     texts = [*header.unit_texts(index), *re.split(r"[_,;/\s]", name)]
     absolute = bool(_ABSOLUTE.search(name)) or any(map(is_absolute, texts)) or (choice is not None and choice.absolute)
@@ -276,21 +236,20 @@ def _chosen(sheet: Sheet, header: Header, quantity: str, text: str) -> int:
     )
 
 
-def _not_one(
-    sheet: Sheet, header: Header, quantity: str, found: Sequence[int], option: str, hint: Callable[[], str]
-) -> str:
+class _UnclearError(ValueError):
+    """What a file leaves open, and an option tells."""
+
+
+def _not_one(sheet: Sheet, header: Header, quantity: str, found: Sequence[int]) -> ValueError:
     which = " and ".join(repr(header.names[i]) for i in found) or header.none
-    words = next((i for i, name in enumerate(header.names) if re.search(_NAMED[quantity], base(name))), None)
+    words = next((i for i, name in enumerate(header.names) if re.search(NAMES[quantity], base(name))), None)
     if not found and words is not None and not sheet.form.numeric[words]:
         place, row = next((p, r) for p, r in zip(sheet.places, sheet.rows, strict=True) if len(r) > words)
-        return (
+        return ValueError(
             f"{sheet.source}: line {place}: must hold numbers, or times as 12:00:01.5, in column {words + 1}, "
-            f"{header.names[words]!r}, got {short(row[words])}; {option} names another column of {quantity}"
+            f"{header.names[words]!r}, got {short(row[words])}: is another column of {quantity}?"
         )
-    return (
-        f"{sheet.source}: line {header.line}: must name one column of {quantity}, got {which}; {option} "
-        f'says which, by name or number, as in "{hint()}"'
-    )
+    return _UnclearError(f"{sheet.source}: line {header.line}: must name one column of {quantity}, got {which}")
 
 
 def example(
@@ -303,14 +262,20 @@ def example(
     header, said = header_of(sheet), choices(columns)
     found: dict[int, str] = {}
     for quantity in {**said, **dict.fromkeys(quantities)}:
-        own, named = said.get(quantity, Choice("", None)), _candidates(sheet, header, quantity)
+        own, named = said.get(quantity, Choice("", None)), candidates(sheet, header, quantity)
         known = [_chosen(sheet, header, quantity, own.column)] if own.column else named
-        others = {i for q in MEASURED if q != quantity for i in _candidates(sheet, header, q)} | set(found)
+        others = {i for q in MEASURED if q not in (quantity, *said) for i in candidates(sheet, header, q)} | set(found)
+        others |= {i for i, name in enumerate(header.names) if re.search(STRESS, base(name))}
         free = [i for i, numeric in enumerate(sheet.form.numeric) if numeric and i not in others]
-        index = (known or sorted(free, key=lambda i: not _units(header, i, quantity)[0]) or [sheet.form.width - 1])[0]
-        unit = own.unit and f"{own.unit}{' abs' * own.absolute}"
-        if not unit and not _units(header, index, quantity)[0] and quantity not in (defaults or {}):
-            unit = likely_unit(quantity, _values(sheet, index))
+        free.sort(key=lambda i: not named_units(header, i, quantity)[0])
+        if not known and not free:
+            return f"{quantity}=?"
+        # Of a few alike what is measured varies: a supply's pressure, and forces to the side, hardly do.
+        spread = {i: float(np.ptp(values_of(sheet, i))) for i in known[: len(known) * (len(known) > 1)]}
+        index = next((i for i in spread if spread[i] >= VARIED * max(spread.values())), (known or free)[0])
+        unit, (units, unknown) = own.unit and f"{own.unit}{' abs' * own.absolute}", named_units(header, index, quantity)
+        if not unit and not units and quantity not in (defaults or {}):
+            unit = "?" if _LIKE_A_UNIT.fullmatch(unknown) else _likely_unit(quantity, values_of(sheet, index))
         if unit or own.column or len(named) != 1:
             found[index] = f"{quantity}={_pasted(header, index)}{f':{unit}' if unit else ''}"
     return ",".join(found.values())
@@ -322,74 +287,39 @@ def _pasted(header: Header, index: int) -> str | int:
     return name if _PASTED.fullmatch(name) and header.names.count(name) == 1 else index + 1
 
 
-def _values(sheet: Sheet, index: int) -> Array:
-    """The numbers of a column, NaN where there is none."""
-    return np.array([number(row[index], sheet.form.decimal) for row in sheet.rows if len(row) > index])
+def values_of(sheet: Sheet, index: int, most: int | None = None) -> Array:
+    """The numbers of a column, NaN where there is none; of the first lines alone, where so many do."""
+    return np.array([number(row[index], sheet.form.decimal) for row in sheet.rows[:most] if len(row) > index])
 
 
-def likely_unit(quantity: str, values: Array) -> str:
+def _likely_unit(quantity: str, values: Array) -> str:
     """The unit that numbers are likely to be in; times by the steps between them."""
     if quantity == "time":
         return "ms" if np.nanmedian(np.abs(np.diff(values))) > LONGEST_STEP else "s"
     return next(unit for most, unit in _LIKELY[quantity] if not np.nanmax(np.abs(values)) > most)
 
 
-def _candidates(sheet: Sheet, header: Header, quantity: str) -> list[int]:
-    """Columns of numbers that may hold a quantity: by name, those named so alone first; or else by unit."""
-    numeric = [i for i in range(sheet.form.width) if sheet.form.numeric[i] and not _is_foreign(header, i, quantity)]
-    bases = {i: base(header.names[i]) for i in numeric}
-    own = {i: name for i, name in bases.items() if not _SET_POINT.search(name)}
-    symbols = _SYMBOLS.get(quantity, ())
-    found = [i for i, name in own.items() if re.search(_NAMED[quantity], name) or name in symbols]
-    if len(found) > 1 and quantity in _PREFERRED_ALONE:
-        alone = [i for i in found if re.fullmatch(f"(?:{_NAMED[quantity]})s?", own[i])]
-        return alone if len(alone) == 1 else found
-    if quantity == "strain":  # those that are lengths of the gauge go last
-        found = [i for i in found if not any(unit in LENGTH for unit in _units(header, i, quantity)[0])] or found
-    if found or quantity not in _TOLD_BY_UNIT:
-        return found
-    others = [pattern for other, pattern in _NAMED.items() if other != quantity]
-    return [i for i in own if _units(header, i, quantity)[0] and not any(re.search(p, own[i]) for p in others)]
+def _check_names(sheet: Sheet, header: Header) -> None:
+    """Raise a ValueError about a header of fewer names than there are columns, as nobody knows which are named."""
+    last = max((i for i, name in enumerate(header.names) if name), default=sheet.form.width)
+    if any(sheet.form.numeric[last + 1 :]):
+        raise ValueError(
+            f"{sheet.source}: line {header.line}: must name all {sheet.form.width} columns, got {last + 1} names, "
+            f"{header.shown}: are there decimal commas between commas? If not, --columns tells them by numbers"
+        )
 
 
-def _units(header: Header, index: int, quantity: str) -> tuple[list[str], str]:
-    """The units of a quantity that a column's header names, and what stands in a unit's place but is none."""
-    texts = header.unit_texts(index)
-    found = [unit for text in texts if (unit := unit_named(text, quantity))]
-    if not found:
-        found = units_among_words(header.names[index], quantity)
-    return list(dict.fromkeys(found)), "" if found or not texts else texts[0]
-
-
-def units_among_words(name: str, quantity: str) -> list[str]:
-    """The units of a quantity among a name's words that stand in no brackets."""
-    words = re.sub(f"(?:{_NAMED[quantity]})(?:s(?![a-z]))?", _own_unit, name.lower())
-    words = re.sub(r"[_,;/]", " ", BRACKETS.sub(" ", words))
-    return [unit for w in words.split() if w not in _AMBIGUOUS and (unit := unit_named(w, quantity))]
-
-
-def _own_unit(name: re.Match[str]) -> str:
-    """The name of a quantity if it is a unit, too, as a microcontroller's `millis` is; else a blank."""
-    return name[0] if name[0] in ("millis", "micros") else " "
-
-
-def _is_foreign(header: Header, index: int, quantity: str) -> bool:
-    """Whether a column's header names a unit of another quantity, and none of this."""
-    texts = header.unit_texts(index)
-    return not any(unit_named(t, quantity) for t in texts) and any(unit_named(t, q) for t in texts for q in MEASURED)
-
-
-def _check_one_header(sheet: Sheet, header: Header) -> None:
-    """Raise a ValueError about a line among the numbers that names columns otherwise than the header."""
+def check_one_header(sheet: Sheet, header: Header, *, least: int = 2) -> None:
+    """Raise a ValueError about a line of words among the numbers that names columns, so many at least, otherwise."""
     known = [_words(header.names), _words(header.units)]
     for place, row in zip(sheet.places, sheet.rows, strict=True):
-        if row and row[0][:1].isalpha() and _words(row) not in known:
-            named = sum(1 for cell in row if any(re.search(pattern, base(cell)) for pattern in _NAMED.values()))
-            if named >= 2 and not any(map(is_number, row)):
-                raise ValueError(
-                    f"{sheet.source}: line {place}: must not name columns otherwise than line {header.line}, "
-                    f"{header.shown}, got {short(','.join(row))}: are two recordings in one file?"
-                )
+        if not row or not row[0][:1].isalpha() or _words(row) in known or any(map(is_number, row)):
+            continue
+        if sum(any(re.search(pattern, base(cell)) for pattern in NAMES.values()) for cell in row) >= least:
+            raise ValueError(
+                f"{sheet.source}: line {place}: must not name columns otherwise than line {header.line}, "
+                f"{header.shown}, got {short(','.join(row))}: are two recordings or tables in one file?"
+            )
 
 
 def _words(cells: Sequence[str]) -> list[str]:

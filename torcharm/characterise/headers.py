@@ -52,6 +52,7 @@ class Header:
 def header_of(sheet: Sheet) -> Header:
     """The names and units above the numbers; the former may hold the latter."""
     rows = [(place, row) for place, row in reversed(sheet.above[-4:]) if not _UNIT_LABEL.fullmatch(row[0].strip())]
+    rows = [(place, row) for place, row in rows if _is_unit_row(row) or sum(bool(cell.strip()) for cell in row) > 1]
     units = _labelled_units(sheet)
     line = rows[0][0] if rows else 1
     if rows and _is_unit_row(rows[0][1]):

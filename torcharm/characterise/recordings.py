@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from torcharm.characterise.cells import number
-from torcharm.characterise.columns import Column, Columns, find_columns, told
+from torcharm.characterise.columns import Column, Columns, find_columns, told, values_of
 from torcharm.characterise.delimited import Sheet, check_damage, numbers, read_sheet
 from torcharm.characterise.headers import header_of
 from torcharm.characterise.signs import PLAIN, Signs
@@ -282,15 +281,9 @@ def _clock_unit(sheet: Sheet, columns: Columns | None) -> dict[str, str]:
         found = find_columns(sheet, ("time",), columns, CLOCK)
     except ValueError:  # is told when all columns are looked for
         return {}
-    first = _first_number(sheet, found["time"])
+    first = next(filter(np.isfinite, values_of(sheet, found["time"].index, 50)), np.nan)
     sizes = {"s": 1.0, "ms": 1e3, "µs": 1e6, "ns": 1e9}
     return next(({"time": unit} for unit, size in sizes.items() if EPOCH[0] <= first / size <= EPOCH[1]), {})
-
-
-def _first_number(sheet: Sheet, column: Column) -> float:
-    """The first number of a column; NaN without one."""
-    values = (number(row[column.index], sheet.form.decimal) for row in sheet.rows[:50] if len(row) > column.index)
-    return next((value for value in values if np.isfinite(value)), np.nan)
 
 
 def _in_time(
