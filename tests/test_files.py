@@ -2,6 +2,7 @@
 
 import csv
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -331,6 +332,10 @@ def test_damaged_files_are_refused_in_one_line(folder, monkeypatch, capsys, dama
             assert not command(monkeypatch, *args)
             found, true = (ta.load_actuator(folder / file).coefficients for file in ("m.toml", "model.toml"))
             np.testing.assert_allclose(found, true, rtol=0.02, atol=1e-6)
+            left_out = re.findall(
+                rf"torcharm: warning: {name}: lines? [\d, ]+ damaged, left out", capsys.readouterr().err
+            )
+            assert len(left_out) == (damage == "other bytes within")
             (folder / "m.toml").unlink()
             (folder / name).write_bytes(whole)
             continue

@@ -137,7 +137,7 @@ def test_what_nodes_lack_besides_is_told_with_strains_out_of_range():
     assert found.verdict == "excluded by range"
     node, lacks = int(found.worst_node) + 1, float(found.worst_miss)
     assert found.reason.startswith("actuator 4 is strained to -0.22 at node 1")
-    assert found.reason.endswith(f"; node {node} lacks {lacks:.3g} N (1 N·m as 1 N) besides")
+    assert found.reason.endswith(f"; node {node} lacks {lacks:.3g} N of force and moment (N·m counted as N) besides")
 
 
 def test_what_is_not_found_is_undecided():
@@ -242,11 +242,11 @@ def test_sets_alone_only_exclude():
     worst = int(found.worst_node[1])
     miss = float(found.absolute_per_node[1, worst])
     assert miss == float(found.absolute_per_node[1].max()) == float(found.worst_miss[1])
-    assert found.reason[1] == f"node {worst + 1} lacks {miss:.3g} N (1 N·m as 1 N)"
+    assert found.reason[1] == f"node {worst + 1} lacks {miss:.3g} N of force and moment (N·m counted as N)"
     weighted = ta.evaluate(ARM, task, ("absolute",), weights=(1.0, 25.0))
-    assert weighted.reason[1].endswith("(by weights 1 of N², 25 of (N·m)²)")
+    assert weighted.reason[1].endswith(" of force and moment (squared: 1 f² + 25 m²)")
     relative = ta.evaluate(ARM, task, ("relative",)).reason[1]
-    assert "N (1 N·m as 1 N) of change from the base" in relative
+    assert "N of change from the base in force and moment (N·m counted as N)" in relative
 
 
 def test_the_margin_is_positive_inside():

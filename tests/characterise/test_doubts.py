@@ -1,8 +1,10 @@
 """What is doubtful about a fit is said, and what is not is not."""
 
+import re
 import warnings
 from dataclasses import replace
 
+import layouts
 import numpy as np
 import pytest
 import torch
@@ -39,10 +41,24 @@ def test_a_good_fit_has_none(noise):
 
 def test_spikes_are_told_by_file_line_and_size():
     (said,) = doubts(recording(spikes=[(1400, 35.0)]))
-    assert "a sample stands out from those before and after, b.csv, line 403 the most, by 35" in said
+    assert "a sample stands out from those about, b.csv, line 403 the most, by 35" in said
     (said,) = doubts(recording(spikes=[(300, -20.0), (301, -30.0), (1400, 20.0)]))
     assert "3 samples stand out" in said
     assert "a.csv, line 304 the most, by 29.7 N" in said
+
+
+@pytest.mark.parametrize("law", [layouts.muscle, lambda e, p: -layouts.data_sheet_muscle(-e, p)])
+def test_a_number_of_a_table_that_is_off_is_told(law):
+    strain, pressure = (x.ravel() for x in np.meshgrid(np.linspace(0, -0.25, 11), np.arange(0, 700.0, 100.0)))
+    force = law(strain, pressure).round()
+    table = ta.Recording(strain, pressure, force, np.zeros(77, int), ("t.csv",), line=np.arange(77) + 2)
+    assert not doubts(table, degree=3)
+    size_of = 0.2 * float(np.abs(force).max())
+    force[40] += size_of
+    (said,) = doubts(table, degree=3)
+    (size,) = re.findall(r"a sample stands out from those about, t.csv, line 42 the most, by ([\d.e+]+) N", said)
+    assert float(size) == pytest.approx(size_of, rel=0.2)
+    assert f"N at strain {strain[40]:.3g} and {pressure[40]:g} kPa" in said
 
 
 def test_a_load_cell_that_was_not_balanced_is_told():

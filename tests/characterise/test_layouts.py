@@ -89,11 +89,54 @@ def test_one_file_with_a_header(fit):
     assert_found(fit("--tester", "tester.txt", *FIT, tester=text))
 
 
+def test_a_labview_measurement_names_its_units_and_says_which_column_it_cannot_tell(fit):
+    columns = layouts.PULL / 1000, layouts.EXTENSION, layouts.pressure_at(layouts.TIME) / 100
+    named = layouts.labview(["Force", "Displacement", "Pressure"], ["kN", "mm", "bar"], columns)
+    one = ("--tester", "tester.txt", "--gauge-length", "80 mm", *FIT)
+    nameless = layouts.labview(["Untitled", "Untitled 1", "Untitled 2"], ["kN", "mm", "bar"], columns)
+    pasted = hint(fit(*one, tester=nameless))
+    without = layouts.labview(["Force", "Displacement", "Pressure"], ["kN", "mm", "bar"], columns, "Frequency")
+    assert hint(fit(*one, tester=without)) == "time=X_Value:s"
+    volts = layouts.labview(["Force", "Displacement", "Pressure"], ["Volts", "mm", "bar"], columns)
+    said = fit(*one, tester=volts)
+    assert "column 2, 'Force', must hold forces, got a sensor's reading in Volts: convert it in the file" in said
+    assert "--columns" not in said
+    assert_found(fit(*one, tester=named))
+    assert_found(fit(*one, "--columns", pasted, tester=nameless))
+
+
+def hint(said):
+    """The columns that a message says to paste."""
+    return re.search(r'--columns[^"]*"([^"]+)"', said)[1]
+
+
+@pytest.mark.parametrize(
+    ("header", "factors"),
+    [
+        ("t,eps,F,p", (1e-3, 1, 1, 1)),
+        ("time,strain,force,pressure", (1, 100, 1, 0.01)),
+        ("Time (ms),Strain (%),Fx (N),Fz (N),P", (1, 100, 1e-3, 1, 1)),
+    ],
+)
+def test_what_is_pasted_fits_the_file(fit, header, factors):
+    truth = [layouts.TIME, layouts.STRAIN, layouts.PULL, layouts.pressure_at(layouts.TIME)]
+    truth[3:3] = [layouts.PULL] * (len(factors) > 4)
+    columns = [factor * own for factor, own in zip(factors, truth, strict=True)]
+    rows = layouts.lines(*columns, formats=["{:.9f}"] * len(factors))
+    text, said = layouts.text(header, rows), ""
+    for options in ((), *[("--columns",)] * 3):
+        found = fit("--tester", "tester.txt", *FIT, *options, *([hint(said)] if options else []), tester=text)
+        if not isinstance(found, str):
+            break
+        said = found
+    assert_found(found)
+
+
 def test_notes_say_what_was_left_out_averaged_and_assumed(fit):
     model, shown = fit(
         *RUN, tester=layouts.TESTERS["words in three lines"][0], log=layouts.LOGS["two samples in one line"][0]
     )
-    words = "2 lines of words or with empty cells passed over (1 with 'NaN')"
+    words = "lines 53, 84 of words or with empty cells passed over (1 with 'NaN')"
     assert f"Notes on tester.txt: {words}" in shown
     assert "Notes on log.txt: line 201 damaged, left out; names no unit: read time in ms and pressure in psi" in shown
     assert dict(model.provenance)["notes on tester.txt"] == words
@@ -119,7 +162,7 @@ ASKED = [
     (
         ("two strains, one to be named", "reference"),
         (),
-        r"tester.txt: line 1: must name one column of strain, got 'Strain 1' and 'Strain 2'; --columns says which, .*",
+        r"tester.txt: line 1: must name one column of strain, got 'Strain 1' and 'Strain 2'; --columns says it, .*",
     ),
     (
         ("reference", "kPa in brackets"),
@@ -196,6 +239,34 @@ TABLES = {
 }
 
 
+_ROWS, _BARS = [row.partition(";") for row in layouts.WIDE.splitlines()], range(7)
+TABLES |= {
+    "a heading twice": (
+        "\n".join(f"{first};{rest.split(';')[0]};{rest}" for first, _, rest in _ROWS) + "\n",
+        (),
+    ),
+    "pressures down, shares across": (layouts.across("Pressure [bar]", "%"), ()),
+    "what columns are of in a title": ("Contraction [%],\n" + layouts.across("Pressure [bar]", ""), ()),
+    "Matlab's names": (
+        layouts.WIDE.replace("[%]", "percent")
+        .replace(_ROWS[0][2], ";".join(f"x0_{p}MPa" for p in _BARS))
+        .replace(",", "."),
+        (),
+    ),
+    "a letter in the corner": (layouts.WIDE.replace("contraction [%]", "h [%]"), ("--columns", "contraction=1:%")),
+    "grams": (
+        layouts.text(
+            "contraction (%),pressure (kPa),Load (g)",
+            [
+                f"{-100 * float(e):g},{p},{-float(f) / 9.80665e-3:.1f}"
+                for e, p, f in (row.split(",") for row in layouts.LONG.splitlines()[1:])
+            ],
+        ),
+        (),
+    ),
+}
+
+
 @pytest.mark.parametrize("name", TABLES)
 def test_tables_give_the_law(fit, name):
     text, options = TABLES[name]
@@ -243,12 +314,22 @@ def test_forces_that_contradict_each_other_are_a_warning(fit):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("%", ""), r"table.txt: line 1: must name the unit of contraction, one of mm/mm, %"),
-        ((" bar", ""), r"table.txt: line 1: must name the unit of pressure, .*; --unit says it"),
+        (("%", ""), r"table.txt: contraction reaches 25 and names no unit, .* --columns \"contraction=1:%\" says so"),
+        (
+            (" bar", ""),
+            r"table.txt: line 1: the unit of pressure must be one of .*\"pressure=pressure:bar\", or --unit",
+        ),
         (("contraction", "wear"), r"table.txt: line 1: must begin with what the first column holds, .*'wear \[%\]'"),
         (("\n5;", "\n5;x"), r"table.txt: line 3: must be 8 cells with finite numbers .*"),
-        (("25;", f"contraction [%]{';9 bar' * 7}\n25;"), r"table.txt: line 7: must be forces, got another header than"),
-        (("1 bar", "1 psi"), r"table.txt: line 1: must name one unit of pressure, got bar and psi"),
+        (
+            ("25;", f"contraction [%]{';9 bar' * 7}\n25;"),
+            r"table.txt: line 7: must not name columns otherwise than line 1",
+        ),
+        (
+            ("contraction [%];0 bar", "contraction [%];1 bar"),
+            r"table.txt: line 2: must hold one force at strain 0 and 100",
+        ),
+        (("1 bar", "1 psi"), r"table.txt: line 1: must name one unit of its columns, got bar and psi"),
     ],
 )
 def test_bad_tables(fit, change, message):
@@ -402,3 +483,56 @@ def test_a_file_that_is_no_model_is_not_replaced(tmp_path, monkeypatch):
     assert result.exit_code == 2
     assert (tmp_path / "m.toml").read_text() == 'name = "my study"\n'
     assert "is there and is no force model, must be another file" in " ".join(result.output.split())
+
+
+# What a file says of its columns, and what it cannot mean
+
+
+def one_file(header, *columns):
+    return layouts.text(header, layouts.lines(layouts.TIME, 100 * layouts.STRAIN, layouts.PULL, *columns))
+
+
+def test_a_stress_is_no_pressure(fit):
+    text = one_file("Time (ms),Strain (%),Force (N),Tensile stress (kPa)", layouts.pressure_at(layouts.TIME))
+    assert 'names no column of pressure; must be its log, or --columns names one, as in "pressure=?"' in fit(
+        "--tester", "tester.txt", tester=text
+    )
+
+
+def test_a_unit_that_is_not_known_is_not_replaced_by_a_likely_one(fit):
+    text = one_file("Time (ms),Strain (%),Force (N),Pressure (cubits)", layouts.pressure_at(layouts.TIME))
+    assert hint(fit("--tester", "tester.txt", tester=text)) == "pressure=Pressure (cubits):?"
+
+
+def test_decimal_commas_between_commas_are_no_columns(fit):
+    rows = layouts.lines(layouts.TIME, 100 * layouts.STRAIN, layouts.PULL, decimal=",")
+    said = fit("--tester", "tester.txt", tester=layouts.text("Time (ms),Strain (%),Force (N)", rows))
+    assert "tester.txt: line 1: must name all 6 columns, got 3 names" in said
+    assert "are there decimal commas between commas?" in said
+
+
+def test_damage_is_told_before_what_options_lack(fit):
+    text, _ = layouts.TESTERS["no strain"]
+    said = fit(*RUN, "--model", "none", tester=text[:-9], log=layouts.REFERENCE_LOG)
+    assert re.match(r"torcharm: tester.txt: line 403: must be a whole line of 3 cells, .*: it is cut short", said)
+    said = fit(*RUN, "--gauge-length", "x", tester=text, log=layouts.REFERENCE_LOG[:3000])
+    assert re.match(r"torcharm: log.txt: line \d+: must be a whole line of 2 cells, .*: it is cut short", said)
+
+
+def test_lines_that_are_left_out_are_warnings_with_their_numbers(tmp_path):
+    names, units, *rows = layouts.REFERENCE.splitlines()
+    rows = [row if k % 40 else "start of a cycle" for k, row in enumerate(rows)]
+    rows[7] = rows[7].replace('"0', '"o', 1).replace(".", ".x", 1)
+    (tmp_path / "run.csv").write_text(layouts.text(names, units, rows))
+    words = "run.csv: lines 43, 83, 123, 163, 203 and 4 more of words or with empty cells passed over"
+    with pytest.warns(UserWarning, match=words), pytest.warns(UserWarning, match=r"run.csv: line 10 damaged, left out"):
+        ta.read_tester(tmp_path / "run.csv")
+
+
+def test_the_file_and_the_command_say_whose_bending_stiffness_it_is(fit, tmp_path):
+    _, shown = fit("--table", "table.txt", "--model", "mckibben", table=layouts.WIDE)
+    assert "-0.286 N·m², which the paper estimated for its own bellows and muscles, is assumed" in shown
+    text = (tmp_path / "m.toml").read_text()
+    assert "# The paper's estimate for its own bellows and muscles, assumed: neither" in text
+    _, shown = fit("--table", "table.txt", "--model", "mckibben", "--bending", "-0.1", table=layouts.WIDE)
+    assert "assumed" not in shown + (tmp_path / "m.toml").read_text()

@@ -65,7 +65,7 @@ def test_pressure_units(tmp_path, unit, factor):
     ("head", "got"), [("time_s,pressure\n", "got none in 'time_s,pressure'"), ("", "got none in no header")]
 )
 def test_pressures_of_no_unit_are_refused_but_in_the_papers_layout(tmp_path, head, got):
-    with pytest.raises(ValueError, match=rf"the unit of pressure must be one of kPa, .*{got}; .*=.*:kPa\", or --unit"):
+    with pytest.raises(ValueError, match=rf"the unit of pressure must be one of kPa, .*{got}; .*=.*:bar\", or --unit"):
         ta.read_pressure(log(tmp_path, head=head))
     np.testing.assert_array_equal(ta.read_pressure(log(tmp_path, head=head), "kPa").pressure, [0, 3, 5, 5.5])
 
@@ -84,8 +84,18 @@ def test_a_plausible_pressure_is_none(tmp_path):
 
 def test_pressures_that_rest_at_the_atmosphere_are_asked_about_and_read_if_said_to_be_absolute(tmp_path):
     path = log(tmp_path, ["0,101.4", "10,121.3", "20,141.3"], head="Time (ms),Pressure (kPa)\n")
-    with pytest.warns(UserWarning, match=r"pressures are never below 101.4 kPa: are they absolute\? .*=2:kPa abs"):
-        ta.read_pressure(path)
+    asked = r"are they absolute\? --columns \"pressure=2:kPa abs\" says so"
+    at_rest, elsewhere, under_pressure = (
+        ta.read_tester(csv_file(tmp_path, [f'"{10 * k}","0","{first + 5 * k}","{rest - 3 * k}"' for k in range(3)]))
+        for first, rest in ((0, 0.1), (5, 0.1), (0, -40))
+    )
+    with pytest.warns(UserWarning, match="never below 101.4 kPa, where the actuator has no force: " + asked):
+        ta.align(at_rest, ta.read_pressure(path), smoothing=0, offset=0)
+    with pytest.warns(UserWarning, match="pressures are never below 101.4 kPa: " + asked):
+        ta.align(elsewhere, ta.read_pressure(path), smoothing=0, offset=0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ta.align(under_pressure, ta.read_pressure(path), smoothing=0, offset=0)
     named = log(tmp_path, ["0,1014", "10,1213", "20,1413"], head="time_ms,pressure_mbar_abs\n")
     with pytest.warns(UserWarning, match=r"101.325 kPa of the surroundings taken off, assumed"):
         np.testing.assert_allclose(ta.read_pressure(named).pressure, [0.075, 19.975, 39.975])

@@ -178,7 +178,7 @@ def test_a_metric_not_asked_for_has_no_column(study_file, metric, other):
 
 
 def test_the_legend_tells_the_unit(study_file):
-    assert "distances from attainable wrenches, 1 N·m as 1 N" in invoke("evaluate", study_file, "--sums")
+    assert "distances from attainable wrenches, N·m counted as N" in invoke("evaluate", study_file, "--sums")
     study_file.write_text(f"{STUDY}\n[evaluate]\npower = 2", encoding="utf-8")
     assert "squared distances from" in invoke("evaluate", study_file, "--sums")
     study_file.write_text(f"{STUDY}\n[evaluate]\nweights = [4, 0.5]\ntolerance = '5 mm'", encoding="utf-8")

@@ -13,6 +13,7 @@ from torcharm.page.answers import NodeSet, answer, settled
 from torcharm.page.charts import axis_ends, margins, outline
 from torcharm.page.scene import BLACK, GREY, VERMILLION, Arrow, Label, Line, Mesh, colour_of, draw, handles
 from torcharm.page.state import BY_HAND
+from torcharm.wrench_sets.node_distances import lack_in_words
 
 
 def volume(mesh):
@@ -109,12 +110,12 @@ def test_words_say_what_else_would_puzzle():
     margins = np.where(np.arange(6) == 2, -0.1, 0.2)
     assert "margin below 0" not in words.results(replace(found, margins=np.abs(margins)))
     assert "margin below 0: the margin is that of the exact shape" in words.results(replace(found, margins=margins))
-    reason = "no pressure serves all nodes: node 3 lacks 0.1 N (1 N·m as 1 N) of change from the base"
+    reason = f"no pressure serves all nodes: {lack_in_words(2, 0.1, (1.0, 1.0), relative=True)}"
     missed = replace(found, verdict="missed", reason=reason, margins=margins)
     assert "Change from the base: a segment" in words.results(missed)
     assert "margin below 0" not in words.results(missed)
     settings = found.state.study.settings
-    assert "1 N·m as 1 N" in words.explanation(settings)
+    assert "N·m counted as N" in words.explanation(settings)
     assert "1 f² + 400 m²" in words.explanation(replace(settings, weights=(1.0, 400.0)))
 
 

@@ -185,7 +185,7 @@ def test_what_puzzles_beside_the_table_is_explained():
         one = replace(result, attainability=replace(result.attainability, absolute_per_node=distance))
         words = "".join(Page(study_report(replace(shown, results=[one]))).words)
         assert ("held beside a margin below 0" in words) == (margin < 0)
-    assert "1 N·m as 1 N: so do moments count" in words
+    assert "N·m counted as N: so do moments count" in words
 
 
 def test_what_to_try_next_names_commands_with_the_studys_file(found):

@@ -455,7 +455,12 @@ HUGE = "0x" + "f" * 5000
 
 # text, then what the message must hold: the field, what is allowed, what was given
 BAD_STUDIES = {
-    "TOML syntax": ("name =\n", "study.toml: is not valid TOML", "line 1, column 7"),
+    "TOML syntax": ("name =\n", "study.toml: line 1, column 7: is not valid TOML: Invalid value"),
+    "TOML, cut short": (
+        'name = "x"\n[[arm]]\nradii = [1, 2',
+        "study.toml: line 3: is not valid TOML",
+        "it is cut short",
+    ),
     "TOML, key twice": ('name = "a"\nname = "b"\n', "is not valid TOML", "line 2"),
     "TOML, too deep": ("a = " + "[" * 5000, "is not valid TOML"),
     "TOML, too many digits": ("a = " + "1" * 5000, "too many digits"),
@@ -510,7 +515,7 @@ BAD_STUDIES = {
     "kind is a number": (study_text(arm="kind = 3"), "arm[1].kind: must be one of antagonistic", "got 3"),
     "radius is a text": (
         bad_arm('outer_radius = "wide"'),
-        "arm[1].outer_radius: must be a number [m] or a text of one and a unit (m, cm, mm, in)",
+        "arm[1].outer_radius: must be a number [m] or a text of one and a unit (m, cm, mm, µm, in)",
         'got "wide"',
     ),
     "radius is a truth": (bad_arm("outer_radius = true"), "arm[1].outer_radius: must be a number, got true"),

@@ -534,7 +534,7 @@ def test_where_there_is_no_factor_the_reason_says_which_node_lacks_what():
     assert bool(found.factor.isnan())
     node, miss = int(sets.worst_node) + 1, float(sets.worst_miss)
     assert found.reason.startswith("no pressures hold this very shape under any multiple of the payload")
-    assert f"node {node} lacks {miss:.3g} N (1 N·m as 1 N); evaluate tells" in found.reason
+    assert f"node {node} lacks {miss:.3g} N of force and moment (N·m counted as N); evaluate tells" in found.reason
 
 
 @pytest.mark.parametrize("metric", ["absolute", "relative"])
@@ -548,8 +548,9 @@ def test_reasons_are_given_where_factors_are_not(metric):
     assert "" not in found.reason if metric == "relative" else 0 < (found.reason != "").sum() < 12
     miss = ta.evaluate(arms, tasks, metric).worst_miss
     for index in np.argwhere(found.reason != ""):
-        change = " of change from the base" if metric == "relative" else ""
-        assert f"lacks {float(miss[tuple(index)]):.3g} N (1 N·m as 1 N){change};" in found.reason[tuple(index)]
+        change = "change from the base in " if metric == "relative" else ""
+        lack = f"lacks {float(miss[tuple(index)]):.3g} N of {change}force and moment (N·m counted as N);"
+        assert lack in found.reason[tuple(index)]
 
 
 def test_the_reason_of_an_impossible_shape_is_that_it_is():

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.statics.cross_section import RANGE_SLACK, cross_sections, per_actuator
+from torcharm.wrench_sets.node_distances import lack_in_words
 
 NO_CENTRELINE = "the centreline of the shape would have no length"
 NOTHING = 1e-6
@@ -35,18 +36,11 @@ def missing(absolute: Tensor | None, relative: Tensor | None, weights: tuple[flo
         absolute, relative: distances (N,) from the nodes' sets; the latter count where the former are none.
         weights: k_f and k_m, by which forces and moments are one distance.
     """
-    force, moment = weights
-    unit = (
-        "N (1 N·m as 1 N)" if (force, moment) == (1.0, 1.0) else f"(by weights {force:g} of N², {moment:g} of (N·m)²)"
-    )
-    for distance, what in (
-        (absolute, "node {} lacks {:.3g} {}"),
-        (relative, "no pressure serves all nodes: node {} lacks {:.3g} {} of change from the base"),
-    ):
+    for distance, before in ((absolute, ""), (relative, "no pressure serves all nodes: ")):
         if distance is not None:
             miss, node = distance.max(-1)
             if float(miss) > NOTHING:
-                return what.format(int(node) + 1, float(miss), unit)
+                return before + lack_in_words(int(node), float(miss), weights, relative=distance is relative)
     return ""
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from torcharm.characterise.misfit import smoothed, usually_smoothed, warn_of_slipped_clocks
-from torcharm.characterise.recordings import Array, Floats, Lines, PressureRecord, TesterRecord
+from torcharm.characterise.recordings import Array, Floats, Lines, PressureRecord, TesterRecord, ask_if_absolute
 from torcharm.characterise.signs import settled
 from torcharm.inputs import check_count, check_number
 
@@ -103,6 +103,7 @@ def align(
     strain, force, signs = settled(
         tester.signs, tester.strain[kept], pressure, tension * tester.force[kept], tester.source
     )
+    ask_if_absolute(log.source, log.as_absolute, strain, pressure, force)
     settings: Settings = (
         ("actuators in parallel", float(count)),
         ("smoothing of pressure, ms", float(smoothing)),

@@ -1,75 +1,42 @@
 """Which column of a file holds what, and in which unit: told from its header, or said by a person."""
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from torcharm.characterise.cells import Row, has_value, is_moment, is_number
-from torcharm.characterise.delimited import Sheet, short
+import numpy as np
+
+from torcharm.characterise.cells import is_number, number
+from torcharm.characterise.column_names import NAMES, STRESS, candidates, is_compressive, is_sure, named_units
+from torcharm.characterise.delimited import Array, Sheet, short
+from torcharm.characterise.headers import Header, base, header_of, plain
 from torcharm.inputs import check_choice, shown
-from torcharm.units import LENGTH, MEASURED, PRESSURE, is_absolute, unit_named
+from torcharm.units import MEASURED, PRESSURE, is_absolute, unit_named
 
 Columns = str | Mapping[str, str | int]
 """`"time=Time:s, force=4"` or `{"time": "Time:s", "force": 4}`: names or numbers from 1, perhaps with a unit."""
 
-_NAMED = {
-    "time": r"timestamp|\btime|elapsed(?! cycle)|millis|zeit|\bx value",
-    "strain": r"strain|dehnung|stauchung",
-    "contraction": r"contraction|shortening|kontraktion|verkürzung",
-    "extension": r"extension|displacement|elongation|crosshead|stroke|position|weg\b|traverse|verlängerung",
-    "force": r"force|load|kraft",
-    "pressure": r"pressure|druck(?!kraft)",
-}
-"""What the names of columns hold, in lower case and without units."""
-_SYMBOLS = {"time": ("t",), "strain": ("ε", "eps", "epsilon"), "force": ("f",), "pressure": ("p",)}
-"""What they are called alone."""
-_SET_POINT = re.compile(r"set ?point|target|command|demand|desired|reference|\bref\b|\bset\b|\bsp\b|soll")
-"""What was asked for is no measurement."""
-_TOLD_BY_UNIT = ("time", "force", "pressure")
-"""Quantities whose units are those of nothing else that a bench records."""
-_COMPRESSIVE = re.compile(r"compressi|stauchung|druckkraft")
-"""What a tester names so is positive where it squeezes: such strains and extensions shorten, such forces push."""
-_LENGTHENING = re.compile(r"extension|elongation|verlängerung|tensile|tension|dehnung")
-"""What is positive where longer; strokes and positions count either way."""
+_ELECTRICAL = re.compile(r"[mµ]?v(?:olts?|dc)?|mv/v|m?a|counts?|adc|digits?|ticks|raw", re.IGNORECASE)
+"""What sensors give, and no unit of what they measure."""
 _ABSOLUTE = re.compile(r"(?<![a-z])abs(?![a-z])|absolut")
-_GAUGE_OR_NOT = re.compile(r"(?<=[A-Za-z²])\s?\((g|gauge|rel\.?|ü|a|abs\.?|absolute?)\)", re.IGNORECASE)
-"""What follows a unit of pressure in brackets of its own, as in `bar(g)`."""
-_PREFERRED_ALONE = ("time", "extension", "force")
-"""Of which the column of that name alone is taken among several: others, such as a cycle's time, follow it."""
-_AMBIGUOUS = ("min", "h", "1", "-", "in", "g")
-"""What names a unit in brackets, or in a row of units, but may mean something else as a word of a name."""
-_BRACKETS = re.compile(r"\(([^()]*)\)|\[([^\[\]]*)\]")
-USUAL_UNIT = {"time": "s", "strain": "%", "contraction": "%", "extension": "mm", "force": "N", "pressure": "kPa"}
-"""What examples in messages name."""
+_LIKELY: dict[str, tuple[tuple[float, str], ...]] = {
+    "strain": ((1.0, "mm/mm"), (math.inf, "%")),
+    "contraction": ((1.0, "mm/mm"), (math.inf, "%")),
+    "extension": ((1e3, "mm"), (math.inf, "µm")),
+    "pressure": ((12.0, "bar"), (1.2e3, "kPa"), (1.2e4, "mbar"), (math.inf, "Pa")),
+    "force": ((math.inf, "N"),),
+}
+"""The units that examples in messages name, each up to the largest number that it is likely for."""
+_LIKE_A_UNIT = re.compile(r"[^\s\d]+(?:\d[^\s\d]+)?")
+"""What stands in a unit's place and is no channel's name."""
+_PASTED = re.compile(r"[^\"$`\\!]+")
+"""Names that any shell takes as they are between double quotes."""
+VARIED = 0.1
+"""Of the range of a column's numbers, what that of one named alike must reach to be as likely."""
+LONGEST_STEP = 2.0
+"""Steps of times [s], above which they are rather in ms: benches sample more often."""
 _OPTION = re.compile(r"(?:^|,)\s*([A-Za-z_]+)\s*=")
-
-
-@dataclass(frozen=True)
-class Header:
-    """The names of columns and the texts that stand for their units; "" where there is none.
-
-    Attributes:
-        line: of the names.
-        names, units: of each column, above the numbers.
-        behind: the unit that stands behind each number of a column; seconds for moments.
-        moments: whether a column holds times of day.
-    """
-
-    line: int
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    behind: tuple[str, ...]
-    moments: tuple[bool, ...]
-
-    @property
-    def shown(self) -> str:
-        """The names as they stand, shortened."""
-        return short(",".join(self.names)) if any(self.names) else "no header"
-
-    @property
-    def none(self) -> str:
-        """That none of the names is one that is looked for."""
-        return f"none in {self.shown}" if any(self.names) else "no names"
 
 
 @dataclass(frozen=True)
@@ -94,6 +61,17 @@ class Column:
     absolute: bool = False
 
     @property
+    def as_absolute(self) -> str:
+        """How a person says that it holds absolute pressures."""
+        return f'"pressure={self.index + 1}:{self.unit} abs"'
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What may surprise of its unit: a force in g is the weight of so many."""
+        mass = {"gf": "g", "kgf": "kg"}.get(self.unit)
+        return (f"reads forces in {self.unit}, the weight of so many {mass}",) if mass else ()
+
+    @property
     def factor(self) -> float:
         """One of its unit in torcharm's."""
         return MEASURED[self.quantity][self.unit]
@@ -105,32 +83,12 @@ class Column:
 
 
 @dataclass(frozen=True)
-class _Choice:
+class Choice:
     """What a person says of a column: its name or number, "" for none, and its unit, None for none."""
 
     column: str
     unit: str | None
     absolute: bool = False
-
-
-def header_of(sheet: Sheet) -> Header:
-    """The names and units above the numbers; the former may hold the latter."""
-    rows = list(reversed(sheet.above[-4:]))
-    units: Row = []
-    line = rows[0][0] if rows else 1
-    if rows and _is_unit_row(rows[0][1]):
-        units = rows.pop(0)[1]
-    names: Row = []
-    if rows and sum(1 for cell in rows[0][1] if cell.strip() and not is_number(cell)) >= 2:
-        line, names = rows[0]
-    width, (labels, units_behind) = sheet.form.width, zip(*sheet.form.dress, strict=True)
-    if not names:
-        names = [label.strip(" :=\t") for label in labels]
-    filled = [tuple(map(_joined, (row + [""] * width)[:width])) for row in (names, units)]
-    first = [[row[c] for row in sheet.rows[:20] if len(row) > c and has_value(row[c])] for c in range(width)]
-    moments = tuple(bool(cells) and any(map(is_moment, cells)) for cells in first)
-    behind = tuple("s" if moment else unit for unit, moment in zip(units_behind, moments, strict=True))
-    return Header(line, filled[0], filled[1], behind, moments)
 
 
 def find_columns(
@@ -152,9 +110,15 @@ def find_columns(
     Raises:
         ValueError: a column is not found, or more than one; its unit is not known; or the file and a person differ.
     """
-    header, choices = header_of(sheet), _choices(columns)
-    _check_one_header(sheet, header)
-    found = {q: _column(sheet, header, q, choices.get(q), (defaults or {}).get(q, ""), option) for q in quantities}
+    header, said = header_of(sheet), choices(columns)
+    check_one_header(sheet, header)
+    if not all(own.column.isdigit() for own in said.values()) or len(said) < len(quantities):
+        _check_names(sheet, header)
+    try:
+        found = {q: _column(sheet, header, q, said.get(q), (defaults or {}).get(q, "")) for q in quantities}
+    except _UnclearError as error:
+        hint, of_pressure = example(sheet, quantities, columns, defaults), "unit of pressure" in str(error)
+        raise ValueError(f'{error}; {option} says it, perhaps as in "{hint}"{", or --unit" * of_pressure}') from None
     taken: dict[int, str] = {}
     for quantity, column in found.items():
         if taken.setdefault(column.index, quantity) != quantity:
@@ -167,30 +131,16 @@ def find_columns(
 
 def has_column(sheet: Sheet, quantity: str, columns: Columns | None) -> bool:
     """Whether a quantity is said to have a column, or the header names one or more."""
-    return quantity in _choices(columns) or bool(_candidates(sheet, header_of(sheet), quantity))
-
-
-def named_by(quantity: str) -> str:
-    """A regular expression that finds the name of a quantity in lower case."""
-    return _NAMED[quantity]
-
-
-def is_compressive(name: str) -> bool:
-    """Whether a name says that what is positive squeezes."""
-    return _COMPRESSIVE.search(name.lower()) is not None
-
-
-def is_sure(quantity: str, name: str) -> bool:
-    """Whether a quantity or a name says which way a stretch counts: contraction, compressive, extension, tensile."""
-    return quantity == "contraction" or is_compressive(name) or _LENGTHENING.search(name.lower()) is not None
+    return quantity in choices(columns) or bool(candidates(sheet, header_of(sheet), quantity))
 
 
 def told(columns: Columns | None) -> list[str]:
     """The quantities of which a person says something."""
-    return list(_choices(columns))
+    return list(choices(columns))
 
 
-def _choices(columns: Columns | None) -> dict[str, _Choice]:
+def choices(columns: Columns | None) -> dict[str, Choice]:
+    """What a person says of each quantity."""
     if columns is None:
         return {}
     if isinstance(columns, str):
@@ -200,7 +150,7 @@ def _choices(columns: Columns | None) -> dict[str, _Choice]:
         pairs = list(zip(rest[::2], rest[1::2], strict=True))
     else:
         pairs = [(key, str(value)) for key, value in columns.items()]
-    found: dict[str, _Choice] = {}
+    found: dict[str, Choice] = {}
     for key, value in pairs:
         quantity = key.strip().lower()
         check_choice("columns", quantity, MEASURED)
@@ -210,27 +160,32 @@ def _choices(columns: Columns | None) -> dict[str, _Choice]:
     return found
 
 
-def _choice(quantity: str, text: str) -> _Choice:
+def _choice(quantity: str, text: str) -> Choice:
     column, colon, last = text.rpartition(":")
     unit = unit_named(last, quantity) if colon else None
     if unit is not None:
-        return _Choice(column.strip(), unit, is_absolute(last))
+        return Choice(column.strip(), unit, is_absolute(last))
     if colon and (column.strip().isdigit() or not column.strip()):
         raise ValueError(f"columns: {quantity}: {_allowed(quantity)}, got {shown(last)}")
     if not text:
         raise ValueError(f"columns: {quantity}: must be a column's name or number, got none")
-    return _Choice(text, None)
+    return Choice(text, None)
 
 
-def _column(sheet: Sheet, header: Header, quantity: str, choice: _Choice | None, default: str, option: str) -> Column:
+def _column(sheet: Sheet, header: Header, quantity: str, choice: Choice | None, default: str) -> Column:
     if choice is not None and choice.column:
         index = _chosen(sheet, header, quantity, choice.column)
     else:
-        found = _candidates(sheet, header, quantity)
+        found = candidates(sheet, header, quantity)
         if len(found) != 1:
-            raise ValueError(_not_one(sheet, header, quantity, found, option))
+            raise _not_one(sheet, header, quantity, found)
         (index,) = found
-    named, unknown = _units(header, index, quantity)
+    named, unknown = named_units(header, index, quantity)
+    if _ELECTRICAL.fullmatch(unknown):
+        raise ValueError(
+            f"{sheet.source}: line {header.line}: column {index + 1}, {header.names[index]!r}, must hold {quantity}s, "
+            f"got a sensor's reading in {unknown}: convert it in the file"
+        )
     where = f"{sheet.source}: line {header.line}"
     if len(named) > 1:
         raise ValueError(f"{where}: must name one unit of {quantity}, got {' and '.join(named)}")
@@ -243,13 +198,9 @@ def _column(sheet: Sheet, header: Header, quantity: str, choice: _Choice | None,
     unit = said or (named[0] if named else "")
     if not unit and (unknown or not default):
         got = f"{unknown!r} in {header.shown}" if unknown else f"none in {header.shown}"
-        raise ValueError(
-            f"{where}: {_allowed(quantity)}, got {got}; {option} says it, "
-            f'as in "{quantity}={header.names[index] or index + 1}:{USUAL_UNIT[quantity]}"'
-            f"{', or --unit' if quantity == 'pressure' else ''}"
-        )
+        raise _UnclearError(f"{where}: {_allowed(quantity)}, got {got}")
     name = header.names[index].lower()
-    texts = [*_unit_texts(header, index), *re.split(r"[_,;/\s]", name)]
+    texts = [*header.unit_texts(index), *re.split(r"[_,;/\s]", name)]
     absolute = bool(_ABSOLUTE.search(name)) or any(map(is_absolute, texts)) or (choice is not None and choice.absolute)
     return Column(
         quantity,
@@ -274,9 +225,9 @@ def _chosen(sheet: Sheet, header: Header, quantity: str, text: str) -> int:
                 f"columns: {quantity}: must be from 1 to {sheet.form.width}, as many as {sheet.source} has, got {text}"
             )
         return int(text) - 1
-    names = {"name": [_plain(name) for name in header.names], "short": [_base(name) for name in header.names]}
+    names = {"name": [plain(name) for name in header.names], "short": [base(name) for name in header.names]}
     for own in names.values():
-        found = [i for i, name in enumerate(own) if name and name == _plain(text)]
+        found = [i for i, name in enumerate(own) if name and name == plain(text)]
         if len(found) == 1:
             return found[0]
     raise ValueError(
@@ -285,106 +236,92 @@ def _chosen(sheet: Sheet, header: Header, quantity: str, text: str) -> int:
     )
 
 
-def _not_one(sheet: Sheet, header: Header, quantity: str, found: Sequence[int], option: str) -> str:
+class _UnclearError(ValueError):
+    """What a file leaves open, and an option tells."""
+
+
+def _not_one(sheet: Sheet, header: Header, quantity: str, found: Sequence[int]) -> ValueError:
     which = " and ".join(repr(header.names[i]) for i in found) or header.none
-    words = next((i for i, name in enumerate(header.names) if re.search(_NAMED[quantity], _base(name))), None)
+    words = next((i for i, name in enumerate(header.names) if re.search(NAMES[quantity], base(name))), None)
     if not found and words is not None and not sheet.form.numeric[words]:
         place, row = next((p, r) for p, r in zip(sheet.places, sheet.rows, strict=True) if len(r) > words)
-        return (
+        return ValueError(
             f"{sheet.source}: line {place}: must hold numbers, or times as 12:00:01.5, in column {words + 1}, "
-            f"{header.names[words]!r}, got {short(row[words])}; {option} names another column of {quantity}"
+            f"{header.names[words]!r}, got {short(row[words])}: is another column of {quantity}?"
         )
-    example = f"{quantity}={header.names[found[0]] if found else 2}"
-    return (
-        f"{sheet.source}: line {header.line}: must name one column of {quantity}, got {which}; {option} "
-        f'says which, by name or number, as in "{example}"'
-    )
+    return _UnclearError(f"{sheet.source}: line {header.line}: must name one column of {quantity}, got {which}")
 
 
-def _candidates(sheet: Sheet, header: Header, quantity: str) -> list[int]:
-    """Columns of numbers that may hold a quantity: by name, those named so alone first; or else by unit."""
-    numeric = [i for i in range(sheet.form.width) if sheet.form.numeric[i] and not _is_foreign(header, i, quantity)]
-    bases = {i: _base(header.names[i]) for i in numeric}
-    own = {i: name for i, name in bases.items() if not _SET_POINT.search(name)}
-    symbols = _SYMBOLS.get(quantity, ())
-    found = [i for i, name in own.items() if re.search(_NAMED[quantity], name) or name in symbols]
-    if len(found) > 1 and quantity in _PREFERRED_ALONE:
-        alone = [i for i in found if re.fullmatch(f"(?:{_NAMED[quantity]})s?", own[i])]
-        return alone if len(alone) == 1 else found
-    if quantity == "strain":  # those that are lengths of the gauge go last
-        found = [i for i in found if not any(unit in LENGTH for unit in _units(header, i, quantity)[0])] or found
-    if found or quantity not in _TOLD_BY_UNIT:
-        return found
-    others = [pattern for other, pattern in _NAMED.items() if other != quantity]
-    return [i for i in own if _units(header, i, quantity)[0] and not any(re.search(p, own[i]) for p in others)]
+def example(
+    sheet: Sheet, quantities: Sequence[str], columns: Columns | None, defaults: Mapping[str, str] | None = None
+) -> str:
+    """What a person may say of columns to have all of these quantities: what is said, and what is lacking.
+
+    That is columns, where a header does not name one, and likely units, where neither it nor a default does.
+    """
+    header, said = header_of(sheet), choices(columns)
+    found: dict[int, str] = {}
+    for quantity in {**said, **dict.fromkeys(quantities)}:
+        own, named = said.get(quantity, Choice("", None)), candidates(sheet, header, quantity)
+        known = [_chosen(sheet, header, quantity, own.column)] if own.column else named
+        others = {i for q in MEASURED if q not in (quantity, *said) for i in candidates(sheet, header, q)} | set(found)
+        others |= {i for i, name in enumerate(header.names) if re.search(STRESS, base(name))}
+        free = [i for i, numeric in enumerate(sheet.form.numeric) if numeric and i not in others]
+        free.sort(key=lambda i: not named_units(header, i, quantity)[0])
+        if not known and not free:
+            return f"{quantity}=?"
+        # Of a few alike what is measured varies: a supply's pressure, and forces to the side, hardly do.
+        spread = {i: float(np.ptp(values_of(sheet, i))) for i in known[: len(known) * (len(known) > 1)]}
+        index = next((i for i in spread if spread[i] >= VARIED * max(spread.values())), (known or free)[0])
+        unit, (units, unknown) = own.unit and f"{own.unit}{' abs' * own.absolute}", named_units(header, index, quantity)
+        if not unit and not units and quantity not in (defaults or {}):
+            unit = "?" if _LIKE_A_UNIT.fullmatch(unknown) else _likely_unit(quantity, values_of(sheet, index))
+        if unit or own.column or len(named) != 1:
+            found[index] = f"{quantity}={_pasted(header, index)}{f':{unit}' if unit else ''}"
+    return ",".join(found.values())
 
 
-def _units(header: Header, index: int, quantity: str) -> tuple[list[str], str]:
-    """The units of a quantity that a column's header names, and what stands in a unit's place but is none."""
-    texts = _unit_texts(header, index)
-    found = [unit for text in texts if (unit := unit_named(text, quantity))]
-    if not found:
-        found = units_among_words(header.names[index], quantity)
-    return list(dict.fromkeys(found)), "" if found or not texts else texts[0]
+def _pasted(header: Header, index: int) -> str | int:
+    """The name of a column, or its number where a name is none, or none alone, or no shell takes it as it is."""
+    name = header.names[index]
+    return name if _PASTED.fullmatch(name) and header.names.count(name) == 1 else index + 1
 
 
-def units_among_words(name: str, quantity: str) -> list[str]:
-    """The units of a quantity among a name's words that stand in no brackets."""
-    words = re.sub(f"(?:{_NAMED[quantity]})(?:s(?![a-z]))?", " ", name.lower())
-    words = re.sub(r"[_,;/]", " ", _BRACKETS.sub(" ", words))
-    return [unit for w in words.split() if w not in _AMBIGUOUS and (unit := unit_named(w, quantity))]
+def values_of(sheet: Sheet, index: int, most: int | None = None) -> Array:
+    """The numbers of a column, NaN where there is none; of the first lines alone, where so many do."""
+    return np.array([number(row[index], sheet.form.decimal) for row in sheet.rows[:most] if len(row) > index])
 
 
-def _unit_texts(header: Header, index: int) -> list[str]:
-    """What stands behind each number, in the row of units, or in brackets; of moments seconds alone."""
-    if header.moments[index]:
-        return [header.behind[index]]
-    inside = [(a or b).strip() for a, b in _BRACKETS.findall(header.names[index])]
-    return [text for text in (header.behind[index].strip(), header.units[index].strip("()[] "), *inside) if text]
+def _likely_unit(quantity: str, values: Array) -> str:
+    """The unit that numbers are likely to be in; times by the steps between them."""
+    if quantity == "time":
+        return "ms" if np.nanmedian(np.abs(np.diff(values))) > LONGEST_STEP else "s"
+    return next(unit for most, unit in _LIKELY[quantity] if not np.nanmax(np.abs(values)) > most)
 
 
-def _is_foreign(header: Header, index: int, quantity: str) -> bool:
-    """Whether a column's header names a unit of another quantity, and none of this."""
-    texts = _unit_texts(header, index)
-    return not any(unit_named(t, quantity) for t in texts) and any(unit_named(t, q) for t in texts for q in MEASURED)
+def _check_names(sheet: Sheet, header: Header) -> None:
+    """Raise a ValueError about a header of fewer names than there are columns, as nobody knows which are named."""
+    last = max((i for i, name in enumerate(header.names) if name), default=sheet.form.width)
+    if any(sheet.form.numeric[last + 1 :]):
+        raise ValueError(
+            f"{sheet.source}: line {header.line}: must name all {sheet.form.width} columns, got {last + 1} names, "
+            f"{header.shown}: are there decimal commas between commas? If not, --columns tells them by numbers"
+        )
 
 
-def _check_one_header(sheet: Sheet, header: Header) -> None:
-    """Raise a ValueError about a line among the numbers that names columns otherwise than the header."""
+def check_one_header(sheet: Sheet, header: Header, *, least: int = 2) -> None:
+    """Raise a ValueError about a line of words among the numbers that names columns, so many at least, otherwise."""
     known = [_words(header.names), _words(header.units)]
     for place, row in zip(sheet.places, sheet.rows, strict=True):
-        if row and row[0][:1].isalpha() and _words(row) not in known:
-            named = sum(1 for cell in row if any(re.search(pattern, _base(cell)) for pattern in _NAMED.values()))
-            if named >= 2 and not any(map(is_number, row)):
-                raise ValueError(
-                    f"{sheet.source}: line {place}: must not name columns otherwise than line {header.line}, "
-                    f"{header.shown}, got {short(','.join(row))}: are two recordings in one file?"
-                )
+        if not row or not row[0][:1].isalpha() or _words(row) in known or any(map(is_number, row)):
+            continue
+        if sum(any(re.search(pattern, base(cell)) for pattern in NAMES.values()) for cell in row) >= least:
+            raise ValueError(
+                f"{sheet.source}: line {place}: must not name columns otherwise than line {header.line}, "
+                f"{header.shown}, got {short(','.join(row))}: are two recordings or tables in one file?"
+            )
 
 
 def _words(cells: Sequence[str]) -> list[str]:
     """What cells hold, without those that are empty."""
-    return [word for cell in cells if (word := _plain(cell))]
-
-
-def _is_unit_row(row: Row) -> bool:
-    filled = [cell.strip() for cell in row if cell.strip()]
-    return bool(filled) and all(_is_unit(cell) for cell in filled)
-
-
-def _is_unit(cell: str) -> bool:
-    return _BRACKETS.fullmatch(cell) is not None or any(unit_named(cell, quantity) for quantity in MEASURED)
-
-
-def _plain(name: str) -> str:
-    return " ".join(_joined(name).lower().replace("_", " ").split())
-
-
-def _joined(name: str) -> str:
-    """A name or unit, stripped, with `bar(g)` and `kPa (abs)` as one word each."""
-    return _GAUGE_OR_NOT.sub(r"\1", name.strip())
-
-
-def _base(name: str) -> str:
-    """A name without what stands in brackets, in lower case."""
-    return _plain(_BRACKETS.sub(" ", name))
+    return [word for cell in cells if (word := plain(cell))]

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torcharm.characterise.cells import NUMBER, Row, decimal_sign, dress, has_value, is_number, number
+from torcharm.characterise.text_lines import text_lines
 from torcharm.files import StrPath, read_file, without_collection
 
 Array = NDArray[np.float64]
@@ -92,7 +93,7 @@ def read_sheet(path: StrPath) -> Sheet:
         ValueError: it cannot be read, is empty or no text, or holds no lines of numbers.
     """
     source = str(path)
-    lines, ended = _lines(source, read_file(path))
+    lines, ended = text_lines(source, read_file(path))
     if not any(line.strip() for line in lines):
         raise ValueError(f"{source}: is empty, must hold lines of numbers")
     whole = [n for n, line in enumerate(lines, 1) if len(line) <= LONGEST_LINE]
@@ -119,19 +120,36 @@ def read_sheet(path: StrPath) -> Sheet:
     return replace(sheet, cut=_is_cut(sheet, lines[-1]))
 
 
-def numbers(
-    sheet: Sheet, columns: Sequence[int], *, truncated: bool = False, sparse: bool = False
-) -> tuple[Array, list[int], tuple[str, ...]]:
+def check_damage(sheet: Sheet, *, truncated: bool = False) -> None:
+    """Raise a ValueError about a file that is damaged whatever its columns hold: cut short, or with cells lost.
+
+    Args:
+        sheet: of a file.
+        truncated: whether to accept a file that ends within a line.
+    """
+    if sheet.cut and not truncated:
+        raise ValueError(
+            f"{sheet.source}: line {sheet.places[-1]}: must be a whole line of {sheet.form.width} cells, got "
+            f"{short(' '.join(sheet.rows[-1]))}, where the file ends: it is cut short (--truncated leaves the line out)"
+        )
+    width, whole = sheet.form.width, sheet.rows if sheet.cut is False else sheet.rows[:-1]
+    rows = zip(sheet.places, whole, strict=False)
+    lost = [place for place, row in rows if not _is_whole(row, width) and any(map(is_number, row))]
+    _check_few(sheet, [*sheet.damaged, *lost], [k for k, own in enumerate(sheet.form.numeric) if own])
+
+
+def numbers(sheet: Sheet, columns: Sequence[int], *, sparse: bool = False) -> tuple[Array, list[int], tuple[str, ...]]:
     """The numbers (n, k) of some columns, the number of each one's line, and what was left out, in words.
+
+    Lines that are left out are a warning, too: those that are damaged, and the last if it has no end.
 
     Args:
         sheet: of a file.
         columns: which, counted from 0.
-        truncated: whether to accept a file that ends within a line; that line is left out.
         sparse: whether cells may be empty, which become NaN.
 
     Raises:
-        ValueError: the file ends within a line, more lines are damaged than may be left out, or none is left.
+        ValueError: more lines are damaged than may be left out, or none is left.
     """
     rows, places = sheet.rows, sheet.places
     said = ["commas are read as decimal signs"] if sheet.form.decimal == "," else []
@@ -141,15 +159,11 @@ def numbers(
             f"{sheet.source}: commas read as {read}, as in 1,234, but no number tells them from {other}: are they?",
             stacklevel=4,
         )
-    if sheet.cut and not truncated:
-        raise ValueError(
-            f"{sheet.source}: line {places[-1]}: must be a whole line of {sheet.form.width} cells, got "
-            f"{short(' '.join(rows[-1]))}, where the file ends: it is cut short (--truncated leaves the line out)"
-        )
+    left_out = []
     if sheet.cut is not False:
-        said.append(f"line {places[-1]} has no end and may be cut, left out")
+        left_out.append(f"line {places[-1]} has no end and may be cut, left out")
         rows, places = rows[:-1], places[:-1]
-    fits = [len(row) == sheet.form.width or _fits(row, sheet.form.width) for row in rows]
+    fits = [_is_whole(row, sheet.form.width) for row in rows]
     whole = rows if all(fits) else [row if fit else [] for row, fit in zip(rows, fits, strict=True)]
     cells = ([row[k] if k < len(row) else LACKING for row in whole] for k in columns)
     table = np.stack([_values(own, sheet.form.decimal, sparse=sparse) for own in cells], -1)
@@ -161,14 +175,16 @@ def numbers(
         raise ValueError(
             f"{sheet.source}: line {sheet.places[-1]}: is the last line, must be followed by whole lines of numbers"
         )
-    if len(bad) > max(min(FEW, len(rows) / 10), MOST_DAMAGED * len(rows)) or not good.any():
-        raise _too_damaged(sheet, bad or [places[0]], columns)
+    _check_few(sheet, bad, columns, none_left=not good.any())
     if void:
-        said.append(f"{len(void)} line{'s' * (len(void) > 1)} of words or with empty cells passed over")
         words = Counter(c.strip() for k in void if fits[k] for c in _void_cells(rows[k], columns) if c.strip())
-        said[-1] += "".join(f" ({count} with {short(word)})" for word, count in words.most_common(1))
+        held = "".join(f" ({count} with {short(word)})" for word, count in words.most_common(1))
+        left_out.append(f"{_lines([places[k] for k in sorted(void)])} of words or with empty cells passed over{held}")
     if bad:
-        said.append(f"line{'s' * (len(bad) > 1)} {_listed(bad)} damaged, left out")
+        left_out.append(f"{_lines(bad)} damaged, left out")
+    for what in left_out:
+        warnings.warn(f"{sheet.source}: {what}", stacklevel=4)
+    said += left_out
     return table[good], [place for place, fine in zip(places, good.tolist(), strict=True) if fine], tuple(said)
 
 
@@ -196,14 +212,17 @@ def _void_cells(row: Row, columns: Sequence[int]) -> Row:
     return [row[k] for k in columns if not has_value(row[k])]
 
 
-def _too_damaged(sheet: Sheet, bad: Sequence[int], columns: Sequence[int]) -> ValueError:
-    """What is wrong with the first of the lines that hold no numbers where they should."""
+def _check_few(sheet: Sheet, bad: Sequence[int], columns: Sequence[int], *, none_left: bool = False) -> None:
+    """Raise a ValueError about the first of the lines that hold no numbers where they should, if they are many."""
+    if len(bad) <= max(min(FEW, len(sheet.rows) / 10), MOST_DAMAGED * len(sheet.rows)) and not none_left:
+        return
+    bad = bad or sheet.places[:1]
     row = dict(zip(sheet.places, sheet.rows, strict=True)).get(bad[0])
     got = f"more than {LONGEST_LINE} characters" if row is None else short(" ".join(row))
     more = f"; {len(bad)} of {len(sheet.rows)} lines are damaged, too many to leave out" if len(bad) > 1 else ""
     if sheet.form.decimal == "." and any("," in cell and is_number(cell) for cell in row or ()):
         more += "; are there decimal commas beside decimal points?"
-    return ValueError(
+    raise ValueError(
         f"{sheet.source}: line {bad[0]}: must be {sheet.form.width} cells with finite numbers in columns "
         f"{_listed(sorted(column + 1 for column in columns))}, got {got}{more}"
     )
@@ -216,36 +235,6 @@ def short(line: str) -> str:
 
 
 # From bytes to rows
-
-
-def _lines(source: str, data: bytes) -> tuple[list[str], bool]:
-    """A file's lines by any ending, and whether the last one is ended."""
-    wide = _utf16(data)
-    if wide:
-        text = data.decode(wide, errors="replace")
-    elif b"\0" in data:
-        line = data[: data.index(b"\0")].count(b"\n") + 1
-        raise ValueError(f"{source}: line {line}: must be text, as CSV is, got a byte 0, as of a program's own format")
-    else:
-        try:
-            text = data.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            text = data.decode("cp1252", errors="replace")
-    # CR, CR LF and the loggers' CR CR LF end one line each.
-    text = re.sub("\r+\n?", "\n", text) if "\r" in text else text
-    lines = text.split("\n")
-    ended = not lines[-1].strip()
-    return lines[:-1] if lines[-1] == "" else lines, ended
-
-
-def _utf16(data: bytes) -> str:
-    """Which UTF-16 a file is in, by its mark or, without one, by the zeros of plain letters; "" for none."""
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return "utf-16"
-    even, odd = data[:2000:2], data[1:2000:2]
-    if len(odd) > 4 and odd.count(0) > 0.8 * len(odd) and not even.count(0):
-        return "utf-16-le"
-    return "utf-16-be" if len(odd) > 4 and even.count(0) > 0.8 * len(even) and not odd.count(0) else ""
 
 
 def _split(lines: Sequence[str], separator: str) -> list[Row]:
@@ -330,7 +319,7 @@ def _undressed(rows: list[Row], dresses: Sequence[tuple[str, str]]) -> list[Row]
 
 def _is_data(row: Row, form: Form) -> bool:
     """Whether all cells that should do hold numbers, or nothing, and two at least a number."""
-    if len(row) != form.width and not _fits(row, form.width):
+    if not _is_whole(row, form.width):
         return False
     cells = [cell for cell, own in zip(row, form.numeric, strict=False) if own]
     filled = [cell for cell in cells if has_value(cell)]
@@ -343,9 +332,9 @@ def _is_damaged_data(row: Row, width: int) -> bool:
     return len(row) == width and 2 * sum(map(is_number, filled)) >= len(filled) and not _is_words(filled[:1])
 
 
-def _fits(row: Row, width: int) -> bool:
-    """Whether what a line holds beyond its width is words: an event's name, say, but not the next line's numbers."""
-    return len(row) > width and not any(map(is_number, row[width:]))
+def _is_whole(row: Row, width: int) -> bool:
+    """Whether a line has all cells, and beyond them words alone: an event's name, but not the next line's numbers."""
+    return len(row) == width or (len(row) > width and not any(map(is_number, row[width:])))
 
 
 def _is_words(row: Row) -> bool:
@@ -386,6 +375,11 @@ def _is_cut(sheet: Sheet, line: str) -> bool | None:
     if len(decimals) == 1:
         return own not in decimals
     return None if decimals else False
+
+
+def _lines(places: Sequence[int]) -> str:
+    """`line 3`, `lines 3, 5, 9`."""
+    return f"line{'s' * (len(places) > 1)} {_listed(places)}"
 
 
 def _listed(values: Sequence[int]) -> str:

@@ -9,7 +9,7 @@ from torcharm.actuators.measured import Measured
 from torcharm.actuators.protocol import Actuator
 from torcharm.characterise.alignment import Recording, is_table
 from torcharm.characterise.choice import Candidate, forces
-from torcharm.characterise.least_squares import MAD, Array, exponents, least_squares_loss
+from torcharm.characterise.least_squares import MAD, Array, Monomials, exponents, least_squares_loss
 from torcharm.characterise.misfit import USUAL_DEGREE
 
 LOW = 0.9
@@ -24,6 +24,8 @@ WINDOW = 11
 SPIKE, SPIKE_OF_RMSE, SPIKE_OF_FORCE = 10.0, 5.0, 0.02
 """By so many of the usual distances from that median a spike stands out, so many root mean squares of residuals, and so
 much of the largest force."""
+SMOOTH = ((0, 0), *exponents(4))
+"""Powers of strain and pressure in what the numbers of a table are compared to: they are few, and in no order."""
 
 
 def warn_of_doubts(model: Actuator, recording: Recording, compared: Sequence[Candidate] = ()) -> None:
@@ -46,7 +48,7 @@ def _low(recording: Recording, residual: Array) -> str:
     if share <= 1 - LOW:
         return ""
     return (
-        f"R² is {1 - share:.2f}: strain and pressure hardly tell the force; are columns, units, signs, clocks and the "
+        f"R² is {1 - share:.2g}: strain and pressure hardly tell the force; are columns, units, signs, clocks and the "
         "runs' order right?"
     )
 
@@ -77,27 +79,44 @@ def _far_off(recording: Recording, compared: Sequence[Candidate]) -> str:
 
 
 def _spikes(recording: Recording, residual: Array) -> str:
-    """The samples of runs that stand out from those about them."""
-    from scipy.ndimage import median_filter
-
-    if is_table(recording) or len(residual) < WINDOW:
+    """The samples that stand out from those about them."""
+    table = is_table(recording)
+    if len(residual) < (2 * len(SMOOTH) if table else WINDOW):
         return ""
-    runs = [recording.run == run for run in np.unique(recording.run)]
-    out = np.zeros_like(residual)
-    for own in runs:
-        out[own] = residual[own] - median_filter(residual[own], WINDOW, mode="nearest")
+    out = _off_others(recording) if table else _off_neighbours(recording, residual)
     usual = MAD * float(np.median(np.abs(out)))
     rmse = float(np.sqrt((residual**2).mean()))
-    least = max(SPIKE * usual, SPIKE_OF_RMSE * rmse, SPIKE_OF_FORCE * float(np.abs(recording.force).max()))
+    of_rmse = 0.0 if table else SPIKE_OF_RMSE * rmse  # of few numbers one alone makes most of it
+    least = max(SPIKE * usual, of_rmse, SPIKE_OF_FORCE * float(np.abs(recording.force).max()))
     found = np.flatnonzero(np.abs(out) > least)
     if not len(found):
         return ""
     worst = int(found[np.abs(out[found]).argmax()])
     which = "a sample stands" if len(found) == 1 else f"{len(found)} samples stand"
     return (
-        f"{which} out from those before and after, {recording.place(worst)} the most, by {abs(out[worst]):.3g} N "
-        f"(RMSE {rmse:.3g} N): --loss huber bears such"
+        f"{which} out from those about, {recording.place(worst)} the most, by {abs(out[worst]):.3g} N at strain "
+        f"{recording.strain[worst]:.3g} and {recording.pressure[worst]:.4g} kPa (RMSE {rmse:.3g} N): --loss huber "
+        "bears such"
     )
+
+
+def _off_neighbours(recording: Recording, residual: Array) -> Array:
+    """By how much residuals of runs are off the median of those before and after."""
+    from scipy.ndimage import median_filter
+
+    out = np.zeros_like(residual)
+    for own in (recording.run == run for run in np.unique(recording.run)):
+        out[own] = residual[own] - median_filter(residual[own], WINDOW, mode="nearest")
+    return out
+
+
+def _off_others(recording: Recording) -> Array:
+    """By how much each force of a table is off the smooth function that best fits all others."""
+    monomials = Monomials.for_data(SMOOTH, recording.strain, recording.pressure)
+    basis, _ = np.linalg.qr(monomials.values(recording.strain, recording.pressure))
+    own = recording.force - basis @ (basis.T @ recording.force)
+    left: Array = own / np.maximum(1 - (basis**2).sum(1), 1e-3)
+    return left
 
 
 def _beyond(model: Actuator) -> str:

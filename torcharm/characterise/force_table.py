@@ -2,38 +2,39 @@
 
 import re
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from torcharm.characterise.alignment import Recording, noted
-from torcharm.characterise.cells import is_number, number
+from torcharm.characterise.cells import Row, is_number, number
+from torcharm.characterise.column_names import NAMES, is_compressive
 from torcharm.characterise.columns import (
+    Choice,
     Column,
     Columns,
+    check_one_header,
+    choices,
     find_columns,
     has_column,
-    is_compressive,
-    is_sure,
-    named_by,
-    told,
-    units_among_words,
 )
-from torcharm.characterise.delimited import Array, Sheet, numbers, read_sheet, short
-from torcharm.characterise.recordings import POSITIVE, gauge_pressure
+from torcharm.characterise.delimited import Array, Form, Sheet, check_damage, numbers, read_sheet
+from torcharm.characterise.headers import header_of
+from torcharm.characterise.recordings import POSITIVE, ask_if_absolute, gauge_pressure
 from torcharm.characterise.signs import settled
 from torcharm.characterise.stretch import PLAUSIBLE_STRAIN, check_strains, known_signs, strain_scale, stretch_quantity
 from torcharm.files import StrPath
 from torcharm.inputs import check_choice
-from torcharm.units import FORCE, MEASURED, PRESSURE, is_absolute, unit_named
+from torcharm.units import PRESSURE, STRAIN, unit_named
 
 LEADS = ("contraction", "extension", "strain", "pressure")
 """What the first column of a table of forces alone may hold."""
 _HEAD = re.compile(r"\s*([-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*[(\[]?\s*([^\d\s()\[\]]*[^()\[\]]*?)\s*[)\]]?\s*")
-_INSIDE = re.compile(r"([-+]?\d[\d.,]*)\s*([^\W\d_]+)")
+_INSIDE = re.compile(r"(?<!\d_)([-+]?(?<![\d.,])\d[\d.,]*)\s*([^\W\d_]+)")
+_MATLAB = re.compile(r"^x(\d+)_(\d+)")
+"""How Matlab names a column of 0.1 MPa: `x0_1MPa`."""
 _BRACKETS = re.compile(r"[(\[]([^()\[\]]*)[)\]]")
 
 
@@ -53,7 +54,7 @@ def read_table(
     Args:
         path: the file.
         unit: of pressures that the file gives without one.
-        columns: as of `read_tester`, of tables with a column of forces.
+        columns: as of `read_tester`; in a table of forces alone 1 is what its lines are of, 2 what its columns are.
         gauge_length: of the actuator [m], where the table gives extensions.
         positive: whether positive forces "pull" or "push"; None: what samples tell (`signs.positive_forces`), or else
             those of contractions pull and others push.
@@ -69,94 +70,76 @@ def read_table(
     for name, value, allowed in (("unit", unit, PRESSURE), ("positive", positive, POSITIVE)):
         if value is not None:
             check_choice(name, value, allowed)
-    sheet = _headed(read_sheet(path))
-    wide = None if "force" in told(columns) else _columns_of_header(sheet)
-    samples = _long(sheet, unit, columns, gauge_length) if wide is None else _wide(sheet, wide, unit, gauge_length)
-    own = np.isfinite(samples.force)
-    strain, pressure, force = (x[own] for x in (samples.strain, samples.pressure, samples.force))
-    check_strains(sheet.source, strain, samples.stretch)
-    usual = "pull" if samples.stretch.quantity == "contraction" else "push"
-    signs = known_signs(samples.stretch, squeezes=samples.squeezes, positive=positive, usual=usual)
+    sheet, notes = _long(_headed(read_sheet(path)), choices(columns))
+    quantity = stretch_quantity(sheet, columns, gauge_length)
+    defaults = {"strain": "mm/mm", "contraction": "mm/mm"} | ({} if unit is None else {"pressure": unit})
+    found = find_columns(sheet, (quantity, "pressure", "force"), columns, defaults)
+    stretch, pressures, forces = found.values()
+    pressures.check_unit(unit, sheet.source, "--columns")
+    table, line, left_out = numbers(sheet, [column.index for column in found.values()])
+    strain, pressure, force = (table * [column.factor for column in found.values()]).T
+    _check_parts(sheet.source, stretch, strain)
+    pressure, taken_off = gauge_pressure(pressure, sheet.source, pressures)
+    strain = strain_scale(sheet, stretch, gauge_length) * strain
+    check_strains(sheet.source, strain, stretch)
+    usual = "pull" if quantity == "contraction" else "push"
+    signs = known_signs(stretch, squeezes=forces.compressive, positive=positive, usual=usual)
     strain, force, words = settled(signs, strain, pressure, force, sheet.source)
-    lacking = int((~own).sum())
-    notes = (*samples.notes, *([f"{lacking} cell{'s' * (lacking > 1)} without a value left out"] if lacking else []))
-    found = Recording(
-        strain,
-        pressure,
-        force,
-        np.zeros(len(force), np.int64),
-        (Path(sheet.source).name,),
-        (*words, *noted(sheet.source, notes)),
-        samples.line[own],
-    )
-    _warn_of_contradictions(found)
-    return found
+    option = "" if pressures.absolute else f"--columns {pressures.as_absolute}"
+    ask_if_absolute(sheet.source, option, strain, pressure, force, rests=False)
+    guessed = () if stretch.named else (f"names no unit of {quantity}: read as parts of 1",)
+    said = noted(sheet.source, (*notes, *left_out, *guessed, *forces.notes, *taken_off))
+    run, name = np.zeros(len(force), np.int64), Path(sheet.source).name
+    read = Recording(strain, pressure, force, run, (name,), (*words, *said), np.array(line))
+    _ask_about_contradictions(read)
+    return read
 
 
 MOST_WITHOUT_UNIT = {"contraction": 1.0, "strain": PLAUSIBLE_STRAIN[1]}
 """What parts of 1 may reach: nothing contracts to less than no length; larger numbers are percents."""
+ROUNDING = 2e-3
+"""Of the largest force, by how much columns of one heading may differ."""
 CONTRADICTING = 0.02
 """Of the largest force, by how much forces at one strain and pressure may differ: presses and hysteresis do as much."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Samples:
-    """Of a table: n strains, pressures [kPa], forces [N] as it has them, NaN where it has none, and their lines.
-
-    Attributes:
-        stretch: which quantity the strains come from.
-        squeezes: whether forces are named compressive.
-        notes: what was left out or assumed.
-    """
-
-    strain: Array
-    pressure: Array
-    force: Array
-    line: NDArray[np.int64]
-    stretch: Column
-    squeezes: bool
-    notes: Sequence[str]
+def _check_parts(source: str, stretch: Column, strain: Array) -> None:
+    """Raise a ValueError about strains that name no unit and are too large for parts of 1."""
+    most = float(np.abs(strain).max())
+    if not stretch.named and most > MOST_WITHOUT_UNIT.get(stretch.quantity, np.inf):
+        raise ValueError(
+            f"{source}: {stretch.quantity} reaches {most:g} and names no unit, must be a part of 1 or name one: is it "
+            f'in %? --columns "{stretch.quantity}={stretch.index + 1}:%" says so'
+        )
 
 
-def _warn_of_contradictions(table: Recording) -> None:
-    """Warn of the lines that give forces which differ most at one strain and pressure."""
+def _ask_about_contradictions(table: Recording) -> None:
+    """Warn of the lines whose forces differ most at one strain and pressure; refuse columns of one heading that do."""
     _, place = np.unique(np.column_stack((table.strain, table.pressure)).round(9), axis=0, return_inverse=True)
     order = np.lexsort((table.force, place.ravel()))
     group = place.ravel()[order]
     starts = np.flatnonzero(np.diff(group, prepend=-1))
     low, high = order[starts], order[np.append(starts[1:], len(group)) - 1]
-    spread = table.force[high] - table.force[low]
-    off = spread > CONTRADICTING * np.abs(table.force).max()
-    if off.any():
-        worst = int(spread.argmax())
-        a, b = sorted((int(low[worst]), int(high[worst])))
-        warnings.warn(
-            f"{table.sources[0]}: lines {table.line[a]} and {table.line[b]} contradict each other: "  # type: ignore[index]
-            f"{abs(table.force[a]):.4g} and {abs(table.force[b]):.4g} N at strain {table.strain[a]:.3g} and "
-            f"{table.pressure[a]:.4g} kPa; {off.sum()} such in all, whose mean is fitted",
-            stacklevel=3,
-        )
-
-
-def _long(sheet: Sheet, unit: str | None, columns: Columns | None, gauge_length: float | None) -> _Samples:
-    quantity = stretch_quantity(sheet, columns, gauge_length)
-    defaults = {} if unit is None else {"pressure": unit}
-    defaults |= {"strain": "mm/mm", "contraction": "mm/mm"}
-    found = find_columns(sheet, (quantity, "pressure", "force"), columns, defaults)
-    stretch = found[quantity]
-    found["pressure"].check_unit(unit, sheet.source, "--columns")
-    table, line, notes = numbers(sheet, [column.index for column in found.values()])
-    strain, pressure, force = (table * [column.factor for column in found.values()]).T
-    if not stretch.named and np.abs(strain).max() > MOST_WITHOUT_UNIT.get(quantity, np.inf):
+    spread = (table.force[high] - table.force[low]) / np.abs(table.force).max()
+    assert table.line is not None
+    in_line = spread * (table.line[low] == table.line[high])
+    refused = in_line.max() > ROUNDING
+    worst = int((in_line if refused else spread).argmax())
+    if not refused and spread[worst] <= CONTRADICTING:
+        return
+    a, b = sorted((int(low[worst]), int(high[worst])))
+    forces = f"{abs(table.force[a]):.4g} and {abs(table.force[b]):.4g} N"
+    where = f"strain {table.strain[a]:.3g} and {table.pressure[a]:.4g} kPa"
+    if refused:
         raise ValueError(
-            f"{sheet.source}: {quantity} reaches {np.abs(strain).max():g} and names no unit, must be a part of 1 or "
-            f'name one: is it in %? --columns "{quantity}={stretch.index + 1}:%" says so'
+            f"{table.sources[0]}: line {table.line[a]}: must hold one force at {where}, got {forces}: is one heading "
+            "wrong, or are there two tables side by side?"
         )
-    pressure, taken_off = gauge_pressure(pressure, sheet.source, found["pressure"], rests=False)
-    strain = strain_scale(sheet, stretch, gauge_length) * strain
-    notes = notes if stretch.named else (*notes, f"names no unit of {quantity}: read as parts of 1")
-    squeezes = found["force"].compressive
-    return _Samples(strain, pressure, force, np.array(line), stretch, squeezes, (*notes, *taken_off))
+    warnings.warn(
+        f"{table.sources[0]}: lines {table.line[a]} and {table.line[b]} contradict each other: {forces} at {where}; "
+        f"{(spread > CONTRADICTING).sum()} such in all, whose mean is fitted",
+        stacklevel=3,
+    )
 
 
 def _headed(sheet: Sheet) -> Sheet:
@@ -182,6 +165,7 @@ def _columns_of_header(sheet: Sheet) -> list[tuple[float, str]] | None:
 
 def _number_and_unit(cell: str, decimal: str) -> tuple[float, str]:
     """What `2 bar`, `2` and `force at 2 bar [N]` name, with NaN for none."""
+    cell = _MATLAB.sub(r"\1.\2", cell)
     match = _HEAD.fullmatch(cell)
     if match is None:
         inside = [m for m in _INSIDE.finditer(cell) if unit_named(m[2], "pressure")]
@@ -189,70 +173,78 @@ def _number_and_unit(cell: str, decimal: str) -> tuple[float, str]:
     return (np.nan, "") if match is None else (number(match[1], decimal), match[2])
 
 
-def _wide(sheet: Sheet, columns: list[tuple[float, str]], unit: str | None, gauge_length: float | None) -> _Samples:
-    line, row = sheet.above[-1]
-    where = f"{sheet.source}: line {line}"
-    corner = row[0] if _leads(row[0]) else " ".join(cells[0] for _, cells in sheet.above if cells)
-    said = _leads(corner)
-    if not said or (said[0] == "pressure" and len(said) < 2):
+def _long(sheet: Sheet, said: Mapping[str, Choice]) -> tuple[Sheet, tuple[str, ...]]:
+    """The table with a line for each force, in columns of what lines were of, of what columns were of, and of forces.
+
+    A table that is one already stays what it is. Notes say what was left out and assumed.
+    """
+    check_damage(sheet)
+    heads = None if "force" in said else _columns_of_header(sheet)
+    if heads is None:
+        return sheet, ()
+    line = sheet.above[-1][0]
+    check_one_header(sheet, header_of(sheet), least=1)
+    table, places, notes = numbers(sheet, range(sheet.form.width), sparse=True)
+    lacking = int(np.isnan(table[:, 1:]).sum())
+    notes = (*notes, *([f"{lacking} cell{'s' * (lacking > 1)} without a value left out"] if lacking else []))
+    names, unnamed = _names(f"{sheet.source}: line {line}", sheet, heads, said)
+    cells = [
+        (place, [repr(own[0]), repr(head), repr(force)])
+        for place, own in zip(places, table.tolist(), strict=True)
+        for (head, _), force in zip(heads, own[1:], strict=True)
+        if np.isfinite(force)
+    ]
+    form = Form(",", 3, ".", True, (True,) * 3, (("", ""),) * 3)
+    rows, lines = [own for _, own in cells], [place for place, _ in cells]
+    above = ((line, names),)
+    return replace(sheet, above=above, rows=rows, places=lines, form=form, cut=False), (*notes, *unnamed)
+
+
+def _names(
+    where: str, sheet: Sheet, heads: list[tuple[float, str]], said: Mapping[str, Choice]
+) -> tuple[Row, tuple[str, ...]]:
+    """What lines and columns of a table are of, and its forces, with their units; and what was assumed."""
+    row, titles = sheet.above[-1][1], [cell for _, cells in sheet.above[:-1] for cell in cells]
+    text = " ".join([row[0], *titles])
+    marks = sorted((match.start(), q) for q in LEADS if (match := re.search(NAMES[q], text.lower())))
+    told = {choice.column or "1": quantity for quantity, choice in said.items()}
+    start, lead = marks[0] if marks else (0, told.get("1", ""))
+    # One of the two is the pressure.
+    other = next(((at, q) for at, q in marks if (q == "pressure") != (lead == "pressure")), None)
+    if not lead or (lead == "pressure" and not other and "2" not in told and not _are_shares(where, heads)):
         raise ValueError(
             f"{where}: must begin with what the first column holds, and its unit, as in 'contraction [%]' or, with "
-            f"pressures there, 'pressure [bar] / contraction [%]', got {corner!r}"
+            f"pressures there, 'pressure [bar] / contraction [%]', got {row[0]!r}; or --columns says it, as in "
+            f'"contraction={2 if lead else 1}:%"'
         )
-    lead, other = said[0], said[1] if len(said) > 1 else "pressure"
-    units = {text for _, text in columns if text}
+    units = {unit for _, unit in heads if unit}
     if len(units) > 1:
-        raise ValueError(f"{where}: must name one unit of {other}, got {' and '.join(sorted(units))}")
-    again = next((k for k, own in enumerate(sheet.rows) if own and _leads(own[0]) and own != row), None)
-    if again is not None:
-        raise ValueError(
-            f"{sheet.source}: line {sheet.places[again]}: must be forces, got another header than that of line {line}, "
-            f"{short(' '.join(sheet.rows[again]))}: are two tables in one file?"
-        )
-    title = [text for _, cells in sheet.above for cell in cells[cells is row :] for text in _BRACKETS.findall(cell)]
-    inside = [*_BRACKETS.findall(corner), *units_among_words(corner, lead), sheet.form.dress[0][1]]
-    title = [*title, sheet.form.dress[1][1]]
-    table, lines, notes = numbers(sheet, range(sheet.form.width), sparse=True)
-    values = {lead: table[:, 0], other: np.array([value for value, _ in columns])}
-    texts = {lead: inside, other: [*units, *inside, *title]}
-    axes = {quantity: _column(where, quantity, corner, texts[quantity], unit, values[quantity]) for quantity in values}
-    named = next((own for text in title if (own := unit_named(text, "force"))), None)
-    notes = notes if named else (*notes, "names no unit of forces: read in N")
-    scaled = [axes[quantity].factor * values[quantity] for quantity in values]
-    grid = dict(zip(values, np.meshgrid(*scaled, indexing="ij"), strict=True))
-    stretch = axes[lead if lead != "pressure" else other]
-    pressure, taken_off = gauge_pressure(grid["pressure"].ravel(), sheet.source, axes["pressure"], rests=False)
-    return _Samples(
-        strain_scale(sheet, stretch, gauge_length) * grid[stretch.quantity].ravel(),
-        pressure,
-        FORCE[named or "N"] * table[:, 1:].ravel(),
-        np.repeat(lines, len(columns)),
-        stretch,
-        any(is_compressive(cell) for _, cells in sheet.above for cell in cells),
-        (*notes, *taken_off),
+        raise ValueError(f"{where}: must name one unit of its columns, got {' and '.join(sorted(units))}")
+    in_corner = start < len(row[0])
+    end = other[0] if other else len(row[0]) if in_corner else len(text)
+    default = "contraction" if lead == "pressure" else "pressure"
+    before = text[: start * in_corner]
+    before = "" if re.search(NAMES["force"], before.lower()) else before
+    along, across = (
+        re.split(NAMES["force"], own, flags=re.IGNORECASE)[0] for own in (text[start:end], text[end:] * bool(other))
     )
+    across = (_BRACKETS.sub(" ", across) if units else across) or default
+    brackets = [unit for cell in (*titles, row[0]) for unit in _BRACKETS.findall(cell)]
+    unit = next((own for own in (*brackets, sheet.form.dress[1][1]) if unit_named(own, "force")), "")
+    squeezes = "compressive " * any(is_compressive(cell) for cell in (*titles, *row))
+    names = [before + along, across, f"{squeezes}force"]
+    behind = sheet.form.dress[0][1].strip(), *(units or {""}), unit or "N"
+    names = [f"{name} [{own}]" if own else name for name, own in zip(names, behind, strict=True)]
+    return names, () if unit else ("names no unit of forces: read in N",)
 
 
-def _leads(corner: str) -> list[str]:
-    """The quantities that a table's corner names, as they stand."""
-    found = sorted((match.start(), q) for q in LEADS if (match := re.search(named_by(q), corner.lower())))
-    return [quantity for _, quantity in found]
-
-
-def _column(where: str, quantity: str, corner: str, texts: Sequence[str], unit: str | None, values: Array) -> Column:
-    """The unit that texts name for a quantity; parts of 1 for strains that name none and can be such."""
-    text, named = next(((t, own) for t in texts if (own := unit_named(t, quantity))), ("", None))
-    if quantity == "pressure" and unit is not None:
-        if named is not None and PRESSURE[unit] != MEASURED[quantity][named]:
-            raise ValueError(f"unit: must be left out or be {named}, which {where} names, got {unit}")
-        named = unit
-    if named is None and quantity in MOST_WITHOUT_UNIT and np.nanmax(np.abs(values)) <= 1:
-        named = "mm/mm"
-    if named is None:
-        option = "; --unit says it" if quantity == "pressure" else ""
-        raise ValueError(
-            f"{where}: must name the unit of {quantity}, one of {', '.join(MEASURED[quantity])}, in brackets behind "
-            f"its name or behind each number, got none{option}"
+def _are_shares(where: str, heads: list[tuple[float, str]]) -> bool:
+    """Whether columns are of shares, which are taken for contractions then; a warning says so."""
+    shares = all(unit and unit_named(unit, "contraction") in STRAIN for _, unit in heads)
+    if shares:
+        warnings.warn(
+            f"{where}: names nothing that its columns are of: taken for contractions, as of data sheets of muscles; "
+            '--columns "extension=2:%" takes them for extensions',
+            stacklevel=5,
         )
-    absolute = quantity == "pressure" and is_absolute(text)
-    return Column(quantity, 0, named, True, is_compressive(corner), is_sure(quantity, corner), absolute)
+    return shares

@@ -5,7 +5,6 @@ quality and provenance. Floats are written so that they read back exactly: a rou
 """
 
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
 from os import PathLike
@@ -20,7 +19,7 @@ from torcharm.actuators.protocol import Actuator
 from torcharm.actuators.ready import Chamber, ElasticCore
 from torcharm.actuators.shipped import SHIPPED, model_of
 from torcharm.characterise.fit import FittedActuator
-from torcharm.characterise.toml_text import toml_entry, toml_value
+from torcharm.characterise.toml_text import read_toml, toml_entry, toml_value
 from torcharm.files import atomic_write, read_file
 from torcharm.inputs import shown
 
@@ -35,7 +34,10 @@ KINDS: dict[str, Any] = {
     for kind in (PolynomialActuator, FittedActuator, GriddedActuator, Chamber, ElasticCore, *SHIPPED.values())
 }
 BENDINGS: dict[str, type[Any]] = {"linear": LinearBending, "constant": ConstantBending}
-ASSUMED = "# Not measured: neither a tensile test nor a data sheet's table tells it. torcharm fit --bending sets it."
+ASSUMED = (
+    "# The paper's estimate for its own bellows and muscles, assumed: neither a tensile test nor a data sheet's table\n"
+    "# tells that of this actuator. torcharm fit --bending sets it."
+)
 """What a file says above a bending stiffness that was assumed."""
 UNITS = {"strain": "1", "pressure": "kPa", "force": "N", "bending_stiffness": "N·m²"}
 """Units of every model file. A coefficient of ε^i p^j is in N/kPa^j."""
@@ -108,10 +110,7 @@ def load_actuator(path: StrPath) -> Actuator:
         text = read_file(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(f"{source}: must be UTF-8 text, got byte {error.start + 1} that is not") from None
-    try:
-        raw = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
-        raise ValueError(f"{source}: is not valid TOML: {' '.join(str(error).split())}") from None
+    raw = read_toml(text, source)
     lines = text.splitlines()
     if lines and lines[0] == _HEAD and _END not in lines:
         raise ValueError(

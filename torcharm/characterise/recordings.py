@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from torcharm.characterise.cells import number
-from torcharm.characterise.columns import Column, Columns, find_columns, header_of, told
-from torcharm.characterise.delimited import Sheet, numbers, read_sheet
+from torcharm.characterise.columns import Column, Columns, find_columns, told, values_of
+from torcharm.characterise.delimited import Sheet, check_damage, numbers, read_sheet
+from torcharm.characterise.headers import header_of
 from torcharm.characterise.signs import PLAIN, Signs
 from torcharm.characterise.stretch import (
     check_gauge_length,
@@ -40,7 +40,9 @@ Lines = NDArray[np.int64] | None
 PLAUSIBLE_PRESSURE = (20.0, 1000.0)
 """Between these [kPa] lies the highest pressure of a recording, or its unit is doubted."""
 ATMOSPHERE = (80.0, 108.0)
-"""Between these [kPa] lies the pressure of the surroundings: a log that rests there is absolute."""
+"""Between these [kPa] lies the pressure of the surroundings: a log that is never below is perhaps absolute."""
+NEAR_REST, NO_FORCE = 0.02, 0.1
+"""Strains, and shares of pressures' range, that are those at rest; of the largest force, what share is none."""
 BACKWARD_STEPS = 3.0
 """By how many usual steps a clock may go back and still be averaged; beyond, samples are out of order."""
 MOST_BACKWARD = 0.05
@@ -89,12 +91,14 @@ class PressureRecord:
         pressure: (n) gauge pressure [kPa].
         source: the file.
         notes: what was left out, averaged or assumed.
+        as_absolute: the option that says that the file's pressures count from none; "" where that is known.
     """
 
     time: Float[Floats, " n"]
     pressure: Float[Floats, " n"]
     source: str
     notes: tuple[str, ...] = ()
+    as_absolute: str = ""
 
 
 def read_tester(
@@ -178,11 +182,12 @@ def as_tester_record(
     """`read_tester` of a file that is read."""
     if positive is not None:
         check_choice("positive", positive, POSITIVE)
+    check_damage(sheet, truncated=truncated)
     stretch = stretch_quantity(sheet, columns, gauge_length)
     found = find_columns(sheet, ("time", "force", stretch), columns, _clock_unit(sheet, columns))
     scale = strain_scale(sheet, found[stretch], gauge_length)
     found |= own_strains(sheet, stretch, columns, gauge_length)
-    table, line, notes = _in_time(sheet, found, truncated=truncated)
+    table, line, notes = _in_time(sheet, found)
     if gauge_length is not None and "strain" in found:
         check_gauge_length(sheet.source, table[stretch], table["strain"], gauge_length)
     strain = table[stretch] * scale
@@ -210,6 +215,7 @@ def as_pressure_record(
     """
     if unit is not None:
         check_choice("unit", unit, PRESSURE)
+    check_damage(sheet, truncated=truncated)
     numeric = [place for place, own in enumerate(sheet.form.numeric, 1) if own]
     if not told(columns) and not sheet.above and len(numeric) == 2:
         columns = {"time": numeric[0], "pressure": numeric[1]}
@@ -218,8 +224,8 @@ def as_pressure_record(
     found = find_columns(sheet, ("time", "pressure"), columns, defaults, option)
     pressure = found["pressure"]
     pressure.check_unit(unit, sheet.source, option)
-    table, _, notes = _in_time(sheet, found, truncated=truncated)
-    table["pressure"], taken_off = gauge_pressure(table["pressure"], sheet.source, pressure, rests=True)
+    table, _, notes = _in_time(sheet, found)
+    table["pressure"], taken_off = gauge_pressure(table["pressure"], sheet.source, pressure)
     notes = (*notes, *taken_off)
     if not sheet.closing and len(found) == sheet.form.width:
         notes = (*notes, "has no closing line, taken as whole")
@@ -231,26 +237,42 @@ def as_pressure_record(
             f"to {low:g} to {high:g} kPa: is the unit right?",
             stacklevel=3,
         )
-    return PressureRecord(table["time"], table["pressure"], sheet.source, notes)
+    as_absolute = "" if pressure.absolute else f"{option} {pressure.as_absolute}"
+    return PressureRecord(table["time"], table["pressure"], sheet.source, notes, as_absolute)
 
 
-def gauge_pressure(pressure: Array, source: str, column: Column, *, rests: bool) -> tuple[Array, tuple[str, ...]]:
-    """Pressures above that of the surroundings [kPa], and what was assumed for it; a warning, too.
-
-    Pressures of a run rest at that of the surroundings; those of a data sheet's table may begin at any.
-    """
+def gauge_pressure(pressure: Array, source: str, column: Column) -> tuple[Array, tuple[str, ...]]:
+    """Pressures above that of the surroundings [kPa], and what was assumed for it; a warning, too."""
     if not column.absolute:
-        if rests and ATMOSPHERE[0] <= pressure.min() <= ATMOSPHERE[1]:
-            warnings.warn(
-                f"{source}: pressures are never below {pressure.min():.4g} kPa: are they absolute? A unit such as "
-                f"{column.unit} abs says so, in the file or by --columns (or --pressure-columns) "
-                f'"pressure={column.index + 1}:{column.unit} abs"',
-                stacklevel=4,
-            )
         return pressure, ()
     note = f"pressures are absolute: {SURROUNDINGS:g} kPa of the surroundings taken off, assumed"
     warnings.warn(f"{source}: {note}", stacklevel=4)
     return pressure - SURROUNDINGS, (note,)
+
+
+def ask_if_absolute(
+    source: str, option: str, strain: Array, pressure: Array, force: Array, *, rests: bool = True
+) -> None:
+    """Warn where pressures are never below that of the surroundings, unless forces tell that this is a pressure.
+
+    At its own length an actuator has a force if it is under pressure, and none at that of the surroundings.
+
+    Args:
+        source: the file.
+        option: what says that its pressures are absolute; "" where that is known.
+        strain, pressure [kPa], force: (n).
+        rests: whether it is asked where forces tell nothing: runs rest at some time, tables may begin at any pressure.
+    """
+    low = float(pressure.min())
+    if not option or not ATMOSPHERE[0] <= low <= ATMOSPHERE[1]:
+        return
+    at_rest = (np.abs(strain) <= NEAR_REST) & (pressure <= low + NEAR_REST * np.ptp(pressure))
+    none = bool(at_rest.any()) and float(np.abs(force[at_rest]).mean()) < NO_FORCE * float(np.abs(force).max())
+    if none or (rests and not at_rest.any()):
+        why = ", where the actuator has no force" if none else ""
+        warnings.warn(
+            f"{source}: pressures are never below {low:.4g} kPa{why}: are they absolute? {option} says so", stacklevel=4
+        )
 
 
 def _clock_unit(sheet: Sheet, columns: Columns | None) -> dict[str, str]:
@@ -259,25 +281,20 @@ def _clock_unit(sheet: Sheet, columns: Columns | None) -> dict[str, str]:
         found = find_columns(sheet, ("time",), columns, CLOCK)
     except ValueError:  # is told when all columns are looked for
         return {}
-    first = _first_number(sheet, found["time"])
-    sizes = {"s": 1.0, "ms": 1e3, "µs": 1e6}
+    first = next(filter(np.isfinite, values_of(sheet, found["time"].index, 50)), np.nan)
+    sizes = {"s": 1.0, "ms": 1e3, "µs": 1e6, "ns": 1e9}
     return next(({"time": unit} for unit, size in sizes.items() if EPOCH[0] <= first / size <= EPOCH[1]), {})
 
 
-def _first_number(sheet: Sheet, column: Column) -> float:
-    """The first number of a column; NaN without one."""
-    values = (number(row[column.index], sheet.form.decimal) for row in sheet.rows[:50] if len(row) > column.index)
-    return next((value for value in values if np.isfinite(value)), np.nan)
-
-
 def _in_time(
-    sheet: Sheet, columns: Mapping[str, Column], *, truncated: bool
+    sheet: Sheet, columns: Mapping[str, Column]
 ) -> tuple[dict[str, Array], NDArray[np.int64], tuple[str, ...]]:
     """Columns in torcharm's units, time in ms strictly increasing, their lines, and what was done to get there."""
-    table, places, notes = numbers(sheet, [column.index for column in columns.values()], truncated=truncated)
+    table, places, notes = numbers(sheet, [column.index for column in columns.values()])
     table = table * [column.factor for column in columns.values()]
     guessed = [f"{c.quantity} in {c.unit}" for c in columns.values() if not c.named]
     notes = (*notes, *([f"names no unit: read {' and '.join(guessed)}"] if guessed else []))
+    notes = (*notes, *(note for column in columns.values() for note in column.notes))
     order = list(columns).index("time")
     steps = np.diff(table[:, order])
     if not (steps <= 0).any():

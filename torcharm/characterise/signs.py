@@ -64,11 +64,13 @@ class Signs:
         positive: what positive forces do, "pull" or "push".
         known: how that is known: `SAID`, `NAMED` or `ASSUMED`.
         longer: whether positive strains are surely longer: their column's name, or strains below 0, say so.
+        shortening: how a person says that they are shorter.
     """
 
     positive: str = "pull"
     known: str = SAID
     longer: bool = True
+    shortening: str = ""
 
 
 PLAIN = Signs()
@@ -106,7 +108,7 @@ def settled(
         if not signs.longer and _pulls(strain, pressure, -force if way == "pull" else force):
             words += (
                 "; so pressure makes it pull, as a muscle does; of a bellows whose strains count compression: "
-                "--columns contraction=1:%"
+                f"--columns {signs.shortening}"
             )
     elif told == other[way] and not shorter:
         less = "pulls less the more it is stretched" if way == "pull" else "pushes less the more it is squeezed"

@@ -4,8 +4,9 @@ import warnings
 
 import numpy as np
 
-from torcharm.characterise.columns import Column, Columns, find_columns, has_column, header_of, told
+from torcharm.characterise.columns import Column, Columns, example, find_columns, has_column, told
 from torcharm.characterise.delimited import Array, Sheet
+from torcharm.characterise.headers import header_of
 from torcharm.characterise.signs import ASSUMED, NAMED, SAID, Signs
 from torcharm.inputs import check_number
 from torcharm.units import LENGTH
@@ -43,7 +44,8 @@ def stretch_quantity(sheet: Sheet, columns: Columns | None, gauge_length: float 
         header = header_of(sheet)
         raise ValueError(
             f"{sheet.source}: line {header.line}: must name one column of strain, contraction or extension, got "
-            f'{header.none}; --columns says which, as in "extension=2:mm" or "contraction=2:%"'
+            f'{header.none}; --columns says which, as in "{example(sheet, ("extension",), columns)}" or '
+            f'"{example(sheet, ("contraction",), columns)}"'
         )
     return found[0]
 
@@ -122,6 +124,7 @@ def check_strains(source: str, strain: Array, stretch: Column) -> None:
 
 def known_signs(stretch: Column, *, squeezes: bool, positive: str | None, usual: str) -> Signs:
     """What a person and the names of columns tell of signs, squeezing forces' among them; else forces do the usual."""
+    shortening = f"contraction={stretch.index + 1}:{stretch.unit}"
     if positive is None and not squeezes:
-        return Signs(usual, ASSUMED, stretch.sure)
-    return Signs(positive or "push", SAID if positive else NAMED, stretch.sure)
+        return Signs(usual, ASSUMED, stretch.sure, shortening)
+    return Signs(positive or "push", SAID if positive else NAMED, stretch.sure, shortening)

@@ -175,8 +175,8 @@ def _legend(plan: "Study", results: Sequence["StudyResult"], sums: bool) -> Iter
 
 
 def _sums(plan: "Study") -> str:
-    from torcharm.study.words import as_one_distance
+    from torcharm.wrench_sets.node_distances import counted
 
     settings = plan.settings
     what = "squared distances" if settings.power == 2 else "distances"
-    return f"{what} from attainable wrenches, {as_one_distance(plan.settings)}"
+    return f"{what} from attainable wrenches, {counted(plan.settings.weights)}"

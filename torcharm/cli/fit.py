@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from torcharm.actuators import Actuator
     from torcharm.characterise.alignment import Recording
     from torcharm.characterise.choice import Candidate
+    from torcharm.characterise.delimited import Sheet
     from torcharm.characterise.recordings import PressureRecord, TesterRecord
 
 KINDS = ("best", "polynomial", "mckibben", "gridded")
@@ -136,13 +137,14 @@ def fit(
 
         given = _Runs(instron or [], pressure or [], offset or [], find_offset)
         given.check(table, out)
+        sheets = given.read(table, truncated=truncated)
         of_runs = {"--actuators": actuators, "--smoothing": smoothing, "--offset": offset, "--find-offset": find_offset}
         of_runs |= {"--max-gap": max_gap, "--truncated": truncated or None}
         _check_needed(of_runs if table else {}, "a --table")
         _check_needed({} if pressure else {"--pressure-columns": pressure_columns}, "no --pressure")
         reading = _Reading(columns, pressure_columns, _length(gauge_length), positive, unit, truncated=truncated)
         alignment = {"actuators": 1 if actuators is None else actuators, "smoothing": smoothing, "max_gap": max_gap}
-        recording = reading.table(table) if table else reading.runs(given, degree, alignment)
+        recording = reading.table(table) if table else reading.runs(sheets, given, degree, alignment)
         recording = by_depth(recording) if vacuum else recording
         options = {"loss": loss, "monotonic": monotonic, "max_pressure": max_pressure, "bending_stiffness": bending}
         compared, found = _fitted(recording, model or ("best" if table else "polynomial"), degree, options)
@@ -203,12 +205,20 @@ class _Runs:
                 f"--offset: must be given once, or once for each of {len(self.testers)} runs, got {len(self.offsets)}"
             )
 
-    def each(self) -> Iterator[tuple[Path, Path | None, float | None]]:
-        """Of each run the tester's file, the log's, if it is another one, and the offset [ms], if one is said."""
+    def read(self, table: Path | None, *, truncated: bool) -> "list[tuple[Sheet, Sheet | None]]":
+        """Of each run the tester's file and the log's, if it is another one: damage is told before all else."""
+        from torcharm.characterise.delimited import check_damage, read_sheet
+
+        sheets = [read_sheet(path) for path in (*self.testers, *self.logs, *([table] if table else []))]
+        for sheet in sheets:
+            check_damage(sheet, truncated=truncated)
+        logs: list[Sheet | None] = [*sheets[len(self.testers) :]]
+        return list(zip(sheets, logs if self.logs else [None] * len(self.testers), strict=False))
+
+    def each_offset(self) -> list[float | None]:
+        """Of each run the offset [ms], if one is said."""
         offsets: list[float | None] = [*self.offsets] or [None]
-        offsets = offsets * len(self.testers) if len(offsets) == 1 else offsets
-        logs: list[Path | None] = [*self.logs] or [None] * len(self.testers)
-        yield from zip(self.testers, logs, offsets, strict=True)
+        return offsets * len(self.testers) if len(offsets) == 1 else offsets
 
 
 @dataclass(frozen=True)
@@ -229,14 +239,16 @@ class _Reading:
         options: dict[str, Any] = {"columns": self.columns, "gauge_length": self.gauge_length}
         return read_table(path, self.unit, positive=self.positive, **options)
 
-    def runs(self, given: _Runs, degree: int, options: dict[str, Any]) -> "Recording":
+    def runs(
+        self, sheets: "list[tuple[Sheet, Sheet | None]]", given: _Runs, degree: int, options: dict[str, Any]
+    ) -> "Recording":
         """The samples of all runs, pressures on the tester's clock."""
         from torcharm.characterise.alignment import align, pool
         from torcharm.characterise.offset import estimate_offset
 
         runs = []
-        for tester_path, log_path, shift in given.each():
-            tester, log = self.run(tester_path, log_path)
+        for pair, shift in zip(sheets, given.each_offset(), strict=True):
+            tester, log = self.run(*pair)
             if given.search is None:
                 runs.append(align(tester, log, offset=shift, **options))
                 continue
@@ -247,26 +259,24 @@ class _Reading:
             runs.append(replace(run, settings=(*run.settings, ("certainty of the offset", found.words))))
         return pool(runs)
 
-    def run(self, path: Path, log: Path | None) -> tuple["TesterRecord", "PressureRecord"]:
+    def run(self, sheet: "Sheet", log: "Sheet | None") -> tuple["TesterRecord", "PressureRecord"]:
         """What the tester and the logger wrote."""
-        from torcharm.characterise.columns import has_column
-        from torcharm.characterise.delimited import read_sheet
+        from torcharm.characterise.columns import example, has_column
         from torcharm.characterise.recordings import as_pressure_record, as_tester_record
 
-        sheet = read_sheet(path)
         tester = as_tester_record(
             sheet, self.columns, self.gauge_length, positive=self.positive, truncated=self.truncated
         )
         if log is not None:
             own = as_pressure_record(
-                read_sheet(log), self.unit, self.log_columns, truncated=self.truncated, option="--pressure-columns"
+                log, self.unit, self.log_columns, truncated=self.truncated, option="--pressure-columns"
             )
         elif has_column(sheet, "pressure", self.columns):
             own = as_pressure_record(sheet, self.unit, self.columns, truncated=self.truncated, alone=False)
         else:
             raise ValueError(
-                f"--pressure: is missing, as {path} names no column of pressure; must be its log, or --columns names "
-                "one, as in pressure=6:bar"
+                f"--pressure: is missing, as {sheet.source} names no column of pressure; must be its log, or --columns "
+                f'names one, as in "{example(sheet, ("pressure",), self.columns)}"'
             )
         return tester, own
 

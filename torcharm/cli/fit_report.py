@@ -93,8 +93,8 @@ def _limits(model: "Actuator") -> Iterator[str]:
     yield f"Highest pressure in use: {model.max_pressure:.1f} kPa"
     if getattr(model.bending_stiffness, "assumed", False):
         yield (
-            f"Bending stiffness: {model.bending_stiffness.stiffness:.3g} N·m², the paper's, is assumed: such data do "  # type: ignore[union-attr]
-            "not tell it; --bending sets it"
+            f"Bending stiffness: {model.bending_stiffness.stiffness:.3g} N·m², which the paper estimated for its own "  # type: ignore[union-attr]
+            "bellows and muscles, is assumed: such data do not tell this actuator's; --bending sets it"
         )
 
 

@@ -8,7 +8,8 @@ from torcharm.inputs import three_digits
 from torcharm.page.answers import Answer
 from torcharm.page.scene import BLACK, COLOURS, VERMILLION
 from torcharm.study import Settings
-from torcharm.study.words import CHANGE, HELD_OUTSIDE, as_one_distance
+from torcharm.study.words import CHANGE, HELD_OUTSIDE
+from torcharm.wrench_sets.node_distances import counted
 
 MEANINGS = {
     "held": "within the tolerance, and stable",
@@ -93,7 +94,7 @@ def explanation(settings: Settings) -> str:
         f'<div style="{TOP}">'
         "<div>Grey shade and black line: the shape that is asked for. Actuators and nodes count from 1.</div>"
         "<div>Margin: how far inside of what pressures can give a node lies what it needs at that shape; below 0 it "
-        f"lacks that much, force and moment together, {escape(as_one_distance(settings))}.</div></div>"
+        f"lacks that much, force and moment together, {escape(counted(settings.weights))}.</div></div>"
     )
 
 

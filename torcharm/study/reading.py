@@ -1,6 +1,5 @@
 """From the text of a study file to designs and tasks, and how they fit together."""
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib import resources
@@ -11,6 +10,7 @@ from pydantic import ValidationError
 
 from torcharm.attainability import CHOICES, PoseTolerance, check_measure
 from torcharm.attainability.questions import LONGEST, WIDEST, question_about_lengths
+from torcharm.characterise.toml_text import read_toml
 from torcharm.design.objective import Objective
 from torcharm.design.robust import Robust
 from torcharm.design.scatter import FIELDS, Scatter
@@ -69,13 +69,9 @@ def parse_study(text: str, source: str = "study", folder: str | PathLike[str] = 
         ValueError: as for `load_study`.
     """
     try:
-        raw = tomllib.loads(text)
-    except RecursionError:
-        raise ValueError(one_line(f"{source}: is not valid TOML: nested too deeply")) from None
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(one_line(f"{source}: is not valid TOML: {error}")) from None
-    except ValueError:  # from Python, which reads no integer of more than 4300 digits
-        raise ValueError(one_line(f"{source}: holds a number of too many digits")) from None
+        raw = read_toml(text, source)
+    except ValueError as error:
+        raise ValueError(one_line(str(error))) from None
     try:
         table = StudyTable.model_validate(raw)
     except ValidationError as error:

@@ -9,7 +9,7 @@ from pydantic import Discriminator, Field, Tag
 from torcharm.attainability.questions import question_about_pose
 from torcharm.inputs import hint
 from torcharm.study.fields import Check, by_list, either, entries, refuse, shown_value
-from torcharm.units import ANGLE, AREA, FORCE, LENGTH, MASS, MOMENT, PRESSURE, SHARE
+from torcharm.units import ANGLE, AREA, FORCE, LENGTH, MASS, MOMENT, PRESSURE, SHARE, micro
 
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)\s*")
 
@@ -19,10 +19,10 @@ def parsed(value: Any, units: dict[str, float]) -> Any:
     if not isinstance(value, str):
         return value
     found = _NUMBER.fullmatch(value)
-    if found is None or found[2] not in units:
+    if found is None or micro(found[2]) not in units:
         near = "" if found is None else _near_unit(found[2], units)
         raise refuse(f"must be {_in_unit_words(units)}, got {shown_value(value)}{near}")
-    return float(found[1]) * units[found[2]]
+    return float(found[1]) * units[micro(found[2])]
 
 
 def _near_unit(text: str, units: dict[str, float]) -> str:

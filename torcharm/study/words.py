@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 
 from torcharm.study.data import Settings
 from torcharm.study.results import StudyResult, Summary
+from torcharm.wrench_sets.node_distances import counted
 
 MEANINGS = {
     "missed": "the least error that was found is beyond that",
@@ -45,19 +46,13 @@ def verdict_legend(settings: Settings, results: Sequence[StudyResult]) -> Iterat
 
 def worst_node_legend(settings: Settings) -> str:
     """What the worst node is, in a line."""
-    counted = as_one_distance(settings)
-    return f"worst node: lacks most, on average, of the wrench that it needs, {counted}; 1 is the base."
-
-
-def as_one_distance(settings: Settings) -> str:
-    """How forces and moments are one distance."""
-    force, moment = settings.weights
-    return "1 N·m as 1 N" if force == moment == 1 else f"{force:g} f² + {moment:g} m²"
+    how = counted(settings.weights)
+    return f"worst node: lacks most, on average, of the wrench that it needs, {how}; 1 is the base."
 
 
 def weighing_legend(settings: Settings) -> str:
     """How moments come into newtons, in a line."""
-    return f"{as_one_distance(settings)}: so do moments count beside forces in what nodes lack, and in margins."
+    return f"{counted(settings.weights)}: so do moments count beside forces in what nodes lack, and in margins."
 
 
 def next_commands(study: str, results: Sequence[StudyResult]) -> Iterator[tuple[str, str]]:

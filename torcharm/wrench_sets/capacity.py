@@ -34,6 +34,7 @@ from torcharm.wrench_sets.node_distances import (
     SetOptions,
     any_sampled,
     default_chunk,
+    lack_in_words,
     node_distances,
     possible_sections,
     strain_excess,
@@ -110,8 +111,8 @@ class LoadCapacity(HoldsTensors):
     def reason(self) -> str | NDArray[Any]:
         """Why there is no factor, in a sentence for each; else empty.
 
-        It tells the node, counted from 1 at the base, that lacks most of what the payload as it is requires, with 1 N·m
-        as 1 N.
+        It tells the node, counted from 1 at the base, that lacks most of what the payload as it is requires, N·m
+        counted as N.
         """
         batch = self.attainable.shape
         found = np.full(tuple(batch), "", dtype=object)
@@ -122,8 +123,8 @@ class LoadCapacity(HoldsTensors):
             most, node = (value.expand(batch).numpy(force=True) for value in grid.unflatten(miss).max(-1))
             lost = self.impossible.numpy(force=True)
             for index in map(tuple, np.argwhere(~self.attainable.numpy(force=True))):
-                change = " of change from the base" if self.metric == "relative" else ""
-                lacking = f"node {node[index] + 1} lacks {most[index]:.3g} N (1 N·m as 1 N){change}"
+                size, where = float(most[index]), int(node[index])
+                lacking = lack_in_words(where, size, (1.0, 1.0), relative=self.metric == "relative")
                 found[index] = IMPOSSIBLE if lost[index] else INEXACT.format(lacking)
         return str(found[()]) if not batch else found.astype(str)
 

@@ -27,6 +27,19 @@ VERTEX_CHUNK_NUMBERS = 2_000_000
 """The same where sets are given by vertices: what is worked out of these at once must be worth a call."""
 
 
+def counted(weights: tuple[float, float]) -> str:
+    """How forces and moments are one distance, by the weights of their squares."""
+    force, moment = weights
+    return "N·m counted as N" if force == moment == 1 else f"squared: {force:g} f² + {moment:g} m²"
+
+
+def lack_in_words(node: int, lack: float, weights: tuple[float, float], *, relative: bool) -> str:
+    """What a node, from 0, lacks of what it needs, or of its difference from what the base needs."""
+    unit = " N" if weights == (1.0, 1.0) else ""
+    what = f"{'change from the base in ' if relative else ''}force and moment"
+    return f"node {node + 1} lacks {lack:.3g}{unit} of {what} ({counted(weights)})"
+
+
 @dataclass(frozen=True)
 class SetOptions:
     """Which distances to measure, and how.
