@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries
+from torcharm.arm_series import rebuilt, with_slices
 from torcharm.design.space import Arm, Array, DesignSpace, FreeValues, free_values, given_values, one_of_batch
 from torcharm.statics.balance import segments_of
 from torcharm.task import Task
@@ -142,11 +142,10 @@ class FeasibleDesigns:
     @property
     def order(self) -> tuple[tuple[int, ...], ...]:
         """For each segment of a planar arm its actuators from right to left, as they stay; nothing in space."""
-        found, first = [], 0
-        for segment in segments_of(self.arm)[0]:
-            found.append(tuple(first + index for index in _order(segment)))
-            first += segment.actuator_count
-        return tuple(found) if self.arm.dimension == 2 else ()
+        if self.arm.dimension == 3:
+            return ()
+        slices = with_slices(segments_of(self.arm)[0])
+        return tuple(tuple(own.start + index for index in _order(segment)) for segment, own in slices)
 
     @property
     def names(self) -> list[str]:
@@ -282,7 +281,7 @@ class FeasibleDesigns:
 
 def designs_at(arm: Arm, free: FreeValues, point: Tensor | Array) -> Arm:
     """Designs like an arm, of batch shape (...), from free values (..., F), differentiable in tensors."""
-    segments, links = segments_of(arm)
+    segments = segments_of(arm)[0]
     at = torch.as_tensor(point)
     spread, base = (torch.from_numpy(value) for value in (free.spread, free.base))
     values = ((spread @ at[..., None, :, None]).squeeze(-1) + base).to(segments[0].radii)
@@ -293,7 +292,7 @@ def designs_at(arm: Arm, free: FreeValues, point: Tensor | Array) -> Arm:
             made.append(segment.with_values(radius, length, limit))
         else:
             made.append(segment.with_values(radius * angle.cos(), length, limit, radius * angle.sin()))
-    return made[0] if isinstance(arm, ArmDesign) else ArmSeries(tuple(made), links)
+    return rebuilt(arm, made)
 
 
 def feasible_designs(space: DesignSpace, arm: Arm, tasks: Sequence[Task]) -> FeasibleDesigns:

@@ -1,6 +1,7 @@
 """What the pictures share: styles, axes, and the choice of one design and of tasks on one shape."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import prod
 from typing import Any
 
@@ -13,7 +14,6 @@ from torch import Tensor
 from torcharm.actuators import Actuator, model_name
 from torcharm.design.space import Arm, one_of_batch
 from torcharm.inputs import check_count
-from torcharm.load import ExternalLoad, PointLoad
 from torcharm.task import Task
 
 Array = NDArray[np.float64]
@@ -68,22 +68,10 @@ def one_design(field: str, arm: Any, task: Task) -> Arm:
     return one_of_batch(arm, 0)
 
 
-def pick(task: Task, index: int | Sequence[int]) -> Task:
-    """One task of the flattened batch, or several that share a shape as that shape under several loads."""
-    batch = task.batch_shape
-
-    def own(value: Tensor, dims: int) -> Tensor:
-        shape = value.shape[value.ndim - dims :]
-        return value.detach().expand((*batch, *shape)).reshape((-1, *shape))[index]
-
-    points = []
-    for point in task.load.points:
-        wrench = None if point.wrench is None else own(point.wrench, 1)
-        points.append(PointLoad(wrench, point.segment, point.at, point.frame, own(point.mass, 0)))
-    load = ExternalLoad(None if task.load.tip is None else own(task.load.tip, 1), task.load.gravity, points)
-    twists = own(task.twists, 2)
-    first = twists if twists.ndim == 2 else twists[0]
-    return Task(first, None, task.base_pose, load, task.wrench_at, task.segment_nodes)
+def under_loads(task: Task, indices: Sequence[int]) -> Task:
+    """Some tasks of the flattened batch that share a shape, as that shape under several loads."""
+    chosen = task.part(indices)
+    return replace(chosen, twists=chosen.twists[0])
 
 
 def like_shape(task: Task, index: int) -> Mask:
@@ -104,7 +92,7 @@ def one_shape(task: Task, loads: Sequence[int] | None = None) -> Task:
     chosen = list(range(len(same)) if loads is None else loads)
     if not chosen or not set(chosen) <= set(range(len(same))):
         raise ValueError(f"loads: must be one or more integers from 0 to {len(same) - 1}, got {chosen!r:.60}")
-    return pick(task, chosen)
+    return under_loads(task, chosen)
 
 
 def node_index(task: Task, node: int | Tensor) -> int:

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torcharm.actuators import model_name
 from torcharm.arm import ArmDesign
+from torcharm.arm_series import with_slices
 from torcharm.attainability import Attainability
 from torcharm.design.space import Arm
 from torcharm.inputs import three_digits
@@ -119,11 +120,10 @@ def draw_arm(axes: Any, arm: Arm, task: Task, reached: Tensor | None = None, sca
     wide = max(float(np.linalg.norm(array(segment.offsets), axis=-1).max()) for segment in segments)
     half = 1.25 * max(wide, 0.01)
     draw_plate(axes, at.segments[0][0], half, "base")
-    styles, first = kind_styles(arm.actuators), 1
-    for segment, line in zip(segments, at.segments, strict=True):
+    styles = kind_styles(arm.actuators)
+    for (segment, own), line in zip(with_slices(segments), at.segments, strict=True):
         _draw_actuators(axes, segment, line, styles, 0.8 if reached is None else 0.3)
-        _number_actuators(axes, segment, line, first)
-        first += segment.actuator_count
+        _number_actuators(axes, segment, line, own.start + 1)
     kinds = list(map(model_name, arm.actuators))
     for kind, (colour, width) in styles.items():
         axes.plot([], [], color=colour, linewidth=1.3 * width, label=f"{kind} ({kinds.count(kind)})")

@@ -15,7 +15,7 @@ from torcharm.design.shape_planning import PlannedShape
 from torcharm.design.space import Arm
 from torcharm.inputs import TensorLike, three_digits
 from torcharm.load import ExternalLoad
-from torcharm.plot._common import PLAIN, Array, array, median_place, one_design, pick, projection_of, ranked_places
+from torcharm.plot._common import PLAIN, Array, array, median_place, one_design, projection_of, ranked_places
 from torcharm.plot._shapes import in_space, why_impossible
 from torcharm.plot.arms import (
     PLATE,
@@ -70,7 +70,7 @@ def search_figure(
     ranks = RANKS[: max(1, *(int(np.isfinite(error).sum()) for error in errors))]
     drawn = [_ranked_loads(error, len(ranks)) for error in errors]
     pairs = [(arm, load) for arm, row in zip(arms, drawn, strict=True) for load in row.values()]
-    scale = max((arrow_scale(arm, pick(task, load)) for arm, load in pairs), default=0.0)
+    scale = max((arrow_scale(arm, task.part(load)) for arm, load in pairs), default=0.0)
     figure = Figure(layout="constrained", dpi=130)
     figure.suptitle(f"{task_name}: how near the best pressures bring the tip", fontweight="bold", **PLAIN)
     grid = _panels(figure, len(results), len(ranks), task)
@@ -81,14 +81,14 @@ def search_figure(
         for axes in row[len(chosen) :]:
             axes.set_axis_off()
         for axes, (rank, load) in zip(row, chosen.items(), strict=False):
-            at = pick(task, load)
+            at = task.part(load)
             draw_arm(axes, arm, at, twists[load], scale)
             off = f"tip off by {three_digits(1e3 * off_by[load])} mm, turned by {three_digits(turned[load])}°"
             which = _which(rank, len(error) - lost, lost)
             axes.set_title(f"{name}: {which}\n{off}\n{_load(at, load)}", fontsize="medium", **PLAIN)
         if not chosen:
             row[0].set_axis_on()
-            possible, wanted = bool(found.possible.any()), pick(task, 0)
+            possible, wanted = bool(found.possible.any()), task.part(0)
             words = "no equilibrium was found" if possible else "impossible"
             draw_wanted(row[0], arm, wanted, words if possible else f"impossible: {why_impossible(arm, wanted)}")
             row[0].set_title(f"{name}: {words}", fontsize="medium", **PLAIN)
@@ -161,7 +161,7 @@ def plan_figure(
             axes.set_title(f"{name}: {shape.status.split(':')[0]}", fontsize="medium", **PLAIN)
             continue
         index, reached = median_case(result)
-        draw_arm(axes, one_design(name, arm, start), pick(result.task, index), reached)
+        draw_arm(axes, one_design(name, arm, start), result.task.part(index), reached)
         draw_plate(axes, tip, half, TIP_WANTED)
         words = "planned" if result.verdict is None else str(np.ravel(result.verdict)[index])
         if reached is not None and result.tip_error is not None:
