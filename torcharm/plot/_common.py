@@ -1,6 +1,6 @@
 """What the pictures share: styles, axes, and the choice of one design and of tasks on one shape."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from math import prod
 from typing import Any
@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -119,6 +120,22 @@ def median_place(error: Array) -> int | None:
     """The place of the median of what is finite, or None."""
     ranked = ranked_places(error)
     return int(ranked[(len(ranked) - 1) // 2]) if len(ranked) else None
+
+
+def merged_legend(figure: Any, panels: Iterable[Any], shorten: Callable[[str], str], **how: Any) -> None:
+    """One legend for all panels, by labels without what differs from one to the next."""
+    entries: dict[str, Any] = {}
+    for axes in panels:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            entries.setdefault(shorten(label), handle)
+    figure.legend(entries.values(), entries.keys(), fontsize="small", frameon=False, **how)
+
+
+def label_powers(axis: Any, digits: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
+    """Plain numbers along a logarithmic axis, at these multiples of powers of ten."""
+    axis.set_major_locator(LogLocator(subs=digits))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def legend_below(axes: Any) -> None:

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import MaxNLocator
 from torch import Tensor
 
 from torcharm.attainability import Attainability
 from torcharm.inputs import three_digits
-from torcharm.plot._common import ARM_COLOURS, ARM_LINES, PLAIN, VERDICT_STYLES, Array, array, axes_or_new
+from torcharm.plot._common import ARM_COLOURS, ARM_LINES, PLAIN, VERDICT_STYLES, Array, array, axes_or_new, label_powers
 
 BINS = 24
 """Of the histograms of several arms, which share them."""
@@ -104,9 +104,7 @@ def draw_tip_errors(axes: Axes, found: Attainability, edges: Array) -> int:
     axes.axvline(tolerance, color="black", linestyle=":", label=f"tolerance, {three_digits(tolerance)} mm")
     axes.set(xscale="log", xlim=(edges[0], edges[-1]), xlabel="tip off by [mm]", ylabel="number of loads")
     close = edges[-1] < 100 * edges[0]  # few powers of ten to be named
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if close else (1.0,)))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    label_powers(axes.xaxis, (1.0, 2.0, 5.0) if close else (1.0,))
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     return int((~known).sum())
 

@@ -15,7 +15,16 @@ from torcharm.design.shape_planning import PlannedShape
 from torcharm.design.space import Arm
 from torcharm.inputs import TensorLike, three_digits
 from torcharm.load import ExternalLoad
-from torcharm.plot._common import PLAIN, Array, array, median_place, one_design, projection_of, ranked_places
+from torcharm.plot._common import (
+    PLAIN,
+    Array,
+    array,
+    median_place,
+    merged_legend,
+    one_design,
+    projection_of,
+    ranked_places,
+)
 from torcharm.plot._shapes import in_space, why_impossible
 from torcharm.plot.arms import (
     PLATE,
@@ -178,10 +187,6 @@ def _panels(figure: Figure, rows: int, columns: int, task: Task) -> Any:
 def _share(figure: Figure, grid: Any) -> None:
     """The same limits in all panels of the plane, and one legend below; what differs stands in their titles."""
     shown = [axes for axes in grid.ravel() if axes.get_legend_handles_labels()[0]]
-    labels: dict[str, Any] = {}
-    for axes in shown:
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            labels.setdefault(re.sub(r" \(\d+\)$|,.*", "", label), handle)  # how many and how large differs
     rows, columns = grid.shape
     height = PANEL
     if shown and shown[0].name != "3d":
@@ -193,4 +198,5 @@ def _share(figure: Figure, grid: Any) -> None:
             axes.set(xlim=(whole.x0 - room, whole.x1 + room), ylim=(whole.y0 - room, whole.y1 + room))
     figure.set_size_inches(max(2, columns) * PANEL, rows * (height + 1.3) + 0.9)
     where: dict[str, Any] = {"loc": "outside lower center", "ncols": 4 if columns < 3 else 7}
-    figure.legend(labels.values(), labels.keys(), fontsize="small", frameon=False, **where)
+    # how many and how large differs
+    merged_legend(figure, shown, lambda label: re.sub(r" \(\d+\)$|,.*", "", label), **where)
