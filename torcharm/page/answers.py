@@ -192,14 +192,9 @@ def planned(state: State) -> tuple[Tensor | None, str]:
     arm, task = design_of(state), task_of(state)
     nodes = task.segment_nodes or (task.nodes,)
     found = plan_shape(arm, _tip_of(arm, task), task.load, nodes=nodes, base_pose=task.base_pose, starts=1)
-    return (
-        (found.twists, "Planned: a shape through this tip whose nodes lack as little as any.")
-        if found.found
-        else (
-            None,
-            f"Not planned, {found.status}.",
-        )
-    )
+    if not found.found:
+        return None, f"Not planned, {found.status}."
+    return found.twists, "Planned: a shape through this tip whose nodes lack as little as any."
 
 
 def swept(state: State) -> tuple[AlphaShape, str]:
