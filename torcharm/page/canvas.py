@@ -12,11 +12,7 @@ SHADOWLESS = {"cast_shadow": False, "receive_shadow": False}
 
 
 class Canvas:
-    """The parts of one client's scene, by name.
-
-    Args:
-        scene: viser's, of one client.
-    """
+    """The parts of one client's scene, which is viser's, by name."""
 
     def __init__(self, scene: Any) -> None:
         self._scene = scene

@@ -104,14 +104,10 @@ def seen(axes: Any, points: Array) -> tuple[Array, ...]:
 
 
 def draw_arm(axes: Any, arm: Arm, task: Task, reached: Tensor | None = None, scale: float = 0.0) -> None:
-    """One arm at the shape of a task or at one that it reaches, with the loads on it.
+    """One arm at the shape of a task, or at twists that it reaches, with the loads on it.
 
-    Args:
-        axes: 2-D or, in space, 3-D ones.
-        arm: one design.
-        task: one shape under any number of loads.
-        reached: twists; None draws the task's shape.
-        scale: of arrows [N/m]; 0 takes that of `arrow_scale`.
+    Axes are 2-D or, in space, 3-D; the task is of one shape, under any number of loads; a scale of arrows [N/m] of 0
+    stands for that of `arrow_scale`.
     """
     wanted, segments = centreline(arm, task.twists, task), segments_of(arm)[0]
     at = wanted if reached is None else centreline(arm, reached.reshape(task.twists.shape), task)

@@ -60,11 +60,7 @@ def unattainability_histogram(values: Mapping[str, Tensor], *, ax: Axes | None =
 
 
 def tip_error_edges(evaluated: Sequence[Attainability]) -> Array:
-    """Edges of bins [mm] for the tip's errors of several arms, on a logarithmic axis, with their tolerances among them.
-
-    Raises:
-        ValueError: a result has no predicted error.
-    """
+    """Edges of bins [mm] for tip errors of several arms, on a logarithmic axis, with their tolerances among them."""
     errors = np.concatenate([_tip_errors(found) for found in evaluated])
     known = np.concatenate([errors[np.isfinite(errors)], [_tolerance(found) for found in evaluated]])
     return np.asarray(np.geomspace(known.min() / 1.1, known.max() * 1.1, BINS + 1))
@@ -74,14 +70,7 @@ def draw_tip_errors(axes: Axes, found: Attainability, edges: Array) -> int:
     """How far off the tip is predicted over the loads: bars by verdict, the median and the tolerance as lines.
 
     Of those missed, where the tip is within the tolerance, but turned too far or the shape too far off, bars are faint.
-
-    Args:
-        axes: 2-D ones.
-        found: of one arm, with a predicted error.
-        edges: of the bins [mm], as of `tip_error_edges`.
-
-    Returns:
-        How many loads have no error, as no shape was found: they are in no bar.
+    Returns how many loads have no error, as no shape was found: they are in no bar. Edges of bars are in mm.
     """
     errors, words, tolerance = _tip_errors(found), np.ravel(np.asarray(found.verdict)), _tolerance(found)
     words = np.where((words == "missed") & (errors <= tolerance), NEAR, words)

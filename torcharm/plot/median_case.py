@@ -39,12 +39,7 @@ def is_lost(found: Attainability) -> bool:
 def draw_median_case(axes: Any, field: str, arm: Arm, task: Task, found: Attainability) -> int | None:
     """Draw one arm at that task; returns which load is drawn, or None where the task's shape is, under all its loads.
 
-    Args:
-        axes: 2-D or, in space, 3-D ones.
-        field: what an error calls the arm.
-        arm: one design.
-        task: of any batch shape.
-        found: of the arm on the task; where that is impossible, its centreline is drawn, and why.
+    Of an impossible task the centreline is drawn, and why. An error calls the arm by the field.
     """
     arm, (index, reached) = one_design(field, arm, task), median_case(found)
     if is_lost(found):

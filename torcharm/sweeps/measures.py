@@ -139,11 +139,7 @@ def check_measures(
     power: int,
     pose_cost: PoseCost | None,
 ) -> Measures:
-    """What to measure, everything checked.
-
-    Raises:
-        ValueError: an argument is none of those allowed.
-    """
+    """What to measure, everything checked."""
     names = check_metrics(metrics)
     given = dict(reduce) if isinstance(reduce, Mapping) else dict.fromkeys(COLUMNS, reduce)
     for name, how in given.items():
