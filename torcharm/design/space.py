@@ -192,7 +192,8 @@ def free_values(space: DesignSpace, arm: Arm) -> FreeValues:
             for members, signs in tied_groups(space, name, values[0, :, own], segment):
                 sides = np.stack((least[members] - zero[members], most[members] - zero[members])) * signs
                 low, high = float(sides.min(0).max()), float(sides.max(0).min())
-                what = f"{name} of actuator{'s' * (len(members) > 1)} {_listed(members, own.start)}"
+                numbers = ", ".join(str(own.start + index + 1) for index in members)
+                what = f"{name} of actuator{'s' * (len(members) > 1)} {numbers}"
                 if low > high:
                     raise ValueError(f"bounds: {what} are tied and have none in common, got from {low:g} to {high:g}")
                 column = np.zeros_like(base)
@@ -312,7 +313,3 @@ def _checked_groups(tie: Any, count: int) -> list[list[int]]:
             f"group only, got {shown(tie)}"
         )
     return groups
-
-
-def _listed(members: Sequence[int], before: int) -> str:
-    return ", ".join(str(before + index + 1) for index in members)

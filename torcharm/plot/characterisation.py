@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 import torch
+from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
@@ -57,8 +59,6 @@ def force_at_held_strains(
     axes = axes_or_new(ax)
     levels = [float(np.median(recording.strain[hold])) for hold in holds]
     norm = Normalize(min(levels), max(levels) if len(levels) > 1 else min(levels) + 1)
-    from matplotlib import colormaps
-
     colours = colormaps[STRAINS]
     every = max(1, sum(map(len, holds)) // (3 * MOST_DOTS))
     for level, hold in zip(levels, holds, strict=True):
@@ -71,7 +71,7 @@ def force_at_held_strains(
         line = np.linspace(0, pressure.max() if max_pressure is None else max_pressure, POINTS)
         axes.plot(line, _force(model, np.full(POINTS, level), line), color="white", linewidth=3.2)
         axes.plot(line, _force(model, np.full(POINTS, level), line), color=colour, linewidth=1.8)
-    scale: Any = axes.figure.colorbar(_mappable(norm, colours), ax=axes, label="held strain ε")
+    scale: Any = axes.figure.colorbar(ScalarMappable(norm, colours), ax=axes, label="held strain ε")
     scale.set_ticks(levels, labels=[f"{level:.2f}" for level in levels])
     axes.plot([], [], ".", color="0.4", label="recorded")
     axes.plot([], [], color="0.4", linewidth=1.8, label="model")
@@ -204,9 +204,3 @@ def _surface(model: Actuator) -> tuple[Array, Array, Array]:
 @torch.no_grad()
 def _force(model: Actuator, strain: Array, pressure: Array) -> Array:
     return np.asarray(model.force(torch.from_numpy(strain), torch.from_numpy(pressure)).detach().cpu())
-
-
-def _mappable(norm: Normalize, colours: Any) -> Any:
-    from matplotlib.cm import ScalarMappable
-
-    return ScalarMappable(norm, colours)
