@@ -237,11 +237,6 @@ def with_pressure(state: State, actuator: int, value: float) -> State:
     return replace(state, pressure=(*state.pressure[:actuator], number, *state.pressure[actuator + 1 :]))
 
 
-def with_found(state: State, pressure: Sequence[float]) -> State:
-    """The pressures that were found for the task, where they are asked for."""
-    return replace(state, pressure=tuple(pressure)) if state.mode == BEST else state
-
-
 def with_node(state: State, node: float) -> State:
     """Whose set is shown."""
     number = within(node, 0, state.given.nodes - 1)

@@ -18,6 +18,7 @@ from torcharm.arm import ArmDesign
 from torcharm.arm_series import with_slices
 from torcharm.attainability import Attainability
 from torcharm.design.space import Arm
+from torcharm.geometry import se3
 from torcharm.inputs import three_digits
 from torcharm.load import GRAVITY, ExternalLoad
 from torcharm.plot._common import (
@@ -243,9 +244,7 @@ def loads_on(arm: Arm, load: ExternalLoad, at: Centreline) -> Any:
 
 def _in_world(wrench: Tensor, turn: Array) -> tuple[Array, Array]:
     """Forces and moments (L, 3) of wrenches of the plane or of space, whose frame is turned."""
-    rows = array(wrench).reshape(-1, wrench.shape[-1])
-    if rows.shape[-1] == 3:
-        rows = np.insert(rows, [2, 2, 2], 0.0, axis=-1)
+    rows = array(wrench if wrench.shape[-1] == 6 else se3.vector_from_plane(wrench)).reshape(-1, 6)
     return rows[:, :3] @ turn.T, rows[:, 3:] @ turn.T
 
 

@@ -161,7 +161,7 @@ def plan_figure(
     figure = Figure(layout="constrained", dpi=130)
     figure.suptitle(f"{plan_name}: shapes through the tip pose", fontweight="bold", **PLAIN)
     grid = _panels(figure, 1, len(shapes), start)
-    tip, base = (in_space(array(one.base_pose)) for one in (goal, start))
+    tip, base = (in_space(one.base_pose) for one in (goal, start))
     half = max(PLATE, 0.08 * float(np.linalg.norm((tip - base)[:3, 3])))  # seen from afar
     for axes, (name, arm, shape) in zip(grid[0], shapes, strict=True):
         result = shape.attainability
