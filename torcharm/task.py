@@ -130,6 +130,11 @@ class Task(HoldsTensors):
         return self.twists.shape[-2]
 
     @property
+    def nodes_of_segments(self) -> tuple[int, ...]:
+        """Number of elements of each segment."""
+        return self.segment_nodes or (self.nodes,)
+
+    @property
     def dimension(self) -> int:
         """2 for a planar task, 3 for a spatial one."""
         return 2 if self.twists.shape[-1] == 3 else 3

@@ -152,7 +152,7 @@ class Attainability(HoldsTensors):
         lead, task, batch = len(self.arm.batch_shape), self.task, self.arm.batch_shape
         segments = [one_design(segment, batch, index[:lead]) for segment in segments_of(self.arm)]
         twists = task.twists.detach().expand(*task.batch_shape, *task.twists.shape[-2:])[index[lead:]]
-        nodes = task.segment_nodes or (task.nodes,)
+        nodes = task.nodes_of_segments
         causes = self._causes(verdict, index, segments, twists, nodes)
         asked = question(segments, twists, nodes) if any(causes) else None
         return "; ".join(filter(None, (*causes, asked)))

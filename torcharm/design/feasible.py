@@ -356,7 +356,7 @@ def _corners(tasks: Sequence[Task], segment: int) -> Array:
     """The `(l, κ_y, κ_z)` of a segment's nodes on all shapes that are corners of their convex hull."""
     found = []
     for task in tasks:
-        counts = task.segment_nodes or (task.nodes,)
+        counts = task.nodes_of_segments
         own = task.twists.detach().double().cpu().split(counts, -2)[segment].numpy()
         bend = own[..., (2,)] if task.dimension == 2 else own[..., (4, 5)]
         none = np.zeros_like(bend[..., :0] if task.dimension == 3 else bend)

@@ -63,7 +63,7 @@ def why_impossible(arm: Arm, task: Task) -> str:
     """Of a task of one shape that leaves the centreline or an actuator no length."""
     if not bool((task.twists[..., 0] > 0).all()):
         return NO_CENTRELINE
-    return out_of_range(segments_of(arm)[0], task.twists, task.segment_nodes or (task.nodes,))
+    return out_of_range(segments_of(arm)[0], task.twists, task.nodes_of_segments)
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Centreline:
 def centreline(arm: Arm, twists: Tensor, task: Task) -> Centreline:
     """Where an arm's centreline lies at twists, from a task's base."""
     found, start = [], task.base_pose
-    parts = twists.detach().to(start).split(task.segment_nodes or (task.nodes,))
+    parts = twists.detach().to(start).split(task.nodes_of_segments)
     for own, link in zip(parts, segments_of(arm)[1], strict=True):
         poses = rod.poses(own.repeat_interleave(SMOOTHING, 0), start)
         found.append(in_space(poses))

@@ -195,7 +195,7 @@ def check_fit(field: str, task: Task, arm: NamedArm) -> None:
     if task.dimension != arm.design.dimension:
         where = "the plane" if arm.design.dimension == 2 else "space (with a direction, or twists of six columns)"
         raise ValueError(f"{field}: must be in {where}, as the arm {name} is, or name its own arms")
-    own = len(task.segment_nodes or (0,))
+    own = len(task.nodes_of_segments)
     if own != segments:
         form = "a list of shapes" if field == "shape" else "rows of which segment_nodes says the number"
         raise ValueError(f"{field}: must be {form} for each of the {segments} segments of the arm {name}, got {own}")
