@@ -316,20 +316,18 @@ def feasible_designs(space: DesignSpace, arm: Arm, tasks: Sequence[Task]) -> Fea
 
 
 def _constraints(space: DesignSpace, arm: Arm, tasks: Sequence[Task]) -> Constraints:
-    segments = segments_of(arm)[0]
-    strains, pairs, gaps, before = [np.zeros((0, 6))], [], [], 0
-    for number, segment in enumerate(segments):
+    strains, pairs, gaps = [np.zeros((0, 6))], [], []
+    for number, (segment, own) in enumerate(with_slices(segments_of(arm)[0])):
         if space.in_range:
-            strains.append(_strain_rows(segment, _corners(tasks, number), before))
+            strains.append(_strain_rows(segment, _corners(tasks, number), own.start))
         if {"radii", "angles"} & set(space.free):
             apart = space.apart(segment)
             ordered = [index for index in _order(segment) if index in apart]
             chosen = pairwise(ordered) if arm.dimension == 2 else combinations(apart, 2)
             gap = space.spacing_of(segment)
             for a, b in chosen:
-                pairs.append((before + a, before + b))
+                pairs.append((own.start + a, own.start + b))
                 gaps.append(gap[a, b])
-        before += segment.actuator_count
     actuator, sign, length, bend_y, bend_z, factor = np.concatenate(strains).T
     found = np.array(pairs, dtype=np.int64).reshape(-1, 2)
     rows = sign, length, bend_y, bend_z, factor
