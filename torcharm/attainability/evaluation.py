@@ -184,9 +184,7 @@ class _Measure:
     ) -> Attainability:
         """What sets and a prediction say of one task."""
         grid = design_task_grid(arm, task)
-        check_measure(arm, self.hull, self.samples, self.distance, self.signed)
-        themselves = self.hull == "exact" and self.distance == "gjk"
-        vertices = None if themselves else VertexSets.of(self.hull, self.samples, self.distance)
+        vertices = _by_vertices(arm, self.hull, self.samples, self.distance, self.signed)
         options = SetOptions(self.metrics, scale_of(self.weights), self.signed, vertices)
         return Attainability(
             **_by_sets(grid, node_distances(grid, options, self.chunk_size), options, self.power),
@@ -221,6 +219,14 @@ def as_tolerance(tolerance: PoseTolerance | float | None) -> PoseTolerance:
     if tolerance is None or isinstance(tolerance, PoseTolerance):
         return tolerance or PoseTolerance()
     return PoseTolerance(tip=check_number("tolerance", tolerance, 0.0, strict=True))
+
+
+def _by_vertices(
+    arm: ArmDesign | ArmSeries, hull: str, samples: int | None, distance: str | DistanceFunction, signed: bool
+) -> VertexSets | None:
+    """How to measure sets that are given by vertices; None where the sets themselves are measured."""
+    check_measure(arm, hull, samples, distance, signed)
+    return None if hull == "exact" and distance == "gjk" else VertexSets.of(hull, samples, distance)
 
 
 def check_measure(
