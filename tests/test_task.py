@@ -156,6 +156,24 @@ def test_replace_makes_a_new_checked_task():
         Task(affine_curvature(0.0, 0.0).float(), torch.tensor([1e20, 0.0, 0.0]))
 
 
+def test_a_part_holds_tasks_of_the_flattened_batch_with_all_that_loads_them():
+    masses = torch.arange(6.0, dtype=torch.float64).reshape(2, 3)
+    points = [torcharm.PointLoad([0.0, 1.0, 0.0], at=0.5, frame="body"), torcharm.PointLoad(mass=masses)]
+    shapes = torch.stack([affine_curvature(0.5, bend, nodes=3) for bend in (0.1, 0.2)]).unsqueeze(1)
+    whole = Task(shapes, sample_loads(3), "upright", torcharm.ExternalLoad(gravity=True, points=points), "start")
+    one, some = whole.part(4), whole.part([4, 1])
+    assert (one.batch_shape, some.batch_shape, whole.part(slice(2, 9)).batch_shape) == ((), (2,), (4,))
+    for part, row, column in ((one, 1, 1), (some.part(0), 1, 1), (some.part(1), 0, 1)):
+        assert torch.equal(part.twists, shapes[row, 0])
+        assert torch.equal(part.tip_load, sample_loads(3)[column])
+        assert part.load.points[1].mass == masses[row, column]
+        assert torch.equal(part.load.points[0].wrench, points[0].wrench)
+        assert (part.load.points[0].frame, part.load.gravity, part.wrench_at) == ("body", True, "start")
+        assert torch.equal(part.base_pose, whole.base_pose)
+    with pytest.raises(IndexError):
+        whole.part(6)
+
+
 def test_gradients_flow_to_shape_and_load():
     load = torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64, requires_grad=True)
     twists = affine_curvature(1.0, 1.0).requires_grad_()

@@ -1,6 +1,6 @@
 """Arms of several pressure segments in series, joined directly or by rigid links."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -187,6 +187,20 @@ def series(parts: Sequence[ArmDesign | ArmSeries | RigidLink]) -> ArmSeries:
         raise ValueError("parts: must hold at least one ArmDesign, got none")
     _check_alike(segments, links)
     return ArmSeries(tuple(segments), tuple(links))
+
+
+def rebuilt(arm: ArmDesign | ArmSeries, segments: Sequence[ArmDesign]) -> ArmDesign | ArmSeries:
+    """Other segments in place of an arm's, with its links."""
+    return ArmSeries(tuple(segments), arm.links) if isinstance(arm, ArmSeries) else segments[0]
+
+
+def with_slices(segments: Sequence[ArmDesign]) -> Iterator[tuple[ArmDesign, slice]]:
+    """Each segment, and the slice of its actuators among those of all."""
+    first = 0
+    for segment in segments:
+        own = slice(first, first + segment.actuator_count)
+        yield segment, own
+        first = own.stop
 
 
 def _check_alike(segments: list[ArmDesign], links: list[RigidLink | None]) -> None:

@@ -61,12 +61,7 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
 
 
 def check_writable(path: StrPath, name: str = "") -> None:
-    """Raise a ValueError if `atomic_write` could not write `path`; leaves no trace.
-
-    Args:
-        path: where something is to be written, after some work.
-        name: of the field or option that holds the path, for the message.
-    """
+    """Raise a ValueError, on a field or option of a name, if `atomic_write` could not write `path`; leaves no trace."""
     prefix = f"{name}: {path}" if name else f"{path}"
     try:
         mode = os.stat(path).st_mode

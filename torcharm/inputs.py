@@ -3,15 +3,19 @@
 import difflib
 import math
 import operator
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import fields
 from functools import reduce
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 Held = TypeVar("Held", bound="HoldsTensors")
 
@@ -116,6 +120,24 @@ class HoldsTensors:
         for field in fields(self):  # type: ignore[arg-type]
             object.__setattr__(moved, field.name, _moved(getattr(self, field.name), args, kwargs))
         return moved
+
+
+class Tabular(ABC):
+    """What is a table: columns with an entry for each row."""
+
+    @abstractmethod
+    def to_dict(self) -> dict[str, list[Any]]:
+        """The columns by their names."""
+
+    def to_frame(self) -> "DataFrame":
+        """The same as a table of pandas.
+
+        Raises:
+            ModuleNotFoundError: pandas is not installed.
+        """
+        from pandas import DataFrame
+
+        return DataFrame(self.to_dict())
 
 
 def _moved(value: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:

@@ -1,7 +1,7 @@
 """Tasks: the shape an arm is to hold and the load it is to hold it under."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -130,9 +130,32 @@ class Task(HoldsTensors):
         return self.twists.shape[-2]
 
     @property
+    def nodes_of_segments(self) -> tuple[int, ...]:
+        """Number of elements of each segment."""
+        return self.segment_nodes or (self.nodes,)
+
+    @property
     def dimension(self) -> int:
         """2 for a planar task, 3 for a spatial one."""
         return 2 if self.twists.shape[-1] == 3 else 3
+
+    def part(self, index: int | slice | Sequence[int]) -> "Task":
+        """One task of the flattened batch, or some of them along one dimension.
+
+        Raises:
+            IndexError: there is no such task.
+        """
+
+        def own(value: Tensor, dims: int) -> Tensor:
+            shape = value.shape[value.ndim - dims :]
+            return value.expand((*self.batch_shape, *shape)).reshape((-1, *shape))[index]
+
+        tip, points = self.load.tip, []
+        for point in self.load.points:
+            wrench = None if point.wrench is None else own(point.wrench, 1)
+            points.append(replace(point, wrench=wrench, mass=own(point.mass, 0)))
+        load = ExternalLoad(None if tip is None else own(tip, 1), self.load.gravity, points)
+        return replace(self, twists=own(self.twists, 2), load=load)
 
     def __repr__(self) -> str:
         """Shapes, no numbers."""

@@ -22,8 +22,7 @@ from torch import Tensor
 import torcharm as ta
 from experiments.benchmark_search import figures, reference
 from experiments.paper import paper_equilibrium, paper_task
-from experiments.rows import Measurement as Row
-from experiments.rows import measurements_table, read_rows, write_rows
+from experiments.rows import Measurement as Row, measurements_table, read_rows, write_rows
 
 HERE = Path(__file__).parent
 ARMS = {"antagonistic": ta.antagonistic_arm(), "bellows-only": ta.bellows_arm()}

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from torcharm import PolynomialActuator
 from torcharm.actuators import is_linear_in_pressure

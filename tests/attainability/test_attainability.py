@@ -6,8 +6,7 @@ import oracle
 import pytest
 import torch
 from hull_cases import double, unchecked
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from torch.autograd import gradcheck
 
 import torcharm as ta

@@ -14,7 +14,7 @@ from torcharm.design.descent import descend
 from torcharm.design.feasible import feasible_designs
 from torcharm.design.objective import Objective, Problem, counted
 from torcharm.design.space import DesignSpace
-from torcharm.design.task_errors import TaskErrors, searched
+from torcharm.design.task_errors import TaskErrors, predicted, searched
 from torcharm.pressure.followed import beyond_range
 from torcharm.study import example_study
 
@@ -69,10 +69,10 @@ def test_no_design_that_holds_fewer_tasks_is_best(monkeypatch: pytest.MonkeyPatc
     """Where the given design holds one task, and those found none; or where one that was found holds one as well."""
     spared: list[torch.Tensor] = []
 
-    def held(arm: ta.ArmDesign, *_: Any) -> int:
-        return int(arm is ARM or any(torch.equal(arm.radii, radii) for radii in spared))
+    def held(arm: ta.ArmDesign, *rest: Any) -> tuple[TaskErrors, int]:
+        return predicted(arm, *rest)[0], int(arm is ARM or any(torch.equal(arm.radii, radii) for radii in spared))
 
-    monkeypatch.setattr(optimise, "held_tasks", held)
+    monkeypatch.setattr(optimise, "predicted", held)
     found = optimise_design(ARM, BENT, starts=2, iterations=5)
     assert found.best is ARM
     assert found.value == found.given_value

@@ -10,6 +10,7 @@ from page_cases import PLANE, plane, space
 
 import torcharm as ta
 from torcharm.arm_series import ArmSeries
+from torcharm.geometry import se3
 from torcharm.page import state as page
 from torcharm.page.answers import (
     _buckles,
@@ -24,8 +25,13 @@ from torcharm.page.answers import (
 )
 from torcharm.page.scene import draw
 from torcharm.page.state import BY_HAND, opened
-from torcharm.plot._shapes import in_space
 from torcharm.study import parse_study
+
+
+def tip_in_space(arm, task):
+    """(4, 4) where a task's shape ends."""
+    tip = _tip_of(arm, task)
+    return (se3.from_plane(tip) if task.dimension == 2 else tip).numpy()
 
 
 @pytest.mark.parametrize("make", [plane, space])
@@ -93,13 +99,13 @@ def test_a_dragged_tip_is_followed_by_the_nearest_shape(make):
     state = make()
     task = page.task_of(state)
     arm = page.design_of(state)
-    pose = in_space(_tip_of(arm, task).numpy())
+    pose = tip_in_space(arm, task)
     assert followed(state, pose) == pytest.approx(task.twists, abs=1e-9)
     pose = pose.copy()
     pose[:3, 3] += [0.01, 0.02, 0.0]
     twists = followed(state, pose)
     moved = page.with_shape(state, twists)
-    np.testing.assert_allclose(in_space(_tip_of(arm, page.task_of(moved)).numpy()), pose, atol=1e-7)
+    np.testing.assert_allclose(tip_in_space(arm, page.task_of(moved)), pose, atol=1e-7)
     assert page.changed_task(moved)
     pose[:3, 3] = 1e3
     assert followed(state, pose) is None
@@ -107,13 +113,13 @@ def test_a_dragged_tip_is_followed_by_the_nearest_shape(make):
 
 def test_a_plan_has_the_tip_and_lacks_less_than_the_shape_that_was_dragged():
     state = opened(parse_study(PLANE.replace("nodes = 6", "nodes = 3")))
-    arm, pose = page.design_of(state), in_space(_tip_of(page.design_of(state), page.task_of(state)).numpy())
-    turned = pose @ in_space(np.array([0.0, 0.0, -0.5]))
+    arm, pose = page.design_of(state), tip_in_space(page.design_of(state), page.task_of(state))
+    turned = pose @ se3.from_plane(torch.tensor([0.0, 0.0, -0.5], dtype=torch.float64)).numpy()
     dragged = page.with_shape(state, followed(state, turned))
     twists, words = planned(dragged)
     assert words.startswith("Planned")
     moved = page.with_shape(dragged, twists)
-    np.testing.assert_allclose(in_space(_tip_of(arm, page.task_of(moved)).numpy()), turned, atol=1e-6)
+    np.testing.assert_allclose(tip_in_space(arm, page.task_of(moved)), turned, atol=1e-6)
     before, after = (ta.evaluate(arm, page.task_of(one), ("absolute", "relative"), power=2) for one in (dragged, moved))
     assert before.absolute + before.relative > 0.01
     assert after.absolute + after.relative < before.absolute + before.relative

@@ -7,8 +7,7 @@ import pytest
 from page_cases import HOSTILE, plane, space
 
 import torcharm as ta
-from torcharm.page import state as page
-from torcharm.page import words
+from torcharm.page import state as page, words
 from torcharm.page.answers import NodeSet, answer, settled
 from torcharm.page.charts import axis_ends, margins, outline
 from torcharm.page.scene import BLACK, GREY, VERMILLION, Arrow, Label, Line, Mesh, colour_of, draw, handles

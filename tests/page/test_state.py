@@ -75,13 +75,11 @@ def test_without_gravity_masses_are_left_out_and_wrenches_stay():
 def test_pressures_are_moved_by_hand_alone_and_end_at_their_limit():
     state = plane()
     assert page.with_pressure(state, 0, 20.0) == state
-    found = page.with_found(state, (1.0, 2.0, 3.0, 4.0))
-    by_hand = page.with_mode(found, BY_HAND)
+    by_hand = page.with_mode(replace(state, pressure=(1.0, 2.0, 3.0, 4.0)), BY_HAND)
     assert by_hand.pressure == (1.0, 2.0, 3.0, 4.0)
     assert page.with_pressure(by_hand, 0, 1e3).pressure[0] == 50.0
     lower = page.with_value(page.with_pressure(by_hand, 0, 50.0), 0, "limit", 30.0)
     assert page.pressure_of(lower)[0] == 30.0
-    assert page.with_found(by_hand, (9.0,) * 4) == by_hand
 
 
 def test_another_task_or_arm_begins_as_the_study_has_it_and_designs_stay():

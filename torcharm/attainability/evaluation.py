@@ -127,7 +127,7 @@ def evaluate(
         >>> found.verdict, round(1e3 * float(found.tip_error), 1)  # and how far off the tip will be [mm]
         ('held', 0.4)
     """
-    asked = _metrics(metrics)
+    asked = check_metrics(metrics)
     how = _Measure.of(asked, tolerance, hull, samples, distance, weights, power, signed, chunk_size)
     _check_found(found, arm, task)
 
@@ -249,7 +249,7 @@ def _predict(arm: ArmDesign | ArmSeries, task: Task, pose_cost: PoseCost | None)
     return predict_error(arm, task, pose_cost)
 
 
-def _metrics(metrics: Sequence[str]) -> tuple[str, ...]:
+def check_metrics(metrics: Sequence[str]) -> tuple[str, ...]:
     """The metrics asked for, once each."""
     names = (metrics,) if isinstance(metrics, str) else metrics
     if not isinstance(names, (list, tuple, set, frozenset)) or not names:

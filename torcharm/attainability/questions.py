@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torcharm.actuators import LinearBending, is_passive
 from torcharm.arm import ArmDesign
+from torcharm.arm_series import with_slices
 
 LONGEST = 5.0
 """A length of an arm or a shape [m] beyond which metres were hardly meant."""
@@ -105,8 +106,7 @@ def question_about_pose(place: Sequence[float], heading: float | None = None) ->
 
 def question_about_places(segments: Sequence[ArmDesign]) -> str | None:
     """Whether two driven actuators are at one place of a single design, by mistake; None: they are not."""
-    first = 1
-    for segment in segments:
+    for segment, own in with_slices(segments):
         driven = [index for index, model in enumerate(segment.actuators) if not is_passive(model)]
         places = segment.offsets.detach()
         for one, index in enumerate(driven):
@@ -115,10 +115,9 @@ def question_about_places(segments: Sequence[ArmDesign]) -> str | None:
                     y, z = (1e3 * places[index]).tolist()
                     where = f"{y:g} mm" if segment.dimension == 2 else f"({y:g}, {z:g}) mm"
                     return (
-                        f"actuators {first + index} and {first + other} are both at {where} from the centreline: "
-                        "was a sign or another place meant?"
+                        f"actuators {own.start + index + 1} and {own.start + other + 1} are both at {where} from the "
+                        "centreline: was a sign or another place meant?"
                     )
-        first += segment.actuator_count
     return None
 
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
+from torcharm.arm_series import with_slices
 from torcharm.statics.cross_section import RANGE_SLACK, cross_sections, per_actuator
 from torcharm.wrench_sets.node_distances import lack_in_words
 
@@ -145,13 +146,11 @@ def out_of_range(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[
             f"actuator {worst.actuator} is strained to {_told_apart(worst)} at node {worst.node}, "
             f"characterised from {_signed(worst.low)} to {_signed(worst.high)}"
         )
-    first = 0
-    for segment in segments:
+    for segment, own in with_slices(segments):
         for index, model in enumerate(segment.actuators):
             limit, known = float(segment.max_pressure[index]), float(model.pressure_range[1])
             if limit > known * (1 + RANGE_SLACK):
-                return f"actuator {first + index + 1} is driven to {limit:g} kPa, characterised to {known:g} kPa"
-        first += segment.actuator_count
+                return f"actuator {own.start + index + 1} is driven to {limit:g} kPa, characterised to {known:g} kPa"
     return "a pressure, or a strain together with its pressure, lies outside of what was characterised"
 
 

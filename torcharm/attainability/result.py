@@ -16,13 +16,11 @@ from torcharm.arm_series import ArmSeries
 from torcharm.attainability.questions import question
 from torcharm.attainability.reasons import NO_CENTRELINE, at_limits, differences, missing, one_design, out_of_range
 from torcharm.attainability.verdict import VERDICTS, PoseTolerance, judge, over_tolerance
-from torcharm.inputs import HoldsTensors
+from torcharm.inputs import HoldsTensors, Tabular
 from torcharm.task import Task
 from torcharm.wrench_sets.design_task_grid import segments_of
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from torcharm.pressure.predicted_error import PredictedError
     from torcharm.pressure.search import PressureSearch
 
@@ -38,7 +36,7 @@ COLUMNS = (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Attainability(HoldsTensors):
+class Attainability(HoldsTensors, Tabular):
     """What `evaluate` found; what was not asked for is None.
 
     Shapes are (*design batch, *task batch), with N nodes or M actuators added where that is said. Indices count from 0;
@@ -152,7 +150,7 @@ class Attainability(HoldsTensors):
         lead, task, batch = len(self.arm.batch_shape), self.task, self.arm.batch_shape
         segments = [one_design(segment, batch, index[:lead]) for segment in segments_of(self.arm)]
         twists = task.twists.detach().expand(*task.batch_shape, *task.twists.shape[-2:])[index[lead:]]
-        nodes = task.segment_nodes or (task.nodes,)
+        nodes = task.nodes_of_segments
         causes = self._causes(verdict, index, segments, twists, nodes)
         asked = question(segments, twists, nodes) if any(causes) else None
         return "; ".join(filter(None, (*causes, asked)))
@@ -275,16 +273,6 @@ class Attainability(HoldsTensors):
             for index, pressure in enumerate(self.pressure.detach().reshape(-1, self.pressure.shape[-1]).unbind(-1), 1):
                 columns[f"pressure_{index}"] = pressure.tolist()
         return columns
-
-    def to_frame(self) -> "DataFrame":
-        """The same as a table of pandas.
-
-        Raises:
-            ModuleNotFoundError: pandas is not installed.
-        """
-        from pandas import DataFrame
-
-        return DataFrame(self.to_dict())
 
     def __repr__(self) -> str:
         """Shapes and counts, no numbers."""

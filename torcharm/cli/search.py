@@ -32,7 +32,6 @@ from torcharm.files import atomic_write, check_writable, is_stream
 if TYPE_CHECKING:
     from torcharm.pressure.search import PressureSearch
     from torcharm.study import NamedArm, NamedTask, Settings, StudyResult
-    from torcharm.task import Task
 
 Found = Sequence["StudyResult"]
 BLOCKS = {"multistart": 100, "scipy": 1}
@@ -156,7 +155,7 @@ def _judged(
     from torcharm.attainability import evaluate
     from torcharm.study import StudyResult
 
-    part = replace(task, task=_part(task, first, first + found.tip_error.numel()))
+    part = replace(task, task=task.task.part(slice(first, first + found.tip_error.numel())))
     return StudyResult(arm, part, settings, evaluate(arm.design, part.task, found=found, **vars(settings)))
 
 
@@ -311,23 +310,6 @@ def _blocks(
     from torcharm.pressure.search import search_pressure
 
     for first in _starts_of_blocks(task, method):
-        part = _part(task, first, first + BLOCKS[method])
+        part = task.task.part(slice(first, first + BLOCKS[method]))
         found = search_pressure(arm.design, part, method, starts=starts, pose_cost=PoseCost(weights), progress=False)
         yield first + 1, _judged(arm, task, first, found, settings)
-
-
-def _part(task: "NamedTask", first: int, last: int) -> "Task":
-    """The task under some of its loads, which are along one dimension then."""
-    from torcharm.task import Task
-
-    whole, here = task.task, slice(first, last)
-    loads = whole.tip_load.expand(*whole.batch_shape, -1).reshape(-1, whole.twists.shape[-1])
-    shapes = whole.twists.expand(*whole.batch_shape, *whole.twists.shape[-2:]).reshape(-1, *whole.twists.shape[-2:])
-    return Task(
-        shapes[here],
-        loads[here],
-        whole.base_pose,
-        load=whole.load.with_tip(None),
-        wrench_at=whole.wrench_at,
-        segment_nodes=whole.segment_nodes,
-    )

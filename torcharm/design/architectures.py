@@ -3,14 +3,14 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import islice, product
+from itertools import product
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from torcharm.actuators import SHIPPED, Actuator
 from torcharm.arm import ArmDesign, find_model
-from torcharm.arm_series import ArmSeries
+from torcharm.arm_series import rebuilt, with_slices
 from torcharm.attainability import PoseTolerance
 from torcharm.design.checkpoint import Checkpoint, describe
 from torcharm.design.descent import Callback, Progress, descend_all
@@ -147,17 +147,15 @@ def _kinds(models: Any) -> tuple[Actuator, ...]:
 
 def _with_models(arm: Arm, models: Sequence[Actuator]) -> Arm:
     """The same geometry with other force models, and their limits."""
-    segments, links = segments_of(arm)
-    left, made = iter(models), []
-    for one in segments:
+    made = []
+    for one, own in with_slices(segments_of(arm)[0]):
         rest: dict[str, Any] = {
             "out_of_plane": one.out_of_plane,
             "torsion_stiffness": one.torsion_stiffness,
             "diameter": one.diameter,
         }
-        own = list(islice(left, one.actuator_count))
-        made.append(ArmDesign(one.radii, one.length, own, mass=one.mass, **rest))
-    return made[0] if isinstance(arm, ArmDesign) else ArmSeries(tuple(made), links)
+        made.append(ArmDesign(one.radii, one.length, models[own], mass=one.mass, **rest))
+    return rebuilt(arm, made)
 
 
 def _name(kinds: Sequence[Actuator], choice: Sequence[int]) -> str:

@@ -85,12 +85,8 @@ def descend(
 ) -> tuple[End, str]:
     """The best design of a descent from a feasible point (F,), and why it was stopped, if it was.
 
-    Args:
-        problem: what is minimised.
-        start: (F,).
-        iterations: at most.
-        tolerance: a gain not worth a step, as a share of the value at the start.
-        progress: told of every evaluation; None where values are those of a guide.
+    A gain below the tolerance, as a share of the value at the start, is not worth a step. Without progress, which is
+    told of every evaluation, values are those of a guide.
     """
     best, lowest, scale, vain = start, np.inf, 0.0, 0
 

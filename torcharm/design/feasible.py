@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries
+from torcharm.arm_series import rebuilt, with_slices
 from torcharm.design.space import Arm, Array, DesignSpace, FreeValues, free_values, given_values, one_of_batch
 from torcharm.statics.balance import segments_of
 from torcharm.task import Task
@@ -142,11 +142,10 @@ class FeasibleDesigns:
     @property
     def order(self) -> tuple[tuple[int, ...], ...]:
         """For each segment of a planar arm its actuators from right to left, as they stay; nothing in space."""
-        found, first = [], 0
-        for segment in segments_of(self.arm)[0]:
-            found.append(tuple(first + index for index in _order(segment)))
-            first += segment.actuator_count
-        return tuple(found) if self.arm.dimension == 2 else ()
+        if self.arm.dimension == 3:
+            return ()
+        slices = with_slices(segments_of(self.arm)[0])
+        return tuple(tuple(own.start + index for index in _order(segment)) for segment, own in slices)
 
     @property
     def names(self) -> list[str]:
@@ -282,7 +281,7 @@ class FeasibleDesigns:
 
 def designs_at(arm: Arm, free: FreeValues, point: Tensor | Array) -> Arm:
     """Designs like an arm, of batch shape (...), from free values (..., F), differentiable in tensors."""
-    segments, links = segments_of(arm)
+    segments = segments_of(arm)[0]
     at = torch.as_tensor(point)
     spread, base = (torch.from_numpy(value) for value in (free.spread, free.base))
     values = ((spread @ at[..., None, :, None]).squeeze(-1) + base).to(segments[0].radii)
@@ -293,7 +292,7 @@ def designs_at(arm: Arm, free: FreeValues, point: Tensor | Array) -> Arm:
             made.append(segment.with_values(radius, length, limit))
         else:
             made.append(segment.with_values(radius * angle.cos(), length, limit, radius * angle.sin()))
-    return made[0] if isinstance(arm, ArmDesign) else ArmSeries(tuple(made), links)
+    return rebuilt(arm, made)
 
 
 def feasible_designs(space: DesignSpace, arm: Arm, tasks: Sequence[Task]) -> FeasibleDesigns:
@@ -317,20 +316,18 @@ def feasible_designs(space: DesignSpace, arm: Arm, tasks: Sequence[Task]) -> Fea
 
 
 def _constraints(space: DesignSpace, arm: Arm, tasks: Sequence[Task]) -> Constraints:
-    segments = segments_of(arm)[0]
-    strains, pairs, gaps, before = [np.zeros((0, 6))], [], [], 0
-    for number, segment in enumerate(segments):
+    strains, pairs, gaps = [np.zeros((0, 6))], [], []
+    for number, (segment, own) in enumerate(with_slices(segments_of(arm)[0])):
         if space.in_range:
-            strains.append(_strain_rows(segment, _corners(tasks, number), before))
+            strains.append(_strain_rows(segment, _corners(tasks, number), own.start))
         if {"radii", "angles"} & set(space.free):
             apart = space.apart(segment)
             ordered = [index for index in _order(segment) if index in apart]
             chosen = pairwise(ordered) if arm.dimension == 2 else combinations(apart, 2)
             gap = space.spacing_of(segment)
             for a, b in chosen:
-                pairs.append((before + a, before + b))
+                pairs.append((own.start + a, own.start + b))
                 gaps.append(gap[a, b])
-        before += segment.actuator_count
     actuator, sign, length, bend_y, bend_z, factor = np.concatenate(strains).T
     found = np.array(pairs, dtype=np.int64).reshape(-1, 2)
     rows = sign, length, bend_y, bend_z, factor
@@ -357,7 +354,7 @@ def _corners(tasks: Sequence[Task], segment: int) -> Array:
     """The `(l, κ_y, κ_z)` of a segment's nodes on all shapes that are corners of their convex hull."""
     found = []
     for task in tasks:
-        counts = task.segment_nodes or (task.nodes,)
+        counts = task.nodes_of_segments
         own = task.twists.detach().double().cpu().split(counts, -2)[segment].numpy()
         bend = own[..., (2,)] if task.dimension == 2 else own[..., (4, 5)]
         none = np.zeros_like(bend[..., :0] if task.dimension == 3 else bend)

@@ -133,7 +133,7 @@ def flat_tasks(value: Tensor, lead: int) -> Tensor:
 def shape_lengths(task: Task) -> Tensor:
     """(T,) length of each task's shape [m]: what a shape error counts as that is not known."""
     length = task.twists[..., 0].detach().expand(*task.batch_shape, task.nodes)
-    parts = length.split(task.segment_nodes or (task.nodes,), -1)
+    parts = length.split(task.nodes_of_segments, -1)
     return torch.stack([part.mean(-1) for part in parts]).sum(0).reshape(-1)
 
 

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from os import PathLike
 from typing import Any
 
@@ -18,7 +19,7 @@ from torcharm.design.feasible import feasible_designs
 from torcharm.design.objective import Objective, Problem, counted, shape_lengths
 from torcharm.design.result import OptimisedDesign, compared_words, reached_words, yield_words
 from torcharm.design.space import Arm, Array, DesignSpace, given_values, one_of_batch
-from torcharm.design.task_errors import TaskErrors, held_tasks, predicted, searched
+from torcharm.design.task_errors import TaskErrors, predicted, searched
 from torcharm.design.tolerance import built_as
 from torcharm.design.tolerance_result import BuiltArms
 from torcharm.inputs import check_count, check_number, shown
@@ -118,25 +119,30 @@ def check_arguments(
     seconds: float | None,
 ) -> tuple[Task, ...]:
     """The tasks as a tuple, everything checked."""
-    kinds: list[tuple[str, object, Any]] = [
-        ("arm", arm, (ArmDesign, ArmSeries)),
-        ("space", space, DesignSpace),
-        ("objective", objective, Objective),
-    ]
-    for name, value, kind in kinds:
-        if not isinstance(value, kind):
-            names = " or ".join(one.__name__ for one in (kind if isinstance(kind, tuple) else (kind,)))
-            raise ValueError(f"{name}: must be of type {names}, got {shown(value)}")
-    tasks = task_list(task)
-    if any(0 in one.batch_shape for one in tasks):
-        raise ValueError("task: must hold at least one task, got none")
-    for_each_task(task, lambda one: fitted(arm, one))
+    _check_type("objective", objective, Objective)
+    tasks = checked_tasks(arm, space, task)
     check_count("starts", starts, 1)
     check_count("seed", seed, 0)
     check_count("iterations", iterations, 1)
     if seconds is not None:
         check_number("seconds", seconds, 0.0, strict=True, unit="s")
     return tasks
+
+
+def checked_tasks(arm: Arm, space: DesignSpace, task: Task | Sequence[Task]) -> tuple[Task, ...]:
+    """The tasks as a tuple, which fit the designs, of which there is a space."""
+    _check_type("arm", arm, ArmDesign, ArmSeries)
+    _check_type("space", space, DesignSpace)
+    tasks = task_list(task)
+    if any(0 in one.batch_shape for one in tasks):
+        raise ValueError("task: must hold at least one task, got none")
+    for_each_task(task, lambda one: fitted(arm, one))
+    return tasks
+
+
+def _check_type(name: str, value: object, *kinds: type) -> None:
+    if not isinstance(value, kinds):
+        raise ValueError(f"{name}: must be of type {' or '.join(kind.__name__ for kind in kinds)}, got {shown(value)}")
 
 
 def starting_points(problem: Problem, arm: Arm, starts: int, seed: int) -> list[Array]:
@@ -158,47 +164,45 @@ def outcome(
 ) -> OptimisedDesign:
     """Put together what is known of the starts of one architecture."""
     designs, objective = problem.designs, problem.objective
-    given, given_value = _best_given(arm, problem)
-    given_held, ranked = _ranked(problem, given, given_value, ends, tolerance)
-    better = [end for held, end in ranked if held >= given_held][:CANDIDATES]
-    violated = designs.violated_by(given)
-    chosen, status = (better[0] if better else None), "better"
+    given = _predicted(problem, *_best_given(arm, problem), tolerance)
+    ranked = _ranked(problem, given, ends, tolerance)
+    better = [one for one in ranked if one.held >= given.held][:CANDIDATES]
+    violated = designs.violated_by(given.arm)
+    best, status = (better[0] if better else given), "better"
     if better and objective.metric == "predicted_error" and objective.robust is None:
         try:
-            chosen, status = _confirmed(problem, given, better)
+            best, status = _confirmed(problem, given, better)
         except KeyboardInterrupt:
             status, stopped = "better as predicted, not compared by a pressure search: interrupted", "interrupted"
     elif not better:
         early = " before it was interrupted" if stopped == "interrupted" else ""
         status = f"given design kept: no better one was found within the constraints{early}"
         if ranked:
-            tasks, most = f"{given_held} task{'s' * (given_held != 1)}", max(held for held, _ in ranked)
+            tasks, most = f"{given.held} task{'s' * (given.held != 1)}", max(one.held for one in ranked)
             status = f"given design kept: it holds {tasks}, and those of less value hold {most} at most{early}"
-    best = given if chosen is None else designs.design(chosen.point)
-    before, after = (predicted(one, problem.tasks, objective.pose_cost) for one in (given, best))
-    built = _built(problem, given, best, tolerance)
-    if chosen is not None and built is not None:
+    built, before, after = _built(problem, given.arm, best.arm, tolerance), given.errors, best.errors
+    if best is not given and built is not None:
         status = f"better: {yield_words(*built)}"
-    if chosen is None and violated:
+    if best is given and violated:
         status += f", which it is outside of ({'; '.join(violated)})"
     if not bool(after.stable.all()):
         status += f"; no stable equilibrium is predicted {_on_tasks(~after.stable)}"
     elif not bool(after.converged.all()):
         status += f"; predictions did not converge {_on_tasks(~after.converged)}"
-    if chosen is not None and space.in_range and int(after.in_range.sum()) < int(before.in_range.sum()):
+    if best is not given and space.in_range and int(after.in_range.sum()) < int(before.in_range.sum()):
         status += f"; the shapes reached leave the characterised range {_on_tasks(~after.in_range)}, where models guess"
     reached = np.array([end.point for end in ends]).reshape(len(ends), designs.dimension)
     return OptimisedDesign(
-        given=given,
-        best=best,
-        given_value=given_value,
-        value=given_value if chosen is None else chosen.value,
-        given_held=given_held,
-        held=given_held if chosen is None else next(held for held, end in ranked if end is chosen),
+        given=given.arm,
+        best=best.arm,
+        given_value=given.value,
+        value=best.value,
+        given_held=given.held,
+        held=best.held,
         before=before,
         after=after,
         status=status,
-        active=() if chosen is None else designs.active(chosen.point),
+        active=() if best.point is None else designs.active(best.point),
         violated=violated,
         starts=designs.design(np.array(points)),
         ends=designs.design(reached),
@@ -228,18 +232,35 @@ def _built(
     return before, after
 
 
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A design, its objective's value, what is predicted on all tasks, and how many it holds.
+
+    Attributes:
+        point: (F,) the free values at which a descent ended; None of the given design.
+    """
+
+    arm: Arm
+    value: float
+    point: Array | None
+    errors: TaskErrors
+    held: int
+
+
+def _predicted(
+    problem: Problem, arm: Arm, value: float, tolerance: PoseTolerance | float | None, point: Array | None = None
+) -> _Candidate:
+    """A design with what is predicted."""
+    return _Candidate(arm, value, point, *predicted(arm, problem.tasks, problem.objective.pose_cost, tolerance))
+
+
 def _ranked(
-    problem: Problem, given: Arm, given_value: float, ends: Sequence[End], tolerance: PoseTolerance | float | None
-) -> tuple[int, list[tuple[int, End]]]:
-    """How many tasks the given design holds; and of the ends of less value how many each holds, the best first."""
-
-    def held(arm: Arm) -> int:
-        return held_tasks(arm, problem.tasks, problem.objective.pose_cost, tolerance)
-
-    lower = [end for end in ends if end.value < given_value * (1 - NOISE) or given_value == np.inf > end.value]
-    counts = [held(problem.designs.design(end.point)) for end in lower]
-    order = best_first([end.value for end in lower], counts)
-    return held(given), [(counts[index], lower[index]) for index in order]
+    problem: Problem, given: _Candidate, ends: Sequence[End], tolerance: PoseTolerance | float | None
+) -> list[_Candidate]:
+    """Designs at the ends of less value than the given design's, the best first."""
+    lower = [end for end in ends if end.value < given.value * (1 - NOISE) or given.value == np.inf > end.value]
+    found = [_predicted(problem, problem.designs.design(end.point), end.value, tolerance, end.point) for end in lower]
+    return [found[index] for index in best_first([one.value for one in found], [one.held for one in found])]
 
 
 def best_first(values: Sequence[float], held: Sequence[int]) -> list[int]:
@@ -258,22 +279,21 @@ def _on_tasks(marked: Tensor) -> str:
     return f"on {int(marked.sum())} of {count} tasks" if count > 1 else "on the task"
 
 
-def _confirmed(problem: Problem, given: Arm, better: Sequence[End]) -> tuple[End | None, str]:
-    """The first of some ends with which a pressure search does better than with the given design."""
+def _confirmed(problem: Problem, given: _Candidate, better: Sequence[_Candidate]) -> tuple[_Candidate, str]:
+    """The first of some designs with which a pressure search does better than with the given one, or that."""
     over = problem.objective.over
-    (before, old), found = _by_search(problem, given), list[tuple[float, TaskErrors]]()
-    for end in better:
-        arm = problem.designs.design(end.point)
-        value, new = _by_search(problem, arm)
+    (before, old), found = _by_search(problem, given.arm), list[tuple[float, TaskErrors]]()
+    for one in better:
+        value, new = _by_search(problem, one.arm)
         found.append((value, new))
         if value < before * (1 - NOISE):
             words = compared_words(old, new, over)
-            if abs(end.value - value) <= AGREEMENT[0] * value + AGREEMENT[1]:
-                return end, f"better, as a pressure search confirms ({words})"
-            expected = reached_words(predicted(arm, problem.tasks, problem.objective.pose_cost), over)
-            return end, f"better, but a pressure search finds the {words}, where {expected} is predicted"
-    least = min(found, key=lambda one: one[0])[1]
-    return None, (
+            if abs(one.value - value) <= AGREEMENT[0] * value + AGREEMENT[1]:
+                return one, f"better, as a pressure search confirms ({words})"
+            expected = reached_words(one.errors, over)
+            return one, f"better, but a pressure search finds the {words}, where {expected} is predicted"
+    least = min(found, key=lambda pair: pair[0])[1]
+    return given, (
         f"given design kept: a pressure search reaches {reached_words(old, over)} with it, and "
         f"{reached_words(least, over)} with the best found within the constraints"
     )

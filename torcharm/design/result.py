@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries
+from torcharm.arm_series import rebuilt
 from torcharm.design.objective import Objective
 from torcharm.design.space import Arm, DesignSpace
 from torcharm.design.task_errors import TaskErrors
@@ -86,9 +86,7 @@ class OptimisedDesign(HoldsTensors):
         """
         if self.best is self.given:
             return self.best
-        segments, links = segments_of(self.best)
-        rounded = tuple(_rounded(segment, self.space.free) for segment in segments)
-        return rounded[0] if isinstance(self.best, ArmDesign) else ArmSeries(rounded, links)
+        return rebuilt(self.best, [_rounded(segment, self.space.free) for segment in segments_of(self.best)[0]])
 
     def _values(self) -> str:
         """What was made small, plain: without what errors count more beyond the range."""

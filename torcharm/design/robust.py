@@ -13,8 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries
+from torcharm.arm_series import rebuilt
 from torcharm.design.scatter import Scatter, Source, built_arms, normal_numbers, scattered
 from torcharm.design.space import Arm
 from torcharm.inputs import check_count, check_flag, check_number, shown
@@ -91,7 +90,5 @@ class Draw:
 
     def built(self, arm: Arm) -> Arm:
         """The built arms (*batch, S) of designs (*batch)."""
-        segments, links = segments_of(arm)
-        beside = tuple(segment._map(lambda value: value.unsqueeze(-2)) for segment in segments)
-        one = beside[0] if isinstance(arm, ArmDesign) else ArmSeries(beside, links)
-        return built_arms(one, self.sources, self.values)
+        beside = [segment._map(lambda value: value.unsqueeze(-2)) for segment in segments_of(arm)[0]]
+        return built_arms(rebuilt(arm, beside), self.sources, self.values)

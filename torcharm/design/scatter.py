@@ -18,7 +18,7 @@ from torcharm.actuators.deviation import ForceDeviation
 from torcharm.actuators.inspection import same_model
 from torcharm.actuators.protocol import is_moulded
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries
+from torcharm.arm_series import rebuilt, with_slices
 from torcharm.characterise.fit import FittedActuator
 from torcharm.design.space import Arm, Array
 from torcharm.inputs import check_choice, check_flag, check_number, shown
@@ -216,16 +216,11 @@ def scattered(sources: Sequence[Source], normal: Tensor) -> list[Tensor]:
 
 def built_arms(arm: Arm, sources: Sequence[Source], values: Sequence[Tensor]) -> Arm:
     """Arms with their parameters moved by values (*#batch, K) of each source, whose batch broadcasts with the arms'."""
-    segments, links = segments_of(arm)
     batch = torch.broadcast_shapes(arm.batch_shape, *(value.shape[:-1] for value in values))
     moves = {source.name: value for source, value in zip(sources, values, strict=True) if source.name != MODEL}
     models = [(source, value) for source, value in zip(sources, values, strict=True) if source.name == MODEL]
-    first, made = 0, []
-    for segment in segments:
-        own = slice(first, first + segment.actuator_count)
-        made.append(_built(segment, batch, own, arm.actuator_count, moves, models))
-        first = own.stop
-    return made[0] if isinstance(arm, ArmDesign) else ArmSeries(tuple(made), links)
+    slices = with_slices(segments_of(arm)[0])
+    return rebuilt(arm, [_built(one, batch, own, arm.actuator_count, moves, models) for one, own in slices])
 
 
 def _built(

@@ -48,15 +48,8 @@ def tip_slopes(
 ) -> list[Tensor]:
     """For each source the slopes (*task batch, D, K) of the tip's place, as of `tip_places`, by its parameters [m].
 
-    By the implicit function theorem, at the drawn arm: with its pressures kept, or with pressures that stay at their
-    minimum. NaN where no stable equilibrium was found.
-
-    Args:
-        arm, task: one design, on tasks.
-        sources: of scatter.
-        found: what is predicted of it.
-        pose_cost: which was minimised.
-        compensated: whether pressures are found anew for each built arm.
+    By the implicit function theorem, at one drawn arm, of which `found` is predicted: with its pressures kept, or, of
+    compensated ones, with pressures that stay at their minimum. NaN where no stable equilibrium was found.
     """
     base = prepare(arm, task, pose_cost)
     batch = base.batch

@@ -180,7 +180,7 @@ def nearest_shape(arm: Arm, task: Task, tip_pose: TensorLike) -> Tensor | None:
     Raises:
         ValueError: arm, task and pose do not fit.
     """
-    nodes = task.segment_nodes or (task.nodes,)
+    nodes = task.nodes_of_segments
     problem, _ = _problem(arm, tip_pose, task.load, PAPER_SHAPES[0], nodes, task.base_pose, False)
     near = problem.onto_tip(problem.unknowns(task.twists), accuracy=0.1 * TIP_TOLERANCE)
     if not problem.violation(near) < TIP_TOLERANCE:

@@ -11,7 +11,7 @@ import torch
 from torcharm.actuators.inspection import same_model
 from torcharm.actuators.protocol import is_moulded
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries
+from torcharm.arm_series import ArmSeries, rebuilt, with_slices
 from torcharm.inputs import check_choice, check_flag, check_number, shown
 from torcharm.statics.balance import segments_of
 
@@ -125,9 +125,9 @@ def one_of_batch(arm: Arm, index: int) -> Arm:
     """A design of a flattened batch; the arm itself if it is no batch."""
     if not arm.batch_shape:
         return arm
-    segments, links = segments_of(arm)
+    segments = segments_of(arm)[0]
     whole = [one._map(lambda value: value.expand(*arm.batch_shape, value.shape[-1])).flatten() for one in segments]
-    return whole[0][index] if isinstance(arm, ArmDesign) else ArmSeries(tuple(one[index] for one in whole), links)
+    return rebuilt(arm, [one[index] for one in whole])
 
 
 @dataclass(frozen=True)
@@ -178,10 +178,9 @@ def free_values(space: DesignSpace, arm: Arm) -> FreeValues:
         raise ValueError("arm: must hold at least one design, got none")
     if "angles" in space.free and arm.dimension == 2:
         raise ValueError("free: angles must be left out, the arm is planar")
-    base, first = values[0].copy(), 0
+    base = values[0].copy()
     found: list[tuple[Array, float, float, str, str]] = []
-    for segment in segments_of(arm)[0]:
-        own = slice(first, first + segment.actuator_count)
+    for segment, own in with_slices(segments_of(arm)[0]):
         for place, name in enumerate(FIELDS):
             given = values[:, place, own]
             if name not in space.free:
@@ -193,7 +192,8 @@ def free_values(space: DesignSpace, arm: Arm) -> FreeValues:
             for members, signs in tied_groups(space, name, values[0, :, own], segment):
                 sides = np.stack((least[members] - zero[members], most[members] - zero[members])) * signs
                 low, high = float(sides.min(0).max()), float(sides.max(0).min())
-                what = f"{name} of actuator{'s' * (len(members) > 1)} {_listed(members, first)}"
+                numbers = ", ".join(str(own.start + index + 1) for index in members)
+                what = f"{name} of actuator{'s' * (len(members) > 1)} {numbers}"
                 if low > high:
                     raise ValueError(f"bounds: {what} are tied and have none in common, got from {low:g} to {high:g}")
                 column = np.zeros_like(base)
@@ -202,7 +202,6 @@ def free_values(space: DesignSpace, arm: Arm) -> FreeValues:
                     found.append((column, low, high, what, UNITS[name]))
                 else:
                     base += column * low
-        first += segment.actuator_count
     if not found:
         raise ValueError("bounds: leave nothing free, the lowest and highest of every free value are the same")
     columns, lows, highs, names, units = zip(*found, strict=True)
@@ -314,7 +313,3 @@ def _checked_groups(tie: Any, count: int) -> list[list[int]]:
             f"group only, got {shown(tie)}"
         )
     return groups
-
-
-def _listed(members: Sequence[int], before: int) -> str:
-    return ", ".join(str(before + index + 1) for index in members)

@@ -17,6 +17,7 @@ from torcharm.actuators.bending import active_moment, bending_model, passive_mom
 from torcharm.arm import ArmDesign
 from torcharm.design.checkpoint import CURVATURES
 from torcharm.design.space import Arm, DesignSpace
+from torcharm.geometry import se3
 from torcharm.task import Task
 
 SAME = 1e-9
@@ -98,8 +99,9 @@ def _rows(tasks: Sequence[Task], turn: Tensor | None = None) -> list[tuple[Any, 
     found: list[tuple[Any, ...]] = []
     for task in tasks:
         map_ = torch.eye(3, dtype=torch.float64) if turn is None else turn
-        sign, base = torch.linalg.det(map_), _rotation(task)
-        world = base @ map_ @ base.T
+        sign, base = torch.linalg.det(map_), task.base_pose.detach().double().cpu()
+        turned = (base if task.dimension == 3 else se3.from_plane(base))[:3, :3]
+        world = turned @ map_ @ turned.T
         up = world.new_tensor((0.0, 1.0, 0.0))
         if any(point.wrench is not None for point in task.load.points):
             return None
@@ -130,17 +132,4 @@ def _alike(some: list[tuple[Any, ...]] | None, others: list[tuple[Any, ...]] | N
 def _in_space(value: Tensor, dimension: int) -> Tensor:
     """Twists or wrenches of six components."""
     value = value.detach().double().cpu()
-    if dimension == 3:
-        return value
-    along, across, about = value.unbind(-1)
-    none = torch.zeros_like(along)
-    return torch.stack((along, across, none, none, none, about), -1)
-
-
-def _rotation(task: Task) -> Tensor:
-    """(3, 3) of the base."""
-    base = task.base_pose.detach().double().cpu()
-    if task.dimension == 3:
-        return base[:3, :3]
-    cos, sin = float(base[2].cos()), float(base[2].sin())
-    return torch.tensor(((cos, -sin, 0.0), (sin, cos, 0.0), (0.0, 0.0, 1.0)), dtype=torch.float64)
+    return value if dimension == 3 else se3.vector_from_plane(value)

@@ -13,7 +13,7 @@ from torcharm.design.space import Arm
 from torcharm.inputs import HoldsTensors
 from torcharm.pressure.followed import beyond_range
 from torcharm.pressure.pose_cost import PoseCost
-from torcharm.pressure.predicted_error import PredictedError, predict_error
+from torcharm.pressure.predicted_error import PredictedError
 from torcharm.pressure.search import PressureSearch, search_pressure
 from torcharm.task import Task
 
@@ -73,10 +73,14 @@ class TaskErrors(HoldsTensors):
         return int((~self.stable).sum())
 
 
-def predicted(arm: Arm, tasks: Sequence[Task], cost: PoseCost | None) -> TaskErrors:
-    """What is predicted of one design on all tasks."""
+def predicted(
+    arm: Arm, tasks: Sequence[Task], cost: PoseCost | None, tolerance: PoseTolerance | float | None
+) -> tuple[TaskErrors, int]:
+    """What is predicted of one design on all tasks, and how many it holds, by the verdict of `torcharm.evaluate`."""
     with torch.no_grad():
-        return TaskErrors.of(arm, tasks, [predict_error(arm, task, cost) for task in tasks])
+        found = [evaluate(arm, task, PREDICTED, tolerance=tolerance, pose_cost=cost) for task in tasks]
+        errors = TaskErrors.of(arm, tasks, [one.prediction for one in found if one.prediction is not None])
+    return errors, sum(int(np.sum(np.array(one.verdict) == "held")) for one in found)
 
 
 def searched(
@@ -86,10 +90,3 @@ def searched(
     with torch.no_grad():
         options: dict[str, Any] = {"starts": starts, "pose_cost": cost, "seed": seed}
         return TaskErrors.of(arm, tasks, [search_pressure(arm, task, **options) for task in tasks])
-
-
-def held_tasks(arm: Arm, tasks: Sequence[Task], cost: PoseCost | None, tolerance: PoseTolerance | float | None) -> int:
-    """How many tasks one design holds, by the verdict of `torcharm.evaluate`."""
-    with torch.no_grad():
-        found = [evaluate(arm, task, PREDICTED, tolerance=tolerance, pose_cost=cost) for task in tasks]
-    return sum(int(np.sum(np.array(one.verdict) == "held")) for one in found)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,10 +13,7 @@ from torch import Tensor
 from torcharm.attainability.verdict import EXCLUDED, VERDICTS, PoseTolerance
 from torcharm.design.scatter import Scatter
 from torcharm.design.space import Arm
-from torcharm.inputs import HoldsTensors, check_number
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
+from torcharm.inputs import HoldsTensors, Tabular, check_number
 
 PERCENTILES = (5.0, 50.0, 95.0)
 CONFIDENCE = 0.95
@@ -59,7 +56,7 @@ class Yield:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BuiltArms(HoldsTensors):
+class BuiltArms(HoldsTensors, Tabular):
     """What `tolerance` found of S built arms on T tasks.
 
     Attributes:
@@ -295,16 +292,6 @@ class BuiltArms(HoldsTensors):
         if self.margin is not None:
             columns["capacity_margin_p5"] = self.margin.quantile(0.05, dim=0).tolist()
         return columns
-
-    def to_frame(self) -> "DataFrame":
-        """The same as a table of pandas.
-
-        Raises:
-            ModuleNotFoundError: pandas is not installed.
-        """
-        from pandas import DataFrame
-
-        return DataFrame(self.to_dict())
 
     def __repr__(self) -> str:
         """Counts and the yield, no tensors."""

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torcharm.geometry.turn_ratios import turn_ratios
+from torcharm.geometry.turn_ratios import alternating_series, turn_ratios
 
 POSE_SHAPE = (3,)
 """Shape of one pose."""
@@ -24,21 +24,12 @@ _SERIES_RADIUS = 1.0
 _SERIES_TERMS = 11  # the first term left out is below 1e-22 at the series' radius
 
 
-def _series(square: Tensor, first_factorial: int) -> Tensor:
-    """Σ_k (-x²)^k / (2k + first_factorial)!, by Horner."""
-    terms = [(-1) ** k / math.factorial(2 * k + first_factorial) for k in range(_SERIES_TERMS)]
-    total = torch.full_like(square, terms[-1])
-    for term in reversed(terms[:-1]):
-        total = total * square + term
-    return total
-
-
 def sine_ratio(angle: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
     """`sin(x)/x`, exact and smooth through zero (torch.sinc has wrong second derivatives there)."""
     small = angle.abs() < _SERIES_RADIUS
     safe = torch.where(small, torch.ones_like(angle), angle)
     near = torch.where(small, angle, torch.zeros_like(angle))
-    return torch.where(small, _series(near.square(), 1), safe.sin() / safe)
+    return torch.where(small, alternating_series(near.square(), 1, _SERIES_TERMS), safe.sin() / safe)
 
 
 def cosine_ratio(angle: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
@@ -46,7 +37,8 @@ def cosine_ratio(angle: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
     small = angle.abs() < _SERIES_RADIUS
     safe = torch.where(small, torch.ones_like(angle), angle)
     near = torch.where(small, angle, torch.zeros_like(angle))
-    return torch.where(small, near * _series(near.square(), 2), 2.0 * (safe / 2).sin().square() / safe)
+    far = 2.0 * (safe / 2).sin().square() / safe
+    return torch.where(small, near * alternating_series(near.square(), 2, _SERIES_TERMS), far)
 
 
 def turned(angle: Float[Tensor, "..."], vector: Float[Tensor, "... 2"]) -> Float[Tensor, "... 2"]:

@@ -27,7 +27,7 @@ def turn_ratios(square: Float[Tensor, "*s"]) -> tuple[Tensor, Tensor, Tensor, Te
     angle = large.sqrt()
     sine = angle.sin() / angle
     cosine = 2.0 * (angle / 2).sin().square() / large
-    c_small, d_small = _series(small, 3), _series(small, 4)
+    c_small, d_small = alternating_series(small, 3, _SERIES_TERMS), alternating_series(small, 4, _SERIES_TERMS)
     return (
         torch.where(near, 1.0 - small * c_small, sine),
         torch.where(near, 0.5 - small * d_small, cosine),
@@ -36,9 +36,9 @@ def turn_ratios(square: Float[Tensor, "*s"]) -> tuple[Tensor, Tensor, Tensor, Te
     )
 
 
-def _series(square: Tensor, first_factorial: int) -> Tensor:
-    """Σ_k (-θ²)^k / (2k + first_factorial)!, by Horner."""
-    terms = [(-1) ** k / math.factorial(2 * k + first_factorial) for k in range(_SERIES_TERMS)]
+def alternating_series(square: Tensor, first_factorial: int, count: int) -> Tensor:
+    """The first terms, so many, of Σ_k (-θ²)^k / (2k + first_factorial)!, by Horner."""
+    terms = [(-1) ** k / math.factorial(2 * k + first_factorial) for k in range(count)]
     total = torch.full_like(square, terms[-1])
     for term in reversed(terms[:-1]):
         total = total * square + term

@@ -131,7 +131,7 @@ def settled(found: Answer) -> State:
 
 def place_of_node(task: Task, node: int) -> tuple[int, int]:
     """The segment on which a node is, and its number there, all from 0."""
-    counts, segment = task.segment_nodes or (task.nodes,), 0
+    counts, segment = task.nodes_of_segments, 0
     while node >= counts[segment]:
         node -= counts[segment]
         segment += 1
@@ -149,7 +149,7 @@ def _node_set(arm: Arm, task: Task, node: int, inside: bool) -> NodeSet:
 def _buckles(arm: Arm, task: Task, pressure: Tensor, twists: Tensor) -> bool:
     if arm.dimension == 2 or all(one.torsion_stiffness is None for one in segments_of(arm)[0]):
         return False
-    nodes = task.segment_nodes or (task.nodes,)
+    nodes = task.nodes_of_segments
     problem = Problem(arm, pressure, task.load, task.base_pose, nodes, task.wrench_at, None, torch.Size())
     return bool(buckles_in_torsion(problem, twists).any())
 
@@ -160,7 +160,7 @@ def _reason(state: State, found: Attainability, twists: Tensor | None) -> str:
         return str(found.reason)
     assert found.tip_error is not None
     task = found.task
-    wrong = differences(task.twists, twists.to(task.twists), task.segment_nodes or (task.nodes,))
+    wrong = differences(task.twists, twists.to(task.twists), task.nodes_of_segments)
     off = f"tip off by {1e3 * float(found.tip_error):.3g} mm at these pressures"
     return f"{off}: {wrong}" if wrong else off
 
@@ -190,16 +190,11 @@ def followed(state: State, pose: Array) -> Tensor | None:
 def planned(state: State) -> tuple[Tensor | None, str]:
     """A shape through the state's tip that lacks as little as any, or None, and in words what came of it."""
     arm, task = design_of(state), task_of(state)
-    nodes = task.segment_nodes or (task.nodes,)
+    nodes = task.nodes_of_segments
     found = plan_shape(arm, _tip_of(arm, task), task.load, nodes=nodes, base_pose=task.base_pose, starts=1)
-    return (
-        (found.twists, "Planned: a shape through this tip whose nodes lack as little as any.")
-        if found.found
-        else (
-            None,
-            f"Not planned, {found.status}.",
-        )
-    )
+    if not found.found:
+        return None, f"Not planned, {found.status}."
+    return found.twists, "Planned: a shape through this tip whose nodes lack as little as any."
 
 
 def swept(state: State) -> tuple[AlphaShape, str]:

@@ -20,13 +20,7 @@ INK, BAND, OUTSIDE = "#0072B2", "rgba(0, 114, 178, 0.25)", "#D55E00"
 
 
 class Charts:
-    """The charts of one browser.
-
-    Args:
-        gui: viser's, of one client, where they are to lie.
-        uplot: viser's words for charts.
-        dimension: of the arm; a set in space is no chart, but in the scene.
-    """
+    """The charts of one browser, by viser's words for them; a set in space is no chart, but in the scene."""
 
     def __init__(self, gui: Any, uplot: Any, dimension: int) -> None:
         none = np.zeros(1)

@@ -3,13 +3,11 @@
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from torcharm.page.state import (
     BEST,
     BY_HAND,
-    Group,
     State,
     groups,
     limits,
@@ -107,33 +105,28 @@ def _design(state: State) -> Iterator[Control]:
     names = tuple(arm.name for arm in state.study.arms)
     yield _choice("arm", ("Design",), "arm", names, lambda one: one.arm, with_arm)
     for number, group in enumerate(groups(state.named_arm.design)):
-        folders = ("Design", _name_of(state, group))
-        for name, (unit, factor) in UNITS.items():
+        members = ", ".join(str(group.first + member + 1) for member in group.members)
+        folders = ("Design", f"{group.kind} {members}")
+        for name in UNITS:
             low, high = value_range(group, name)
             if low < high:
-                yield Control(
-                    f"{name} {number}",
-                    folders,
-                    f"{name} [{unit}]",
-                    partial(_group_value, number, name, factor),
-                    partial(_write_group, number, name, factor),
-                    ends=(factor * low, factor * high),
-                    step=_step(factor * (high - low)),
-                    hint=HINTS[name],
-                )
+                yield _of_group(number, folders, name, (low, high))
 
 
-def _name_of(state: State, group: Group) -> str:
-    members = ", ".join(str(group.first + member + 1) for member in group.members)
-    return f"{group.kind} {members}"
-
-
-def _group_value(number: int, name: str, factor: float, state: State) -> float:
-    return factor * float(getattr(state.designs[state.arm][number], name))
-
-
-def _write_group(number: int, name: str, factor: float, state: State, value: float) -> State:
-    return with_value(state, number, name, value / factor)
+def _of_group(number: int, folders: tuple[str, ...], name: str, ends: tuple[float, float]) -> Control:
+    """A value of a group, from one end to the other."""
+    unit, factor = UNITS[name]
+    low, high = (factor * end for end in ends)
+    return Control(
+        f"{name} {number}",
+        folders,
+        f"{name} [{unit}]",
+        lambda one: factor * float(getattr(one.designs[one.arm][number], name)),
+        lambda one, value: with_value(one, number, name, value / factor),
+        ends=(low, high),
+        step=_step(high - low),
+        hint=HINTS[name],
+    )
 
 
 def _task(state: State) -> Iterator[Control]:
@@ -151,16 +144,7 @@ def _task(state: State) -> Iterator[Control]:
             hint="Which of the task's loads.",
         )
     for component, ((name, unit), most) in enumerate(zip(COMPONENTS[len(state.tip)], tip_range(state), strict=True)):
-        yield Control(
-            f"tip {component}",
-            ("Task",),
-            f"{name} [{unit}]",
-            partial(_tip_value, component),
-            partial(_write_tip, component),
-            ends=(-most, most),
-            step=_step(2 * most),
-            hint="At the tip, in the world: x right, y up, z to the viewer.",
-        )
+        yield _of_tip(component, f"{name} [{unit}]", most)
     yield Control("gravity", ("Task",), "gravity", lambda one: one.gravity, with_gravity, hint="Whether masses weigh.")
     heaviest = 1e3 * payload_range(state)
     yield Control(
@@ -176,12 +160,18 @@ def _task(state: State) -> Iterator[Control]:
     )
 
 
-def _tip_value(component: int, state: State) -> float:
-    return state.tip[component]
-
-
-def _write_tip(component: int, state: State, value: float) -> State:
-    return with_tip(state, component, value)
+def _of_tip(component: int, label: str, most: float) -> Control:
+    """A component of the tip load, up to its most either way."""
+    return Control(
+        f"tip {component}",
+        ("Task",),
+        label,
+        lambda one: one.tip[component],
+        lambda one, value: with_tip(one, component, value),
+        ends=(-most, most),
+        step=_step(2 * most),
+        hint="At the tip, in the world: x right, y up, z to the viewer.",
+    )
 
 
 def _pressures(state: State) -> Iterator[Control]:
@@ -191,25 +181,22 @@ def _pressures(state: State) -> Iterator[Control]:
     places = [group.first + member for group in groups(state.named_arm.design) for member in group.members]
     for actuator, most in sorted(zip(places, highest, strict=True)):
         if most > 0:
-            yield Control(
-                f"pressure {actuator}",
-                ("Pressures",),
-                f"{actuator + 1} [kPa]",
-                partial(_pressure_value, actuator),
-                partial(_write_pressure, actuator),
-                ends=(0.0, most),
-                step=_step(most),
-                hint="By hand; it ends at the actuator's limit.",
-                enabled=lambda one: one.mode == BY_HAND,
-            )
+            yield _of_pressure(actuator, most)
 
 
-def _pressure_value(actuator: int, state: State) -> float:
-    return min(state.pressure[actuator], limits(state)[actuator])
-
-
-def _write_pressure(actuator: int, state: State, value: float) -> State:
-    return with_pressure(state, actuator, value)
+def _of_pressure(actuator: int, most: float) -> Control:
+    """The pressure of an actuator, up to its most."""
+    return Control(
+        f"pressure {actuator}",
+        ("Pressures",),
+        f"{actuator + 1} [kPa]",
+        lambda one: min(one.pressure[actuator], limits(one)[actuator]),
+        lambda one, value: with_pressure(one, actuator, value),
+        ends=(0.0, most),
+        step=_step(most),
+        hint="By hand; it ends at the actuator's limit.",
+        enabled=lambda one: one.mode == BY_HAND,
+    )
 
 
 def _node(state: State) -> Iterator[Control]:

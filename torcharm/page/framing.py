@@ -32,11 +32,9 @@ ALIKE = 1e-3
 
 
 class Framing:
-    """The camera of one browser.
+    """The camera of one browser, which is viser's.
 
-    Args:
-        camera: viser's, of one client.
-        changed: is called when the window has another shape, which needs another view.
+    `changed` is called when the window has another shape, which needs another view.
     """
 
     def __init__(self, camera: Any, changed: Callable[[], None]) -> None:
@@ -53,10 +51,7 @@ class Framing:
     def show(self, scene: Scene, dimension: int, hold: bool) -> None:
         """Set the view of a scene where that is asked for, or where the scene leaves a view that was set here.
 
-        Args:
-            scene: all there is to see.
-            dimension: of the arm.
-            hold: whether the view must not move, as something is being dragged in it.
+        On hold it must not move, as something is being dragged in it.
         """
         corners, axes = Corners.of(scene), view_axes(TOWARDS[dimension])
         aspect = shape_of(self._camera)

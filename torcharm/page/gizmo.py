@@ -16,15 +16,9 @@ SIZE = 0.28
 
 
 class Gizmo:
-    """The handle of one browser, which is there if something is to be dragged.
+    """The handle of one browser, which is there if something is to be dragged, and `dragging` while it is.
 
-    Args:
-        scene: viser's, of one client.
-        transforms: viser's rotations.
-        session: that hears where it was dragged.
-
-    Attributes:
-        dragging: whether it is being dragged now.
+    The scene and its rotations are viser's; the session hears where the handle was dragged.
     """
 
     def __init__(self, scene: Any, transforms: Any, session: Session) -> None:

@@ -29,12 +29,7 @@ def study_text(state: State, out: Path) -> str:
 
 
 def save(state: State, out: Path) -> None:
-    """Write the study, whole or not at all.
-
-    Raises:
-        ValueError: as for `study_text`.
-        OSError: the file cannot be written.
-    """
+    """Write the study, whole or not at all; an OSError says that the file cannot be written."""
     text = study_text(state, out)
     with atomic_write(out) as partial:
         partial.write_text(text, encoding="utf-8", newline="\n")

@@ -230,7 +230,7 @@ def _node(found: Answer, at: Centreline, length: float) -> Iterator[tuple[str, E
     """Where the node is whose set is shown: the start of its element."""
     number, node = place_of_node(found.task, found.node_set.node)
     segment, line = segments_of(found.arm)[0][number], at.segments[number]
-    pose = line[round(node * (len(line) - 1) / (found.task.segment_nodes or (found.task.nodes,))[number])]
+    pose = line[round(node * (len(line) - 1) / found.task.nodes_of_segments[number])]
     ahead, wide = pose.copy(), _width(segment)
     ahead[:3, 3] += 0.006 * length * pose[:3, 0]
     yield "node", _mesh(skin_of(np.stack((pose, ahead)), 0.0, 0.0, 1.25 * wide), BLUE, 0.5)

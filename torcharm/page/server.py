@@ -143,11 +143,7 @@ def _grid_cells(length: float) -> dict[str, Any]:
 
 
 def _free_port(host: str, port: int) -> int:
-    """The port, or the next that nothing listens at; viser would look for ever where the host or all ports are none.
-
-    Raises:
-        ValueError: nothing can listen at the host, or at no such port.
-    """
+    """The port, or the next that nothing listens at; viser would look for ever where the host or all ports are none."""
     why = ""
     for tried in range(port, min(port + PORTS, 1 << 16)):
         try:

@@ -16,10 +16,9 @@ from torch import Tensor
 
 from torcharm.actuators import model_name
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries
+from torcharm.arm_series import rebuilt, with_slices
 from torcharm.design.space import Arm
 from torcharm.load import GRAVITY, ExternalLoad, PointLoad
-from torcharm.plot._common import pick
 from torcharm.statics.balance import segments_of
 from torcharm.study import NamedArm, NamedTask, Study
 from torcharm.task import Task
@@ -113,23 +112,20 @@ class State:
     @property
     def given(self) -> Task:
         """The task of one load, as the study has it."""
-        return pick(self.named_task.task, self.load)
+        return self.named_task.task.part(self.load)
 
 
 def groups(arm: Arm) -> tuple[Group, ...]:
     """Alike are actuators of one model, distance, length and limit."""
-    found: dict[tuple[int, str, Values], list[int]] = {}
-    firsts, first = [], 0
-    for number, segment in enumerate(segments_of(arm)[0]):
-        firsts.append(first)
-        first += segment.actuator_count
+    found: dict[tuple[int, int, str, Values], list[int]] = {}
+    for number, (segment, own) in enumerate(with_slices(segments_of(arm)[0])):
         columns = (segment.offsets.norm(dim=-1), segment.length, segment.max_pressure)
         rows = torch.stack(columns, -1).tolist()
         for place, (model, row) in enumerate(zip(segment.actuators, rows, strict=True)):
             values = Values(*(float(f"{value:.9g}") for value in row))
-            found.setdefault((number, model_name(model), values), []).append(place)
+            found.setdefault((number, own.start, model_name(model), values), []).append(place)
     return tuple(
-        Group(number, tuple(members), firsts[number], kind, values) for (number, kind, values), members in found.items()
+        Group(number, tuple(members), first, kind, values) for (number, first, kind, values), members in found.items()
     )
 
 
@@ -241,11 +237,6 @@ def with_pressure(state: State, actuator: int, value: float) -> State:
     return replace(state, pressure=(*state.pressure[:actuator], number, *state.pressure[actuator + 1 :]))
 
 
-def with_found(state: State, pressure: Sequence[float]) -> State:
-    """The pressures that were found for the task, where they are asked for."""
-    return replace(state, pressure=tuple(pressure)) if state.mode == BEST else state
-
-
 def with_node(state: State, node: float) -> State:
     """Whose set is shown."""
     number = within(node, 0, state.given.nodes - 1)
@@ -273,12 +264,11 @@ def design_of(state: State, arm: int | None = None) -> Arm:
     """The design that the page shows, or another arm's as it was changed."""
     number = state.arm if arm is None else arm
     given = state.study.arms[number].design
-    segments, links = segments_of(given)
-    parts = list(segments)
+    parts = list(segments_of(given)[0])
     for group, values in zip(groups(given), state.designs[number], strict=True):
         if values != group.values:
             parts[group.segment] = _changed(parts[group.segment], group, values)
-    return ArmSeries(tuple(parts), links) if isinstance(given, ArmSeries) else parts[0]
+    return rebuilt(given, parts)
 
 
 def _changed(segment: ArmDesign, group: Group, values: Values) -> ArmDesign:
@@ -303,7 +293,7 @@ def task_of(state: State) -> Task:
         points.append(PointLoad(mass=state.payload))
     load = ExternalLoad(list(state.tip), state.gravity, points)
     twists = given.twists if state.twists is None else torch.tensor(state.twists, dtype=torch.float64)
-    return Task(twists, None, given.base_pose, load, given.wrench_at, given.segment_nodes)
+    return replace(given, twists=twists, load=load)
 
 
 def pressure_of(state: State) -> list[float]:

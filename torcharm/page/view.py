@@ -30,11 +30,7 @@ WIDE, LEAST = 1.5, 1150
 class View:
     """What one browser shows: results at the left, the arm, and what there is to move at the right.
 
-    Args:
-        client: viser's handle of the browser.
-        viser: the package.
-        state: with which the page begins.
-        out: the one file that the page writes and reads.
+    The page begins with a state, and `out` is the one file that it writes and reads.
     """
 
     def __init__(self, client: Any, viser: Any, state: State, out: Path) -> None:

@@ -6,61 +6,34 @@ Colour is never the only cue: the attainable is black and solid or a dot, the re
 """
 
 from torcharm.plot._common import (
-    ARM_COLOURS,
-    ARM_LINES,
-    ATTAINABLE,
-    KIND_STYLES,
-    LONGEST_ARROW,
-    OTHER_STYLES,
-    SMOOTHING,
-    UNATTAINABLE,
-    VERDICT_STYLES,
+    ARM_COLOURS as ARM_COLOURS,
+    ARM_LINES as ARM_LINES,
+    ATTAINABLE as ATTAINABLE,
+    KIND_STYLES as KIND_STYLES,
+    LONGEST_ARROW as LONGEST_ARROW,
+    OTHER_STYLES as OTHER_STYLES,
+    SMOOTHING as SMOOTHING,
+    UNATTAINABLE as UNATTAINABLE,
+    VERDICT_STYLES as VERDICT_STYLES,
 )
-from torcharm.plot.arms import arm_shape
-from torcharm.plot.histograms import unattainability_histogram
-from torcharm.plot.hulls import hull_projections, hulls_along_arm, node_hull
-from torcharm.plot.load_figures import load_figure
+from torcharm.plot.arms import arm_shape as arm_shape
+from torcharm.plot.histograms import unattainability_histogram as unattainability_histogram
+from torcharm.plot.hulls import (
+    hull_projections as hull_projections,
+    hulls_along_arm as hulls_along_arm,
+    node_hull as node_hull,
+)
+from torcharm.plot.load_figures import load_figure as load_figure
 from torcharm.plot.loads import (
-    attainable_load_map,
-    force_directions,
-    load_grid,
-    load_map,
-    polar_load_grid,
-    verdict_map,
+    attainable_load_map as attainable_load_map,
+    force_directions as force_directions,
+    load_grid as load_grid,
+    load_map as load_map,
+    polar_load_grid as polar_load_grid,
+    verdict_map as verdict_map,
 )
-from torcharm.plot.optimisation import optimisation_figure
-from torcharm.plot.shape_figures import plan_figure, search_figure
-from torcharm.plot.study import study_figure
-from torcharm.plot.tolerance import tolerance_figure
-from torcharm.plot.workspaces import workspace, workspace_figure
-
-__all__ = [
-    "ARM_COLOURS",
-    "ARM_LINES",
-    "ATTAINABLE",
-    "KIND_STYLES",
-    "LONGEST_ARROW",
-    "OTHER_STYLES",
-    "SMOOTHING",
-    "UNATTAINABLE",
-    "VERDICT_STYLES",
-    "arm_shape",
-    "attainable_load_map",
-    "force_directions",
-    "hull_projections",
-    "hulls_along_arm",
-    "load_figure",
-    "load_grid",
-    "load_map",
-    "node_hull",
-    "optimisation_figure",
-    "plan_figure",
-    "polar_load_grid",
-    "search_figure",
-    "study_figure",
-    "tolerance_figure",
-    "unattainability_histogram",
-    "verdict_map",
-    "workspace",
-    "workspace_figure",
-]
+from torcharm.plot.optimisation import optimisation_figure as optimisation_figure
+from torcharm.plot.shape_figures import plan_figure as plan_figure, search_figure as search_figure
+from torcharm.plot.study import study_figure as study_figure
+from torcharm.plot.tolerance import tolerance_figure as tolerance_figure
+from torcharm.plot.workspaces import workspace as workspace, workspace_figure as workspace_figure

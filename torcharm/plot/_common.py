@@ -1,19 +1,20 @@
 """What the pictures share: styles, axes, and the choice of one design and of tasks on one shape."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from math import prod
 from typing import Any
 
 import numpy as np
 import torch
 from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 from torch import Tensor
 
 from torcharm.actuators import Actuator, model_name
 from torcharm.design.space import Arm, one_of_batch
 from torcharm.inputs import check_count
-from torcharm.load import ExternalLoad, PointLoad
 from torcharm.task import Task
 
 Array = NDArray[np.float64]
@@ -68,22 +69,10 @@ def one_design(field: str, arm: Any, task: Task) -> Arm:
     return one_of_batch(arm, 0)
 
 
-def pick(task: Task, index: int | Sequence[int]) -> Task:
-    """One task of the flattened batch, or several that share a shape as that shape under several loads."""
-    batch = task.batch_shape
-
-    def own(value: Tensor, dims: int) -> Tensor:
-        shape = value.shape[value.ndim - dims :]
-        return value.detach().expand((*batch, *shape)).reshape((-1, *shape))[index]
-
-    points = []
-    for point in task.load.points:
-        wrench = None if point.wrench is None else own(point.wrench, 1)
-        points.append(PointLoad(wrench, point.segment, point.at, point.frame, own(point.mass, 0)))
-    load = ExternalLoad(None if task.load.tip is None else own(task.load.tip, 1), task.load.gravity, points)
-    twists = own(task.twists, 2)
-    first = twists if twists.ndim == 2 else twists[0]
-    return Task(first, None, task.base_pose, load, task.wrench_at, task.segment_nodes)
+def under_loads(task: Task, indices: Sequence[int]) -> Task:
+    """Some tasks of the flattened batch that share a shape, as that shape under several loads."""
+    chosen = task.part(indices)
+    return replace(chosen, twists=chosen.twists[0])
 
 
 def like_shape(task: Task, index: int) -> Mask:
@@ -104,7 +93,7 @@ def one_shape(task: Task, loads: Sequence[int] | None = None) -> Task:
     chosen = list(range(len(same)) if loads is None else loads)
     if not chosen or not set(chosen) <= set(range(len(same))):
         raise ValueError(f"loads: must be one or more integers from 0 to {len(same) - 1}, got {chosen!r:.60}")
-    return pick(task, chosen)
+    return under_loads(task, chosen)
 
 
 def node_index(task: Task, node: int | Tensor) -> int:
@@ -131,6 +120,22 @@ def median_place(error: Array) -> int | None:
     """The place of the median of what is finite, or None."""
     ranked = ranked_places(error)
     return int(ranked[(len(ranked) - 1) // 2]) if len(ranked) else None
+
+
+def merged_legend(figure: Any, panels: Iterable[Any], shorten: Callable[[str], str], **how: Any) -> None:
+    """One legend for all panels, by labels without what differs from one to the next."""
+    entries: dict[str, Any] = {}
+    for axes in panels:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            entries.setdefault(shorten(label), handle)
+    figure.legend(entries.values(), entries.keys(), fontsize="small", frameon=False, **how)
+
+
+def label_powers(axis: Any, digits: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
+    """Plain numbers along a logarithmic axis, at these multiples of powers of ten."""
+    axis.set_major_locator(LogLocator(subs=digits))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def legend_below(axes: Any) -> None:

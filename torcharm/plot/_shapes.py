@@ -11,7 +11,7 @@ from torcharm.attainability import Attainability
 from torcharm.attainability.reasons import NO_CENTRELINE, out_of_range
 from torcharm.design.space import Arm
 from torcharm.equilibrium import Equilibrium
-from torcharm.geometry import rod
+from torcharm.geometry import rod, se3
 from torcharm.inputs import shown
 from torcharm.load import ExternalLoad
 from torcharm.plot._common import SMOOTHING, Array, array
@@ -63,7 +63,7 @@ def why_impossible(arm: Arm, task: Task) -> str:
     """Of a task of one shape that leaves the centreline or an actuator no length."""
     if not bool((task.twists[..., 0] > 0).all()):
         return NO_CENTRELINE
-    return out_of_range(segments_of(arm)[0], task.twists, task.segment_nodes or (task.nodes,))
+    return out_of_range(segments_of(arm)[0], task.twists, task.nodes_of_segments)
 
 
 @dataclass(frozen=True)
@@ -88,14 +88,14 @@ class Centreline:
 def centreline(arm: Arm, twists: Tensor, task: Task) -> Centreline:
     """Where an arm's centreline lies at twists, from a task's base."""
     found, start = [], task.base_pose
-    parts = twists.detach().to(start).split(task.segment_nodes or (task.nodes,))
+    parts = twists.detach().to(start).split(task.nodes_of_segments)
     for own, link in zip(parts, segments_of(arm)[1], strict=True):
         poses = rod.poses(own.repeat_interleave(SMOOTHING, 0), start)
-        found.append(in_space(array(poses)))
+        found.append(in_space(poses))
         group, start = rod.group_of(twists.shape[-1]), poses[-1]
         if link is not None:
             start = group.compose(start, link.end(arm.dimension).detach().reshape(start.shape).to(start))
-    return Centreline(found, in_space(array(start)))
+    return Centreline(found, in_space(start))
 
 
 def tubes(segment: ArmDesign, line: Array) -> list[Array]:
@@ -115,11 +115,6 @@ def skin_of(line: Array, y: float, z: float, radius: float) -> Array:
     return np.moveaxis((line @ own)[:, :3], 1, -1)
 
 
-def in_space(poses: Array) -> Array:
+def in_space(poses: Tensor) -> Array:
     """Poses as homogeneous matrices (..., 4, 4), those of the plane (..., 3) at z = 0."""
-    if poses.shape[-2:] == (4, 4):
-        return poses
-    x, y, heading = np.moveaxis(poses, -1, 0)
-    none, one, cos, sin = 0 * x, 1 + 0 * x, np.cos(heading), np.sin(heading)
-    rows = ((cos, -sin, none, x), (sin, cos, none, y), (none, none, one, none), (none, none, none, one))
-    return np.stack([np.stack(row, -1) for row in rows], -2)
+    return array(poses if poses.shape[-2:] == se3.POSE_SHAPE else se3.from_plane(poses))

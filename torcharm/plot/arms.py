@@ -15,8 +15,10 @@ from torch import Tensor
 
 from torcharm.actuators import model_name
 from torcharm.arm import ArmDesign
+from torcharm.arm_series import with_slices
 from torcharm.attainability import Attainability
 from torcharm.design.space import Arm
+from torcharm.geometry import se3
 from torcharm.inputs import three_digits
 from torcharm.load import GRAVITY, ExternalLoad
 from torcharm.plot._common import (
@@ -103,14 +105,10 @@ def seen(axes: Any, points: Array) -> tuple[Array, ...]:
 
 
 def draw_arm(axes: Any, arm: Arm, task: Task, reached: Tensor | None = None, scale: float = 0.0) -> None:
-    """One arm at the shape of a task or at one that it reaches, with the loads on it.
+    """One arm at the shape of a task, or at twists that it reaches, with the loads on it.
 
-    Args:
-        axes: 2-D or, in space, 3-D ones.
-        arm: one design.
-        task: one shape under any number of loads.
-        reached: twists; None draws the task's shape.
-        scale: of arrows [N/m]; 0 takes that of `arrow_scale`.
+    Axes are 2-D or, in space, 3-D; the task is of one shape, under any number of loads; a scale of arrows [N/m] of 0
+    stands for that of `arrow_scale`.
     """
     wanted, segments = centreline(arm, task.twists, task), segments_of(arm)[0]
     at = wanted if reached is None else centreline(arm, reached.reshape(task.twists.shape), task)
@@ -119,11 +117,10 @@ def draw_arm(axes: Any, arm: Arm, task: Task, reached: Tensor | None = None, sca
     wide = max(float(np.linalg.norm(array(segment.offsets), axis=-1).max()) for segment in segments)
     half = 1.25 * max(wide, 0.01)
     draw_plate(axes, at.segments[0][0], half, "base")
-    styles, first = kind_styles(arm.actuators), 1
-    for segment, line in zip(segments, at.segments, strict=True):
+    styles = kind_styles(arm.actuators)
+    for (segment, own), line in zip(with_slices(segments), at.segments, strict=True):
         _draw_actuators(axes, segment, line, styles, 0.8 if reached is None else 0.3)
-        _number_actuators(axes, segment, line, first)
-        first += segment.actuator_count
+        _number_actuators(axes, segment, line, own.start + 1)
     kinds = list(map(model_name, arm.actuators))
     for kind, (colour, width) in styles.items():
         axes.plot([], [], color=colour, linewidth=1.3 * width, label=f"{kind} ({kinds.count(kind)})")
@@ -247,9 +244,7 @@ def loads_on(arm: Arm, load: ExternalLoad, at: Centreline) -> Any:
 
 def _in_world(wrench: Tensor, turn: Array) -> tuple[Array, Array]:
     """Forces and moments (L, 3) of wrenches of the plane or of space, whose frame is turned."""
-    rows = array(wrench).reshape(-1, wrench.shape[-1])
-    if rows.shape[-1] == 3:
-        rows = np.insert(rows, [2, 2, 2], 0.0, axis=-1)
+    rows = array(wrench if wrench.shape[-1] == 6 else se3.vector_from_plane(wrench)).reshape(-1, 6)
     return rows[:, :3] @ turn.T, rows[:, 3:] @ turn.T
 
 

@@ -1,7 +1,6 @@
 """Pictures of force models and of the recordings they were fitted to.
 
-As in `torcharm.plot`: every function but `characterisation_figure` draws into the axes it is given, or makes
-some, and returns them; nothing is shown, and no setting is changed.
+As in `torcharm.plot`, nothing is shown, and no setting is changed.
 """
 
 from pathlib import Path
@@ -9,7 +8,9 @@ from typing import Any
 
 import numpy as np
 import torch
+from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
@@ -33,33 +34,8 @@ FEW = 500
 """Samples up to which each has a dot that is seen by itself."""
 MOST_DOTS = 4000
 """Samples drawn as dots; of more, every so many."""
-
-
-def force_surface(model: ModelLike, recording: Recording | None = None, *, ax: Axes | None = None) -> Axes:
-    """Force over the characterised box as a surface, with the samples that it was fitted to.
-
-    Args:
-        model: any force model, or what stands for one in an arm.
-        recording: samples to draw.
-        ax: 3-D axes to draw in; None makes some.
-
-    Raises:
-        ValueError: the axes are not 3-D.
-    """
-    model = find_model("model", model)
-    axes: Any = axes_or_new(ax, "3d")
-    strain, pressure, force = _surface(model)
-    colours = {"color": MODEL, "alpha": 0.45, "edgecolor": MODEL, "linewidth": 0.3}
-    axes.plot_surface(strain, pressure, force, rcount=17, ccount=17, shade=False, label="model", **colours)
-    if recording is not None:
-        few = slice(None, None, max(1, len(recording.force) // MOST_DOTS))
-        dots = (recording.strain[few], recording.pressure[few], recording.force[few])
-        axes.plot(*dots, ".", color=DATA, markersize=_dot(recording), alpha=0.5, label="recorded")
-    axes.set(xlabel="strain ε", ylabel="pressure p [kPa]", zlabel="force f [N]")
-    axes.view_init(elev=22, azim=-125)
-    scale = 1 if recording is not None and _is_few(recording) else 6
-    axes.legend(loc="upper left", fontsize="small", frameon=False, markerscale=scale)
-    return axes
+NEUTRAL = 0.005
+"""Strains up to which samples are shown as those at the neutral length."""
 
 
 def force_at_held_strains(
@@ -83,8 +59,6 @@ def force_at_held_strains(
     axes = axes_or_new(ax)
     levels = [float(np.median(recording.strain[hold])) for hold in holds]
     norm = Normalize(min(levels), max(levels) if len(levels) > 1 else min(levels) + 1)
-    from matplotlib import colormaps
-
     colours = colormaps[STRAINS]
     every = max(1, sum(map(len, holds)) // (3 * MOST_DOTS))
     for level, hold in zip(levels, holds, strict=True):
@@ -97,7 +71,7 @@ def force_at_held_strains(
         line = np.linspace(0, pressure.max() if max_pressure is None else max_pressure, POINTS)
         axes.plot(line, _force(model, np.full(POINTS, level), line), color="white", linewidth=3.2)
         axes.plot(line, _force(model, np.full(POINTS, level), line), color=colour, linewidth=1.8)
-    scale: Any = axes.figure.colorbar(_mappable(norm, colours), ax=axes, label="held strain ε")
+    scale: Any = axes.figure.colorbar(ScalarMappable(norm, colours), ax=axes, label="held strain ε")
     scale.set_ticks(levels, labels=[f"{level:.2f}" for level in levels])
     axes.plot([], [], ".", color="0.4", label="recorded")
     axes.plot([], [], color="0.4", linewidth=1.8, label="model")
@@ -106,21 +80,43 @@ def force_at_held_strains(
     return axes
 
 
-def residual_map(model: ModelLike, recording: Recording, *, ax: Axes | None = None) -> Axes:
+def characterisation_figure(model: ModelLike, recording: Recording) -> Figure:
+    """One page on a fit, for `figure.savefig(path)`: held strains, surface, residuals, free strain, blocked force.
+
+    Where no strain is held, the surface has their place.
+    """
+    model = find_model("model", model)
+    figure = Figure(figsize=(15.0, 9.5), layout="constrained")
+    grid = figure.add_gridspec(2, 6)
+    held = bool(held_strains(recording))
+    if held:
+        force_at_held_strains(model, recording, ax=figure.add_subplot(grid[0, :3]))
+    _draw_surface(figure.add_subplot(grid[0, 3 * held :], projection="3d"), model, recording)
+    _draw_residuals(figure.add_subplot(grid[1, :2]), model, recording)
+    _draw_free_strain(figure.add_subplot(grid[1, 2:4]), model)
+    _draw_blocked_force(figure.add_subplot(grid[1, 4:]), model, recording)
+    figure.suptitle(_findings(model, recording), fontweight="bold")
+    return figure
+
+
+def _draw_surface(axes: Any, model: Actuator, recording: Recording) -> None:
+    """Force over the characterised box as a surface, with the samples that it was fitted to, in 3-D axes."""
+    strain, pressure, force = _surface(model)
+    colours = {"color": MODEL, "alpha": 0.45, "edgecolor": MODEL, "linewidth": 0.3}
+    axes.plot_surface(strain, pressure, force, rcount=17, ccount=17, shade=False, label="model", **colours)
+    few = slice(None, None, max(1, len(recording.force) // MOST_DOTS))
+    dots = (recording.strain[few], recording.pressure[few], recording.force[few])
+    axes.plot(*dots, ".", color=DATA, markersize=_dot(recording), alpha=0.5, label="recorded")
+    axes.set(xlabel="strain ε", ylabel="pressure p [kPa]", zlabel="force f [N]")
+    axes.view_init(elev=22, azim=-125)
+    axes.legend(loc="upper left", fontsize="small", frameon=False, markerscale=1 if _is_few(recording) else 6)
+
+
+def _draw_residuals(axes: Any, model: Actuator, recording: Recording) -> None:
     """Mean residual, recorded minus model, over strain and pressure; white where it is zero, blank without samples.
 
     A line goes around the region over which the model says it was measured.
-
-    Args:
-        model: any force model, or what stands for one in an arm.
-        recording: samples.
-        ax: 2-D axes to draw in; None makes some.
-
-    Raises:
-        ValueError: the axes are not 2-D.
     """
-    model = find_model("model", model)
-    axes = axes_or_new(ax)
     residual = recording.force - _force(model, recording.strain, recording.pressure)
     bins = [
         np.histogram_bin_edges(v, min(n, len(np.unique(v))))
@@ -140,23 +136,13 @@ def residual_map(model: ModelLike, recording: Recording, *, ax: Axes | None = No
         axes.plot(pressures, strains, color=MODEL, linewidth=1.5, clip_on=False)
     rmse, outlined = float(np.sqrt((residual**2).mean())), "; outlined: where measured" if region else ""
     axes.set(xlabel="pressure p [kPa]", ylabel="strain ε", title=f"residuals, RMSE {rmse:#.3g} N{outlined}")
-    return axes
 
 
-def free_strain(model: ModelLike, *, ax: Axes | None = None) -> Axes:
+def _draw_free_strain(axes: Any, model: Actuator) -> None:
     """Strain at which the actuator pushes and pulls on nothing: a muscle's free contraction, a bellows' extension.
 
     Where the model is not monotonic in pressure the background is hatched.
-
-    Args:
-        model: any force model, or what stands for one in an arm.
-        ax: 2-D axes to draw in; None makes some.
-
-    Raises:
-        ValueError: the axes are not 2-D.
     """
-    model = find_model("model", model)
-    axes = axes_or_new(ax)
     strain, pressure, force = _surface(model)
     if force.min() < 0 < force.max():
         axes.contour(pressure, strain, force, [0.0], colors=MODEL, linewidths=2.5)
@@ -173,55 +159,18 @@ def free_strain(model: ModelLike, *, ax: Axes | None = None) -> Axes:
     axes.set(xlabel="pressure p [kPa]", ylabel="free strain ε", ylim=model.strain_range)
     axes.set_xlim(*model.pressure_range)
     axes.legend(loc="best", frameon=False)
-    return axes
 
 
-def blocked_force(
-    model: ModelLike, recording: Recording | None = None, *, strain: float = 0.0, ax: Axes | None = None
-) -> Axes:
-    """Force at a held strain, by default the neutral length, against pressure.
-
-    Args:
-        model: any force model, or what stands for one in an arm.
-        recording: samples within 0.005 of the strain are drawn.
-        strain: ε.
-        ax: 2-D axes to draw in; None makes some.
-
-    Raises:
-        ValueError: the axes are not 2-D.
-    """
-    model = find_model("model", model)
-    axes = axes_or_new(ax)
-    if recording is not None:
-        near = np.flatnonzero(np.abs(recording.strain - strain) <= 0.005)
-        near = near[:: max(1, len(near) // MOST_DOTS)]
-        style = {"color": DATA, "markersize": _dot(recording), "label": f"recorded, |ε - {strain:g}| ≤ 0.005"}
-        axes.plot(recording.pressure[near], recording.force[near], ".", alpha=0.5, **style)
+def _draw_blocked_force(axes: Any, model: Actuator, recording: Recording) -> None:
+    """Force at the neutral length against pressure, with samples near it."""
+    near = np.flatnonzero(np.abs(recording.strain) <= NEUTRAL)
+    near = near[:: max(1, len(near) // MOST_DOTS)]
+    style: dict[str, Any] = {"color": DATA, "markersize": _dot(recording), "label": f"recorded, |ε - 0| ≤ {NEUTRAL:g}"}
+    axes.plot(recording.pressure[near], recording.force[near], ".", alpha=0.5, **style)
     pressure = np.linspace(*model.pressure_range, POINTS)
-    axes.plot(pressure, _force(model, np.full(POINTS, strain), pressure), color=MODEL, linewidth=2.5, label="model")
-    axes.set(xlabel="pressure p [kPa]", ylabel=f"blocked force at ε = {strain:g} [N]")
-    scale = 1 if recording is not None and _is_few(recording) else 4
-    axes.legend(loc="best", frameon=False, markerscale=scale)
-    return axes
-
-
-def characterisation_figure(model: ModelLike, recording: Recording) -> Figure:
-    """One page on a fit, for `figure.savefig(path)`: held strains, surface, residuals, free strain, blocked force.
-
-    Where no strain is held, the surface has their place.
-    """
-    model = find_model("model", model)
-    figure = Figure(figsize=(15.0, 9.5), layout="constrained")
-    grid = figure.add_gridspec(2, 6)
-    held = bool(held_strains(recording))
-    if held:
-        force_at_held_strains(model, recording, ax=figure.add_subplot(grid[0, :3]))
-    force_surface(model, recording, ax=figure.add_subplot(grid[0, 3 * held :], projection="3d"))
-    residual_map(model, recording, ax=figure.add_subplot(grid[1, :2]))
-    free_strain(model, ax=figure.add_subplot(grid[1, 2:4]))
-    blocked_force(model, recording, ax=figure.add_subplot(grid[1, 4:]))
-    figure.suptitle(_findings(model, recording), fontweight="bold")
-    return figure
+    axes.plot(pressure, _force(model, np.zeros(POINTS), pressure), color=MODEL, linewidth=2.5, label="model")
+    axes.set(xlabel="pressure p [kPa]", ylabel="blocked force at ε = 0 [N]")
+    axes.legend(loc="best", frameon=False, markerscale=1 if _is_few(recording) else 4)
 
 
 def _findings(model: Actuator, recording: Recording) -> str:
@@ -255,9 +204,3 @@ def _surface(model: Actuator) -> tuple[Array, Array, Array]:
 @torch.no_grad()
 def _force(model: Actuator, strain: Array, pressure: Array) -> Array:
     return np.asarray(model.force(torch.from_numpy(strain), torch.from_numpy(pressure)).detach().cpu())
-
-
-def _mappable(norm: Normalize, colours: Any) -> Any:
-    from matplotlib.cm import ScalarMappable
-
-    return ScalarMappable(norm, colours)

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import MaxNLocator
 from torch import Tensor
 
 from torcharm.attainability import Attainability
 from torcharm.inputs import three_digits
-from torcharm.plot._common import ARM_COLOURS, ARM_LINES, PLAIN, VERDICT_STYLES, Array, array, axes_or_new
+from torcharm.plot._common import ARM_COLOURS, ARM_LINES, PLAIN, VERDICT_STYLES, Array, array, axes_or_new, label_powers
 
 BINS = 24
 """Of the histograms of several arms, which share them."""
@@ -60,11 +60,7 @@ def unattainability_histogram(values: Mapping[str, Tensor], *, ax: Axes | None =
 
 
 def tip_error_edges(evaluated: Sequence[Attainability]) -> Array:
-    """Edges of bins [mm] for the tip's errors of several arms, on a logarithmic axis, with their tolerances among them.
-
-    Raises:
-        ValueError: a result has no predicted error.
-    """
+    """Edges of bins [mm] for tip errors of several arms, on a logarithmic axis, with their tolerances among them."""
     errors = np.concatenate([_tip_errors(found) for found in evaluated])
     known = np.concatenate([errors[np.isfinite(errors)], [_tolerance(found) for found in evaluated]])
     return np.asarray(np.geomspace(known.min() / 1.1, known.max() * 1.1, BINS + 1))
@@ -74,14 +70,7 @@ def draw_tip_errors(axes: Axes, found: Attainability, edges: Array) -> int:
     """How far off the tip is predicted over the loads: bars by verdict, the median and the tolerance as lines.
 
     Of those missed, where the tip is within the tolerance, but turned too far or the shape too far off, bars are faint.
-
-    Args:
-        axes: 2-D ones.
-        found: of one arm, with a predicted error.
-        edges: of the bins [mm], as of `tip_error_edges`.
-
-    Returns:
-        How many loads have no error, as no shape was found: they are in no bar.
+    Returns how many loads have no error, as no shape was found: they are in no bar. Edges of bars are in mm.
     """
     errors, words, tolerance = _tip_errors(found), np.ravel(np.asarray(found.verdict)), _tolerance(found)
     words = np.where((words == "missed") & (errors <= tolerance), NEAR, words)
@@ -104,9 +93,7 @@ def draw_tip_errors(axes: Axes, found: Attainability, edges: Array) -> int:
     axes.axvline(tolerance, color="black", linestyle=":", label=f"tolerance, {three_digits(tolerance)} mm")
     axes.set(xscale="log", xlim=(edges[0], edges[-1]), xlabel="tip off by [mm]", ylabel="number of loads")
     close = edges[-1] < 100 * edges[0]  # few powers of ten to be named
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if close else (1.0,)))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    label_powers(axes.xaxis, (1.0, 2.0, 5.0) if close else (1.0,))
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     return int((~known).sum())
 

@@ -185,7 +185,7 @@ def make_scene(field: str, arm: Arm, task: Task, relative: bool = False) -> Scen
     corners = wrench_hulls(arm, task.twists, relative=relative, segment_nodes=task.segment_nodes).vertices
     required = task_wrench(arm, task)[..., HULL[task.twists.shape[-1]]].reshape(-1, task.nodes, task.dimension)
     if relative:
-        parts = required.split(task.segment_nodes or (task.nodes,), 1)
+        parts = required.split(task.nodes_of_segments, 1)
         required = torch.cat([part - part[:, :1] for part in parts], 1)
     inside = array(distance).reshape(-1, task.nodes) <= 0
     return Scene(array(corners), array(required), inside, LABELS[task.dimension, relative])

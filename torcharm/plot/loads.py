@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -296,7 +297,7 @@ def attainable_load_map(
         raise ValueError(f"shape: must be one, (N, 3) or (N, 6), got {tuple(task.twists.shape)}")
     places = (load_grid(plane="xy" if arm.dimension == 3 else None) if loads is None else loads).to(like)
     twists = task.twists.reshape(-1, task.twists.shape[-1])
-    loaded = Task(twists, places, task.base_pose, task.load, task.wrench_at, task.segment_nodes).to(like)
+    loaded = replace(task, twists=twists, load=task.load.with_tip(places)).to(like)
     with torch.no_grad():
         found = evaluate(arm, loaded, (metric,), signed=True, weights=weights)
     value = getattr(found, metric)

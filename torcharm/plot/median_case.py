@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torcharm.attainability import Attainability
 from torcharm.design.space import Arm
-from torcharm.plot._common import array, like_shape, median_place, one_design, pick
+from torcharm.plot._common import array, like_shape, median_place, one_design, under_loads
 from torcharm.plot._shapes import why_impossible
 from torcharm.plot.arms import draw_arm, draw_wanted
 from torcharm.task import Task
@@ -26,7 +26,7 @@ def median_case(found: Attainability) -> tuple[int, Tensor | None]:
 
 def median_shape(task: Task, found: Attainability) -> Task:
     """The shape of that task, under all loads that it is to be held under."""
-    return pick(task, np.flatnonzero(like_shape(task, median_case(found)[0])).tolist())
+    return under_loads(task, np.flatnonzero(like_shape(task, median_case(found)[0])).tolist())
 
 
 def is_lost(found: Attainability) -> bool:
@@ -39,16 +39,11 @@ def is_lost(found: Attainability) -> bool:
 def draw_median_case(axes: Any, field: str, arm: Arm, task: Task, found: Attainability) -> int | None:
     """Draw one arm at that task; returns which load is drawn, or None where the task's shape is, under all its loads.
 
-    Args:
-        axes: 2-D or, in space, 3-D ones.
-        field: what an error calls the arm.
-        arm: one design.
-        task: of any batch shape.
-        found: of the arm on the task; where that is impossible, its centreline is drawn, and why.
+    Of an impossible task the centreline is drawn, and why. An error calls the arm by the field.
     """
     arm, (index, reached) = one_design(field, arm, task), median_case(found)
     if is_lost(found):
-        draw_wanted(axes, arm, pick(task, index), f"impossible: {why_impossible(arm, pick(task, index))}")
+        draw_wanted(axes, arm, task.part(index), f"impossible: {why_impossible(arm, task.part(index))}")
     else:
-        draw_arm(axes, arm, median_shape(task, found) if reached is None else pick(task, index), reached)
+        draw_arm(axes, arm, median_shape(task, found) if reached is None else task.part(index), reached)
     return None if reached is None else index

@@ -10,6 +10,7 @@ from matplotlib.ticker import MaxNLocator
 
 from torcharm.actuators import model_name
 from torcharm.arm import ArmDesign
+from torcharm.arm_series import with_slices
 from torcharm.design.result import OptimisedDesign
 from torcharm.design.task_errors import TaskErrors
 from torcharm.inputs import three_digits
@@ -38,10 +39,8 @@ def optimisation_figure(result: OptimisedDesign, title: str = "") -> Figure:
     names = ("radius [mm]", "neutral length [mm]") if planar else ("offset y [mm]", "offset z [mm]")
     styles = kind_styles(result.best.actuators)
     for arm, filled in ((result.given, False), (result.best, True)):
-        first = 1
-        for segment in segments_of(arm)[0]:
-            _draw_section(section, segment, styles, filled, first)
-            first += segment.actuator_count
+        for segment, own in with_slices(segments_of(arm)[0]):
+            _draw_section(section, segment, styles, filled, own.start + 1)
     section.set(xlabel=names[0], ylabel=names[1], title="open: given; filled: best, with numbers of actuators")
     if not planar:
         section.set_aspect("equal", adjustable="datalim")

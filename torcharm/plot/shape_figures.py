@@ -15,7 +15,16 @@ from torcharm.design.shape_planning import PlannedShape
 from torcharm.design.space import Arm
 from torcharm.inputs import TensorLike, three_digits
 from torcharm.load import ExternalLoad
-from torcharm.plot._common import PLAIN, Array, array, median_place, one_design, pick, projection_of, ranked_places
+from torcharm.plot._common import (
+    PLAIN,
+    Array,
+    array,
+    median_place,
+    merged_legend,
+    one_design,
+    projection_of,
+    ranked_places,
+)
 from torcharm.plot._shapes import in_space, why_impossible
 from torcharm.plot.arms import (
     PLATE,
@@ -70,7 +79,7 @@ def search_figure(
     ranks = RANKS[: max(1, *(int(np.isfinite(error).sum()) for error in errors))]
     drawn = [_ranked_loads(error, len(ranks)) for error in errors]
     pairs = [(arm, load) for arm, row in zip(arms, drawn, strict=True) for load in row.values()]
-    scale = max((arrow_scale(arm, pick(task, load)) for arm, load in pairs), default=0.0)
+    scale = max((arrow_scale(arm, task.part(load)) for arm, load in pairs), default=0.0)
     figure = Figure(layout="constrained", dpi=130)
     figure.suptitle(f"{task_name}: how near the best pressures bring the tip", fontweight="bold", **PLAIN)
     grid = _panels(figure, len(results), len(ranks), task)
@@ -81,14 +90,14 @@ def search_figure(
         for axes in row[len(chosen) :]:
             axes.set_axis_off()
         for axes, (rank, load) in zip(row, chosen.items(), strict=False):
-            at = pick(task, load)
+            at = task.part(load)
             draw_arm(axes, arm, at, twists[load], scale)
             off = f"tip off by {three_digits(1e3 * off_by[load])} mm, turned by {three_digits(turned[load])}°"
             which = _which(rank, len(error) - lost, lost)
             axes.set_title(f"{name}: {which}\n{off}\n{_load(at, load)}", fontsize="medium", **PLAIN)
         if not chosen:
             row[0].set_axis_on()
-            possible, wanted = bool(found.possible.any()), pick(task, 0)
+            possible, wanted = bool(found.possible.any()), task.part(0)
             words = "no equilibrium was found" if possible else "impossible"
             draw_wanted(row[0], arm, wanted, words if possible else f"impossible: {why_impossible(arm, wanted)}")
             row[0].set_title(f"{name}: {words}", fontsize="medium", **PLAIN)
@@ -152,7 +161,7 @@ def plan_figure(
     figure = Figure(layout="constrained", dpi=130)
     figure.suptitle(f"{plan_name}: shapes through the tip pose", fontweight="bold", **PLAIN)
     grid = _panels(figure, 1, len(shapes), start)
-    tip, base = (in_space(array(one.base_pose)) for one in (goal, start))
+    tip, base = (in_space(one.base_pose) for one in (goal, start))
     half = max(PLATE, 0.08 * float(np.linalg.norm((tip - base)[:3, 3])))  # seen from afar
     for axes, (name, arm, shape) in zip(grid[0], shapes, strict=True):
         result = shape.attainability
@@ -161,7 +170,7 @@ def plan_figure(
             axes.set_title(f"{name}: {shape.status.split(':')[0]}", fontsize="medium", **PLAIN)
             continue
         index, reached = median_case(result)
-        draw_arm(axes, one_design(name, arm, start), pick(result.task, index), reached)
+        draw_arm(axes, one_design(name, arm, start), result.task.part(index), reached)
         draw_plate(axes, tip, half, TIP_WANTED)
         words = "planned" if result.verdict is None else str(np.ravel(result.verdict)[index])
         if reached is not None and result.tip_error is not None:
@@ -178,10 +187,6 @@ def _panels(figure: Figure, rows: int, columns: int, task: Task) -> Any:
 def _share(figure: Figure, grid: Any) -> None:
     """The same limits in all panels of the plane, and one legend below; what differs stands in their titles."""
     shown = [axes for axes in grid.ravel() if axes.get_legend_handles_labels()[0]]
-    labels: dict[str, Any] = {}
-    for axes in shown:
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            labels.setdefault(re.sub(r" \(\d+\)$|,.*", "", label), handle)  # how many and how large differs
     rows, columns = grid.shape
     height = PANEL
     if shown and shown[0].name != "3d":
@@ -193,4 +198,5 @@ def _share(figure: Figure, grid: Any) -> None:
             axes.set(xlim=(whole.x0 - room, whole.x1 + room), ylim=(whole.y0 - room, whole.y1 + room))
     figure.set_size_inches(max(2, columns) * PANEL, rows * (height + 1.3) + 0.9)
     where: dict[str, Any] = {"loc": "outside lower center", "ncols": 4 if columns < 3 else 7}
-    figure.legend(labels.values(), labels.keys(), fontsize="small", frameon=False, **where)
+    # how many and how large differs
+    merged_legend(figure, shown, lambda label: re.sub(r" \(\d+\)$|,.*", "", label), **where)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import MaxNLocator
 
 from torcharm.attainability import VERDICTS, Attainability
 from torcharm.design.space import Arm
@@ -19,7 +19,9 @@ from torcharm.plot._common import (
     VERDICT_STYLES,
     Array,
     array,
+    label_powers,
     mark_inks,
+    merged_legend,
     projection_of,
 )
 from torcharm.plot.hulls import SIDES, Scene, draw_node, make_scene
@@ -81,9 +83,8 @@ def study_figure(
             views.append((panel, sides))
     if views:
         limit_views(views, scenes)
-        handles, labels = views[0][0].get_legend_handles_labels()
-        labels = [label.split(":")[0] for label in labels]  # how many is in the titles
-        rows[2].legend(handles, labels, loc="outside lower center", ncols=3, fontsize="small", frameon=False)
+        # how many is in the titles
+        merged_legend(rows[2], [views[0][0]], lambda label: label.split(":")[0], loc="outside lower center", ncols=3)
     return figure
 
 
@@ -144,9 +145,7 @@ def _draw_errors(axes: Any, names: Sequence[str], evaluated: Sequence[Attainabil
     if predicted:
         axes.axvline(1.0, color="black", linestyle=":", linewidth=1, label=_tolerances(evaluated))
     axes.set_xscale("log")
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    label_powers(axes.xaxis)
     least = max(LEAST, finite[finite > 0].min(initial=1.0 if predicted else most))
     axes.set(xlim=(least / 1.5, 1.3 * most), ylim=(len(names) - 0.45, -0.75), yticks=range(len(names)))
     axes.set_yticklabels(names, **PLAIN)

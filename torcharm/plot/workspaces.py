@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torcharm.geometry.alpha_shape import AlphaShape, alpha_shape
 from torcharm.inputs import check_choice, check_count, shown, three_digits
-from torcharm.plot._common import ATTAINABLE, PLAIN, UNATTAINABLE, Array, array, axes_or_new
+from torcharm.plot._common import ATTAINABLE, PLAIN, UNATTAINABLE, Array, array, axes_or_new, merged_legend
 from torcharm.workspaces import STATES, Workspace
 from torcharm.workspaces.states import position_of
 
@@ -135,21 +135,13 @@ def workspace_figure(
             workspace(found, what, plane=plane, highest=top, bar=False, ax=axes)
             axes.get_legend().remove()
             axes.set_title("" if plane == "xz" else f"{name}\n{_words(found)}", fontsize="medium", **PLAIN)
-    heights = [_same_limits([axes for axes in part.ravel() if axes.axison]) for part in _views(grid, len(planes))]
+    views = [grid[first :: len(planes)] for first in range(len(planes))]
+    heights = [_same_limits([axes for axes in view.ravel() if axes.axison]) for view in views]
     figure.set_size_inches(PANEL * across + 1.4, PANEL * sum(heights) * len(lines) + 1.2 * len(grid))
     if what != "reached":
         _bar(figure, ScalarMappable(_scale(what, top), COLOURS), grid.ravel().tolist(), what)
-    labels: dict[str, Any] = {}
-    for axes in grid.ravel():
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            labels.setdefault(label.split(":")[0], handle)
-    figure.legend(labels.values(), labels.keys(), loc="outside lower center", ncols=5, fontsize="small", frameon=False)
+    merged_legend(figure, grid.ravel(), lambda label: label.split(":")[0], loc="outside lower center", ncols=5)
     return figure
-
-
-def _views(grid: Any, count: int) -> list[Any]:
-    """The panels of each view."""
-    return [grid[first::count] for first in range(count)]
 
 
 def _common_top(results: Sequence[tuple[str, Workspace]], planes: Sequence[str | None], show: str) -> float:
@@ -210,18 +202,23 @@ def _top(values: Array) -> float:
 
 def _fill(axes: Any, region: AlphaShape, values: Array, show: str, highest: float | None) -> None:
     """The region in colours of the values at its points."""
-    triangles = region.triangulation.simplices[region.kept]
     if show == "reached":
-        axes.tripcolor(
-            *region.points.T, triangles, facecolors=np.zeros(len(triangles)), cmap=_one_colour(FLAT), rasterized=True
-        )
+        _fill_plain(axes, region, FLAT)
         return
+    triangles = region.triangulation.simplices[region.kept]
     norm = _scale(show, _top(values) if highest is None else highest)
     known = values.copy()
     known[np.isposinf(known)] = norm.vmax
     shades = np.fmax.reduce(known[triangles], axis=1)
     how: dict[str, Any] = {"cmap": COLOURS, "norm": norm, "gid": show, "rasterized": True}
     axes.tripcolor(*region.points.T, triangles, facecolors=shades, **how)
+
+
+def _fill_plain(axes: Any, region: AlphaShape, colour: str) -> None:
+    """The region in one colour."""
+    triangles = region.triangulation.simplices[region.kept]
+    how: dict[str, Any] = {"cmap": ListedColormap([colour]), "rasterized": True}
+    axes.tripcolor(*region.points.T, triangles, facecolors=np.zeros(len(triangles)), **how)
 
 
 def _scale(show: str, top: float | None) -> Normalize:
@@ -242,10 +239,7 @@ def _bar(figure: Any, colours: Any, axes: Any, show: str) -> None:
 
 def _fill_beyond(axes: Any, beyond: AlphaShape) -> None:
     if beyond.triangulation is not None and beyond.kept.any():
-        triangles = beyond.triangulation.simplices[beyond.kept]
-        axes.tripcolor(
-            *beyond.points.T, triangles, facecolors=np.zeros(len(triangles)), cmap=_one_colour(BEYOND), rasterized=True
-        )
+        _fill_plain(axes, beyond, BEYOND)
         _outline(axes, beyond, "--", "excluded by range")
     elif len(beyond.points):
         axes.plot(*beyond.points.T, ".", color=BEYOND, markersize=3, label="excluded by range", zorder=0.5)
@@ -259,10 +253,6 @@ def _draw_points(axes: Any, points: Array, values: Array, show: str, highest: fl
         return
     norm = _scale(show, _top(values) if highest is None else highest)
     axes.scatter(*points.T, c=values.clip(max=norm.vmax), cmap=COLOURS, norm=norm, gid=show, **how)
-
-
-def _one_colour(colour: str) -> Any:
-    return ListedColormap([colour])
 
 
 def _outline(axes: Any, region: AlphaShape, dashes: str, label: str) -> None:

@@ -50,12 +50,7 @@ class Measure:
 
 
 def design_table(rows: Sequence[Sequence[StudyResult]], sizes: bool = True) -> list[Column]:
-    """Columns with a row for each design, of its results on the tasks to be told together.
-
-    Args:
-        rows: of each design its results, one or more.
-        sizes: whether to say how large the designs are.
-    """
+    """Columns with a row for each design, of its results on the tasks to be told together, and of its sizes."""
     several = len({result.task.name for results in rows for result in results}) > 1
     found = [list(_measures(results, sizes, several)) for results in rows]
     titles = dict.fromkeys((one.title, one.unit) for row in found for one in row if one.title)

@@ -1,6 +1,7 @@
 """Which tip forces each design holds at a task's shape, and how far beyond its tolerance it is under the others."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torcharm.attainability import PREDICTED, VERDICTS, evaluate
-from torcharm.plot._common import VERDICT_STYLES, array, mark_inks, pick
+from torcharm.plot._common import VERDICT_STYLES, array, mark_inks
 from torcharm.plot.loads import HALO, attainable_load_map, load_grid, load_map
 from torcharm.plot.median_case import is_lost, median_case
 from torcharm.report.content import Evaluated, Panel
@@ -35,7 +36,7 @@ def load_map_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Ite
         if is_lost(found):
             continue
         axes, (grid, sides) = new_axes(1.0), _grid(result.task.task)
-        task = pick(result.task.task, median_case(found)[0])  # its weight and point loads act beside the tip forces
+        task = result.task.task.part(median_case(found)[0])  # its weight and point loads act beside the tip forces
         if found.prediction is None:
             metric = "relative" if found.absolute is None else "absolute"
             attainable_load_map(
@@ -50,7 +51,7 @@ def load_map_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Ite
 
 def _draw_errors(axes: Any, result: StudyResult, task: Task, grid: Tensor) -> str:
     """The predicted error under a grid of tip forces, over its tolerance; returns their verdicts, counted."""
-    loaded = Task(task.twists, grid.to(task.twists), task.base_pose, task.load, task.wrench_at, task.segment_nodes)
+    loaded = replace(task, load=task.load.with_tip(grid.to(task.twists)))
     with torch.no_grad():
         found = evaluate(result.arm.design, loaded, (PREDICTED,), tolerance=result.settings.tolerance)
     over, words = found.over_tolerance, np.ravel(np.asarray(found.verdict)).tolist()

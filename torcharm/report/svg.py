@@ -21,14 +21,9 @@ def themed(colour: str) -> str:
 
 
 def inline_svg(figure: Figure, name: str, words: str) -> Markup:
-    """The figure as an `<svg>` element.
+    """The figure as an `<svg>` element, whose texts are outlines, as they have the same width then on every machine.
 
-    Texts are outlines, as they have the same width then on every machine.
-
-    Args:
-        figure: of matplotlib.
-        name: a word that no other figure of the page has: identifiers begin with it.
-        words: what the figure shows, for who cannot see it.
+    Its identifiers begin with a name that no other figure of the page has; words are for who cannot see it.
     """
     for axes in figure.axes:
         for artist in axes.collections:

@@ -11,49 +11,31 @@ pressures in kilopascals. Entries of lists (arms, tasks, loads, nodes) are count
 error messages.
 """
 
-from torcharm.study.data import NamedArm, NamedTask, Settings, Study
-from torcharm.study.key_reference import key_reference
-from torcharm.study.reading import example_study, example_text, load_study, paper_study, parse_study
-from torcharm.study.results import (
-    RESULT_FORMATS,
-    StudyResult,
-    Summary,
-    check_format,
-    csv_text,
-    evaluate_study,
-    result_rows,
-    summarise,
-    write_results,
-    write_rows,
+from torcharm.study.data import NamedArm as NamedArm, NamedTask as NamedTask, Settings as Settings, Study as Study
+from torcharm.study.key_reference import key_reference as key_reference
+from torcharm.study.reading import (
+    example_study as example_study,
+    example_text as example_text,
+    load_study as load_study,
+    paper_study as paper_study,
+    parse_study as parse_study,
 )
-from torcharm.study.task_writing import task_to_toml
-from torcharm.study.workspaces import workspace_rows
-from torcharm.study.writing import arm_to_toml, moved_files, study_to_toml
-
-__all__ = [
-    "RESULT_FORMATS",
-    "NamedArm",
-    "NamedTask",
-    "Settings",
-    "Study",
-    "StudyResult",
-    "Summary",
-    "arm_to_toml",
-    "check_format",
-    "csv_text",
-    "evaluate_study",
-    "example_study",
-    "example_text",
-    "key_reference",
-    "load_study",
-    "moved_files",
-    "paper_study",
-    "parse_study",
-    "result_rows",
-    "study_to_toml",
-    "summarise",
-    "task_to_toml",
-    "workspace_rows",
-    "write_results",
-    "write_rows",
-]
+from torcharm.study.results import (
+    RESULT_FORMATS as RESULT_FORMATS,
+    StudyResult as StudyResult,
+    Summary as Summary,
+    check_format as check_format,
+    csv_text as csv_text,
+    evaluate_study as evaluate_study,
+    result_rows as result_rows,
+    summarise as summarise,
+    write_results as write_results,
+    write_rows as write_rows,
+)
+from torcharm.study.task_writing import task_to_toml as task_to_toml
+from torcharm.study.workspaces import workspace_rows as workspace_rows
+from torcharm.study.writing import (
+    arm_to_toml as arm_to_toml,
+    moved_files as moved_files,
+    study_to_toml as study_to_toml,
+)

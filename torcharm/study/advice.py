@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from torch import Tensor
 
 from torcharm.attainability.reasons import limits_reached, listed
 from torcharm.study.results import StudyResult
@@ -55,7 +54,7 @@ def _of_missed(result: StudyResult, missed: "np.typing.NDArray[np.intp]") -> Ite
     assert found.prediction is not None
     pressure = found.prediction.pressure.detach()
     pressure = pressure.reshape(-1, pressure.shape[-1])[missed]
-    for ended, words in zip(limits_reached(pressure, _limits(result)), AT_BOUND, strict=True):
+    for ended, words in zip(limits_reached(pressure, result.arm.design.max_pressure.detach()), AT_BOUND, strict=True):
         usual = ended.sum(0) >= enough
         if bool(usual.any()):
             together = int(ended[:, usual].all(-1).sum())
@@ -73,10 +72,6 @@ def _of_missed(result: StudyResult, missed: "np.typing.NDArray[np.intp]") -> Ite
             f"{apart} of {len(missed)} missed loads ask of each node what it can do, but by a pressure of its own: "
             "more segments in series may help."
         )
-
-
-def _limits(result: StudyResult) -> Tensor:
-    return result.arm.design.max_pressure.detach()
 
 
 def _most_often(reasons: Sequence[str]) -> str:

@@ -45,11 +45,7 @@ AnyActuator = ShippedActuator | FileActuator | PolynomialTable | ChamberTable | 
 
 
 def make_arm(table: PaperArm | FreeArm | SeriesArm, folder: Path) -> NamedArm:
-    """The arm of a table; paths of force models start at the folder.
-
-    Raises:
-        ValueError: values do not fit each other, make no sense, or are in other units.
-    """
+    """The arm of a table; paths of force models start at the folder."""
     files: list[str | None] = []
     if isinstance(table, SeriesArm):
         parts: list[ArmDesign | RigidLink] = []

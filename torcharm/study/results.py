@@ -231,12 +231,10 @@ def result_rows(result: StudyResult, first: int = 1) -> Iterator[dict[str, Any]]
         node = (found.worst_node + 1).flatten().tolist()
         columns |= {"worst_node": [n if k else None for n, k in zip(node, known.flatten().tolist(), strict=True)]}
         columns |= {"worst_miss_N": _numbers(found.worst_miss)}
-    for name in METRICS:
+    for name in (*METRICS, "capacity_margin"):
         value = getattr(found, name)
         if value is not None:
             columns |= {f"{name}_N": _numbers(value)}
-    if found.capacity_margin is not None:
-        columns |= {"capacity_margin_N": _numbers(found.capacity_margin)}
     columns |= {"in_range": found.in_range.flatten().tolist(), "strain_excess": _numbers(found.strain_excess)}
     columns |= {"status": [str(word) for word in np.ravel(np.asarray(found.status))]}
     if found.prediction is not None:

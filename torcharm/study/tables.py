@@ -7,8 +7,7 @@ from pydantic import BeforeValidator, Field
 
 from torcharm.attainability import CHOICES
 from torcharm.attainability.verdict import ROTATION
-from torcharm.design.objective import AGGREGATES, Objective
-from torcharm.design.objective import METRICS as OBJECTIVES
+from torcharm.design.objective import AGGREGATES, METRICS as OBJECTIVES, Objective
 from torcharm.design.optimise import ITERATIONS
 from torcharm.design.scatter import DISTRIBUTIONS
 from torcharm.design.space import FIELDS, TIES

@@ -36,15 +36,7 @@ SHAPE_IS = {3: "in the plane, as the shape is (a direction makes it one in space
 
 
 def make_task(table: ShapedTask | TwistTask, dimension: int = 2) -> NamedTask:
-    """The task of a table.
-
-    Args:
-        table: as the study has it.
-        dimension: 2 or 3, of the arms that are to hold it: a straight shape needs no direction in space.
-
-    Raises:
-        ValueError: values do not fit each other, make no sense, or are in other units.
-    """
+    """The task of a table, for arms of a dimension, so that a straight shape needs no direction in space."""
     segments, field = _segments(table, dimension), shape_field(table)
     for twists in segments:
         question = question_about_shape(twists)
@@ -139,11 +131,7 @@ def columns_of(pose: Pose | PoseTable) -> int:
 
 
 def read_base(base_pose: Pose | PoseTable | str, columns: int, why: Mapping[int, str]) -> Pose | str:
-    """A base pose, which must be in the plane or in space for a reason of either; a table as the rows of its matrix.
-
-    Raises:
-        ValueError: it is not, or its direction is none or straight up.
-    """
+    """A base pose, which must be in the plane or in space for a reason of either; a table as the rows of its matrix."""
     if isinstance(base_pose, str):
         return base_pose
     if columns_of(base_pose) != columns:
@@ -207,7 +195,7 @@ def check_fit(field: str, task: Task, arm: NamedArm) -> None:
     if task.dimension != arm.design.dimension:
         where = "the plane" if arm.design.dimension == 2 else "space (with a direction, or twists of six columns)"
         raise ValueError(f"{field}: must be in {where}, as the arm {name} is, or name its own arms")
-    own = len(task.segment_nodes or (0,))
+    own = len(task.nodes_of_segments)
     if own != segments:
         form = "a list of shapes" if field == "shape" else "rows of which segment_nodes says the number"
         raise ValueError(f"{field}: must be {form} for each of the {segments} segments of the arm {name}, got {own}")

@@ -22,7 +22,7 @@ from torcharm.actuators import (
 )
 from torcharm.actuators.ready import USUAL_STRAINS
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries, RigidLink
+from torcharm.arm_series import ArmSeries, RigidLink, with_slices
 from torcharm.characterise.toml_text import toml_entry
 from torcharm.files import is_stream
 from torcharm.inputs import plain_number, shown
@@ -67,14 +67,13 @@ def arm_to_toml(arm: ArmDesign | ArmSeries, name: str, files: Sequence[str | Non
             f"files: must be a path or None for each of {arm.actuator_count} actuators, got {shown(files)}"
         )
     _validated(NamedTable, {"name": name})
-    parts = list(zip(*segments_of(arm), strict=True))
-    if len(parts) == 1:
-        return _text("[[arm]]", {"name": name} | _segment(*parts[0], paths))
+    segments, links = segments_of(arm)
+    if len(segments) == 1:
+        return _text("[[arm]]", {"name": name} | _segment(segments[0], links[0], paths))
     texts = [_text("[[arm]]", {"name": name})]
-    for index, (segment, link) in enumerate(parts):
-        own, paths = paths[: segment.actuator_count], paths[segment.actuator_count :]
+    for index, ((segment, own), link) in enumerate(zip(with_slices(segments), links, strict=True)):
         with within(field_path(["segment", index])):
-            texts.append(_text("[[arm.segment]]", _segment(segment, link, own)))
+            texts.append(_text("[[arm.segment]]", _segment(segment, link, paths[own])))
     return "\n".join(texts)
 
 

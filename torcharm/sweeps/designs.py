@@ -97,11 +97,7 @@ def sobol_points(dimension: int, seed: int, count: int) -> SobolPoints:
 def sampler_of(
     sampling: str, dimension: int, count: int | None, levels: int | Sequence[int] | None, seed: int
 ) -> tuple[Sampler, int]:
-    """How points are sampled, and how many there are.
-
-    Raises:
-        ValueError: an argument is none of those allowed, or they do not go together.
-    """
+    """How points are sampled, and how many there are."""
     check_choice("sampling", sampling, SAMPLINGS)
     check_count("seed", seed, 0)
     if sampling == "grid":

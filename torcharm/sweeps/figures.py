@@ -65,11 +65,7 @@ def density(blocks: Blocks, ranges: Ranges, x: str, y: str, bins: int) -> "Figur
 
 
 def bin_edges(blocks: Blocks, ranges: Ranges, name: str, bins: int) -> Edges:
-    """Of so many bins from the least to the largest finite value of a column; by their ratio, evenly in logarithm.
-
-    Raises:
-        ValueError: nothing finite is known of the column.
-    """
+    """Of so many bins from the least to the largest finite value of a column; by their ratio, evenly in logarithm."""
     ends = list(ranges.get(name, []))
     if not ends:
         for block in blocks((name, "feasible")):

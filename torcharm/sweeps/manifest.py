@@ -83,11 +83,7 @@ def vars_of(manifest: Manifest) -> dict[str, Any]:
 
 
 def read_manifest(folder: StrPath) -> Manifest:
-    """The manifest of a folder.
-
-    Raises:
-        ValueError: there is none, or none that this torcharm wrote.
-    """
+    """The manifest of a folder, if this torcharm wrote one."""
     path = Path(folder) / MANIFEST
     if not path.is_file():
         raise ValueError(f"{folder}: holds no sweep: there is no {MANIFEST}")
@@ -125,11 +121,7 @@ SHORTEST_DIGEST = 15
 
 
 def prepare_folder(folder: Path) -> None:
-    """Make the folder, and see that it can be written.
-
-    Raises:
-        ValueError: it cannot.
-    """
+    """Make the folder, and see that it can be written."""
     try:
         (folder / SHARDS).mkdir(parents=True, exist_ok=True)
         for place in (folder, folder / SHARDS):
@@ -157,9 +149,6 @@ def locked(folder: Path, part: Part | None) -> Iterator[None]:
     """Hold the lock of a sweep, or of a part of it, which the system releases when the process ends, however it ends.
 
     Parts of one sweep exclude each other only if they are the same, and the whole excludes all parts.
-
-    Raises:
-        ValueError: another process holds it.
     """
     filelock = extra("filelock", "sweep")
 
@@ -192,11 +181,7 @@ def remove_leftovers(folder: Path) -> None:
 
 
 def stored_arm(folder: StrPath) -> Arm:
-    """The arm that a sweep began with.
-
-    Raises:
-        ValueError: it cannot be read here, as where its force models' classes are not importable.
-    """
+    """The arm that a sweep began with, if it can be read here: force models' classes must be importable."""
     path = Path(folder) / ARM
     try:
         found: Arm = pickle.loads(read_file(path))

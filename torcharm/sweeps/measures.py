@@ -10,9 +10,10 @@ import torch
 from torch import Tensor
 
 from torcharm.attainability import CHOICES, VERDICTS, Attainability, PoseTolerance, check_power, evaluate, scale_of
+from torcharm.attainability.evaluation import as_tolerance, check_metrics
 from torcharm.design.objective import flat_tasks, shape_lengths
 from torcharm.design.space import Arm, given_values
-from torcharm.inputs import check_choice, check_number, shown
+from torcharm.inputs import check_choice, shown
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.task import Task
 
@@ -138,16 +139,8 @@ def check_measures(
     power: int,
     pose_cost: PoseCost | None,
 ) -> Measures:
-    """What to measure, everything checked.
-
-    Raises:
-        ValueError: an argument is none of those allowed.
-    """
-    names = (metrics,) if isinstance(metrics, str) else tuple(metrics)
-    if not names:
-        raise ValueError(f"metrics: must name at least one of {', '.join(CHOICES)}, got {shown(metrics)}")
-    for name in names:
-        check_choice("metrics", name, CHOICES)
+    """What to measure, everything checked."""
+    names = check_metrics(metrics)
     given = dict(reduce) if isinstance(reduce, Mapping) else dict.fromkeys(COLUMNS, reduce)
     for name, how in given.items():
         check_choice("reduce", name, tuple(COLUMNS))
@@ -160,12 +153,10 @@ def check_measures(
     check_power(power)
     if pose_cost is not None and not isinstance(pose_cost, PoseCost):
         raise ValueError(f"pose_cost: must be a PoseCost, got {shown(pose_cost)}")
-    if tolerance is not None and not isinstance(tolerance, PoseTolerance):
-        tolerance = PoseTolerance(tip=check_number("tolerance", tolerance, 0.0, strict=True))
     return Measures(
         tuple(name for name in CHOICES if name in names),
         {name: given.get(name, "mean") for name in COLUMNS},
-        tolerance or PoseTolerance(),
+        as_tolerance(tolerance),
         (float(weights[0]), float(weights[1])),
         power,
         pose_cost,

@@ -45,12 +45,7 @@ Callback = Callable[[SweepProgress], bool | None]
 
 @contextmanager
 def with_bar(shown: bool | None, callback: Callback | None) -> Iterator[Callback]:
-    """A bar on the standard error; gives a callback that moves it on and calls another one.
-
-    Args:
-        shown: whether there is one; None shows one on a terminal.
-        callback: the other, if there is one.
-    """
+    """A bar on the standard error, of None on a terminal alone; gives a callback that moves it on and calls another."""
     from rich.console import Console
     from rich.progress import Progress, TextColumn
 

@@ -1,6 +1,6 @@
 """A sweep's folder, opened: the best designs, Pareto sets, tables; nothing is read that is not needed."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ from torcharm.inputs import check_choice, check_count, shown
 from torcharm.sweeps.designs import DesignPoints, Indices
 from torcharm.sweeps.manifest import Manifest, read_manifest, stored_arm
 from torcharm.sweeps.measures import SIZE
-from torcharm.sweeps.ranking import KEPT, Rows, best_places, pareto_places, rankings, taken
+from torcharm.sweeps.ranking import KEPT, Places, Rows, best_places, pareto_places, rankings, taken
 from torcharm.sweeps.shards import rows_of, shard_path
 from torcharm.sweeps.summary import Summary, summary_of
 
@@ -148,14 +148,8 @@ class SweepResult:
         """
         check_count("count", count, 1)
         column = self.column(by)
-        if count <= KEPT and column in rankings(self.columns):
-            rows = self.summary.rows
-        else:
-            rows = {}
-            for block in self.blocks():
-                both = {name: np.concatenate((rows[name], block[name])) for name in block} if rows else block
-                rows = taken(both, best_places(both, column, count))
-        return self._rows(rows, best_places(rows, column, count) if rows else None)
+        known = count <= KEPT and column in rankings(self.columns)
+        return self._leading(known, lambda rows: best_places(rows, column, count))
 
     def pareto(self, first: str = "tip_error", second: str = "size") -> SweepRows:
         """The feasible designs that no other beats in two columns, smaller being better, by the second.
@@ -169,17 +163,16 @@ class SweepResult:
             ValueError: a name is none of those allowed.
         """
         x, y = self.column(first), self.column(second)
-        if y == SIZE and x in rankings(self.manifest.numbers):
-            rows = self.summary.rows
-        else:
-            rows = {}
-            for block in self.blocks():
-                both = {name: np.concatenate((rows[name], block[name])) for name in block} if rows else block
-                rows = taken(both, pareto_places(both, x, y))
-        return self._rows(rows, pareto_places(rows, x, y) if rows else None)
+        known = y == SIZE and x in rankings(self.manifest.numbers)
+        return self._leading(known, lambda rows: pareto_places(rows, x, y))
 
-    def _rows(self, rows: Rows, places: Any) -> SweepRows:
-        found = taken(rows, places) if rows else {name: np.zeros(0) for name in self.columns}
+    def _leading(self, known: bool, places: Callable[[Rows], Places]) -> SweepRows:
+        """The rows at the places that lead among all, which the summary knows, or one shard after the other tells."""
+        rows = self.summary.rows if known else {}
+        for block in () if known else self.blocks():
+            both = {name: np.concatenate((rows[name], block[name])) for name in block} if rows else block
+            rows = taken(both, places(both))
+        found = taken(rows, places(rows)) if rows else {name: np.zeros(0) for name in self.columns}
         return SweepRows(found, self.manifest.design_points)
 
     def designs(self, indices: Any) -> Arm:

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from torcharm import __version__
-from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries
 from torcharm.attainability import CHOICES, PoseTolerance
 from torcharm.design.checkpoint import describe
 from torcharm.design.feasible import feasible_designs
 from torcharm.design.objective import Objective
+from torcharm.design.optimise import checked_tasks
 from torcharm.design.space import Arm, DesignSpace
 from torcharm.extras import extra
 from torcharm.files import StrPath
@@ -38,8 +37,7 @@ from torcharm.sweeps.ranking import best_places, rankings, taken
 from torcharm.sweeps.result import SweepResult
 from torcharm.sweeps.shards import Done, Job, measured, one_thread, shard_path
 from torcharm.sweeps.summary import summary_of
-from torcharm.task import Task, for_each_task, task_list
-from torcharm.wrench_sets.design_task_grid import fitted
+from torcharm.task import Task
 
 SHARD_SECONDS = 5.0
 """Of one worker: little is lost with a worker, and handing shards over takes no time beside it."""
@@ -129,7 +127,7 @@ def sweep(
     for name in ("pyarrow", "filelock"):
         extra(name, "sweep")
     space = DesignSpace() if space is None else space
-    tasks = check_arguments(arm, space, task)
+    tasks = checked_tasks(arm, space, task)
     measures = check_measures(metrics, reduce, tolerance, weights, power, pose_cost)
     check_part(shard)
     if shard_size is not None:
@@ -215,19 +213,6 @@ class _Run:
             if len(found[by]):
                 best, design = float(found[by][0]), int(found["design"][0])
         return SweepProgress(self.done, self.count, rate, left, best, by, design)
-
-
-def check_arguments(arm: Arm, space: DesignSpace, task: Task | Sequence[Task]) -> tuple[Task, ...]:
-    """The tasks as a tuple, everything checked."""
-    if not isinstance(arm, ArmDesign | ArmSeries):
-        raise ValueError(f"arm: must be of type ArmDesign or ArmSeries, got {shown(arm)}")
-    if not isinstance(space, DesignSpace):
-        raise ValueError(f"space: must be of type DesignSpace, got {shown(space)}")
-    tasks = task_list(task)
-    if any(0 in one.batch_shape for one in tasks):
-        raise ValueError("task: must hold at least one task, got none")
-    for_each_task(task, lambda one: fitted(arm, one))
-    return tasks
 
 
 def check_part(part: Part | None) -> None:

@@ -72,11 +72,7 @@ def shard_path(folder: Path, shard: int) -> Path:
 
 
 def compute_shard(job: Job, shard: int) -> Done:
-    """Evaluate a shard's designs and write its file.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Evaluate a shard's designs and write its file."""
     manifest = job.manifest
     first, end = manifest.first_of(shard), manifest.first_of(shard + 1)
     with one_thread():
@@ -106,10 +102,7 @@ def measured(
 ) -> Rows:
     """All columns of the designs from one index to another, without the last; NaN and 0 of those not allowed.
 
-    Args:
-        designs, tasks, measures: what is evaluated and how.
-        first, end: indices.
-        chunk: designs evaluated at once.
+    A chunk is how many designs are evaluated at once.
     """
     indices = np.arange(first, end)
     allowed = np.concatenate([designs.allowed(block) for block in blocks(indices, ALLOWED_AT_ONCE)])

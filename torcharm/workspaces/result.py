@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,12 +13,9 @@ from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.equilibrium.problem import Problem
 from torcharm.geometry.alpha_shape import AlphaShape, alpha_shape
-from torcharm.inputs import HoldsTensors, TensorLike, as_floating, check_above_zero
+from torcharm.inputs import HoldsTensors, Tabular, TensorLike, as_floating, check_above_zero
 from torcharm.load import ExternalLoad
 from torcharm.workspaces.states import EXCLUDED, REACHED, STATES, Batch, has_payload, position_of
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 Array = NDArray[np.float64]
 
@@ -30,7 +27,7 @@ GROWN = 0.03
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Workspace(HoldsTensors):
+class Workspace(HoldsTensors, Tabular):
     """Where an arm's tip can be under a load: S states, in the order in which they were solved.
 
     The region is the alpha shape of the states that are reached: where no three (in space four) of them lie within a
@@ -239,16 +236,6 @@ class Workspace(HoldsTensors):
             others.append(("payload_factor", self.payload_factor))
         pressures = ((f"pressure_{index}", own) for index, own in enumerate(self.pressure.unbind(-1), 1))
         return [*places, ("tip_angle", self.angle), *others, *pressures]
-
-    def to_frame(self) -> "DataFrame":
-        """The same as a table of pandas.
-
-        Raises:
-            ModuleNotFoundError: pandas is not installed.
-        """
-        from pandas import DataFrame
-
-        return DataFrame(self.to_dict())
 
     def __repr__(self) -> str:
         """Counts and the region's size."""
