@@ -10,9 +10,6 @@ Without load, sections do not know of each other: each segment is one element th
 """
 
 import math
-from typing import Any
-
-from numpy.typing import NDArray
 
 from torcharm.engine.compilation import part
 from torcharm.engine.newton_step import factor_section, solve, write_balance, write_shape
@@ -26,8 +23,6 @@ from torcharm.engine.path import (
     scales,
 )
 from torcharm.engine.sections import set_pressure, write_rates, write_section
-
-Array = NDArray[Any]
 
 FIRST_PRESSURE_STEP = 0.6
 """Of the pressure, taken by the first step."""

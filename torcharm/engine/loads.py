@@ -9,7 +9,8 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries, RigidLink
-from torcharm.engine.arms import Array, Loads, numbers, pose_rows
+from torcharm.engine.arms import Loads, numbers, pose_rows
+from torcharm.engine.arrays import Array
 from torcharm.geometry import se2, se3
 from torcharm.load import GRAVITY, ExternalLoad, PointLoad
 from torcharm.statics.balance import segments_of

@@ -6,10 +6,11 @@ to holding the very shape, as the wrenches there say: first from these where the
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from numpy.typing import NDArray
+from jaxtyping import Bool, Float64, Int64
 
+from torcharm.engine.arrays import Array
 from torcharm.engine.compilation import part
 from torcharm.engine.continuation import CONTINUED
 from torcharm.engine.descent import CLOSE, FLOOR, NO_START, RUNNING, STABILITY_ENDS, STEPS, descend, error_slope
@@ -28,8 +29,6 @@ from torcharm.engine.pressure_model import (
 )
 from torcharm.engine.references import by_reference
 from torcharm.engine.wrench_fit import FIT_GAIN, FIT_STEPS, fit_wrenches, write_carried
-
-Array = NDArray[Any]
 
 START, HOLDS, BEST = 0, 2, 4
 """Slots: where the arm is put down; pressures that almost hold the shape; and the best point. Behind the first two is
@@ -50,25 +49,15 @@ SAME_SHAPE = 1e-2
 
 @by_reference
 class Predictions(NamedTuple):
-    """What B descents found.
+    """What B descents found."""
 
-    Attributes:
-        place: (B, M) normalised pressures.
-        twists: (B, N, K) of the equilibria.
-        half_cost: (B,) [m²], infinite where there is no equilibrium.
-        slope: (B,) the largest slope of the error by a pressure [m].
-        ended: (B,) how, as of `descent`.
-        stable: (B,) whether the equilibria are stable, by the pivots of J.
-        reached: (B,) whether continuation from zero load leads there.
-    """
-
-    place: Array
-    twists: Array
-    half_cost: Array
-    slope: Array
-    ended: Array
-    stable: Array
-    reached: Array
+    place: Float64[Array, "B M"]  # normalised pressures
+    twists: Float64[Array, "B N K"]  # of the equilibria
+    half_cost: Float64[Array, "B"]  # [m²], infinite where there is no equilibrium
+    slope: Float64[Array, "B"]  # the largest slope of the error by a pressure [m]
+    ended: Int64[Array, "B"]  # how, as of `descent`
+    stable: Bool[Array, "B"]  # whether the equilibria are stable, by the pivots of J
+    reached: Bool[Array, "B"]  # whether continuation from zero load leads there
 
 
 @part

@@ -6,23 +6,21 @@ the implicit function theorem the unknowns change by `-J⁻¹ ∂R/∂p p̄`.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float64
 
 from torcharm.engine.arms import Arms, Loads
-from torcharm.engine.box_step import BoxStep, make_box_step
+from torcharm.engine.arrays import Array
+from torcharm.engine.box_step import BoxStep
 from torcharm.engine.compilation import part
 from torcharm.engine.continuation import FAILED, find_equilibrium
 from torcharm.engine.newton_step import first_angular, solve, write_balance, write_shape
-from torcharm.engine.path import Path, Scale, copy_twists, make_path, move_size
-from torcharm.engine.pose_error import Errors, Goal, make_errors, write_errors
+from torcharm.engine.path import Path, Scale, copy_twists, move_size
+from torcharm.engine.pose_error import Errors, Goal, write_errors
 from torcharm.engine.references import by_reference
-from torcharm.engine.room import Room, make_room
+from torcharm.engine.room import Room
 from torcharm.engine.sections import set_pressure, write_rates
-
-Array = NDArray[Any]
 
 LARGE_MOVE = 1.0
 """Longest Newton step, as of `move_size`: about a radian, or a third of the length."""
@@ -40,98 +38,46 @@ equilibrium is stable, with every length above 0."""
 
 @by_reference
 class Problem(NamedTuple):
-    """B arms, and what their poses are to be.
-
-    Attributes:
-        arms, loads, scale, goal: of the arms.
-        limit: (B, M) of pressures [kPa].
-    """
+    """B arms, and what their poses are to be."""
 
     arms: Arms
     loads: Loads
     scale: Scale
     goal: Goal
-    limit: Array
+    limit: Float64[Array, "B M"]  # of pressures [kPa]
 
 
 @by_reference
 class Points(NamedTuple):
-    """Normalised pressures of one arm, with the equilibria and the models of half the cost there; a slot for each.
+    """Normalised pressures of one arm, with the equilibria and the models of half the cost there; a slot for each."""
 
-    Attributes:
-        place: (SLOTS, M) normalised pressures.
-        twists: (SLOTS, N, K).
-        rates: (SLOTS, M, N, C) of the unknowns by the place.
-        known: (SLOTS, 3) HALF_COST, LAST_MOVE and STABLE.
-        gradient: (SLOTS, M) [m²].
-        curvature: (SLOTS, M, M) Gauss and Newton's [m²].
-    """
-
-    place: Array
-    twists: Array
-    rates: Array
-    known: Array
-    gradient: Array
-    curvature: Array
+    place: Float64[Array, "slots M"]  # normalised pressures
+    twists: Float64[Array, "slots N K"]
+    rates: Float64[Array, "slots M N C"]  # of the unknowns by the place
+    known: Float64[Array, "slots 3"]  # HALF_COST, LAST_MOVE and STABLE
+    gradient: Float64[Array, "slots M"]  # [m²]
+    curvature: Float64[Array, "slots M M"]  # Gauss and Newton's [m²]
 
 
 @by_reference
 class Work(NamedTuple):
-    """Room for one thread.
-
-    Attributes:
-        room, path, errors, box: see there.
-        change: (1 + M, N, C) Newton's step, and the changes of the unknowns by M normalised pressures.
-        points: the points.
-        base, way: (N, K), (N, C) of Newton's method: where a step starts, and the step.
-        wall, wall_at: (M,), (1,) half the square of `wall·u - wall_at` is added to the value of every point: a
-            descent keeps to that plane. Zeros if there is none.
-        extra: (M, M) what is added to a curvature.
-        missed: (M,) room.
-        pressure: (B, M) [kPa] the pressures at which arms are evaluated, for all threads; each uses its arms' rows.
-    """
+    """Room for one thread."""
 
     room: Room
     path: Path
     errors: Errors
     box: BoxStep
-    change: Array
+    change: Float64[Array, "1+M N C"]  # Newton's step, and the changes of the unknowns by M normalised pressures
     points: Points
-    base: Array
-    way: Array
-    wall: Array
-    wall_at: Array
-    extra: Array
-    missed: Array
-    pressure: Array
-
-
-def make_work(arms: Arms, pressure: Array, slots: int = SLOTS) -> Work:
-    """Room for one arm at a time, and so many points; pressures as of `Work`."""
-    nodes, size, columns, count = arms.first_node[-1], arms.size, len(arms.unknown), len(arms.models.kind)
-    points = Points(
-        np.zeros((slots, count)),
-        np.zeros((slots, nodes, size)),
-        np.zeros((slots, count, nodes, columns)),
-        np.zeros((slots, 3)),
-        np.zeros((slots, count)),
-        np.zeros((slots, count, count)),
-    )
-    return Work(
-        make_room(arms),
-        make_path(arms),
-        make_errors(arms, count),
-        make_box_step(count),
-        np.zeros((1 + count, nodes, columns)),
-        points,
-        np.zeros((nodes, size)),
-        np.zeros((nodes, columns)),
-        np.zeros(count),
-        np.zeros(1),
-        np.zeros((count, count)),
-        np.zeros(count),
-        pressure,
-    )
+    base: Float64[Array, "N K"]  # where a step of Newton's method starts
+    way: Float64[Array, "N C"]  # and the step
+    # half the square of `wall·u - wall_at` is added to the value of every point: a descent keeps to that plane; zeros
+    # if there is none
+    wall: Float64[Array, "M"]
+    wall_at: Float64[Array, "1"]
+    extra: Float64[Array, "M M"]  # what is added to a curvature
+    missed: Float64[Array, "M"]  # room
+    pressure: Float64[Array, "B M"]  # [kPa] at which arms are evaluated, for all threads; each uses its arms' rows
 
 
 @part

@@ -8,10 +8,11 @@ where it is not, the search goes on along the boundary: see `boundary_search`.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from numpy.typing import NDArray
+from jaxtyping import Bool, Float64, Int64
 
+from torcharm.engine.arrays import Array
 from torcharm.engine.boundary_search import SAME_SHAPE, WORTH, follow_boundary, release
 from torcharm.engine.box_step import optimality
 from torcharm.engine.compilation import kernel, part
@@ -44,8 +45,6 @@ from torcharm.engine.search_room import (
 )
 from torcharm.engine.wrench_fit import FIT_GAIN, FIT_STEPS, fit_wrenches, write_carried
 
-Array = NDArray[Any]
-
 LOT = 4
 """Places of which the arm is loaded at one: that of the least expected cost."""
 AGREE, AGREES, AGREES_AT_KINK = 4, 2, 1
@@ -68,25 +67,15 @@ HALFWAY = 0.5
 
 @by_reference
 class Searches(NamedTuple):
-    """What B searches found.
+    """What B searches found."""
 
-    Attributes:
-        place: (B, M) normalised pressures.
-        twists: (B, N, K) the equilibria there.
-        half_cost: (B,) [m²], infinite where none was found.
-        how: (B,) they are reached, as of `find_equilibrium`.
-        at_end: (B,) whether a descent ended there, and none to a better equilibrium that continuation does not reach.
-        optimality: (B,) the largest entry of the cost's projected gradient [m²].
-        start_cost: (B, S) what each start came to [m²]; infinite where it failed, NaN where it was spared.
-    """
-
-    place: Array
-    twists: Array
-    half_cost: Array
-    how: Array
-    at_end: Array
-    optimality: Array
-    start_cost: Array
+    place: Float64[Array, "B M"]  # normalised pressures
+    twists: Float64[Array, "B N K"]  # the equilibria there
+    half_cost: Float64[Array, "B"]  # [m²], infinite where none was found
+    how: Int64[Array, "B"]  # they are reached, as of `find_equilibrium`
+    at_end: Bool[Array, "B"]  # whether a descent ended there, and none to a better one that continuation does not reach
+    optimality: Float64[Array, "B"]  # the largest entry of the cost's projected gradient [m²]
+    start_cost: Float64[Array, "B starts"]  # what each came to [m²]; infinite where it failed, NaN where it was spared
 
 
 @part

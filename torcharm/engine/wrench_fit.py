@@ -6,20 +6,17 @@ by the second derivative along the step (geodesic acceleration; Transtrum and Se
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Bool, Float64
 
-from torcharm.engine.arms import Arms
+from torcharm.engine.arrays import Array
 from torcharm.engine.box_step import factor_free, largest_curvature, optimality, solve_free, write_box_step
 from torcharm.engine.compilation import part
 from torcharm.engine.newton_step import write_balance, write_shape
 from torcharm.engine.path import copy_twists
 from torcharm.engine.references import by_reference
 from torcharm.engine.sections import set_pressure, write_rates, write_section
-
-Array = NDArray[Any]
 
 FIT_STEPS, FIT_GAIN = 15, 1e-2
 """Steps of a fit where a descent begins, at most; and the share of the squared distance that one must promise, which is
@@ -39,38 +36,15 @@ Sethna)."""
 
 @by_reference
 class Fit(NamedTuple):
-    """Room for one fit.
+    """Room for one fit."""
 
-    Attributes:
-        place: (2, M) normalised pressures: where the fit is, and a place that is tried.
-        miss: (2, N, C) weighted residuals there.
-        rates: (M, N, C) of the first by the place.
-        gradient, normal: (M,), (M, M) of half the squared distance.
-        nothing: (M, M) zeros.
-        weight: (C,) roots of the weights of the components.
-    """
-
-    place: Array
-    miss: Array
-    rates: Array
-    gradient: Array
-    normal: Array
-    nothing: Array
-    weight: Array
-
-
-def make_fit(arms: Arms, weight: Array) -> Fit:
-    """Room for one arm at a time, and the roots of the weights (C,) of the components."""
-    nodes, columns, count = arms.first_node[-1], len(arms.unknown), len(arms.models.kind)
-    return Fit(
-        place=np.zeros((2, count)),
-        miss=np.zeros((2, nodes, columns)),
-        rates=np.zeros((count, nodes, columns)),
-        gradient=np.zeros(count),
-        normal=np.zeros((count, count)),
-        nothing=np.zeros((count, count)),
-        weight=weight,
-    )
+    place: Float64[Array, "2 M"]  # normalised pressures: where the fit is, and a place that is tried
+    miss: Float64[Array, "2 N C"]  # weighted residuals there
+    rates: Float64[Array, "M N C"]  # of the first by the place
+    gradient: Float64[Array, "M"]  # of half the squared distance
+    normal: Float64[Array, "M M"]  # its matrix of the normal equations
+    nothing: Float64[Array, "M M"]  # zeros
+    weight: Float64[Array, "C"]  # roots of the weights of the components
 
 
 @part
@@ -194,21 +168,13 @@ def fit_wrenches(problem, work, fit, b, twist, steps, gain):  # type: ignore[no-
 
 @by_reference
 class FitAnswers(NamedTuple):
-    """Fits of B arms.
+    """Fits of B arms."""
 
-    Attributes:
-        place: (B, M) normalised pressures.
-        square: (B,) squared distances.
-        miss: (B, N, C) weighted residuals.
-        optimality: (B,) the largest entry of the projected gradient of half the squared distance.
-        done: (B,) whether the descents came to their ends.
-    """
-
-    place: Array
-    square: Array
-    miss: Array
-    optimality: Array
-    done: Array
+    place: Float64[Array, "B M"]  # normalised pressures
+    square: Float64[Array, "B"]  # squared distances
+    miss: Float64[Array, "B N C"]  # weighted residuals
+    optimality: Float64[Array, "B"]  # the largest entry of the projected gradient of half the squared distance
+    done: Bool[Array, "B"]  # whether the descents came to their ends
 
 
 @part

@@ -17,9 +17,11 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
+from torcharm.engine.arms import sizes_of
+from torcharm.engine.arrays import make
 from torcharm.engine.descent import HELD_UP, NO_GAIN, OPTIMUM
 from torcharm.engine.predictions import SCREENED, Predictions
-from torcharm.engine.questions import PREDICTIONS, Given, answer, make_predictions
+from torcharm.engine.questions import PREDICTIONS, Given, answer
 from torcharm.equilibrium.solve import TOLERANCE
 from torcharm.equilibrium.stability import lengths_positive, strain_excess
 from torcharm.inputs import HoldsTensors, shapes_only
@@ -194,11 +196,10 @@ def prediction(
 
 def _found(prepared: Prepared) -> Predictions:
     """What the engine finds."""
-    problem, shape = prepared.engine, prepared.start
-    count, actuators = problem.limit.shape
-    sobol = torch.quasirandom.SobolEngine(actuators).draw(1 + SCREENED[-1], dtype=torch.float64)
-    draws = sobol[1:].numpy()
-    out = make_predictions(count, shape.shape[1], shape.shape[2], actuators)
-    given = Given(twists=shape, places=draws, weight=prepared.wrench_weights)
+    problem = prepared.engine
+    sizes = sizes_of(problem.arms, B=len(problem.limit))
+    sobol = torch.quasirandom.SobolEngine(sizes["M"]).draw(1 + SCREENED[-1], dtype=torch.float64)
+    out = make(Predictions, sizes)
+    given = Given(twists=prepared.start, places=sobol[1:].numpy(), weight=prepared.wrench_weights)
     answer(PREDICTIONS, problem, TOLERANCE, given, predictions=out)
     return out

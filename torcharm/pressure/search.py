@@ -11,12 +11,14 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
+from torcharm.engine.arms import sizes_of
+from torcharm.engine.arrays import make
 from torcharm.engine.continuation import CONTINUED, FAILED
-from torcharm.engine.pressure_model import make_work
-from torcharm.engine.search_room import LOADED, make_search
+from torcharm.engine.pressure_model import Work
+from torcharm.engine.search_room import LOADED, Search
 from torcharm.engine.searches import LOT, Searches, search_all
 from torcharm.engine.threads import spread
-from torcharm.engine.wrench_fit import make_fit
+from torcharm.engine.wrench_fit import Fit
 from torcharm.equilibrium.solve import TOLERANCE, NotConvergedError
 from torcharm.equilibrium.stability import lengths_positive, strain_excess
 from torcharm.inputs import HoldsTensors, check_choice, check_count, check_flag, shapes_only
@@ -281,11 +283,11 @@ def _found(prepared: Prepared, starts: int, rounds: int, seed: int) -> Searches:
     places[1] = 0.0  # no pressure at all
     start, pressure = np.zeros((0, *shape.shape[1:])), np.zeros_like(problem.limit)
     slots = LOADED + len(pool) // LOT + len(places)
+    sizes = sizes_of(problem.arms, slots=slots, starts=starts, pool=len(pool))
 
     def work(first: int, last: int) -> None:
-        room = make_work(problem.arms, pressure, slots)
-        search = make_search(problem.arms, starts, len(pool), slots)
-        fit, draws = make_fit(problem.arms, prepared.wrench_weights), pool.numpy()
+        room, search = make(Work, sizes, pressure=pressure), make(Search, sizes)
+        fit, draws = make(Fit, sizes, weight=prepared.wrench_weights), pool.numpy()
         search_all(problem, shape, draws, places, rounds, start, TOLERANCE, first, last, room, search, fit, out)
 
     spread(len(shape), work)

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torcharm.actuators import Actuator, pressure_knots
 from torcharm.actuators.protocol import sampled_of
+from torcharm.engine.arrays import make
 from torcharm.engine.curves import Samples
 from torcharm.engine.forces import SAMPLED, Models, models_of
 from torcharm.engine.node_sets import Answers, Sections, distance_kernel, make_room
@@ -84,10 +85,8 @@ def find_nearest(
     models, data = engine_sections(sections, required, scale, samples)
     components, actuators = data.lever.shape[-1], data.lever.shape[-2]
     wanted = as_array(required.external) * components_scale(scale, components)
-    more = [np.empty((*shape, components)), np.empty((*shape, components)), np.empty((*shape, components, actuators))]
-    more.append(np.empty(shape))
-    more = more if points else [np.empty((0,) * part.ndim) for part in more]
-    answers = Answers(np.empty(shape), np.empty(shape), *more)
+    sizes = dict(zip("BPLNDM", (*shape, components, actuators), strict=True)) if points else {}
+    answers = make(Answers, sizes, distance=np.empty(shape), gap=np.empty(shape))
     kernel = distance_kernel(components, signed)
 
     def work(first: int, last: int) -> None:

@@ -12,9 +12,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torcharm.engine.arrays import make
 from torcharm.engine.distance import TOUCHING
 from torcharm.engine.node_sets import make_room
-from torcharm.engine.ray import Ends, make_ray, ray_kernel
+from torcharm.engine.ray import Ends, Ray, ray_kernel
 from torcharm.engine.threads import spread
 from torcharm.statics.cross_section import CrossSections
 from torcharm.wrench_sets.design_task_grid import RequiredWrench
@@ -73,14 +74,13 @@ def find_ends(
     begin, change = as_array(start.external), as_array(direction)
     designs = len(data.limit)
     shape = (2 * designs, *change.shape[:3])
-    more = [np.empty((*shape, components)), np.empty((*shape, components)), np.empty((*shape, components, actuators))]
-    more = more if points else [np.empty((0,) * part.ndim) for part in more]
-    ends = Ends(np.empty(shape), np.empty(shape), np.empty(shape), *more)
+    sizes = dict(zip("BPLNDM", (designs, *shape[1:], components, actuators), strict=True)) if points else {}
+    ends = make(Ends, sizes, factor=np.empty(shape), slack=np.empty(shape), gap=np.empty(shape))
     kernel, still = ray_kernel(components), _still(change, relative)
 
     def work(first: int, last: int) -> None:
-        room = make_room(models, components, change.shape[1], data.samples)
-        kernel(data, begin, change, still, relative, least, first, last, room, make_ray(components), ends)
+        room, ray = make_room(models, components, change.shape[1], data.samples), make(Ray, {"D": components})
+        kernel(data, begin, change, still, relative, least, first, last, room, ray, ends)
 
     spread(designs, work)
     found = [torch.from_numpy(part).to(sections.strain).unflatten(0, (-1, 2)) for part in ends if part.size or points]
