@@ -17,8 +17,8 @@ from torcharm.attainability.questions import question
 from torcharm.attainability.reasons import NO_CENTRELINE, at_limits, differences, missing, one_design, out_of_range
 from torcharm.attainability.verdict import VERDICTS, PoseTolerance, judge, over_tolerance
 from torcharm.inputs import HoldsTensors
+from torcharm.statics.balance import segments_of
 from torcharm.task import Task
-from torcharm.wrench_sets.design_task_grid import segments_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -150,7 +150,7 @@ class Attainability(HoldsTensors):
         if verdict == "impossible" and not bool(self.impossible[index]):
             return NO_CENTRELINE
         lead, task, batch = len(self.arm.batch_shape), self.task, self.arm.batch_shape
-        segments = [one_design(segment, batch, index[:lead]) for segment in segments_of(self.arm)]
+        segments = [one_design(segment, batch, index[:lead]) for segment in segments_of(self.arm)[0]]
         twists = task.twists.detach().expand(*task.batch_shape, *task.twists.shape[-2:])[index[lead:]]
         nodes = task.segment_nodes or (task.nodes,)
         causes = self._causes(verdict, index, segments, twists, nodes)

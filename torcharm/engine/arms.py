@@ -92,8 +92,14 @@ def sizes_of(arms: Arms, **more: int) -> dict[str, int]:
 
 
 def numbers(value: Tensor) -> Array:
-    """A tensor's numbers as float64, in a row."""
-    return np.ascontiguousarray(value.detach().cpu().numpy(), dtype=np.float64)
+    """A tensor as the engine takes it: float64, without its graph."""
+    return np.ascontiguousarray(value.detach().cpu().double().numpy())
+
+
+def flat(value: Tensor, batch: tuple[int, ...], data: int = 1) -> Array:
+    """A tensor (*#batch, ...) as the numbers (B, ...), of so many dimensions of data."""
+    tail = value.shape[value.ndim - data :]
+    return numbers(value.expand(*batch, *tail).reshape(math.prod(batch), *tail))
 
 
 def pose_rows(pose: Tensor) -> Tensor:
@@ -129,11 +135,11 @@ def arms_of(
         )
 
     def rows(values: list[Tensor]) -> Array:
-        return np.concatenate([_flat(value, batch, 1) for value in values], -1)
+        return np.concatenate([flat(value, batch) for value in values], -1)
 
     y = rows([segment.radii for segment in segments])
-    flat = [segment.out_of_plane for segment in segments]
-    z = rows([value for value in flat if value is not None]) if arm.dimension == 3 else np.zeros_like(y)
+    aside = [segment.out_of_plane for segment in segments]
+    z = rows([value for value in aside if value is not None]) if arm.dimension == 3 else np.zeros_like(y)
     stiff = [
         torch.full_like(segment.mass, RIGID) if segment.torsion_stiffness is None else segment.torsion_stiffness
         for segment in segments
@@ -145,7 +151,7 @@ def arms_of(
         link[..., (4, 8)] = 1.0
     for index, one in enumerate(links):
         if one is not None:
-            link[:, index] = _flat(pose_rows(one.end(arm.dimension)), batch, 1)
+            link[:, index] = flat(pose_rows(one.end(arm.dimension)), batch)
     sizes = [segment.actuator_count for segment in segments]
     return Arms(
         3 if arm.dimension == 2 else 6,
@@ -184,10 +190,10 @@ def _built(segments: Sequence[ArmDesign], models: Models, batch: tuple[int, ...]
     for segment in segments:
         own, first = slice(first, first + segment.actuator_count), first + segment.actuator_count
         if segment.deviation is not None:
-            scale[:, own] = _flat(segment.deviation.force_scale, batch, 1)
-            bending[:, own] = _flat(segment.deviation.bending_scale, batch, 1)
+            scale[:, own] = flat(segment.deviation.force_scale, batch)
+            bending[:, own] = flat(segment.deviation.bending_scale, batch)
             for (i, j), term in zip(segment.deviation.powers, segment.deviation.terms, strict=True):
-                added[:, own, j, i] += _flat(term, batch, 1)
+                added[:, own, j, i] += flat(term, batch)
     return models, scale, bending, added
 
 
@@ -206,9 +212,3 @@ def _bending(actuators: Sequence[Actuator]) -> tuple[Array, Array]:
         ):
             passive[index] = plain_number(model.bending_stiffness.stiffness)  # type: ignore[union-attr]
     return active, passive
-
-
-def _flat(value: Tensor, batch: tuple[int, ...], data: int) -> Array:
-    """A tensor (*#batch, ...) as (B, ...), of so many dimensions of data."""
-    tail = value.shape[value.ndim - data :]
-    return numbers(value.expand(*batch, *tail).reshape(math.prod(batch), *tail))

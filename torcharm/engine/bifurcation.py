@@ -16,8 +16,8 @@ from jaxtyping import Float64
 
 from torcharm.engine.arrays import Array
 from torcharm.engine.compilation import part
+from torcharm.engine.copies import copy_rows
 from torcharm.engine.newton_step import solve, write_balance, write_shape
-from torcharm.engine.path import copy_twists
 from torcharm.engine.references import by_reference
 from torcharm.engine.sections import set_pressure
 
@@ -116,14 +116,14 @@ def _advance(problem, work, saddle, b, beside):  # type: ignore[no-untyped-def]
         move_x, move_s = move_x * short, move_s * short
     for m in range(count):
         saddle.normal[m] = times_measure(saddle, work.change[1 + m])
-        copy_twists(saddle.shift[m], work.change[1 + m])
+        copy_rows(saddle.shift[m], work.change[1 + m])
     _move(arms, saddle, 0, move_s, change[1])
     _move(arms, saddle, 0, x * move_x + s * move_s, saddle.by_way)
     saddle.factor[0] += move_s
     for m in range(count):
         saddle.place[0, m] += saddle.way[m] * (x * move_x + s * move_s)
     for k in range(1, 3):
-        copy_twists(saddle.twists[k], saddle.twists[0])
+        copy_rows(saddle.twists[k], saddle.twists[0])
         saddle.factor[k] = saddle.factor[0]
         along = x * aside if k == 1 else s * ASIDE
         if k == 2:

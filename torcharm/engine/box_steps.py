@@ -5,6 +5,7 @@ import numpy as np
 from torcharm.engine.arrays import Array, make
 from torcharm.engine.box_step import BoxStep, write_box_step
 from torcharm.engine.compilation import kernel
+from torcharm.engine.copies import copy_row
 
 
 def box_steps(gradient: Array, curvature: Array, place: Array, damping: float) -> Array:
@@ -27,5 +28,4 @@ def _write_all(gradient, curvature, place, damping, box, step):  # type: ignore[
     """Write the steps, one problem after the other."""
     for b in range(len(gradient)):
         write_box_step(box, gradient[b], curvature[b], curvature[b], False, place[b], damping)
-        for m in range(gradient.shape[1]):
-            step[b, m] = box.step[m]
+        copy_row(step[b], box.step)

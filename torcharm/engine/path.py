@@ -123,14 +123,6 @@ def move(arms, path, factor):  # type: ignore[no-untyped-def]
 
 
 @part
-def copy_twists(out, given):  # type: ignore[no-untyped-def]
-    """Write twists (N, K)."""
-    for i in range(out.shape[0]):
-        for c in range(out.shape[1]):
-            out[i, c] = given[i, c]
-
-
-@part
 def own_stiffness(arms, room, path):  # type: ignore[no-untyped-def]
     """The largest slopes of sections' reactions by their own unknowns, of linear and of angular components."""
     linear = angular = 1e-9

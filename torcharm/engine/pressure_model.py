@@ -15,8 +15,9 @@ from torcharm.engine.arrays import Array
 from torcharm.engine.box_step import BoxStep
 from torcharm.engine.compilation import part
 from torcharm.engine.continuation import FAILED, find_equilibrium
+from torcharm.engine.copies import copy_row, copy_rows
 from torcharm.engine.newton_step import first_angular, solve, write_balance, write_shape
-from torcharm.engine.path import Path, Scale, copy_twists, move_size
+from torcharm.engine.path import Path, Scale, move_size
 from torcharm.engine.pose_error import Errors, Goal, write_errors
 from torcharm.engine.references import by_reference
 from torcharm.engine.room import Room
@@ -103,14 +104,10 @@ def copy_point(points, to, at):  # type: ignore[no-untyped-def]
     for m in range(points.place.shape[1]):
         points.place[to, m] = points.place[at, m]
         points.gradient[to, m] = points.gradient[at, m]
-        for k in range(points.place.shape[1]):
-            points.curvature[to, m, k] = points.curvature[at, m, k]
-        for i in range(points.rates.shape[2]):
-            for c in range(points.rates.shape[3]):
-                points.rates[to, m, i, c] = points.rates[at, m, i, c]
-    copy_twists(points.twists[to], points.twists[at])
-    for k in range(points.known.shape[1]):
-        points.known[to, k] = points.known[at, k]
+        copy_row(points.curvature[to, m], points.curvature[at, m])
+        copy_rows(points.rates[to, m], points.rates[at, m])
+    copy_rows(points.twists[to], points.twists[at])
+    copy_row(points.known[to], points.known[at])
 
 
 @part
@@ -160,7 +157,7 @@ def approach(problem, work, b, close, evaluations):  # type: ignore[no-untyped-d
         if fell and size <= close:
             return size
         if fell:
-            copy_twists(work.base, path.trial)
+            copy_rows(work.base, path.trial)
             step = min(LARGE_MOVE / size, 1.0)
             for i in range(work.way.shape[0]):
                 for c in range(work.way.shape[1]):
@@ -190,10 +187,8 @@ def write_point(problem, work, b, at, size):  # type: ignore[no-untyped-def]
             for c in range(columns):
                 work.change[1 + m, i, c] = -room.sections.rate[i, c, m] * problem.limit[b, m]
         solve(arms, problem.loads, room, work.change[1 + m])
-        for i in range(nodes):
-            for c in range(columns):
-                points.rates[at, m, i, c] = work.change[1 + m, i, c]
-    copy_twists(points.twists[at], path.trial)
+        copy_rows(points.rates[at, m], work.change[1 + m])
+    copy_rows(points.twists[at], path.trial)
     for i in range(nodes):
         for c in range(columns):
             points.twists[at, i, arms.unknown[c]] += work.change[0, i, c]
@@ -232,7 +227,7 @@ def add_wall(work, at):  # type: ignore[no-untyped-def]
 def expected_cost(problem, work, b, at, shape):  # type: ignore[no-untyped-def]
     """Half the cost at the place of a slot after one Newton step from a shape (N, K); infinite if it is no number."""
     take_place(problem, work, b, at)
-    copy_twists(work.path.trial, shape)
+    copy_rows(work.path.trial, shape)
     write_newton(problem, work, b)
     write_errors(problem.arms, problem.goal, work.room, b, shape, work.change, 0, work.errors)
     total, value = 0.0, work.errors.value
@@ -282,8 +277,7 @@ def reach(problem, work, b, at, to, start, tolerance):  # type: ignore[no-untype
     Returns how it is reached, as `find_equilibrium`; FAILED where the arm does not stay there.
     """
     points = work.points
-    for m in range(points.place.shape[1]):
-        points.place[to, m] = points.place[at, m]
+    copy_row(points.place[to], points.place[at])
     points.known[to, HALF_COST], points.known[to, STABLE] = math.inf, 0.0
     take_place(problem, work, b, to)
     how = load_from_zero(problem, work, b, start, tolerance)

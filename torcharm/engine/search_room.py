@@ -8,7 +8,7 @@ from jaxtyping import Float64, Int64
 from torcharm.engine.arrays import Array
 from torcharm.engine.bifurcation import Saddle
 from torcharm.engine.compilation import part
-from torcharm.engine.path import copy_twists
+from torcharm.engine.copies import copy_rows
 from torcharm.engine.pressure_model import HALF_COST, copy_point, distance_of, reach
 from torcharm.engine.references import by_reference
 
@@ -54,8 +54,8 @@ class Search(NamedTuple):
 def keep_point(work, search, to, at):  # type: ignore[no-untyped-def]
     """Copy a point with what its load continuation passed."""
     copy_point(work.points, to, at)
-    copy_twists(search.quick[to], search.quick[at])
-    copy_twists(search.rush[to], search.rush[at])
+    copy_rows(search.quick[to], search.quick[at])
+    copy_rows(search.rush[to], search.rush[at])
     search.factor[to], search.how[to] = search.factor[at], search.how[at]
 
 
@@ -70,8 +70,8 @@ def reach_and_keep(problem, work, search, b, at, to, start, tolerance):  # type:
     """As `reach`, with what the load continuation passed."""
     how = reach(problem, work, b, at, to, start, tolerance)
     path = work.path
-    copy_twists(search.quick[to], path.quick)
-    copy_twists(search.rush[to], path.rush)
+    copy_rows(search.quick[to], path.quick)
+    copy_rows(search.rush[to], path.rush)
     search.factor[to], search.how[to] = path.fastest[1], how
     return how
 

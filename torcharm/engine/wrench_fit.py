@@ -13,8 +13,8 @@ from jaxtyping import Bool, Float64
 from torcharm.engine.arrays import Array
 from torcharm.engine.box_step import factor_free, largest_curvature, optimality, solve_free, write_box_step
 from torcharm.engine.compilation import part
+from torcharm.engine.copies import copy_row, copy_rows
 from torcharm.engine.newton_step import write_balance, write_shape
-from torcharm.engine.path import copy_twists
 from torcharm.engine.references import by_reference
 from torcharm.engine.sections import set_pressure, write_rates, write_section
 
@@ -141,7 +141,6 @@ def fit_wrenches(problem, work, fit, b, twist, steps, gain):  # type: ignore[no-
     Returns:
         The squared distance at the first place, and whether the descent came to its end.
     """
-    count = len(fit.gradient)
     value = _evaluate(problem, work, fit, b, twist, 0)
     _write_normal(problem, work, fit, b, twist)
     damping = START_DAMPING
@@ -156,9 +155,8 @@ def fit_wrenches(problem, work, fit, b, twist, steps, gain):  # type: ignore[no-
         tried = _evaluate(problem, work, fit, b, twist, 1)
         if tried < value:
             value = tried
-            for m in range(count):
-                fit.place[0, m] = fit.place[1, m]
-            copy_twists(fit.miss[0], fit.miss[1])
+            copy_row(fit.place[0], fit.place[1])
+            copy_rows(fit.miss[0], fit.miss[1])
             _write_normal(problem, work, fit, b, twist)
             damping = max(0.1 * damping, LEAST_DAMPING)
         else:
@@ -190,16 +188,12 @@ def fit_all(problem, shape, starts, first, last, work, fit, out):  # type: ignor
         write_carried(problem, work, b, shape[b])
         out.square[b] = math.inf
         for s in range(len(starts)):
-            for m in range(len(fit.gradient)):
-                fit.place[0, m] = starts[s, m]
+            copy_row(fit.place[0], starts[s])
             value, done = fit_wrenches(problem, work, fit, b, shape[b], STEPS, GAIN)
             if value < out.square[b]:
                 _evaluate(problem, work, fit, b, shape[b], 0)
                 out.square[b], out.done[b] = value, done
                 _write_normal(problem, work, fit, b, shape[b])
                 out.optimality[b] = optimality(fit.gradient, fit.place[0])
-                for m in range(len(fit.gradient)):
-                    out.place[b, m] = fit.place[0, m]
-                for i in range(fit.miss.shape[1]):
-                    for c in range(fit.miss.shape[2]):
-                        out.miss[b, i, c] = fit.miss[0, i, c]
+                copy_row(out.place[b], fit.place[0])
+                copy_rows(out.miss[b], fit.miss[0])

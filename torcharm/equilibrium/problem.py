@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
-from torcharm.engine.arms import Arms, Loads, arms_of, numbers, sizes_of
+from torcharm.engine.arms import Arms, Loads, arms_of, flat, sizes_of
 from torcharm.engine.arrays import Array, make
 from torcharm.engine.loads import loads_of
 from torcharm.engine.path import Found, Scale
@@ -82,7 +82,7 @@ class Problem:
     @cached_property
     def packed(self) -> "Packed":
         """The problems as the engine takes them."""
-        pressure = numbers(self.pressure.expand(*self.batch, -1).reshape(self.count, self.arm.actuator_count))
+        pressure = flat(self.pressure, self.batch)
         highest = pressure.max(0) if self.count else np.zeros(self.arm.actuator_count)
         arms = arms_of(self.arm, self.batch, self.nodes, self.shear_stiffness, highest)
         loads = loads_of(self.arm, self.load, self.base_pose, self.batch, self.nodes, middle=self.wrench_at == "middle")

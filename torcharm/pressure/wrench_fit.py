@@ -13,7 +13,7 @@ from torcharm.engine.arms import sizes_of
 from torcharm.engine.arrays import make
 from torcharm.engine.questions import FITS, Given, answer
 from torcharm.engine.wrench_fit import FitAnswers
-from torcharm.inputs import HoldsTensors, as_floating, check_at_least, check_count, check_finite, shapes_only
+from torcharm.inputs import HoldsTensors, as_floating, check_at_least, check_count, check_finite
 from torcharm.pressure.prepared import Prepared, detached, prepare
 from torcharm.pressure.starts import spread_points
 from torcharm.statics.external_load import HULL
@@ -43,10 +43,6 @@ class PressureFit(HoldsTensors):
     per_node: Tensor
     optimality: Tensor
     converged: Tensor
-
-    def __repr__(self) -> str:
-        """Shapes, no numbers."""
-        return shapes_only(self)
 
 
 def fit_pressure(

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torcharm.engine.arms import numbers
 from torcharm.engine.arrays import make
 from torcharm.engine.distance import TOUCHING
 from torcharm.engine.node_sets import make_room
@@ -19,7 +20,7 @@ from torcharm.engine.ray import Ends, Ray, ray_kernel
 from torcharm.engine.threads import spread
 from torcharm.statics.cross_section import CrossSections
 from torcharm.wrench_sets.design_task_grid import RequiredWrench
-from torcharm.wrench_sets.distance import CERTIFIED, as_array, beyond_planes, engine_sections
+from torcharm.wrench_sets.distance import CERTIFIED, beyond_planes, engine_sections
 from torcharm.wrench_sets.once import once
 
 BALANCED = 1e-9
@@ -71,7 +72,7 @@ def find_ends(
     """
     models, data = engine_sections(sections, start, (1.0, 1.0))
     components, actuators = data.lever.shape[-1], data.lever.shape[-2]
-    begin, change = as_array(start.external), as_array(direction)
+    begin, change = numbers(start.external), numbers(direction)
     designs = len(data.limit)
     shape = (2 * designs, *change.shape[:3])
     sizes = dict(zip("BPLNDM", (designs, *shape[1:], components, actuators), strict=True)) if points else {}
@@ -97,7 +98,7 @@ def meet_points(
     """
     point, asked = sections.reaction(torch.zeros_like(sections.limit)).unsqueeze(-3), start.whole()
     size = point.norm(dim=-1) + asked.norm(dim=-1) + direction.norm(dim=-1)
-    still = torch.from_numpy(_still(as_array(direction), relative)).to(size.device)
+    still = torch.from_numpy(_still(numbers(direction), relative)).to(size.device)
     way, change = point - asked, direction
     if relative:
         way, change = way - way[..., :1, :], change - change[..., :1, :]
