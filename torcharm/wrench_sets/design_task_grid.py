@@ -35,13 +35,6 @@ class RequiredWrench:
     unit_weight: Tensor
     mass: Tensor
 
-    def along(self, normal: Tensor) -> Tensor:
-        """The wrenches' components (B, P, L, N) along vectors (B, P, L, N, C)."""
-        found = (normal * self.external).sum(-1)
-        for s, unit in enumerate(self.unit_weight):
-            found = found + self.mass[:, s].view(-1, 1, 1, 1) * (normal * unit.unsqueeze(-3)).sum(-1)
-        return found
-
     def whole(self) -> Tensor:
         """The wrenches (B, P, L, N, C) themselves."""
         found = self.external

@@ -189,7 +189,7 @@ def beyond_planes(
         required, bending = required.minus_first(), bending - bending[..., :1, :, :]
         constant = None if constant is None else constant - constant[..., :1, :]
     force, pressure = _mixed(sections, weight, held, relative=relative)
-    distance = required.along(normal)
+    distance = (normal * required.whole()).sum(-1)
     for c, own in enumerate(normal.unbind(-1)):
         provided = (force * sections.lever[..., c].unsqueeze(-3)).sum(-1)
         if c > 0:
