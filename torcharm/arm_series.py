@@ -1,6 +1,6 @@
 """Arms of several pressure segments in series, joined directly or by rigid links."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -85,6 +85,14 @@ class RigidLink(HoldsTensors):
     def without_mass(self) -> "RigidLink":
         """The same link, weighing nothing."""
         return RigidLink(self.length, self.pose)
+
+    def _map(self, change: Callable[[Tensor], Tensor]) -> "RigidLink":
+        """The same link with every tensor changed alike; what was checked stays so."""
+        new = object.__new__(type(self))
+        for name in ("length", "pose", "mass"):
+            value = getattr(self, name)
+            object.__setattr__(new, name, None if value is None else change(value))
+        return new
 
     def __repr__(self) -> str:
         """Shapes, no numbers."""

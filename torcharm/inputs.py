@@ -114,6 +114,10 @@ def shapes_only(value: Any) -> str:
 class HoldsTensors:
     """A dataclass that holds tensors, or other such dataclasses, by themselves or in tuples."""
 
+    def __repr__(self) -> str:
+        """Shapes, no numbers."""
+        return shapes_only(self)
+
     def to(self: Held, *args: Any, **kwargs: Any) -> Held:
         """The same in another dtype or on another device, as `Tensor.to`; flags and whole numbers keep their dtype."""
         moved = object.__new__(type(self))

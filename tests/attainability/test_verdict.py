@@ -10,7 +10,7 @@ import pytest
 import torch
 
 import torcharm as ta
-from torcharm.attainability.reasons import _Strain, _told_apart, at_limits, differences
+from torcharm.attainability.reasons import at_limits, differences, told_apart
 
 D = torch.float64
 ARM = ta.antagonistic_arm(0.05, 0.015, 0.5)
@@ -122,7 +122,7 @@ def test_what_was_not_characterised_is_excluded():
     squeezed = ta.evaluate(ARM, ta.Task(ta.affine_curvature(0.0, 1.0, length=0.44), [0.0, 0.0, 0.0]))
     assert squeezed.verdict == "excluded by range"
     assert squeezed.reason == "actuator 4 is strained to -0.22 at node 1, characterised from -0.17 to +0.67"
-    barely = _told_apart(_Strain(0.002, -0.1714, 4, 1, -0.17, 0.67))
+    barely = told_apart(-0.1714, -0.17, 0.67)
     assert barely == "-0.171"  # not -0.17, beyond -0.17
     strong = ta.ArmDesign(ARM.radii, ARM.length, ARM.actuators, [95.0, 100.0, 100.0, 50.0])
     driven = ta.evaluate(strong, ta.Task(BENT, [0.0, 0.0, 0.0]))

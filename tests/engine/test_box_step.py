@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from torcharm.engine.box_step import make_box_step, write_box_step
+from torcharm.engine.arrays import make
+from torcharm.engine.box_step import BoxStep, write_box_step
 from torcharm.engine.compilation import kernel
 
 
@@ -20,7 +21,7 @@ def taken(gradients, curvatures, places, damping=0.0, extra=None):
     count, size = places.shape
     steps, promises = np.zeros((count, size)), np.zeros(count)
     extra = np.zeros((size, size)) if extra is None else extra
-    take_steps(make_box_step(size), gradients, curvatures, extra, places, damping, steps, promises)
+    take_steps(make(BoxStep, {"M": size}), gradients, curvatures, extra, places, damping, steps, promises)
     return steps, promises
 
 

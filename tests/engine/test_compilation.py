@@ -17,18 +17,18 @@ def test_where_code_is_kept(tmp_path, monkeypatch):
     for value, home, wanted in ((told, tmp_path, told), (blocked, tmp_path, None), (blocked, blocked, None)):
         monkeypatch.setenv("NUMBA_CACHE_DIR", str(value))
         monkeypatch.setenv("HOME", str(home))
-        compilation._folder.cache_clear()
-        folder = compilation._folder()
+        compilation.folder_of_code.cache_clear()
+        folder = compilation.folder_of_code()
         assert folder is not None  # beside the sources, if nowhere else
-        assert folder.endswith(f"torcharm-{compilation._version()}")
+        assert folder.endswith(f"torcharm-{compilation.version_of_sources()}")
         assert wanted is None or folder.startswith(str(wanted))
     with monkeypatch.context() as patch:  # nowhere to write
         patch.setattr(compilation.Path, "mkdir", refuse)
-        compilation._folder.cache_clear()
-        assert compilation._folder() is None
+        compilation.folder_of_code.cache_clear()
+        assert compilation.folder_of_code() is None
         square = compilation.kernel(lambda x: x * x)
         assert square(3.0) == 9.0
-    compilation._folder.cache_clear()
+    compilation.folder_of_code.cache_clear()
 
 
 def refuse(*_, **__):
@@ -37,7 +37,7 @@ def refuse(*_, **__):
 
 def test_code_on_disk_is_of_these_sources(tmp_path, monkeypatch):
     """A change of what a kernel calls, or of a constant, makes it another."""
-    before = compilation._version()
+    before = compilation.version_of_sources()
     copy = tmp_path / "torcharm"
     (copy / "engine").mkdir(parents=True)
     for path in ("engine/compilation.py", "engine/forces.py"):
@@ -45,10 +45,10 @@ def test_code_on_disk_is_of_these_sources(tmp_path, monkeypatch):
     monkeypatch.setattr(compilation, "__file__", str(copy / "engine/compilation.py"))
     versions = [before]
     for text in ("", "# changed"):
-        compilation._version.cache_clear()
+        compilation.version_of_sources.cache_clear()
         (copy / "engine" / "forces.py").write_text(text)
-        versions.append(compilation._version())
-    compilation._version.cache_clear()
+        versions.append(compilation.version_of_sources())
+    compilation.version_of_sources.cache_clear()
     assert len(set(versions)) == 3
 
 

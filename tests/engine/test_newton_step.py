@@ -7,9 +7,10 @@ import torch
 from oracle.spatial import SCENES, arm_and_task
 
 import torcharm as ta
-from torcharm.engine.arms import arms_of
+from torcharm.engine.arms import arms_of, sizes_of
+from torcharm.engine.arrays import make
 from torcharm.engine.loads import loads_of
-from torcharm.engine.room import make_room
+from torcharm.engine.room import Room
 from torcharm.statics.cross_section import reaction_wrench
 from torcharm.statics.external_load import required_wrench
 
@@ -26,7 +27,7 @@ class Case:
         self.twists, self.pressure = np.array(twists)[None], np.array(pressure)[None]
         self.arms = arms_of(arm, (1,), nodes, shear)
         self.loads = loads_of(arm, load, base, (1,), nodes, middle=middle)
-        self.room = make_room(self.arms)
+        self.room = make(Room, sizes_of(self.arms))
         self.shape = (sum(nodes), len(self.arms.unknown))
 
     def balance(self, twists=None, pressure=None, factor=1.0):

@@ -58,7 +58,7 @@ def test_damaged_code_is_compiled_anew(tmp_path, monkeypatch, ending):
     from torcharm.engine import compilation
 
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    compilation._folder.cache_clear()
+    compilation.folder_of_code.cache_clear()
     try:
 
         def answer():
@@ -73,7 +73,7 @@ def test_damaged_code_is_compiled_anew(tmp_path, monkeypatch, ending):
             assert answer() == (28.0, 0)  # compiled anew, and kept
             assert answer() == (28.0, 1)
     finally:
-        compilation._folder.cache_clear()
+        compilation.folder_of_code.cache_clear()
 
 
 def test_code_that_cannot_be_kept_runs(tmp_path, monkeypatch):
@@ -83,13 +83,13 @@ def test_code_that_cannot_be_kept_runs(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    compilation._folder.cache_clear()
+    compilation.folder_of_code.cache_clear()
     try:
         function = compilation.kernel(cube)
         monkeypatch.setattr(os, "replace", full)
         assert function(2.0) == 9.0
     finally:
-        compilation._folder.cache_clear()
+        compilation.folder_of_code.cache_clear()
 
 
 def cube(x):

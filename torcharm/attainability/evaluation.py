@@ -1,7 +1,6 @@
 """Can these designs hold these shapes under these loads, and by how much do they miss?"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack, overload
 
 import torch
@@ -128,14 +127,28 @@ def evaluate(
         ('held', 0.4)
     """
     asked = check_metrics(metrics)
-    how = _Measure.of(asked, tolerance, hull, samples, distance, weights, power, signed, chunk_size)
+    measured, tolerated = tuple(name for name in asked if name in METRICS), as_tolerance(tolerance)
+    check_flag("signed", signed)
+    check_power(power)
+    if chunk_size is not None:
+        check_count("chunk_size", chunk_size, 1)
+    scale = scale_of(weights)
     _check_found(found, arm, task)
 
     def evaluate_one(own: Task) -> Attainability:
-        prediction = found
-        if prediction is None and PREDICTED in asked:
-            prediction = _predict(arm, own, pose_cost)
-        return how.attainability(arm, own, prediction)
+        prediction = _predict(arm, own, pose_cost) if found is None and PREDICTED in asked else found
+        grid = design_task_grid(arm, own)
+        vertices = _by_vertices(arm, hull, samples, distance, signed)
+        options = SetOptions(measured, scale, signed, vertices)
+        return Attainability(
+            **_by_sets(grid, node_distances(grid, options, chunk_size), options, power),
+            prediction=prediction,
+            signed=signed,
+            weights=(float(weights[0]), float(weights[1])),
+            tolerance=tolerated,
+            arm=arm,
+            task=own,
+        )
 
     return for_each_task(task, evaluate_one)
 
@@ -151,50 +164,6 @@ def _check_found(
     shape = (*arm.batch_shape, *task.batch_shape)
     if found.tip_error.shape != shape:
         raise ValueError(f"found: must have the batch shape {shape}, got {tuple(found.tip_error.shape)}")
-
-
-@dataclass(frozen=True)
-class _Measure:
-    """How sets are measured, and what counts as held."""
-
-    metrics: tuple[str, ...]
-    tolerance: PoseTolerance
-    hull: str
-    samples: int | None
-    distance: str | DistanceFunction
-    weights: tuple[float, float]
-    power: int
-    signed: bool
-    chunk_size: int | None
-
-    @classmethod
-    def of(cls, metrics: Sequence[str], tolerance: PoseTolerance | float | None, *options: Any) -> "_Measure":
-        """Of the arguments of `evaluate`, checked as far as they need no arm."""
-        measured = tuple(name for name in metrics if name in METRICS)
-        found = cls(measured, as_tolerance(tolerance), *options)
-        check_flag("signed", found.signed)
-        check_power(found.power)
-        if found.chunk_size is not None:
-            check_count("chunk_size", found.chunk_size, 1)
-        scale_of(found.weights)
-        return found
-
-    def attainability(
-        self, arm: ArmDesign | ArmSeries, task: Task, prediction: "PredictedError | PressureSearch | None"
-    ) -> Attainability:
-        """What sets and a prediction say of one task."""
-        grid = design_task_grid(arm, task)
-        vertices = _by_vertices(arm, self.hull, self.samples, self.distance, self.signed)
-        options = SetOptions(self.metrics, scale_of(self.weights), self.signed, vertices)
-        return Attainability(
-            **_by_sets(grid, node_distances(grid, options, self.chunk_size), options, self.power),
-            prediction=prediction,
-            signed=self.signed,
-            weights=(float(self.weights[0]), float(self.weights[1])),
-            tolerance=self.tolerance,
-            arm=arm,
-            task=task,
-        )
 
 
 def _by_sets(grid: DesignTaskGrid, nodes: NodeDistances, options: SetOptions, power: int) -> dict[str, Any]:

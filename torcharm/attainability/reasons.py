@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import with_slices
-from torcharm.statics.cross_section import RANGE_SLACK, cross_sections, per_actuator
+from torcharm.statics.cross_section import RANGE_SLACK, characterised_range, cross_sections
 from torcharm.wrench_sets.node_distances import lack_in_words
 
 NO_CENTRELINE = "the centreline of the shape would have no length"
@@ -142,8 +142,9 @@ def out_of_range(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[
     if worst.value <= -1:
         return f"actuator {worst.actuator} would have no length at node {worst.node} (strain {worst.value:.3g})"
     if worst.excess > RANGE_SLACK:
+        value = told_apart(worst.value, worst.low, worst.high)
         return (
-            f"actuator {worst.actuator} is strained to {_told_apart(worst)} at node {worst.node}, "
+            f"actuator {worst.actuator} is strained to {value} at node {worst.node}, "
             f"characterised from {_signed(worst.low)} to {_signed(worst.high)}"
         )
     for segment, own in with_slices(segments):
@@ -154,11 +155,11 @@ def out_of_range(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[
     return "a pressure, or a strain together with its pressure, lies outside of what was characterised"
 
 
-def _told_apart(strain: "_Strain") -> str:
+def told_apart(strain: float, low: float, high: float) -> str:
     """A strain by as many digits as tell it from the ends of its range."""
-    ends = {_signed(end) for end in (strain.low, strain.high)}
-    digits = next((count for count in (2, 3, 4, 6) if _signed(strain.value, count) not in ends), 9)
-    return _signed(strain.value, digits)
+    ends = {_signed(end) for end in (low, high)}
+    digits = next((count for count in (2, 3, 4, 6) if _signed(strain, count) not in ends), 9)
+    return _signed(strain, digits)
 
 
 def _signed(value: float, digits: int = 2) -> str:
@@ -172,8 +173,7 @@ def _strains(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[int]
     for segment, own in zip(segments, twists.split(list(nodes), -2), strict=True):
         with torch.no_grad():
             strain = cross_sections(segment, own).strain
-            low, high = (per_actuator([m.strain_range[end] for m in segment.actuators], strain) for end in (0, 1))
-            excess = torch.maximum(low - strain, strain - high)
+            low, high, excess = characterised_range(segment.actuators, strain)
         excess = torch.where(strain <= -1, 1e3 - strain, excess)  # no length at all is worse than any strain
         place = int(excess.argmax())
         node, actuator = divmod(place, segment.actuator_count)

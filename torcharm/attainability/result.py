@@ -17,8 +17,8 @@ from torcharm.attainability.questions import question
 from torcharm.attainability.reasons import NO_CENTRELINE, at_limits, differences, missing, one_design, out_of_range
 from torcharm.attainability.verdict import VERDICTS, PoseTolerance, judge, over_tolerance
 from torcharm.inputs import HoldsTensors, Tabular
+from torcharm.statics.balance import segments_of
 from torcharm.task import Task
-from torcharm.wrench_sets.design_task_grid import segments_of
 
 if TYPE_CHECKING:
     from torcharm.pressure.predicted_error import PredictedError
@@ -148,7 +148,7 @@ class Attainability(HoldsTensors, Tabular):
         if verdict == "impossible" and not bool(self.impossible[index]):
             return NO_CENTRELINE
         lead, task, batch = len(self.arm.batch_shape), self.task, self.arm.batch_shape
-        segments = [one_design(segment, batch, index[:lead]) for segment in segments_of(self.arm)]
+        segments = [one_design(segment, batch, index[:lead]) for segment in segments_of(self.arm)[0]]
         twists = task.twists.detach().expand(*task.batch_shape, *task.twists.shape[-2:])[index[lead:]]
         nodes = task.nodes_of_segments
         causes = self._causes(verdict, index, segments, twists, nodes)

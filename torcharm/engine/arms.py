@@ -7,11 +7,11 @@ of its unknown ones. Poses are rows of P numbers with the base's position as ori
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from jaxtyping import Bool, Float64, Int64
 from torch import Tensor
 
 from torcharm.actuators import Actuator
@@ -19,13 +19,12 @@ from torcharm.actuators.bending import LinearBending, bending_model, linear_stif
 from torcharm.actuators.inspection import follows
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
+from torcharm.engine.arrays import Array
 from torcharm.engine.forces import Models, models_of
 from torcharm.engine.references import by_reference
 from torcharm.engine.tables import Tables, is_sampled, tables_of
 from torcharm.inputs import plain_number
 from torcharm.statics.balance import RIGID, segments_of, unknown_columns
-
-Array = NDArray[Any]
 
 POSE_NUMBERS = {2: 4, 3: 12}
 """P for an arm in the plane and in space."""
@@ -33,77 +32,74 @@ POSE_NUMBERS = {2: 4, 3: 12}
 
 @by_reference
 class Arms(NamedTuple):
-    """B arms of the same M actuators in S segments of N elements in all.
+    """B arms of the same M actuators in S segments of N elements in all."""
 
-    Attributes:
-        size: K.
-        unknown: (C,) columns of a twist that are unknown, in ascending order; the arm is rigid in the others.
-        models: the actuators' force models.
-        tables: those of them, and of their bending laws, that are sampled.
-        active: (M,) bending stiffness a kilopascal [N·m²/kPa].
-        passive: (M,) bending stiffness at any pressure [N·m²].
-        y, z: (B, M) offsets [m]; z is 0 in the plane.
-        neutral: (B, M) neutral lengths [m].
-        torsion: (B, S) stiffness against torsion [N·m²], where κ_x is unknown; RIGID for a segment that does not
-            twist in an arm that does.
-        shear: (S,) stiffness against shear [N], where shear is unknown.
-        link: (B, S, P) pose of what follows a segment, in the frame of its end.
-        first_actuator, first_node: (S + 1,) where the segments' actuators and elements begin, and end.
-        force_scale, bending_scale: (B, M) factors on the models' forces and moments, of built arms; else (0, M).
-        added: (B, M, J, I) coefficients that built arms add to the forces, as of a polynomial's table; else
-            (0, M, J, I). J and I are those of that table.
-    """
-
-    size: int
-    unknown: Array
-    models: Models
-    tables: Tables
-    active: Array
-    passive: Array
-    y: Array
-    z: Array
-    neutral: Array
-    torsion: Array
-    shear: Array
-    link: Array
-    first_actuator: Array
-    first_node: Array
-    force_scale: Array
-    bending_scale: Array
-    added: Array
+    size: int  # K
+    unknown: Int64[Array, "C"]  # ascending columns of a twist that are unknown; the arm is rigid in the others
+    models: Models  # the actuators' force models
+    tables: Tables  # those of them, and of their bending laws, that are sampled
+    active: Float64[Array, "M"]  # bending stiffness a kilopascal [N·m²/kPa]
+    passive: Float64[Array, "M"]  # bending stiffness at any pressure [N·m²]
+    y: Float64[Array, "B M"]  # offsets [m]
+    z: Float64[Array, "B M"]  # 0 in the plane
+    neutral: Float64[Array, "B M"]  # neutral lengths [m]
+    # stiffness against torsion [N·m²], where κ_x is unknown; RIGID for a segment that does not twist though others do
+    torsion: Float64[Array, "B S"]
+    shear: Float64[Array, "S"]  # stiffness against shear [N], where shear is unknown
+    link: Float64[Array, "B S P"]  # pose of what follows a segment, in the frame of its end
+    first_actuator: Int64[Array, "S+1"]  # where the segments' actuators begin, and end
+    first_node: Int64[Array, "S+1"]  # and their elements
+    force_scale: Float64[Array, "B M"]  # factors on the models' forces, of built arms; else (0, M)
+    bending_scale: Float64[Array, "B M"]  # and on their moments
+    added: Float64[Array, "B M J I"]  # what built arms add to polynomials' coefficients; else (0, M, J, I)
 
 
 @by_reference
 class Loads(NamedTuple):
-    """What loads B arms at Q places, and gravity. All of it grows with one load factor.
+    """What loads B arms at Q places, and gravity. All of it grows with one load factor."""
 
-    Attributes:
-        base: (B, P) pose of the base.
-        wrench: (B, Q, K) in the world's axes, or in those of the body if it follows [N, N·m].
-        offset: (B, Q, D) from the pose at its place, in the axes there [m].
-        element: (Q,) the element that a place is on, in ascending order.
-        fraction: (Q,) of that element, above 0, up to 1. At 1 a load sits behind the link that follows, if there
-            is one, unless `before_link`.
-        before_link: (Q,) whether a load at the end of a segment sits before its link.
-        follows: (Q,) whether the wrench turns with the body.
-        weight: (B, S) of one element of each segment [N].
-        middle: whether wrenches are taken in the middle of elements, or at their starts.
-    """
+    base: Float64[Array, "B P"]  # pose of the base
+    wrench: Float64[Array, "B Q K"]  # in the world's axes, or in those of the body if it follows [N, N·m]
+    offset: Float64[Array, "B Q D"]  # from the pose at its place, in the axes there [m]
+    element: Int64[Array, "Q"]  # that a place is on, in ascending order
+    # of that element, above 0, up to 1. At 1 a load sits behind the link that follows, if there is one, unless
+    # `before_link`
+    fraction: Float64[Array, "Q"]
+    before_link: Bool[Array, "Q"]  # whether a load at the end of a segment sits before its link
+    follows: Bool[Array, "Q"]  # whether the wrench turns with the body
+    weight: Float64[Array, "B S"]  # of one element of each segment [N]
+    middle: bool  # whether wrenches are taken in the middle of elements, or at their starts
 
-    base: Array
-    wrench: Array
-    offset: Array
-    element: Array
-    fraction: Array
-    before_link: Array
-    follows: Array
-    weight: Array
-    middle: bool
+
+def sizes_of(arms: Arms, **more: int) -> dict[str, int]:
+    """What the names in shapes of room for one of these arms stand for, and more of them."""
+    tables = arms.tables
+    _, powers, strain_powers = arms.models.table.shape
+    return {
+        "N": int(arms.first_node[-1]),
+        "K": arms.size,
+        "C": len(arms.unknown),
+        "M": len(arms.models.kind),
+        "S": arms.link.shape[1],
+        "P": arms.link.shape[2],
+        "D": 2 if arms.size == 3 else 3,
+        "J": powers,
+        "I": strain_powers,
+        "E": tables.strain.shape[1],
+        "sampled": len(tables.force) if (tables.force >= 0).any() else 0,
+        **more,
+    }
 
 
 def numbers(value: Tensor) -> Array:
-    """A tensor's numbers as float64, in a row."""
-    return np.ascontiguousarray(value.detach().cpu().numpy(), dtype=np.float64)
+    """A tensor as the engine takes it: float64, without its graph."""
+    return np.ascontiguousarray(value.detach().cpu().double().numpy())
+
+
+def flat(value: Tensor, batch: tuple[int, ...], data: int = 1) -> Array:
+    """A tensor (*#batch, ...) as the numbers (B, ...), of so many dimensions of data."""
+    tail = value.shape[value.ndim - data :]
+    return numbers(value.expand(*batch, *tail).reshape(math.prod(batch), *tail))
 
 
 def pose_rows(pose: Tensor) -> Tensor:
@@ -139,11 +135,11 @@ def arms_of(
         )
 
     def rows(values: list[Tensor]) -> Array:
-        return np.concatenate([_flat(value, batch, 1) for value in values], -1)
+        return np.concatenate([flat(value, batch) for value in values], -1)
 
     y = rows([segment.radii for segment in segments])
-    flat = [segment.out_of_plane for segment in segments]
-    z = rows([value for value in flat if value is not None]) if arm.dimension == 3 else np.zeros_like(y)
+    aside = [segment.out_of_plane for segment in segments]
+    z = rows([value for value in aside if value is not None]) if arm.dimension == 3 else np.zeros_like(y)
     stiff = [
         torch.full_like(segment.mass, RIGID) if segment.torsion_stiffness is None else segment.torsion_stiffness
         for segment in segments
@@ -155,7 +151,7 @@ def arms_of(
         link[..., (4, 8)] = 1.0
     for index, one in enumerate(links):
         if one is not None:
-            link[:, index] = _flat(pose_rows(one.end(arm.dimension)), batch, 1)
+            link[:, index] = flat(pose_rows(one.end(arm.dimension)), batch)
     sizes = [segment.actuator_count for segment in segments]
     return Arms(
         3 if arm.dimension == 2 else 6,
@@ -194,10 +190,10 @@ def _built(segments: Sequence[ArmDesign], models: Models, batch: tuple[int, ...]
     for segment in segments:
         own, first = slice(first, first + segment.actuator_count), first + segment.actuator_count
         if segment.deviation is not None:
-            scale[:, own] = _flat(segment.deviation.force_scale, batch, 1)
-            bending[:, own] = _flat(segment.deviation.bending_scale, batch, 1)
+            scale[:, own] = flat(segment.deviation.force_scale, batch)
+            bending[:, own] = flat(segment.deviation.bending_scale, batch)
             for (i, j), term in zip(segment.deviation.powers, segment.deviation.terms, strict=True):
-                added[:, own, j, i] += _flat(term, batch, 1)
+                added[:, own, j, i] += flat(term, batch)
     return models, scale, bending, added
 
 
@@ -216,9 +212,3 @@ def _bending(actuators: Sequence[Actuator]) -> tuple[Array, Array]:
         ):
             passive[index] = plain_number(model.bending_stiffness.stiffness)  # type: ignore[union-attr]
     return active, passive
-
-
-def _flat(value: Tensor, batch: tuple[int, ...], data: int) -> Array:
-    """A tensor (*#batch, ...) as (B, ...), of so many dimensions of data."""
-    tail = value.shape[value.ndim - data :]
-    return numbers(value.expand(*batch, *tail).reshape(math.prod(batch), *tail))

@@ -10,19 +10,16 @@ two equilibria beside, finds the saddle from either side.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float64
 
-from torcharm.engine.arms import Arms
+from torcharm.engine.arrays import Array
 from torcharm.engine.compilation import part
+from torcharm.engine.copies import copy_rows
 from torcharm.engine.newton_step import solve, write_balance, write_shape
-from torcharm.engine.path import copy_twists
 from torcharm.engine.references import by_reference
 from torcharm.engine.sections import set_pressure
-
-Array = NDArray[Any]
 
 ASIDE = 1e-4
 """Steps to the two equilibria beside, in the load factor, and in x over the arm's length: the error of the slopes'
@@ -35,48 +32,18 @@ FOUND = 1e-3
 
 @by_reference
 class Saddle(NamedTuple):
-    """Room for one bifurcation: the saddle and two equilibria beside.
+    """Room for one bifurcation: the saddle and two equilibria beside."""
 
-    Attributes:
-        place: (3, M) normalised pressures.
-        twists: (3, N, K).
-        factor: (3,) load factors.
-        measure: (N, C) of x, the sum of its products with the unknowns; a unit vector.
-        way: (M,) unit vector along which pressures change.
-        shift: (M, N, C) change of the unknowns by the place, at x held.
-        normal: (M,) unit normal of the boundary; pressures along it make the arm give way further.
-        change: (2, N, C) Newton's step, and the change by the load factor.
-        by_way: (N, C) the change of the unknowns along the way.
-        slope: (3, 2) P_x and P_s at the three.
-    """
-
-    place: Array
-    twists: Array
-    factor: Array
-    measure: Array
-    way: Array
-    shift: Array
-    normal: Array
-    change: Array
-    by_way: Array
-    slope: Array
-
-
-def make_saddle(arms: Arms) -> Saddle:
-    """Room for one arm's."""
-    nodes, size, columns, count = arms.first_node[-1], arms.size, len(arms.unknown), len(arms.models.kind)
-    return Saddle(
-        np.zeros((3, count)),
-        np.zeros((3, nodes, size)),
-        np.zeros(3),
-        np.zeros((nodes, columns)),
-        np.zeros(count),
-        np.zeros((count, nodes, columns)),
-        np.zeros(count),
-        np.zeros((2, nodes, columns)),
-        np.zeros((nodes, columns)),
-        np.zeros((3, 2)),
-    )
+    place: Float64[Array, "3 M"]  # normalised pressures
+    twists: Float64[Array, "3 N K"]
+    factor: Float64[Array, "3"]  # load factors
+    measure: Float64[Array, "N C"]  # of x, the sum of its products with the unknowns; a unit vector
+    way: Float64[Array, "M"]  # unit vector along which pressures change
+    shift: Float64[Array, "M N C"]  # change of the unknowns by the place, at x held
+    normal: Float64[Array, "M"]  # unit normal of the boundary; pressures along it make the arm give way further
+    change: Float64[Array, "2 N C"]  # Newton's step, and the change by the load factor
+    by_way: Float64[Array, "N C"]  # the change of the unknowns along the way
+    slope: Float64[Array, "3 2"]  # P_x and P_s at the three
 
 
 @part
@@ -149,14 +116,14 @@ def _advance(problem, work, saddle, b, beside):  # type: ignore[no-untyped-def]
         move_x, move_s = move_x * short, move_s * short
     for m in range(count):
         saddle.normal[m] = times_measure(saddle, work.change[1 + m])
-        copy_twists(saddle.shift[m], work.change[1 + m])
+        copy_rows(saddle.shift[m], work.change[1 + m])
     _move(arms, saddle, 0, move_s, change[1])
     _move(arms, saddle, 0, x * move_x + s * move_s, saddle.by_way)
     saddle.factor[0] += move_s
     for m in range(count):
         saddle.place[0, m] += saddle.way[m] * (x * move_x + s * move_s)
     for k in range(1, 3):
-        copy_twists(saddle.twists[k], saddle.twists[0])
+        copy_rows(saddle.twists[k], saddle.twists[0])
         saddle.factor[k] = saddle.factor[0]
         along = x * aside if k == 1 else s * ASIDE
         if k == 2:

@@ -12,9 +12,9 @@ from torcharm.engine.bifurcation import find_saddle, times_measure, write_change
 from torcharm.engine.box_step import largest_curvature
 from torcharm.engine.compilation import part
 from torcharm.engine.continuation import FAILED
+from torcharm.engine.copies import copy_row, copy_rows
 from torcharm.engine.descent import STEPS, descend
 from torcharm.engine.newton_step import first_angular
-from torcharm.engine.path import copy_twists
 from torcharm.engine.pressure_model import (
     FEW_EVALUATIONS,
     HALF_COST,
@@ -88,8 +88,8 @@ def _keep_boundary(search, forwards):  # type: ignore[no-untyped-def]
     for m in range(len(forwards)):
         search.edge_place[m] = saddle.place[0, m]
         search.edge_normal[m] = -saddle.normal[m] if side < 0.0 else saddle.normal[m]
-        copy_twists(search.edge_shift[m], saddle.shift[m])
-    copy_twists(search.edge_twists, saddle.twists[0])
+        copy_rows(search.edge_shift[m], saddle.shift[m])
+    copy_rows(search.edge_twists, saddle.twists[0])
     search.edge_factor[0] = saddle.factor[0]
 
 
@@ -114,10 +114,9 @@ def _find_boundary(problem, work, search, b, at, sign):  # type: ignore[no-untyp
     for i in range(saddle.measure.shape[0]):
         for c in range(saddle.measure.shape[1]):
             saddle.measure[i, c] /= max(math.sqrt(square), 1e-300)
-    copy_twists(saddle.twists[0], search.quick[at])
+    copy_rows(saddle.twists[0], search.quick[at])
     saddle.factor[0] = search.factor[at]
-    for m in range(points.place.shape[1]):
-        saddle.place[0, m] = points.place[at, m]
+    copy_row(saddle.place[0], points.place[at])
     write_changes(problem, work, saddle, b, 0)
     length = 0.0
     for m in range(points.place.shape[1]):
@@ -128,8 +127,7 @@ def _find_boundary(problem, work, search, b, at, sign):  # type: ignore[no-untyp
     for m in range(points.place.shape[1]):
         search.edge_normal[m] /= sign * math.sqrt(length)
     _write_way(search, points.place[at])
-    for m in range(points.place.shape[1]):
-        saddle.way[m] = search.way[m]
+    copy_row(saddle.way, search.way)
     if not find_saddle(problem, work, saddle, b, NEWTON_STEPS):
         return False
     _keep_boundary(search, search.edge_normal)
@@ -204,7 +202,7 @@ def _set_back(problem, work, search, b, along, part_of_it):  # type: ignore[no-u
         saddle.way[m] = search.way[m]
         steep += search.edge_normal[m] * search.way[m]
         across += search.edge_normal[m] * part_of_it * (points.place[along, m] - search.edge_place[m])
-    copy_twists(saddle.twists[0], search.edge_twists)
+    copy_rows(saddle.twists[0], search.edge_twists)
     saddle.factor[0] = search.edge_factor[0]
     for m in range(count):
         move = part_of_it * (points.place[along, m] - search.edge_place[m])
@@ -216,7 +214,7 @@ def _set_back(problem, work, search, b, along, part_of_it):  # type: ignore[no-u
     if not find_saddle(problem, work, saddle, b, AGAIN_STEPS):
         return False
     begun = along if part_of_it == 1.0 else CURRENT
-    copy_twists(work.path.trial, points.twists[begun])
+    copy_rows(work.path.trial, points.twists[begun])
     for m in range(count):
         place = min(max(saddle.place[0, m], 0.0), 1.0) + MARGINS[0] * search.way[m]
         points.place[TRIED, m] = min(max(place, 0.0), 1.0)

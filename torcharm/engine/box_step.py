@@ -1,14 +1,13 @@
 """Least squares in the box [0, 1]^M: the step that minimises a damped quadratic model within it."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float64
 
+from torcharm.engine.arrays import Array
 from torcharm.engine.compilation import part
 from torcharm.engine.references import by_reference
-
-Array = NDArray[Any]
 
 LEAST_SHIFT = 1e-12
 """Of the largest diagonal entry, added to the diagonal of a model: rounding makes no pivot below it negative."""
@@ -20,28 +19,14 @@ INWARD = 1e-12
 
 @by_reference
 class BoxStep(NamedTuple):
-    """Room for steps of M variables.
+    """Room for steps of M variables."""
 
-    Attributes:
-        step: (M,) the step.
-        held: (M,) 1 where a variable is held at its bound, else 0.
-        matrix: (M, M) the damped model.
-        factor: (M, M) its Cholesky factor on the free variables.
-        right: (M,) a right-hand side, and the solution.
-        slope: (M,) of the damped model.
-    """
-
-    step: Array
-    held: Array
-    matrix: Array
-    factor: Array
-    right: Array
-    slope: Array
-
-
-def make_box_step(size: int) -> BoxStep:
-    """Room for so many variables."""
-    return BoxStep(np.zeros(size), np.zeros(size), *np.zeros((2, size, size)), *np.zeros((2, size)))
+    step: Float64[Array, "M"]
+    held: Float64[Array, "M"]  # 1 where a variable is held at its bound, else 0
+    matrix: Float64[Array, "M M"]  # the damped model
+    factor: Float64[Array, "M M"]  # its Cholesky factor on the free variables
+    right: Float64[Array, "M"]  # a right-hand side, and the solution
+    slope: Float64[Array, "M"]  # of the damped model
 
 
 @part

@@ -1,14 +1,11 @@
 """Least squares in the box [0, 1]^M for many problems at once: see `box_step`."""
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
-from torcharm.engine.box_step import make_box_step, write_box_step
+from torcharm.engine.arrays import Array, make
+from torcharm.engine.box_step import BoxStep, write_box_step
 from torcharm.engine.compilation import kernel
-
-Array = NDArray[Any]
+from torcharm.engine.copies import copy_row
 
 
 def box_steps(gradient: Array, curvature: Array, place: Array, damping: float) -> Array:
@@ -22,7 +19,7 @@ def box_steps(gradient: Array, curvature: Array, place: Array, damping: float) -
     """
     step = np.zeros(gradient.shape)
     first, second, at = map(np.ascontiguousarray, (gradient, curvature, place))
-    _write_all(first, second, at, float(damping), make_box_step(gradient.shape[1]), step)
+    _write_all(first, second, at, float(damping), make(BoxStep, {"M": gradient.shape[1]}), step)
     return step
 
 
@@ -31,5 +28,4 @@ def _write_all(gradient, curvature, place, damping, box, step):  # type: ignore[
     """Write the steps, one problem after the other."""
     for b in range(len(gradient)):
         write_box_step(box, gradient[b], curvature[b], curvature[b], False, place[b], damping)
-        for m in range(gradient.shape[1]):
-            step[b, m] = box.step[m]
+        copy_row(step[b], box.step)

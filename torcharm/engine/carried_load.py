@@ -5,79 +5,37 @@ dead load's changes by `(0, dp×F)`, a following one's by `(ω×F, ω×M + dp×F
 elements carry it, and how: see `statics.external_load`, whose rule this is.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Bool, Float64
 
-from torcharm.engine.arms import Arms
+from torcharm.engine.arrays import Array
 from torcharm.engine.compilation import part
 from torcharm.engine.elements import write_centroid, write_motion
 from torcharm.engine.references import by_reference
 
-Array = NDArray[Any]
-
 
 @by_reference
 class Share(NamedTuple):
-    """What loads add to a wrench W: `dW = by_start η + by_own dz` where an element's start moves by η, its twist by dz.
+    """What loads add to a wrench W: `dW = by_start η + by_own dz` where an element's start moves by η, its twist dz."""
 
-    Attributes:
-        wrench: (K,) about the world's origin [N, N·m].
-        by_start: (K, K).
-        by_own: (K, C).
-    """
-
-    wrench: Array
-    by_start: Array
-    by_own: Array
+    wrench: Float64[Array, "K"]  # about the world's origin [N, N·m]
+    by_start: Float64[Array, "K K"]
+    by_own: Float64[Array, "K C"]
 
 
 @by_reference
 class Spot(NamedTuple):
-    """Room for where a load sits.
+    """Room for where a load sits."""
 
-    Attributes:
-        pose: (2, P) poses: of the load, and of the middle of what its element carries of it.
-        move: (2, K, C) motions of the first two by the element's unknowns.
-        place: (D,) where it is taken to act [m].
-        slide: (D, C) motion of that place by the element's unknowns.
-        turn: (A, C) how the body turns there; A is 1 in the plane, 3 in space.
-        load: (2, 3) force and moment along the world's axes.
-        change: (K,) of a wrench.
-        follows: (1,) whether it turns with the body.
-    """
-
-    pose: Array
-    move: Array
-    place: Array
-    slide: Array
-    turn: Array
-    load: Array
-    change: Array
-    follows: Array
-
-
-def make_share(arms: Arms) -> Share:
-    """Room for what is added to one wrench."""
-    size, columns = arms.size, len(arms.unknown)
-    return Share(np.zeros(size), np.zeros((size, size)), np.zeros((size, columns)))
-
-
-def make_spot(arms: Arms) -> Spot:
-    """Room for one load."""
-    size, columns = arms.size, len(arms.unknown)
-    dimension = 2 if size == 3 else 3
-    return Spot(
-        np.zeros((2, arms.link.shape[2])),
-        np.zeros((2, size, columns)),
-        np.zeros(dimension),
-        np.zeros((dimension, columns)),
-        np.zeros((size - dimension, columns)),
-        np.zeros((2, 3)),
-        np.zeros(size),
-        np.zeros(1, dtype=np.bool_),
-    )
+    pose: Float64[Array, "2 P"]  # of the load, and of the middle of what its element carries of it
+    move: Float64[Array, "2 K C"]  # motions of these by the element's unknowns
+    place: Float64[Array, "D"]  # where it is taken to act [m]
+    slide: Float64[Array, "D C"]  # motion of that place by the element's unknowns
+    turn: Float64[Array, "K-D C"]  # how the body turns there
+    load: Float64[Array, "2 3"]  # force and moment along the world's axes
+    change: Float64[Array, "K"]  # of a wrench
+    follows: Bool[Array, "1"]  # whether it turns with the body
 
 
 @part

@@ -44,7 +44,7 @@ def _compiled(function: F, compiler: str, **options: Any) -> F:
 
     config: Any = numba.config
     # numba takes code from disk unless the function's own file has changed; that of what it calls may have
-    chosen, folder = config.CACHE_DIR, _folder()
+    chosen, folder = config.CACHE_DIR, folder_of_code()
     # no fast mathematics, not even products and sums rounded once: a cross product of parallel vectors has to be 0
     every: dict[str, Any] = {"nogil": True, "error_model": "numpy", **options}
     every["pipeline_class"] = getattr(code_parts, compiler)
@@ -70,7 +70,8 @@ def _name(function: Callable[..., Any]) -> str:
     it would be another one in each process.
     """
     held = [_name_of_held(cell.cell_contents) for cell in function.__closure__ or ()]
-    whole = repr((_version(), function.__module__, function.__qualname__, function.__code__.co_firstlineno, held))
+    own = function.__module__, function.__qualname__, function.__code__.co_firstlineno
+    whole = repr((version_of_sources(), *own, held))
     return sha256(whole.encode()).hexdigest()
 
 
@@ -81,13 +82,13 @@ def _name_of_held(value: Any) -> str:
 
 
 @cache
-def _folder() -> str | None:
+def folder_of_code() -> str | None:
     """Where code of these sources is kept: where numba is told to, beside them, or with the user's; None: nowhere."""
     told = os.environ.get("NUMBA_CACHE_DIR")
     for place in (told, Path(__file__).parents[1] / "__pycache__", Path("~/.cache/torcharm").expanduser()):
         if not place:
             continue
-        folder = Path(place) / f"torcharm-{_version()}"
+        folder = Path(place) / f"torcharm-{version_of_sources()}"
         try:
             folder.mkdir(parents=True, exist_ok=True)
             with TemporaryFile(dir=folder):
@@ -98,7 +99,7 @@ def _folder() -> str | None:
 
 
 @cache
-def _version() -> str:
+def version_of_sources() -> str:
     """Of the sources that code is made of: the engine's, and those of all that it imports."""
     digest, package = sha256(), Path(__file__).parents[1]
     for room in SOURCES:

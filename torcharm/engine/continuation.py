@@ -10,14 +10,11 @@ Without load, sections do not know of each other: each segment is one element th
 """
 
 import math
-from typing import Any
-
-from numpy.typing import NDArray
 
 from torcharm.engine.compilation import part
+from torcharm.engine.copies import copy_row, copy_rows
 from torcharm.engine.newton_step import factor_section, solve, write_balance, write_shape
 from torcharm.engine.path import (
-    copy_twists,
     elements_under_way,
     imbalance,
     move,
@@ -26,8 +23,6 @@ from torcharm.engine.path import (
     scales,
 )
 from torcharm.engine.sections import set_pressure, write_rates, write_section
-
-Array = NDArray[Any]
 
 FIRST_PRESSURE_STEP = 0.6
 """Of the pressure, taken by the first step."""
@@ -82,8 +77,7 @@ def write_step(arms, loads, room, path, b, factor, linear_shift, angular_shift):
         for segment in range(len(arms.first_node) - 1):
             i = arms.first_node[segment]
             write_section(arms, room.drive, room.sections, b, segment, i, path.trial)
-            for c in range(len(arms.unknown)):
-                room.residual[i, c] = room.sections.reaction[i, c]
+            copy_row(room.residual[i], room.sections.reaction[i])
             factor_section(arms, room, i, linear_shift, angular_shift)
     for segment in range(len(arms.first_node) - 1):
         first, last = elements_under_way(arms, path, segment)
@@ -148,7 +142,7 @@ def follow(arms, loads, scale, pressures, room, path, b, tolerance):  # type: ig
     ease = 1.0 if loaded else UNLOADED
     at, aim, step, branch, started = 0.0, 0.0, FIRST_LOAD_STEP if loaded else FIRST_PRESSURE_STEP, 0, False
     corrections, first_size, ratio, moved = 0, 0.0, 0.0, 0.0
-    copy_twists(path.base, path.trial)
+    copy_rows(path.base, path.trial)
     for _ in range(MOST_EVALUATIONS):
         if not loaded:
             set_pressure(arms, room.drive, pressures, b, aim)
@@ -169,7 +163,7 @@ def follow(arms, loads, scale, pressures, room, path, b, tolerance):  # type: ig
             if aim >= 1.0:
                 return True
             move(arms, path, 1.0)
-            copy_twists(path.base, path.trial)
+            copy_rows(path.base, path.trial)
             write_tangent(arms, loads, room, path, pressures, b)
             taken, started_before = aim - at if started else step, started
             half = 0.5 / max(taken, 1e-12)
@@ -186,8 +180,8 @@ def follow(arms, loads, scale, pressures, room, path, b, tolerance):  # type: ig
                 break
             if loaded and speed > path.fastest[0]:
                 path.fastest[0], path.fastest[1] = speed, at
-                copy_twists(path.quick, path.base)
-                copy_twists(path.rush, path.ahead)
+                copy_rows(path.quick, path.base)
+                copy_rows(path.rush, path.ahead)
             if loaded and not started_before:
                 step = min(max(step, FIRST_MOVE / max(speed, 1e-12)), 1.0)
             step = min(step, LARGEST_MOVE / max(speed, 1e-12))
@@ -208,7 +202,7 @@ def follow(arms, loads, scale, pressures, room, path, b, tolerance):  # type: ig
                 u = arms.unknown[c]
                 path.trial[i, u] = path.base[i, u] + ahead * (path.tangent[i, c] + path.bend[i, c] * ahead)
         corrections, first_size, ratio, moved = 0, 0.0, 0.0, 0.0
-    copy_twists(path.trial, path.base)
+    copy_rows(path.trial, path.base)
     return False
 
 
@@ -258,8 +252,7 @@ def _take_load(arms, path):  # type: ignore[no-untyped-def]
     for segment in range(len(arms.first_node) - 1):
         first, last = arms.first_node[segment], arms.first_node[segment + 1]
         for i in range(first + 1, last):
-            for c in range(arms.size):
-                path.trial[i, c] = path.trial[first, c]
+            copy_row(path.trial[i], path.trial[first])
     path.loaded[0], path.fastest[0] = True, 0.0
 
 
@@ -277,7 +270,7 @@ def find_equilibrium(arms, loads, scale, pressures, start, room, path, b, tolera
     for stage in range(0 if len(start) else 1, 4):
         if stage == 0:
             set_pressure(arms, room.drive, pressures, b, 1.0)
-            copy_twists(path.trial, start[b])
+            copy_rows(path.trial, start[b])
             path.loaded[0] = True
         elif stage == 1:
             _begin(arms, room, path, pressures, b)
@@ -319,4 +312,4 @@ def find_equilibria(arms, loads, scale, pressures, start, tolerance, first, last
         found.residual[b] = imbalance(arms, scale, room, path, b)
         found.pivots[b, 0], found.pivots[b, 1] = room.pivots[0], room.pivots[1]
         found.scale[b, 0], found.scale[b, 1] = scales(scale, room, b)
-        copy_twists(found.twists[b], path.trial)
+        copy_rows(found.twists[b], path.trial)

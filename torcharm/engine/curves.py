@@ -6,10 +6,12 @@ control points, which tells at a glance that it cannot reach furthest.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float64, Int64
 
+from torcharm.engine.arrays import Array, make
 from torcharm.engine.compilation import part
 from torcharm.engine.forces import (
     POLYNOMIAL,
@@ -22,8 +24,6 @@ from torcharm.engine.forces import (
     polynomial_row,
 )
 from torcharm.engine.references import by_reference
-
-Array = np.ndarray[Any, Any]
 
 MUSCLE_PIECES = 8
 """Pieces of the power of pressure with which a stretched muscle pulls: good to 1e-4 of its pull."""
@@ -41,75 +41,38 @@ HIGH_DEGREE_PIECES = 8
 
 @by_reference
 class Curves(NamedTuple):
-    """The curves of M actuators at one node, of at most K pieces each.
+    """The curves of M actuators at one node, of at most K pieces each."""
 
-    Attributes:
-        pieces: (M,) how many each has.
-        side: (M,) as of `sides`.
-        edge: (M, K + 1) pressures at which pieces begin and end [kPa].
-        control: (M, K, 4) Bézier coefficients of the forces [N].
-        lever: (M, D) u, the wrench of a force of 1 N.
-        bending: (M, D - 1) t, the moments of a pressure of 1 kPa.
-        off: (M,) more than the pieces are off the forces that the engine knows [N]; 0 where they are these.
-        power: (M, 2) k of a curve `f(0) + c p^(1 + k)` in one piece, 0 of others; and its slope at the limit [N/kPa].
-        strain: (M, 2) the actuators' strains, here and, of differences, at the first node.
-        terms: (1,) 1, or 2 for differences.
-        row: room for a polynomial.
-        models: whose forces they are.
-    """
-
-    pieces: Array
-    side: Array
-    edge: Array
-    control: Array
-    lever: Array
-    bending: Array
-    off: Array
-    power: Array
-    strain: Array
-    terms: Array
-    row: Array
-    models: Models
+    pieces: Int64[Array, "M"]  # how many each has
+    side: Int64[Array, "M"]  # as of `sides`
+    edge: Float64[Array, "M K+1"]  # pressures at which pieces begin and end [kPa]
+    control: Float64[Array, "M K 4"]  # Bézier coefficients of the forces [N]
+    lever: Float64[Array, "M D"]  # u, the wrench of a force of 1 N
+    bending: Float64[Array, "M D-1"]  # t, the moments of a pressure of 1 kPa
+    off: Float64[Array, "M"]  # more than pieces are off the forces that the engine knows [N]; 0 where they are these
+    power: Float64[Array, "M 2"]  # k of `f(0) + c p^(1 + k)` in one piece, 0 of others; the slope at the limit [N/kPa]
+    strain: Float64[Array, "M 2"]  # the actuators' strains, here and, of differences, at the first node
+    terms: Int64[Array, "1"]  # 1, or 2 for differences
+    row: Float64[Array, "J"]  # room for a polynomial
+    models: Models  # whose forces they are
 
 
 @by_reference
 class Samples(NamedTuple):
-    """Pieces of the curves of M actuators that torch has sampled, of models that the engine does not know.
+    """Pieces of the curves of M actuators that torch has sampled, of models that the engine does not know."""
 
-    Attributes:
-        pieces: (R, K, 6) where each begins and ends [kPa], the force [N] and slope [N/kPa] there.
-        grid: (R,) at which strains, in order; of no meaning where each curve has its own.
-        start: (M,) the first of an actuator's own of the R.
-        strains: (M,) how many of them there are to interpolate between; 0 where each curve has its own.
-        rest: (Q,) forces at no pressure of the curves that are interpolated [N].
-        first_rest: (M,) the first of an actuator's own of the Q.
-    """
-
-    pieces: Array
-    grid: Array
-    start: Array
-    strains: Array
-    rest: Array
-    first_rest: Array
+    pieces: Float64[Array, "R K 6"]  # where each begins and ends [kPa], the force [N] and slope [N/kPa] there
+    grid: Float64[Array, "R"]  # at which strains, in order; of no meaning where each curve has its own
+    start: Int64[Array, "M"]  # the first of an actuator's own of the R
+    strains: Int64[Array, "M"]  # how many of them there are to interpolate between; 0 where each curve has its own
+    rest: Float64[Array, "Q"]  # forces at no pressure of the curves that are interpolated [N]
+    first_rest: Int64[Array, "M"]  # the first of an actuator's own of the Q
 
 
 def make_curves(models: Models, dimension: int, pieces: int, terms: int = 1) -> Curves:
     """Room for the curves of one node, or, of two terms, for differences of curves."""
-    actuators = len(models.kind)
-    return Curves(
-        np.zeros(actuators, np.int64),
-        np.zeros(actuators, np.int64),
-        np.zeros((actuators, pieces + 1)),
-        np.zeros((actuators, pieces, 4)),
-        np.zeros((actuators, dimension)),
-        np.zeros((actuators, dimension - 1)),
-        np.zeros(actuators),
-        np.zeros((actuators, 2)),
-        np.zeros((actuators, 2)),
-        np.array([terms]),
-        np.zeros(max(4, models.table.shape[1])),
-        models,
-    )
+    sizes = {"M": len(models.kind), "D": dimension, "K": pieces, "J": max(4, models.table.shape[1])}
+    return make(Curves, sizes, terms=np.array([terms]), models=models)
 
 
 def most_pieces(samples: Samples) -> int:

@@ -9,14 +9,13 @@ import math
 from functools import cache
 from typing import Any, NamedTuple
 
-import numpy as np
+from jaxtyping import Bool, Float64, Int64
 
+from torcharm.engine.arrays import Array
 from torcharm.engine.compilation import part
 from torcharm.engine.distance import TOUCHING, nearest_part
 from torcharm.engine.references import by_reference
 from torcharm.engine.sharpen import FAR
-
-Array = np.ndarray[Any, Any]
 
 DEPTH_GAP = 1e-10
 """The gap, as a part of the problem's size, at which the depth is known."""
@@ -35,39 +34,20 @@ NEVER = 1e300
 
 @by_reference
 class Polytope(NamedTuple):
-    """A polytope with V corners and F faces, and room to work in.
+    """A polytope with V corners, and room to work in."""
 
-    Attributes:
-        corner: (V, D) the corners, seen from w.
-        pressure: (V, M) their pressures.
-        face: (F, D) each face's corners.
-        normal, offset: (F, D), (F,) outward unit normals, and distances from w.
-        seen: (F,) whether a face is to be removed.
-        used: (2,) corners and faces in use.
-    """
-
-    corner: Array
-    pressure: Array
-    face: Array
-    normal: Array
-    offset: Array
-    seen: Array
-    used: Array
+    corner: Float64[Array, "V D"]  # seen from w
+    pressure: Float64[Array, "V M"]
+    face: Int64[Array, "2*V+8 D"]  # each face's corners
+    normal: Float64[Array, "2*V+8 D"]  # outward, of length 1
+    offset: Float64[Array, "2*V+8"]  # of faces from w
+    seen: Bool[Array, "2*V+8"]  # whether a face is to be removed
+    used: Int64[Array, "2"]  # corners and faces in use
 
 
-def make_polytope(actuators: int, dimension: int) -> Polytope:
-    """Room for one problem."""
-    corners, D = CORNERS[dimension], dimension
-    faces = 2 * corners + 8
-    return Polytope(
-        np.zeros((corners, D)),
-        np.zeros((corners, actuators)),
-        np.zeros((faces, D), np.int64),
-        np.zeros((faces, D)),
-        np.zeros(faces),
-        np.zeros(faces, np.bool_),
-        np.zeros(2, np.int64),
-    )
+def sizes_of_set(actuators: int, dimension: int) -> dict[str, int]:
+    """What the names in shapes of room for one set stand for."""
+    return {"M": actuators, "D": dimension, "V": CORNERS[dimension]}
 
 
 @cache

@@ -11,7 +11,8 @@ import math
 
 from torcharm.engine.box_step import largest_curvature, optimality, write_box_step
 from torcharm.engine.compilation import part
-from torcharm.engine.path import copy_twists, move_size
+from torcharm.engine.copies import copy_rows
+from torcharm.engine.path import move_size
 from torcharm.engine.pressure_model import (
     FEW_EVALUATIONS,
     HALF_COST,
@@ -79,7 +80,7 @@ def _aim(problem, work, b, here, there):  # type: ignore[no-untyped-def]
             work.change[0, i, c] = total
     size = move_size(problem.arms, problem.scale, path, b, work.change[0])
     short = min(LONGEST_MOVE / max(size, 1e-12), 1.0)
-    copy_twists(path.trial, points.twists[here])
+    copy_rows(path.trial, points.twists[here])
     for i in range(work.change.shape[1]):
         for c in range(work.change.shape[2]):
             path.trial[i, problem.arms.unknown[c]] += short * work.change[0, i, c]
@@ -214,7 +215,7 @@ def descend(problem, work, b, here, there, free, best, steps):  # type: ignore[n
 @part
 def _refine(problem, work, b, here, free):  # type: ignore[no-untyped-def]
     """Solve the equilibrium of a slot closely; whether it is still one. If not, the slot's value is infinite."""
-    copy_twists(work.path.trial, work.points.twists[here])
+    copy_rows(work.path.trial, work.points.twists[here])
     found = evaluate_point(problem, work, b, here, CLOSEST, FEW_EVALUATIONS)
     if not (found and (free or work.points.known[here, STABLE] > 0.0)):
         work.points.known[here, HALF_COST] = math.inf

@@ -19,8 +19,6 @@ from torcharm.engine.compilation import part
 from torcharm.engine.reach import furthest
 from torcharm.engine.simplex import simplex_parts
 
-Array = np.ndarray[Any, Any]
-
 GAP = 1e-13
 """The gap, as a part of the problem's size, at which the distance is known: what rounding leaves."""
 ITERATIONS = 100

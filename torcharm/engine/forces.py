@@ -5,17 +5,17 @@ The equations are those of `actuators.polynomial` and `actuators.mckibben`, from
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float64, Int64
 
 from torcharm.actuators import Actuator, McKibben, PolynomialActuator, mckibben
 from torcharm.actuators.inspection import follows
+from torcharm.engine.arrays import Array
 from torcharm.engine.compilation import part
 from torcharm.engine.references import by_reference
 from torcharm.inputs import plain_number
-
-Array = np.ndarray[Any, Any]
 
 _A1, _A2, _B1, _B2, _B3 = mckibben._A1, mckibben._A2, mckibben._B1, mckibben._B2, mckibben._B3
 _E1, _E2, _E3, _S1, _S2 = mckibben._E1, mckibben._E2, mckibben._E3, mckibben._S1, mckibben._S2
@@ -32,17 +32,11 @@ STRETCHED_FROM = 0.0
 
 @by_reference
 class Models(NamedTuple):
-    """The force models of M actuators.
+    """The force models of M actuators."""
 
-    Attributes:
-        kind: (M,) SAMPLED, POLYNOMIAL or MUSCLE.
-        table: (M, J, I) `c[j, i]` of `Σ c[j, i] p^j ε^i`, of the polynomials.
-        scale: (M,) factors on the forces.
-    """
-
-    kind: Array
-    table: Array
-    scale: Array
+    kind: Int64[Array, "M"]  # SAMPLED, POLYNOMIAL or MUSCLE
+    table: Float64[Array, "M J I"]  # `c[j, i]` of `Σ c[j, i] p^j ε^i`, of the polynomials
+    scale: Float64[Array, "M"]  # factors on the forces
 
 
 def models_of(actuators: Sequence[Actuator]) -> Models:

@@ -9,14 +9,11 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries, RigidLink
-from torcharm.engine.arms import Array, Loads, numbers, pose_rows
+from torcharm.engine.arms import Loads, flat, pose_rows
 from torcharm.geometry import se2, se3
 from torcharm.load import GRAVITY, ExternalLoad, PointLoad
 from torcharm.statics.balance import segments_of
-
-_ON_A_NODE = 1e-9
-"""How near to a node, in elements, a load counts as sitting on it: above what rounding makes of a place such as
-0.7 times 10 elements, and far below any distance that matters."""
+from torcharm.statics.external_load import carrier, place_of
 
 
 def loads_of(
@@ -48,17 +45,17 @@ def loads_of(
     count, dimension = math.prod(batch), arm.dimension
     wrench, offset = np.zeros((count, len(places), size)), np.zeros((count, len(places), dimension))
     for q, place in enumerate(places):
-        wrench[:, q] = _flat(place.wrench, batch)
+        wrench[:, q] = flat(place.wrench, batch)
         if place.offset is not None:
-            offset[:, q] = _flat(place.offset, batch)
+            offset[:, q] = flat(place.offset, batch)
     weight = np.zeros((count, len(segments)))
     if load.gravity:
         for index, (segment, number) in enumerate(zip(segments, nodes, strict=True)):
-            weight[:, index] = GRAVITY / number * _flat(segment.mass.unsqueeze(-1), batch)[:, 0]
+            weight[:, index] = GRAVITY / number * flat(segment.mass.unsqueeze(-1), batch)[:, 0]
     base = pose_rows(base_pose)
     base = torch.cat((base[..., :-dimension], torch.zeros_like(base[..., -dimension:])), -1)
     return Loads(
-        _flat(base, batch),
+        flat(base, batch),
         wrench,
         offset,
         np.array([place.element for place in places], dtype=np.int64),
@@ -83,11 +80,8 @@ class _Place:
 
 def _point(point: PointLoad, nodes: Sequence[int], gravity: bool, size: int) -> list[_Place]:
     """A point load's wrench and weight; none where the base carries it."""
-    first, count = sum(nodes[: point.segment]), nodes[point.segment]
-    along = point.at * count
-    along = round(along) if abs(along - round(along)) < _ON_A_NODE else along
-    local = max(math.ceil(along) - 1, 0)
-    element, fraction = (first + local, along - local) if along > 0 else (first - 1, 1.0)
+    at, along = place_of(point, nodes)
+    element, fraction = carrier(at, along)
     if element < 0:
         return []
     before, found = along > 0, []
@@ -110,8 +104,3 @@ def _weight(mass: Tensor, size: int) -> Tensor:
     """The weight of a mass (...) as a wrench (..., K)."""
     zero = torch.zeros_like(mass)
     return torch.stack((zero, -GRAVITY * mass, *(zero,) * (size - 2)), -1)
-
-
-def _flat(value: Tensor, batch: tuple[int, ...]) -> Array:
-    """A tensor (*#batch, K) as (B, K)."""
-    return numbers(value.expand(*batch, value.shape[-1]).reshape(math.prod(batch), value.shape[-1]))

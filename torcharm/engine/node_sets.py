@@ -3,8 +3,9 @@
 from functools import cache
 from typing import Any, NamedTuple
 
-import numpy as np
+from jaxtyping import Float64
 
+from torcharm.engine.arrays import Array, make
 from torcharm.engine.compilation import kernel, part
 from torcharm.engine.curves import (
     Curves,
@@ -15,95 +16,60 @@ from torcharm.engine.curves import (
     write_curve,
     write_difference,
 )
-from torcharm.engine.depth import Polytope, make_polytope, signed_distance_part
+from torcharm.engine.depth import Polytope, signed_distance_part, sizes_of_set
 from torcharm.engine.distance import GAP, curve_support, nearest_part
 from torcharm.engine.forces import Models
 from torcharm.engine.reach import sides
 from torcharm.engine.references import by_reference
 from torcharm.engine.sharpen import BEYOND, sharpen_part
-from torcharm.engine.simplex import Simplex, make_simplex
-
-Array = np.ndarray[Any, Any]
+from torcharm.engine.simplex import Simplex
 
 
 @by_reference
 class Sections(NamedTuple):
-    """The actuators at the cross-sections of B designs on P shapes of N nodes.
+    """The actuators at the cross-sections of B designs on P shapes of N nodes."""
 
-    Attributes:
-        limit: (B, M) pressure limits [kPa].
-        strain: (B, P, N, M).
-        lever: (B, M, D) the wrench of a force of 1 N.
-        bending: (B, P, N, M, D - 1) the moments of a pressure of 1 kPa.
-        constant: (B, P, N, D) the wrench that no pressure changes.
-        samples: curves of the models that the engine does not know.
-        unit_weight: (G, P, N, D) the wrench that 1 kg of each of G parts asks of a node.
-        mass: (B, G) of the parts [kg].
-    """
-
-    limit: Array
-    strain: Array
-    lever: Array
-    bending: Array
-    constant: Array
-    samples: Samples
-    unit_weight: Array
-    mass: Array
+    limit: Float64[Array, "B M"]  # of pressures [kPa]
+    strain: Float64[Array, "B P N M"]
+    lever: Float64[Array, "B M D"]  # the wrench of a force of 1 N
+    bending: Float64[Array, "B P N M D-1"]  # the moments of a pressure of 1 kPa
+    constant: Float64[Array, "B P N D"]  # the wrench that no pressure changes
+    samples: Samples  # curves of the models that the engine does not know
+    unit_weight: Float64[Array, "G P N D"]  # the wrench that 1 kg of each of G parts asks of a node
+    mass: Float64[Array, "B G"]  # of the parts [kg]
 
 
 @by_reference
 class Room(NamedTuple):
-    """Room to work in, for one thread.
+    """Room to work in, for one thread."""
 
-    Attributes:
-        own, first, change: curves of a node, of the first node, and their difference.
-        simplex, polytope: of one problem.
-        middle: (D,) the set's middle.
-        start: (L, D) the last node's normals, to begin the next node's with.
-    """
-
-    own: Curves
-    first: Curves
-    change: Curves
+    own: Curves  # of a node
+    first: Curves  # of the first node
+    change: Curves  # their difference
     simplex: Simplex
     polytope: Polytope
-    middle: Array
-    start: Array
+    middle: Float64[Array, "D"]  # of the set
+    start: Float64[Array, "L D"]  # the last node's normals, to begin the next node's with
 
 
 @by_reference
 class Answers(NamedTuple):
-    """What is found, for B designs, P shapes, L loads and N nodes.
+    """What is found, for B designs, P shapes, L loads and N nodes."""
 
-    Attributes:
-        distance: (B, P, L, N), negative inside if that was asked for.
-        gap: (B, P, L, N) by how much of the problem's size it may be too long.
-        normal: (B, P, L, N, D) unit normals; empty if not asked for, like what follows.
-        weight: (B, P, L, N, D) of the points whose mix is nearest.
-        pressure: (B, P, L, N, D, M) of these points [kPa].
-        size: (B, P, L, N) of the problem, the most that the numbers in it can add up to.
-    """
-
-    distance: Array
-    gap: Array
-    normal: Array
-    weight: Array
-    pressure: Array
-    size: Array
+    distance: Float64[Array, "B P L N"]  # negative inside if that was asked for
+    gap: Float64[Array, "B P L N"]  # by how much of the problem's size it may be too long
+    normal: Float64[Array, "B P L N D"]  # unit normals; empty if not asked for, like what follows
+    weight: Float64[Array, "B P L N D"]  # of the points whose mix is nearest
+    pressure: Float64[Array, "B P L N D M"]  # of these points [kPa]
+    size: Float64[Array, "B P L N"]  # of the problem, the most that the numbers in it can add up to
 
 
 def make_room(models: Models, dimension: int, loads: int, samples: Samples) -> Room:
     """Room for sets of wrenches of so many components."""
-    actuators, pieces = len(models.kind), most_pieces(samples)
-    return Room(
-        make_curves(models, dimension, pieces),
-        make_curves(models, dimension, pieces),
-        make_curves(models, dimension, 2 * pieces, terms=2),
-        make_simplex(actuators, dimension),
-        make_polytope(actuators, dimension),
-        np.zeros(dimension),
-        np.zeros((loads, dimension)),
-    )
+    pieces, sizes = most_pieces(samples), sizes_of_set(len(models.kind), dimension)
+    own, first = (make_curves(models, dimension, pieces) for _ in range(2))
+    change = make_curves(models, dimension, 2 * pieces, terms=2)
+    return make(Room, sizes | {"L": loads}, own=own, first=first, change=change)
 
 
 @part

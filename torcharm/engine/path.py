@@ -1,18 +1,15 @@
 """The path of one arm to its equilibrium: where it is, and by what its imbalances and moves are measured."""
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Bool, Float64, Int64
 
-from torcharm.engine.arms import Arms
+from torcharm.engine.arrays import Array
 from torcharm.engine.compilation import part
 from torcharm.engine.newton_step import first_angular
 from torcharm.engine.references import by_reference
 from torcharm.statics.balance import RIGID
-
-Array = NDArray[Any]
 
 STIFF_STRAIN = 1e-4
 """The strain whose force counts as load, where it is more than the loads themselves: so that a tolerance of 1e-10 of
@@ -24,74 +21,39 @@ STIFFEST = 1e-9 * RIGID
 
 @by_reference
 class Scale(NamedTuple):
-    """What imbalances and moves of B arms are measured by.
+    """What imbalances and moves of B arms are measured by."""
 
-    Attributes:
-        load: (B,) [N], 1 N at least.
-        length: (B,) mean neutral length of the segments [m].
-        reach: (B,) largest offset [m].
-    """
-
-    load: Array
-    length: Array
-    reach: Array
+    load: Float64[Array, "B"]  # [N], 1 N at least
+    length: Float64[Array, "B"]  # mean neutral length of the segments [m]
+    reach: Float64[Array, "B"]  # largest offset [m]
 
 
 @by_reference
 class Path(NamedTuple):
-    """Room for one path.
+    """Room for one path."""
 
-    Attributes:
-        trial, base: (N, K) twists of an attempt, and of the last equilibrium.
-        tangent, bend: (N, C) change of the unknowns by the factor there, and half its slope.
-        newton: (N, C) Newton's step.
-        ahead: (N, C) the tangent at the trial.
-        loaded: (1,) whether the load acts; without it one element stands for each segment.
-        stays: (1,) whether an arm whose branch ends under load is given up, in place of letting it snap.
-        quick, rush: (N, K) twists of the equilibrium under load at which the arm gives way most, and (N, C) how the
-            unknowns change by the load factor there: next to a bifurcation if there is any.
-        fastest: (2,) the size of that change, as of `move_size`, and the load factor.
-    """
-
-    trial: Array
-    base: Array
-    tangent: Array
-    bend: Array
-    newton: Array
-    ahead: Array
-    loaded: Array
-    stays: Array
-    quick: Array
-    rush: Array
-    fastest: Array
+    trial: Float64[Array, "N K"]  # twists of an attempt
+    base: Float64[Array, "N K"]  # and of the last equilibrium
+    tangent: Float64[Array, "N C"]  # change of the unknowns by the factor there
+    bend: Float64[Array, "N C"]  # and half its slope
+    newton: Float64[Array, "N C"]  # Newton's step
+    ahead: Float64[Array, "N C"]  # the tangent at the trial
+    loaded: Bool[Array, "1"]  # whether the load acts; without it one element stands for each segment
+    stays: Bool[Array, "1"]  # whether an arm whose branch ends under load is given up, in place of letting it snap
+    quick: Float64[Array, "N K"]  # twists of the equilibrium under load at which the arm gives way most
+    rush: Float64[Array, "N C"]  # how unknowns change by the load factor there: next to a bifurcation if there is any
+    fastest: Float64[Array, "2"]  # the size of that change, as of `move_size`, and the load factor
 
 
 @by_reference
 class Found(NamedTuple):
-    """Equilibria of B arms.
+    """Equilibria of B arms."""
 
-    Attributes:
-        twists: (B, N, K) [m, rad].
-        residual: (B,) the largest imbalance of an element: forces, and moments over the length, over the load scale.
-        reached: (B,) CONTINUED, SNAPPED, WARM or FAILED.
-        pivots: (B, 2) numbers of positive pivots of J, and of zero ones.
-        scale: (B, 2) by which imbalances of forces [N] and of moments [N·m] are measured.
-    """
-
-    twists: Array
-    residual: Array
-    reached: Array
-    pivots: Array
-    scale: Array
-
-
-def make_path(arms: Arms) -> Path:
-    """Room for one arm's path."""
-    nodes, size, columns = arms.first_node[-1], arms.size, len(arms.unknown)
-    trial, base, quick = np.zeros((3, nodes, size))
-    tangent, bend, newton, ahead, rush = np.zeros((5, nodes, columns))
-    loaded, stays = np.zeros((2, 1), dtype=np.bool_)
-    return Path(trial, base, tangent, bend, newton, ahead, loaded, stays, quick, rush, np.zeros(2))
+    twists: Float64[Array, "B N K"]  # [m, rad]
+    residual: Float64[Array, "B"]  # largest imbalance: forces, and moments over the length, over the load scale
+    reached: Int64[Array, "B"]  # CONTINUED, SNAPPED, WARM or FAILED
+    pivots: Int64[Array, "B 2"]  # numbers of positive pivots of J, and of zero ones
+    scale: Float64[Array, "B 2"]  # by which imbalances of forces [N] and of moments [N·m] are measured
 
 
 @part
@@ -158,14 +120,6 @@ def move(arms, path, factor):  # type: ignore[no-untyped-def]
         for i in range(first, last):
             for c in range(len(arms.unknown)):
                 path.trial[i, arms.unknown[c]] += factor * path.newton[i, c]
-
-
-@part
-def copy_twists(out, given):  # type: ignore[no-untyped-def]
-    """Write twists (N, K)."""
-    for i in range(out.shape[0]):
-        for c in range(out.shape[1]):
-            out[i, c] = given[i, c]
 
 
 @part

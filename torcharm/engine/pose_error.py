@@ -11,16 +11,14 @@ at half a turn; headings in the plane are counted on beyond it.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float64
 
-from torcharm.engine.arms import Arms
+from torcharm.engine.arrays import Array
 from torcharm.engine.compilation import part
 from torcharm.engine.references import by_reference
-
-Array = NDArray[Any]
 
 SMALL_TURN = 1e-8
 """Squared angle [rad²] below which the last factor of J⁻¹ is 1/12: it differs from that by a 720th of the square."""
@@ -28,16 +26,11 @@ SMALL_TURN = 1e-8
 
 @by_reference
 class Goal(NamedTuple):
-    """What B arms aim at, at the ends of their N elements.
+    """What B arms aim at, at the ends of their N elements: poses as positions from the base's and turns from the base's
+    heading, without those of links, in the plane; as rows of rotations and positions in space."""
 
-    Attributes:
-        pose: (B, N, 3) positions from the base's and turns from the base's heading, without those of links, in the
-            plane; (B, N, 12) rows of rotations and positions in space.
-        weight: (B, N, E) ω_i K of each error; E is 3 or 6.
-    """
-
-    pose: Array
-    weight: Array
+    pose: Float64[Array, "B N G"]  # G is 3 or 12
+    weight: Float64[Array, "B N K"]  # ω_i K of each error
 
 
 NO_GOAL = Goal(np.zeros((0, 0, 0)), np.zeros((0, 0, 0)))
@@ -46,21 +39,10 @@ NO_GOAL = Goal(np.zeros((0, 0, 0)), np.zeros((0, 0, 0)))
 
 @by_reference
 class Errors(NamedTuple):
-    """Room for the errors of one arm.
+    """Room for the errors of one arm."""
 
-    Attributes:
-        value: (1 + X, N, E) the errors, times the roots of their weights, and their changes in X directions.
-        motion: (K,) of one node.
-    """
-
-    value: Array
-    motion: Array
-
-
-def make_errors(arms: Arms, directions: int) -> Errors:
-    """Room for changes in so many directions."""
-    size = arms.size
-    return Errors(np.zeros((1 + directions, arms.first_node[-1], size)), np.zeros(size))
+    value: Float64[Array, "1+M N K"]  # the errors, times the roots of their weights, and their changes in M directions
+    motion: Float64[Array, "K"]  # of one node
 
 
 @part

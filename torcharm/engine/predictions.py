@@ -6,14 +6,16 @@ to holding the very shape, as the wrenches there say: first from these where the
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from numpy.typing import NDArray
+from jaxtyping import Bool, Float64, Int64
 
+from torcharm.engine.arrays import Array
 from torcharm.engine.compilation import part
 from torcharm.engine.continuation import CONTINUED
+from torcharm.engine.copies import copy_row, copy_rows
 from torcharm.engine.descent import CLOSE, FLOOR, NO_START, RUNNING, STABILITY_ENDS, STEPS, descend, error_slope
-from torcharm.engine.path import copy_twists, move_size
+from torcharm.engine.path import move_size
 from torcharm.engine.pressure_model import (
     EVALUATIONS,
     HALF_COST,
@@ -28,8 +30,6 @@ from torcharm.engine.pressure_model import (
 )
 from torcharm.engine.references import by_reference
 from torcharm.engine.wrench_fit import FIT_GAIN, FIT_STEPS, fit_wrenches, write_carried
-
-Array = NDArray[Any]
 
 START, HOLDS, BEST = 0, 2, 4
 """Slots: where the arm is put down; pressures that almost hold the shape; and the best point. Behind the first two is
@@ -50,25 +50,15 @@ SAME_SHAPE = 1e-2
 
 @by_reference
 class Predictions(NamedTuple):
-    """What B descents found.
+    """What B descents found."""
 
-    Attributes:
-        place: (B, M) normalised pressures.
-        twists: (B, N, K) of the equilibria.
-        half_cost: (B,) [m²], infinite where there is no equilibrium.
-        slope: (B,) the largest slope of the error by a pressure [m].
-        ended: (B,) how, as of `descent`.
-        stable: (B,) whether the equilibria are stable, by the pivots of J.
-        reached: (B,) whether continuation from zero load leads there.
-    """
-
-    place: Array
-    twists: Array
-    half_cost: Array
-    slope: Array
-    ended: Array
-    stable: Array
-    reached: Array
+    place: Float64[Array, "B M"]  # normalised pressures
+    twists: Float64[Array, "B N K"]  # of the equilibria
+    half_cost: Float64[Array, "B"]  # [m²], infinite where there is no equilibrium
+    slope: Float64[Array, "B"]  # the largest slope of the error by a pressure [m]
+    ended: Int64[Array, "B"]  # how, as of `descent`
+    stable: Bool[Array, "B"]  # whether the equilibria are stable, by the pivots of J
+    reached: Bool[Array, "B"]  # whether continuation from zero load leads there
 
 
 @part
@@ -89,7 +79,7 @@ def _start(problem, work, b, shape, draws):  # type: ignore[no-untyped-def]
             at = min(tried + 1, 1)
             for m in range(points.place.shape[1]):
                 points.place[at, m] = 0.5 if tried < 0 else draws[tried, m]
-            copy_twists(work.path.trial, shape)
+            copy_rows(work.path.trial, shape)
             evaluate_point(problem, work, b, at, CLOSE, EVALUATIONS)
             if at == 1 and _better(points, 1, 0):
                 copy_point(points, 0, 1)
@@ -115,20 +105,18 @@ def _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, be
             fit.place[0, m] = points.place[best, m] if s < 0 else draws[first + s, m]
         fit_wrenches(problem, work, fit, b, shape, steps, gain)
         at = HOLDS + 1
-        for m in range(points.place.shape[1]):
-            points.place[at, m] = fit.place[0, m]
-        copy_twists(path.trial, shape)
+        copy_row(points.place[at], fit.place[0])
+        copy_rows(path.trial, shape)
         take_place(problem, work, b, at)
         write_newton(problem, work, b)
         write_point(problem, work, b, at, move_size(problem.arms, problem.scale, path, b, work.change[0]))
         if points.known[at, STABLE] > 0.0 and points.known[at, HALF_COST] < least:
             least, found = points.known[at, HALF_COST], True
-            for m in range(points.place.shape[1]):
-                points.place[HOLDS, m] = points.place[at, m]
+            copy_row(points.place[HOLDS], points.place[at])
             if _mean_error(problem, work, b, at) <= FLOOR:  # it is held: nothing can do better
                 break
     if found:
-        copy_twists(path.trial, shape)
+        copy_rows(path.trial, shape)
         evaluate_point(problem, work, b, HOLDS, CLOSE, EVALUATIONS)
     return found
 
@@ -191,9 +179,8 @@ def predict_all(problem, shape, draws, start, tolerance, first, last, work, fit,
     work.path.stays[0] = True
     for b in range(first, last):
         ended = _predict(problem, work, fit, b, shape[b], draws)
-        for m in range(points.place.shape[1]):
-            out.place[b, m] = points.place[BEST, m]
-        copy_twists(out.twists[b], points.twists[BEST])
+        copy_row(out.place[b], points.place[BEST])
+        copy_rows(out.twists[b], points.twists[BEST])
         out.half_cost[b], out.stable[b] = points.known[BEST, HALF_COST], points.known[BEST, STABLE]
         out.ended[b], out.slope[b], out.reached[b] = ended, math.inf, False
         if ended != NO_START and math.isfinite(out.half_cost[b]):

@@ -6,23 +6,22 @@ the implicit function theorem the unknowns change by `-J⁻¹ ∂R/∂p p̄`.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float64
 
 from torcharm.engine.arms import Arms, Loads
-from torcharm.engine.box_step import BoxStep, make_box_step
+from torcharm.engine.arrays import Array
+from torcharm.engine.box_step import BoxStep
 from torcharm.engine.compilation import part
 from torcharm.engine.continuation import FAILED, find_equilibrium
+from torcharm.engine.copies import copy_row, copy_rows
 from torcharm.engine.newton_step import first_angular, solve, write_balance, write_shape
-from torcharm.engine.path import Path, Scale, copy_twists, make_path, move_size
-from torcharm.engine.pose_error import Errors, Goal, make_errors, write_errors
+from torcharm.engine.path import Path, Scale, move_size
+from torcharm.engine.pose_error import Errors, Goal, write_errors
 from torcharm.engine.references import by_reference
-from torcharm.engine.room import Room, make_room
+from torcharm.engine.room import Room
 from torcharm.engine.sections import set_pressure, write_rates
-
-Array = NDArray[Any]
 
 LARGE_MOVE = 1.0
 """Longest Newton step, as of `move_size`: about a radian, or a third of the length."""
@@ -40,98 +39,46 @@ equilibrium is stable, with every length above 0."""
 
 @by_reference
 class Problem(NamedTuple):
-    """B arms, and what their poses are to be.
-
-    Attributes:
-        arms, loads, scale, goal: of the arms.
-        limit: (B, M) of pressures [kPa].
-    """
+    """B arms, and what their poses are to be."""
 
     arms: Arms
     loads: Loads
     scale: Scale
     goal: Goal
-    limit: Array
+    limit: Float64[Array, "B M"]  # of pressures [kPa]
 
 
 @by_reference
 class Points(NamedTuple):
-    """Normalised pressures of one arm, with the equilibria and the models of half the cost there; a slot for each.
+    """Normalised pressures of one arm, with the equilibria and the models of half the cost there; a slot for each."""
 
-    Attributes:
-        place: (SLOTS, M) normalised pressures.
-        twists: (SLOTS, N, K).
-        rates: (SLOTS, M, N, C) of the unknowns by the place.
-        known: (SLOTS, 3) HALF_COST, LAST_MOVE and STABLE.
-        gradient: (SLOTS, M) [m²].
-        curvature: (SLOTS, M, M) Gauss and Newton's [m²].
-    """
-
-    place: Array
-    twists: Array
-    rates: Array
-    known: Array
-    gradient: Array
-    curvature: Array
+    place: Float64[Array, "slots M"]  # normalised pressures
+    twists: Float64[Array, "slots N K"]
+    rates: Float64[Array, "slots M N C"]  # of the unknowns by the place
+    known: Float64[Array, "slots 3"]  # HALF_COST, LAST_MOVE and STABLE
+    gradient: Float64[Array, "slots M"]  # [m²]
+    curvature: Float64[Array, "slots M M"]  # Gauss and Newton's [m²]
 
 
 @by_reference
 class Work(NamedTuple):
-    """Room for one thread.
-
-    Attributes:
-        room, path, errors, box: see there.
-        change: (1 + M, N, C) Newton's step, and the changes of the unknowns by M normalised pressures.
-        points: the points.
-        base, way: (N, K), (N, C) of Newton's method: where a step starts, and the step.
-        wall, wall_at: (M,), (1,) half the square of `wall·u - wall_at` is added to the value of every point: a
-            descent keeps to that plane. Zeros if there is none.
-        extra: (M, M) what is added to a curvature.
-        missed: (M,) room.
-        pressure: (B, M) [kPa] the pressures at which arms are evaluated, for all threads; each uses its arms' rows.
-    """
+    """Room for one thread."""
 
     room: Room
     path: Path
     errors: Errors
     box: BoxStep
-    change: Array
+    change: Float64[Array, "1+M N C"]  # Newton's step, and the changes of the unknowns by M normalised pressures
     points: Points
-    base: Array
-    way: Array
-    wall: Array
-    wall_at: Array
-    extra: Array
-    missed: Array
-    pressure: Array
-
-
-def make_work(arms: Arms, pressure: Array, slots: int = SLOTS) -> Work:
-    """Room for one arm at a time, and so many points; pressures as of `Work`."""
-    nodes, size, columns, count = arms.first_node[-1], arms.size, len(arms.unknown), len(arms.models.kind)
-    points = Points(
-        np.zeros((slots, count)),
-        np.zeros((slots, nodes, size)),
-        np.zeros((slots, count, nodes, columns)),
-        np.zeros((slots, 3)),
-        np.zeros((slots, count)),
-        np.zeros((slots, count, count)),
-    )
-    return Work(
-        make_room(arms),
-        make_path(arms),
-        make_errors(arms, count),
-        make_box_step(count),
-        np.zeros((1 + count, nodes, columns)),
-        points,
-        np.zeros((nodes, size)),
-        np.zeros((nodes, columns)),
-        np.zeros(count),
-        np.zeros(1),
-        np.zeros((count, count)),
-        np.zeros(count),
-        pressure,
-    )
+    base: Float64[Array, "N K"]  # where a step of Newton's method starts
+    way: Float64[Array, "N C"]  # and the step
+    # half the square of `wall·u - wall_at` is added to the value of every point: a descent keeps to that plane; zeros
+    # if there is none
+    wall: Float64[Array, "M"]
+    wall_at: Float64[Array, "1"]
+    extra: Float64[Array, "M M"]  # what is added to a curvature
+    missed: Float64[Array, "M"]  # room
+    pressure: Float64[Array, "B M"]  # [kPa] at which arms are evaluated, for all threads; each uses its arms' rows
 
 
 @part
@@ -157,14 +104,10 @@ def copy_point(points, to, at):  # type: ignore[no-untyped-def]
     for m in range(points.place.shape[1]):
         points.place[to, m] = points.place[at, m]
         points.gradient[to, m] = points.gradient[at, m]
-        for k in range(points.place.shape[1]):
-            points.curvature[to, m, k] = points.curvature[at, m, k]
-        for i in range(points.rates.shape[2]):
-            for c in range(points.rates.shape[3]):
-                points.rates[to, m, i, c] = points.rates[at, m, i, c]
-    copy_twists(points.twists[to], points.twists[at])
-    for k in range(points.known.shape[1]):
-        points.known[to, k] = points.known[at, k]
+        copy_row(points.curvature[to, m], points.curvature[at, m])
+        copy_rows(points.rates[to, m], points.rates[at, m])
+    copy_rows(points.twists[to], points.twists[at])
+    copy_row(points.known[to], points.known[at])
 
 
 @part
@@ -214,7 +157,7 @@ def approach(problem, work, b, close, evaluations):  # type: ignore[no-untyped-d
         if fell and size <= close:
             return size
         if fell:
-            copy_twists(work.base, path.trial)
+            copy_rows(work.base, path.trial)
             step = min(LARGE_MOVE / size, 1.0)
             for i in range(work.way.shape[0]):
                 for c in range(work.way.shape[1]):
@@ -244,10 +187,8 @@ def write_point(problem, work, b, at, size):  # type: ignore[no-untyped-def]
             for c in range(columns):
                 work.change[1 + m, i, c] = -room.sections.rate[i, c, m] * problem.limit[b, m]
         solve(arms, problem.loads, room, work.change[1 + m])
-        for i in range(nodes):
-            for c in range(columns):
-                points.rates[at, m, i, c] = work.change[1 + m, i, c]
-    copy_twists(points.twists[at], path.trial)
+        copy_rows(points.rates[at, m], work.change[1 + m])
+    copy_rows(points.twists[at], path.trial)
     for i in range(nodes):
         for c in range(columns):
             points.twists[at, i, arms.unknown[c]] += work.change[0, i, c]
@@ -286,7 +227,7 @@ def add_wall(work, at):  # type: ignore[no-untyped-def]
 def expected_cost(problem, work, b, at, shape):  # type: ignore[no-untyped-def]
     """Half the cost at the place of a slot after one Newton step from a shape (N, K); infinite if it is no number."""
     take_place(problem, work, b, at)
-    copy_twists(work.path.trial, shape)
+    copy_rows(work.path.trial, shape)
     write_newton(problem, work, b)
     write_errors(problem.arms, problem.goal, work.room, b, shape, work.change, 0, work.errors)
     total, value = 0.0, work.errors.value
@@ -336,8 +277,7 @@ def reach(problem, work, b, at, to, start, tolerance):  # type: ignore[no-untype
     Returns how it is reached, as `find_equilibrium`; FAILED where the arm does not stay there.
     """
     points = work.points
-    for m in range(points.place.shape[1]):
-        points.place[to, m] = points.place[at, m]
+    copy_row(points.place[to], points.place[at])
     points.known[to, HALF_COST], points.known[to, STABLE] = math.inf, 0.0
     take_place(problem, work, b, to)
     how = load_from_zero(problem, work, b, start, tolerance)

@@ -4,22 +4,22 @@ Each by itself would bring balance, Newton's step and continuation with it once 
 that. Searches stand apart: their code is as long as that of all of these, and most people first ask without.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float64, Int64
 
+from torcharm.engine.arms import sizes_of
+from torcharm.engine.arrays import Array, make
 from torcharm.engine.compilation import kernel
 from torcharm.engine.continuation import find_equilibria
 from torcharm.engine.implicit import solve_rows
 from torcharm.engine.path import Found
 from torcharm.engine.predictions import Predictions, predict_all
-from torcharm.engine.pressure_model import SLOTS, Problem, make_work
+from torcharm.engine.pressure_model import SLOTS, Problem, Work
 from torcharm.engine.references import by_reference
 from torcharm.engine.threads import spread
-from torcharm.engine.wrench_fit import FitAnswers, fit_all, make_fit
-
-Array = NDArray[Any]
+from torcharm.engine.wrench_fit import Fit, FitAnswers, fit_all
 
 EQUILIBRIA, SOLUTIONS, FITS, PREDICTIONS = range(4)
 """At pressures; of linear equations with J; pressures by wrenches alone; and pressures for a shape. See the modules."""
@@ -27,22 +27,14 @@ EQUILIBRIA, SOLUTIONS, FITS, PREDICTIONS = range(4)
 
 @by_reference
 class Given(NamedTuple):
-    """What is given beside the arms; a question takes some of it.
+    """What is given beside the arms; a question takes some of it."""
 
-    Attributes:
-        twists: (B, N, K) shapes.
-        places: (S, M) normalised pressures to begin with.
-        start: (B, N, K) twists of warm starts, or of none (0, N, K).
-        rows, right: (b,), (b, X, N, C) which arms, and right-hand sides for each, which solutions replace.
-        weight: (C,) roots of the weights of wrenches.
-    """
-
-    twists: Array = np.zeros((0, 0, 0))
-    places: Array = np.zeros((0, 0))
-    start: Array = np.zeros((0, 0, 0))
-    rows: Array = np.zeros(0, dtype=np.int64)
-    right: Array = np.zeros((0, 0, 0, 0))
-    weight: Array = np.zeros(0)
+    twists: Float64[Array, "B N K"] = np.zeros((0, 0, 0))  # shapes
+    places: Float64[Array, "S M"] = np.zeros((0, 0))  # normalised pressures to begin with
+    start: Float64[Array, "B N K"] = np.zeros((0, 0, 0))  # twists of warm starts, or of none (0, N, K)
+    rows: Int64[Array, "b"] = np.zeros(0, dtype=np.int64)  # which arms
+    right: Float64[Array, "b X N C"] = np.zeros((0, 0, 0, 0))  # right-hand sides for each, which solutions replace
+    weight: Float64[Array, "C"] = np.zeros(0)  # roots of the weights of wrenches
 
 
 @by_reference
@@ -54,36 +46,8 @@ class Answers(NamedTuple):
     fits: FitAnswers
 
 
-def make_found(count: int, nodes: int, size: int) -> Found:
-    """Room for so many equilibria."""
-    whole = np.zeros((count, 2), dtype=np.int64)
-    return Found(
-        np.zeros((count, nodes, size)), np.zeros(count), np.zeros(count, dtype=np.int64), whole, np.zeros((count, 2))
-    )
-
-
-def make_predictions(count: int, nodes: int, size: int, actuators: int) -> Predictions:
-    """Room for so many predictions."""
-    half_cost, slope = np.zeros((2, count))
-    stable, reached = np.zeros((2, count), dtype=np.bool_)
-    place, twists = np.zeros((count, actuators)), np.zeros((count, nodes, size))
-    return Predictions(place, twists, half_cost, slope, np.zeros(count, dtype=np.int64), stable, reached)
-
-
-def make_fits(count: int, nodes: int, columns: int, actuators: int) -> FitAnswers:
-    """Room for so many fits."""
-    place, miss, done = np.zeros((count, actuators)), np.zeros((count, nodes, columns)), np.zeros(count, dtype=np.bool_)
-    return FitAnswers(place, np.zeros(count), miss, np.zeros(count), done)
-
-
 def answer(
-    question: int,
-    problem: Problem,
-    tolerance: float,
-    given: Given,
-    found: Found | None = None,
-    predictions: Predictions | None = None,
-    fits: FitAnswers | None = None,
+    question: int, problem: Problem, tolerance: float, given: Given, **written: Found | Predictions | FitAnswers
 ) -> None:
     """Answer a question for all arms, in as many threads as PyTorch takes.
 
@@ -92,18 +56,13 @@ def answer(
         problem: the arms; equilibria and solutions are at its limits of pressure, and need no goal.
         tolerance: of equilibria, of the load scale.
         given: what the question takes.
-        found, predictions, fits: that which it writes.
+        written: that of `Answers` which it writes.
     """
     pressure, slots = np.zeros_like(problem.limit), SLOTS if question in (FITS, PREDICTIONS) else 0
-    answers = Answers(
-        make_found(0, 0, 0) if found is None else found,
-        make_predictions(0, 0, 0, 0) if predictions is None else predictions,
-        make_fits(0, 0, 0, 0) if fits is None else fits,
-    )
+    answers, sizes = make(Answers, {}, **written), sizes_of(problem.arms, slots=slots)
 
     def work(first: int, last: int) -> None:
-        room = make_work(problem.arms, pressure, slots)
-        fit = make_fit(problem.arms, given.weight)
+        room, fit = make(Work, sizes, pressure=pressure), make(Fit, sizes, weight=given.weight)
         _answer(question, problem, tolerance, given, first, last, room, fit, answers)
 
     spread(len(given.rows) if question == SOLUTIONS else len(problem.limit), work)

@@ -13,14 +13,14 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float64
 
+from torcharm.engine.arrays import Array
 from torcharm.engine.compilation import kernel, part
 from torcharm.engine.distance import GAP, TOUCHING, curve_support, nearest_part
 from torcharm.engine.node_sets import aim, keep_answer, measure, write_node
 from torcharm.engine.references import by_reference
 from torcharm.engine.sharpen import BEYOND, sharpen_part
-
-Array = np.ndarray[Any, Any]
 
 STEPS = 60
 """Steps of Newton's method at most: 3 to 6 are usual. Where the ray grazes a round set each only halves the rest."""
@@ -35,36 +35,22 @@ FOUND, MISSED, UNBOUNDED = 0, 1, 2
 
 @by_reference
 class Ray(NamedTuple):
-    """Room for one ray: where it starts and its direction, (D,) each."""
+    """Room for one ray."""
 
-    start: Array
-    direction: Array
+    start: Float64[Array, "D"]
+    direction: Float64[Array, "D"]
 
 
 @by_reference
 class Ends(NamedTuple):
-    """Where rays enter (even rows) and leave (odd rows) the sets of B designs, P shapes, L loads and N nodes.
+    """Where rays enter (even rows) and leave (odd rows) the sets of B designs, P shapes, L loads and N nodes."""
 
-    Attributes:
-        factor: (2B, P, L, N) t; entry above exit if the ray misses the set, infinite if it stays within.
-        slack: (2B, P, L, N) how far off rounding may put t.
-        gap: (2B, P, L, N) the distance from the set that is left at the end, as a part of the problem's size.
-        normal: (2B, P, L, N, D) outward unit normals; empty if not asked for, like what follows.
-        weight: (2B, P, L, N, D) of the points of the set whose mix is where the ray ends.
-        pressure: (2B, P, L, N, D, M) of these points [kPa].
-    """
-
-    factor: Array
-    slack: Array
-    gap: Array
-    normal: Array
-    weight: Array
-    pressure: Array
-
-
-def make_ray(dimension: int) -> Ray:
-    """Room for one ray."""
-    return Ray(np.zeros(dimension), np.zeros(dimension))
+    factor: Float64[Array, "2*B P L N"]  # t; entry above exit if the ray misses the set, infinite if it stays within
+    slack: Float64[Array, "2*B P L N"]  # how far off rounding may put t
+    gap: Float64[Array, "2*B P L N"]  # the distance from the set that is left at the end, of the problem's size
+    normal: Float64[Array, "2*B P L N D"]  # outward unit normals; empty if not asked for, like what follows
+    weight: Float64[Array, "2*B P L N D"]  # of the points of the set whose mix is where the ray ends
+    pressure: Float64[Array, "2*B P L N D M"]  # of these points [kPa]
 
 
 @part

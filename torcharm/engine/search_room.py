@@ -1,19 +1,16 @@
 """What a search keeps of one arm: points with what their load continuations passed, ends that were lost, a boundary."""
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float64, Int64
 
-from torcharm.engine.arms import Arms
-from torcharm.engine.bifurcation import Saddle, make_saddle
+from torcharm.engine.arrays import Array
+from torcharm.engine.bifurcation import Saddle
 from torcharm.engine.compilation import part
-from torcharm.engine.path import copy_twists
+from torcharm.engine.copies import copy_rows
 from torcharm.engine.pressure_model import HALF_COST, copy_point, distance_of, reach
 from torcharm.engine.references import by_reference
-
-Array = NDArray[Any]
 
 BEST, CURRENT, ENDED, TRIED, AIM, NEAR, FIRST_LOST = 2, 3, 4, 5, 6, 7, 8
 """Slots: the best point that is reached from zero load; where a search along a boundary is; what is reached at the end
@@ -33,60 +30,32 @@ LOADED = FIRST_LOST + 2 * LOST
 
 @by_reference
 class Search(NamedTuple):
-    """Room for one search.
+    """Room for one search."""
 
-    Attributes:
-        quick, rush, factor: (Q, N, K), (Q, N, C), (Q,) of points that were reached: the equilibrium
-            on the way at which the arm gave way most, its change by the load factor, and that factor.
-        how: (Q,) how points were reached, as `find_equilibrium`.
-        start_cost: (S,) what each start came to [m²]; NaN where it was not needed.
-        expected: (P,) half the costs of places, after a Newton step from the shape.
-        saddle: room for bifurcations.
-        edge_place, edge_twists, edge_factor, edge_normal, edge_shift: the boundary that was found, as of `Saddle`.
-        way: (M,) room.
-    """
-
-    quick: Array
-    rush: Array
-    factor: Array
-    how: Array
-    start_cost: Array
-    expected: Array
+    # of points that were reached: the equilibrium on the way at which the arm gave way most, its change by the load
+    # factor, and that factor; and how they were reached, as of `find_equilibrium`
+    quick: Float64[Array, "slots N K"]
+    rush: Float64[Array, "slots N C"]
+    factor: Float64[Array, "slots"]
+    how: Int64[Array, "slots"]
+    start_cost: Float64[Array, "starts"]  # what each start came to [m²]; NaN where it was not needed
+    expected: Float64[Array, "pool"]  # half the costs of places, after a Newton step from the shape
     saddle: Saddle
-    edge_place: Array
-    edge_twists: Array
-    edge_factor: Array
-    edge_normal: Array
-    edge_shift: Array
-    way: Array
-
-
-def make_search(arms: Arms, starts: int, pool: int, slots: int) -> Search:
-    """Room for one arm at a time."""
-    nodes, size, columns, count = arms.first_node[-1], arms.size, len(arms.unknown), len(arms.models.kind)
-    return Search(
-        np.zeros((slots, nodes, size)),
-        np.zeros((slots, nodes, columns)),
-        np.zeros(slots),
-        np.zeros(slots, dtype=np.int64),
-        np.zeros(starts),
-        np.zeros(pool),
-        make_saddle(arms),
-        np.zeros(count),
-        np.zeros((nodes, size)),
-        np.zeros(1),
-        np.zeros(count),
-        np.zeros((count, nodes, columns)),
-        np.zeros(count),
-    )
+    # the boundary that was found, as of `Saddle`
+    edge_place: Float64[Array, "M"]
+    edge_twists: Float64[Array, "N K"]
+    edge_factor: Float64[Array, "1"]
+    edge_normal: Float64[Array, "M"]
+    edge_shift: Float64[Array, "M N C"]
+    way: Float64[Array, "M"]
 
 
 @part
 def keep_point(work, search, to, at):  # type: ignore[no-untyped-def]
     """Copy a point with what its load continuation passed."""
     copy_point(work.points, to, at)
-    copy_twists(search.quick[to], search.quick[at])
-    copy_twists(search.rush[to], search.rush[at])
+    copy_rows(search.quick[to], search.quick[at])
+    copy_rows(search.rush[to], search.rush[at])
     search.factor[to], search.how[to] = search.factor[at], search.how[at]
 
 
@@ -101,8 +70,8 @@ def reach_and_keep(problem, work, search, b, at, to, start, tolerance):  # type:
     """As `reach`, with what the load continuation passed."""
     how = reach(problem, work, b, at, to, start, tolerance)
     path = work.path
-    copy_twists(search.quick[to], path.quick)
-    copy_twists(search.rush[to], path.rush)
+    copy_rows(search.quick[to], path.quick)
+    copy_rows(search.rush[to], path.rush)
     search.factor[to], search.how[to] = path.fastest[1], how
     return how
 

@@ -8,16 +8,17 @@ where it is not, the search goes on along the boundary: see `boundary_search`.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from numpy.typing import NDArray
+from jaxtyping import Bool, Float64, Int64
 
+from torcharm.engine.arrays import Array
 from torcharm.engine.boundary_search import SAME_SHAPE, WORTH, follow_boundary, release
 from torcharm.engine.box_step import optimality
 from torcharm.engine.compilation import kernel, part
 from torcharm.engine.continuation import FAILED
+from torcharm.engine.copies import copy_row, copy_rows
 from torcharm.engine.descent import CLOSE, OPTIMUM, RUNNING, STABILITY_ENDS, STEPS, descend
-from torcharm.engine.path import copy_twists
 from torcharm.engine.pressure_model import (
     EVALUATIONS,
     HALF_COST,
@@ -44,8 +45,6 @@ from torcharm.engine.search_room import (
 )
 from torcharm.engine.wrench_fit import FIT_GAIN, FIT_STEPS, fit_wrenches, write_carried
 
-Array = NDArray[Any]
-
 LOT = 4
 """Places of which the arm is loaded at one: that of the least expected cost."""
 AGREE, AGREES, AGREES_AT_KINK = 4, 2, 1
@@ -68,33 +67,22 @@ HALFWAY = 0.5
 
 @by_reference
 class Searches(NamedTuple):
-    """What B searches found.
+    """What B searches found."""
 
-    Attributes:
-        place: (B, M) normalised pressures.
-        twists: (B, N, K) the equilibria there.
-        half_cost: (B,) [m²], infinite where none was found.
-        how: (B,) they are reached, as of `find_equilibrium`.
-        at_end: (B,) whether a descent ended there, and none to a better equilibrium that continuation does not reach.
-        optimality: (B,) the largest entry of the cost's projected gradient [m²].
-        start_cost: (B, S) what each start came to [m²]; infinite where it failed, NaN where it was spared.
-    """
-
-    place: Array
-    twists: Array
-    half_cost: Array
-    how: Array
-    at_end: Array
-    optimality: Array
-    start_cost: Array
+    place: Float64[Array, "B M"]  # normalised pressures
+    twists: Float64[Array, "B N K"]  # the equilibria there
+    half_cost: Float64[Array, "B"]  # [m²], infinite where none was found
+    how: Int64[Array, "B"]  # they are reached, as of `find_equilibrium`
+    at_end: Bool[Array, "B"]  # whether a descent ended there, and none to a better one that continuation does not reach
+    optimality: Float64[Array, "B"]  # the largest entry of the cost's projected gradient [m²]
+    start_cost: Float64[Array, "B starts"]  # what each came to [m²]; infinite where it failed, NaN where it was spared
 
 
 @part
 def _write_expected(problem, work, search, b, shape, pool):  # type: ignore[no-untyped-def]
     """Write the expected costs of all places of a pool."""
     for q in range(len(pool)):
-        for m in range(pool.shape[1]):
-            work.points.place[AIM, m] = pool[q, m]
+        copy_row(work.points.place[AIM], pool[q])
         search.expected[q] = expected_cost(problem, work, b, AIM, shape)
 
 
@@ -145,12 +133,10 @@ def _begin(problem, work, search, fit, b, s, shape, pool, above):  # type: ignor
         points.place[0, m] = fit.place[0, m] = pool[q, m]
     write_carried(problem, work, b, shape)
     fit_wrenches(problem, work, fit, b, shape, FIT_STEPS, FIT_GAIN)
-    for m in range(points.place.shape[1]):
-        points.place[AIM, m] = fit.place[0, m]
+    copy_row(points.place[AIM], fit.place[0])
     if expected_cost(problem, work, b, AIM, shape) < search.expected[q]:
-        for m in range(points.place.shape[1]):
-            points.place[0, m] = points.place[AIM, m]
-    copy_twists(work.path.trial, shape)
+        copy_row(points.place[0], points.place[AIM])
+    copy_rows(work.path.trial, shape)
     found = evaluate_point(problem, work, b, 0, CLOSE, EVALUATIONS) and points.known[0, STABLE] > 0.0
     return BEST if found else -1
 
@@ -225,8 +211,7 @@ def _try_other_ends(problem, work, search, b, at_end, start, tolerance):  # type
     for _ in range(count):
         points.known[NEAR, HALF_COST] = math.inf
         for other in range(count):
-            for m in range(count):
-                points.place[AIM, m] = points.place[BEST, m]
+            copy_row(points.place[AIM], points.place[BEST])
             points.place[AIM, other] = 1.0 if points.place[BEST, other] < 0.5 else 0.0
             reach_and_keep(problem, work, search, b, AIM, TRIED, start, tolerance)
             if points.known[TRIED, HALF_COST] < points.known[NEAR, HALF_COST]:
@@ -320,13 +305,11 @@ def search_all(problem, shape, pool, spread, rounds, start, tolerance, first, la
             out.at_end[b] = _search(problem, work, search, fit, b, shape[b], pool, spread, rounds, start, tolerance)
             if math.isfinite(points.known[BEST, HALF_COST]):
                 break
-        for m in range(points.place.shape[1]):
-            out.place[b, m] = points.place[BEST, m]
-        copy_twists(out.twists[b], points.twists[BEST])
+        copy_row(out.place[b], points.place[BEST])
+        copy_rows(out.twists[b], points.twists[BEST])
         out.half_cost[b], out.how[b], out.optimality[b] = points.known[BEST, HALF_COST], search.how[BEST], math.nan
         if math.isfinite(out.half_cost[b]):
             out.optimality[b] = 2.0 * optimality(points.gradient[BEST], points.place[BEST])
         else:
             out.how[b] = FAILED
-        for s in range(len(search.start_cost)):
-            out.start_cost[b, s] = search.start_cost[s]
+        copy_row(out.start_cost[b], search.start_cost)

@@ -6,19 +6,16 @@ An actuator at (y, z) has the length `l_α = l + z κ_y - y κ_z` and the lever 
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float64
 
-from torcharm.engine.arms import Arms
+from torcharm.engine.arrays import Array
 from torcharm.engine.compilation import inlined_part, part
 from torcharm.engine.forces import _TRACE, MUSCLE, POLYNOMIAL, muscle
 from torcharm.engine.references import by_reference
 from torcharm.engine.tables import BENDING_CELLS, CURVIEST
 from torcharm.statics.cross_section import STRAIGHT
-
-Array = NDArray[Any]
 
 SQUEEZED = 1e-6
 """Of its neutral length: where an actuator's length is held for material curvatures, as of `rod.material_curvature`."""
@@ -26,60 +23,27 @@ SQUEEZED = 1e-6
 
 @by_reference
 class Drive(NamedTuple):
-    """M actuators at their pressures.
+    """M actuators at their pressures."""
 
-    Attributes:
-        row: (M, I) coefficients by powers of strain of the polynomials' forces, and of what built arms add to others'
-            [N].
-        row_slope: (M, I) the same, differentiated by pressure [N/kPa].
-        scale, stiffening: (M,) factors on the forces that are no polynomials, and on bending moments.
-        pressure, log_pressure: (M,) of pressures [kPa].
-        bending: (M,) bending stiffness [N·m²].
-        shrunk: (M,) the inverse of neutral lengths [1/m].
-        level: (M, E, 4) of sampled models, at the strains of their grids: f, its slope by strain, and both by pressure.
-    """
-
-    row: Array
-    row_slope: Array
-    scale: Array
-    stiffening: Array
-    pressure: Array
-    log_pressure: Array
-    bending: Array
-    shrunk: Array
-    level: Array
+    row: Float64[Array, "M I"]  # coefficients by powers of strain of polynomials' forces, and of what is added [N]
+    row_slope: Float64[Array, "M I"]  # the same, differentiated by pressure [N/kPa]
+    scale: Float64[Array, "M"]  # factors on the forces that are no polynomials
+    stiffening: Float64[Array, "M"]  # and on bending moments
+    pressure: Float64[Array, "M"]  # [kPa]
+    log_pressure: Float64[Array, "M"]
+    bending: Float64[Array, "M"]  # bending stiffness [N·m²]
+    shrunk: Float64[Array, "M"]  # the inverse of neutral lengths [1/m]
+    level: Float64[Array, "sampled E 4"]  # at the strains of sampled models' grids: f, ∂f/∂ε, and both by pressure
 
 
 @by_reference
 class Sections(NamedTuple):
-    """Reactions at N elements.
+    """Reactions at N elements."""
 
-    Attributes:
-        reaction: (N, C) [N, N·m].
-        slope: (N, C, C) by the element's own unknowns.
-        rate: (N, C, M) by pressures; zero for the actuators of other segments.
-        stiffness: (2,) the largest sums over a section's actuators of |∂f/∂ε| [N], and of that times the offset [N·m].
-    """
-
-    reaction: Array
-    slope: Array
-    rate: Array
-    stiffness: Array
-
-
-def make_drive(arms: Arms) -> Drive:
-    """Room for the actuators of one arm."""
-    count, powers = len(arms.models.kind), arms.models.table.shape[2]
-    level = np.zeros((count if (arms.tables.force >= 0).any() else 0, arms.tables.strain.shape[1], 4))
-    row, slope = np.zeros((2, count, powers))
-    scale, stiffening, pressure, logarithm, bending, shrunk = np.zeros((6, count))
-    return Drive(row, slope, scale, stiffening, pressure, logarithm, bending, shrunk, level)
-
-
-def make_sections(arms: Arms) -> Sections:
-    """Room for the sections of one arm."""
-    nodes, size, count = arms.first_node[-1], len(arms.unknown), len(arms.models.kind)
-    return Sections(np.zeros((nodes, size)), np.zeros((nodes, size, size)), np.zeros((nodes, size, count)), np.zeros(2))
+    reaction: Float64[Array, "N C"]  # [N, N·m]
+    slope: Float64[Array, "N C C"]  # by the element's own unknowns
+    rate: Float64[Array, "N C M"]  # by pressures; zero for the actuators of other segments
+    stiffness: Float64[Array, "2"]  # largest sums over a section of |∂f/∂ε| [N], and of that times the offset [N·m]
 
 
 @part

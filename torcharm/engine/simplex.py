@@ -4,51 +4,30 @@ import math
 from functools import cache
 from typing import Any, NamedTuple
 
-import numpy as np
+from jaxtyping import Float64
 
+from torcharm.engine.arrays import Array
 from torcharm.engine.compilation import part
 from torcharm.engine.references import by_reference
-
-Array = np.ndarray[Any, Any]
 
 
 @by_reference
 class Simplex(NamedTuple):
-    """A point, the simplex of the set's points nearest to it, and room to work in.
+    """A point, the simplex of the set's points nearest to it, and room to work in."""
 
-    Attributes:
-        target: (D,) the point w.
-        normal: (D,) a direction to begin with; then the unit normal from the set to the point.
-        weight: (D,) of the points whose mix is nearest; 0 where one is not needed.
-        pressure: (D, M) the pressures of these points.
-        corner: (D, D) these points, seen from w.
-        point, fresh: (D,), (M,) the set's point that was last asked for, seen from w, and its pressures.
-        nearest, face, trial, back: (D,) room.
-        turn: (D, D) how the set's point moves as the normal turns.
-        system: (2D - 1, 2D) equations that sharpen the answer.
-    """
-
-    target: Array
-    normal: Array
-    weight: Array
-    pressure: Array
-    corner: Array
-    point: Array
-    fresh: Array
-    nearest: Array
-    face: Array
-    trial: Array
-    back: Array
-    turn: Array
-    system: Array
-
-
-def make_simplex(actuators: int, dimension: int) -> Simplex:
-    """Room for one problem."""
-    square, row, rows = (dimension, dimension), (dimension,), 2 * dimension - 1
-    shapes: list[tuple[int, ...]] = [row, row, row, (dimension, actuators), square, row, (actuators,)]
-    shapes += [row, row, row, row, square, (rows, rows + 1)]
-    return Simplex(*(np.zeros(shape) for shape in shapes))
+    target: Float64[Array, "D"]  # the point w
+    normal: Float64[Array, "D"]  # a direction to begin with; then the unit normal from the set to the point
+    weight: Float64[Array, "D"]  # of the points whose mix is nearest; 0 where one is not needed
+    pressure: Float64[Array, "D M"]  # of these points
+    corner: Float64[Array, "D D"]  # these points, seen from w
+    point: Float64[Array, "D"]  # the set's point that was last asked for, seen from w
+    fresh: Float64[Array, "M"]  # its pressures
+    nearest: Float64[Array, "D"]
+    face: Float64[Array, "D"]
+    trial: Float64[Array, "D"]
+    back: Float64[Array, "D"]
+    turn: Float64[Array, "D D"]  # how the set's point moves as the normal turns
+    system: Float64[Array, "2*D-1 2*D"]  # equations that sharpen the answer
 
 
 @part

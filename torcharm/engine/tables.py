@@ -5,11 +5,11 @@ Forces are bicubic between grid points, by values and slopes there, refined unti
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from jaxtyping import Float64, Int64
 from torch import Tensor
 
 from torcharm.actuators import Actuator, force_slopes
@@ -23,11 +23,10 @@ from torcharm.actuators.bending import (
 )
 from torcharm.actuators.inspection import follows, same_model
 from torcharm.actuators.protocol import pressure_knots, sampled_of
+from torcharm.engine.arrays import Array
 from torcharm.engine.forces import SAMPLED, Models
 from torcharm.engine.references import by_reference
 from torcharm.inputs import plain_number
-
-Array = NDArray[Any]
 
 ACCURACY = 1e-6
 """Of the largest force at a strain: steps of Newton's method on the model itself then gain six digits each."""
@@ -46,23 +45,14 @@ cells for it: eighths of a radian a metre."""
 
 @by_reference
 class Tables(NamedTuple):
-    """Sampled models of M actuators: S of forces on E strains and P pressures, T of bending laws.
+    """Sampled models of M actuators: S of forces on E strains and P pressures, T of bending laws."""
 
-    Attributes:
-        force: (M,) which of the S models of forces.
-        strain: (S, E) grid, the last one repeated.
-        pressure: (S, P) grid, the last one repeated [kPa].
-        value: (S, E, P, 4) f, ∂f/∂ε, ∂f/∂p and ∂²f/∂ε∂p.
-        bent: (M,) which of the T bending laws, or -1 for a stiffness.
-        moment: (T, K, 4) τ_0, its slope by material curvature, and both of τ_1 for a pressure of 1 kPa [N·m].
-    """
-
-    force: Array
-    strain: Array
-    pressure: Array
-    value: Array
-    bent: Array
-    moment: Array
+    force: Int64[Array, "M"]  # which of the S models of forces
+    strain: Float64[Array, "S E"]  # grid, the last one repeated
+    pressure: Float64[Array, "S P"]  # grid, the last one repeated [kPa]
+    value: Float64[Array, "S E P 4"]  # f, ∂f/∂ε, ∂f/∂p and ∂²f/∂ε∂p
+    bent: Int64[Array, "M"]  # which of the T bending laws, or -1 for a stiffness
+    moment: Float64[Array, "T K 4"]  # τ_0, its slope by material curvature, and both of τ_1 for 1 kPa [N·m]
 
     @property
     def is_empty(self) -> bool:

@@ -8,32 +8,25 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float64
 
+from torcharm.engine.arrays import Array
 from torcharm.engine.compilation import kernel, part
 from torcharm.engine.depth import signed_distance_part
 from torcharm.engine.distance import nearest_part
 from torcharm.engine.references import by_reference
 from torcharm.engine.sharpen import leave_as_it_is
 
-Array = np.ndarray[Any, Any]
-
 
 @by_reference
 class VertexAnswers(NamedTuple):
-    """What is found, for B hulls with L points each.
+    """What is found, for B hulls with L points each."""
 
-    Attributes:
-        distance: (B, L), negative inside if that was asked for.
-        gap: (B, L) by how much of the problem's size it may be too long.
-        normal, weight: (B, L, D) unit normals, and the weights of the vertices whose mix is nearest.
-        vertex: (B, L, D) the numbers of these vertices.
-    """
-
-    distance: Array
-    gap: Array
-    normal: Array
-    weight: Array
-    vertex: Array
+    distance: Float64[Array, "B L"]  # negative inside if that was asked for
+    gap: Float64[Array, "B L"]  # by how much of the problem's size it may be too long
+    normal: Float64[Array, "B L D"]  # unit normals
+    weight: Float64[Array, "B L D"]  # of the vertices whose mix is nearest
+    vertex: Float64[Array, "B L D"]  # the numbers of these vertices
 
 
 @cache

@@ -6,20 +6,17 @@ by the second derivative along the step (geodesic acceleration; Transtrum and Se
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Bool, Float64
 
-from torcharm.engine.arms import Arms
+from torcharm.engine.arrays import Array
 from torcharm.engine.box_step import factor_free, largest_curvature, optimality, solve_free, write_box_step
 from torcharm.engine.compilation import part
+from torcharm.engine.copies import copy_row, copy_rows
 from torcharm.engine.newton_step import write_balance, write_shape
-from torcharm.engine.path import copy_twists
 from torcharm.engine.references import by_reference
 from torcharm.engine.sections import set_pressure, write_rates, write_section
-
-Array = NDArray[Any]
 
 FIT_STEPS, FIT_GAIN = 15, 1e-2
 """Steps of a fit where a descent begins, at most; and the share of the squared distance that one must promise, which is
@@ -39,38 +36,15 @@ Sethna)."""
 
 @by_reference
 class Fit(NamedTuple):
-    """Room for one fit.
+    """Room for one fit."""
 
-    Attributes:
-        place: (2, M) normalised pressures: where the fit is, and a place that is tried.
-        miss: (2, N, C) weighted residuals there.
-        rates: (M, N, C) of the first by the place.
-        gradient, normal: (M,), (M, M) of half the squared distance.
-        nothing: (M, M) zeros.
-        weight: (C,) roots of the weights of the components.
-    """
-
-    place: Array
-    miss: Array
-    rates: Array
-    gradient: Array
-    normal: Array
-    nothing: Array
-    weight: Array
-
-
-def make_fit(arms: Arms, weight: Array) -> Fit:
-    """Room for one arm at a time, and the roots of the weights (C,) of the components."""
-    nodes, columns, count = arms.first_node[-1], len(arms.unknown), len(arms.models.kind)
-    return Fit(
-        place=np.zeros((2, count)),
-        miss=np.zeros((2, nodes, columns)),
-        rates=np.zeros((count, nodes, columns)),
-        gradient=np.zeros(count),
-        normal=np.zeros((count, count)),
-        nothing=np.zeros((count, count)),
-        weight=weight,
-    )
+    place: Float64[Array, "2 M"]  # normalised pressures: where the fit is, and a place that is tried
+    miss: Float64[Array, "2 N C"]  # weighted residuals there
+    rates: Float64[Array, "M N C"]  # of the first by the place
+    gradient: Float64[Array, "M"]  # of half the squared distance
+    normal: Float64[Array, "M M"]  # its matrix of the normal equations
+    nothing: Float64[Array, "M M"]  # zeros
+    weight: Float64[Array, "C"]  # roots of the weights of the components
 
 
 @part
@@ -167,7 +141,6 @@ def fit_wrenches(problem, work, fit, b, twist, steps, gain):  # type: ignore[no-
     Returns:
         The squared distance at the first place, and whether the descent came to its end.
     """
-    count = len(fit.gradient)
     value = _evaluate(problem, work, fit, b, twist, 0)
     _write_normal(problem, work, fit, b, twist)
     damping = START_DAMPING
@@ -182,9 +155,8 @@ def fit_wrenches(problem, work, fit, b, twist, steps, gain):  # type: ignore[no-
         tried = _evaluate(problem, work, fit, b, twist, 1)
         if tried < value:
             value = tried
-            for m in range(count):
-                fit.place[0, m] = fit.place[1, m]
-            copy_twists(fit.miss[0], fit.miss[1])
+            copy_row(fit.place[0], fit.place[1])
+            copy_rows(fit.miss[0], fit.miss[1])
             _write_normal(problem, work, fit, b, twist)
             damping = max(0.1 * damping, LEAST_DAMPING)
         else:
@@ -194,21 +166,13 @@ def fit_wrenches(problem, work, fit, b, twist, steps, gain):  # type: ignore[no-
 
 @by_reference
 class FitAnswers(NamedTuple):
-    """Fits of B arms.
+    """Fits of B arms."""
 
-    Attributes:
-        place: (B, M) normalised pressures.
-        square: (B,) squared distances.
-        miss: (B, N, C) weighted residuals.
-        optimality: (B,) the largest entry of the projected gradient of half the squared distance.
-        done: (B,) whether the descents came to their ends.
-    """
-
-    place: Array
-    square: Array
-    miss: Array
-    optimality: Array
-    done: Array
+    place: Float64[Array, "B M"]  # normalised pressures
+    square: Float64[Array, "B"]  # squared distances
+    miss: Float64[Array, "B N C"]  # weighted residuals
+    optimality: Float64[Array, "B"]  # the largest entry of the projected gradient of half the squared distance
+    done: Bool[Array, "B"]  # whether the descents came to their ends
 
 
 @part
@@ -224,16 +188,12 @@ def fit_all(problem, shape, starts, first, last, work, fit, out):  # type: ignor
         write_carried(problem, work, b, shape[b])
         out.square[b] = math.inf
         for s in range(len(starts)):
-            for m in range(len(fit.gradient)):
-                fit.place[0, m] = starts[s, m]
+            copy_row(fit.place[0], starts[s])
             value, done = fit_wrenches(problem, work, fit, b, shape[b], STEPS, GAIN)
             if value < out.square[b]:
                 _evaluate(problem, work, fit, b, shape[b], 0)
                 out.square[b], out.done[b] = value, done
                 _write_normal(problem, work, fit, b, shape[b])
                 out.optimality[b] = optimality(fit.gradient, fit.place[0])
-                for m in range(len(fit.gradient)):
-                    out.place[b, m] = fit.place[0, m]
-                for i in range(fit.miss.shape[1]):
-                    for c in range(fit.miss.shape[2]):
-                        out.miss[b, i, c] = fit.miss[0, i, c]
+                copy_row(out.place[b], fit.place[0])
+                copy_rows(out.miss[b], fit.miss[0])

@@ -12,12 +12,13 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
-from torcharm.engine.arms import Arms, Loads, arms_of, numbers
+from torcharm.engine.arms import Arms, Loads, arms_of, flat, sizes_of
+from torcharm.engine.arrays import Array, make
 from torcharm.engine.loads import loads_of
-from torcharm.engine.path import Array, Found, Scale
+from torcharm.engine.path import Found, Scale
 from torcharm.engine.pose_error import NO_GOAL
 from torcharm.engine.pressure_model import Problem as EngineProblem
-from torcharm.engine.questions import EQUILIBRIA, SOLUTIONS, Given, answer, make_found
+from torcharm.engine.questions import EQUILIBRIA, SOLUTIONS, Given, answer
 from torcharm.load import ExternalLoad
 from torcharm.statics.balance import balance_residual, unknown_columns
 
@@ -81,7 +82,7 @@ class Problem:
     @cached_property
     def packed(self) -> "Packed":
         """The problems as the engine takes them."""
-        pressure = numbers(self.pressure.expand(*self.batch, -1).reshape(self.count, self.arm.actuator_count))
+        pressure = flat(self.pressure, self.batch)
         highest = pressure.max(0) if self.count else np.zeros(self.arm.actuator_count)
         arms = arms_of(self.arm, self.batch, self.nodes, self.shear_stiffness, highest)
         loads = loads_of(self.arm, self.load, self.base_pose, self.batch, self.nodes, middle=self.wrench_at == "middle")
@@ -104,7 +105,7 @@ class Packed:
             start: (B, N, K) twists of warm starts, or of none (0, N, K).
             tolerance: of the load scale.
         """
-        found = make_found(len(self.pressure), int(self.arms.first_node[-1]), self.arms.size)
+        found = make(Found, sizes_of(self.arms, B=len(self.pressure)))
         answer(EQUILIBRIA, self._asked, tolerance, Given(start=start), found=found)
         return found
 

@@ -17,12 +17,13 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
-from torcharm.engine.arms import numbers
+from torcharm.engine.arms import flat
 from torcharm.engine.continuation import CONTINUED
 from torcharm.equilibrium.correction import corrected
 from torcharm.equilibrium.gradient import with_gradients
 from torcharm.equilibrium.problem import Problem
 from torcharm.equilibrium.stability import buckles_in_torsion, lengths_positive, stays, strain_excess
+from torcharm.equilibrium.status import status_word
 from torcharm.geometry import rod
 from torcharm.geometry.rod import as_base, check_rigid, goes_by_name, group_of
 from torcharm.inputs import (
@@ -39,7 +40,6 @@ from torcharm.inputs import (
     check_tensor,
     one_for_all,
     refuse_transforms,
-    shapes_only,
     shown,
 )
 from torcharm.load import ExternalLoad, check_tip
@@ -105,18 +105,10 @@ class Equilibrium(HoldsTensors):
     in_range: Tensor
     _problem: Problem = field(repr=False)
 
-    def __repr__(self) -> str:
-        """Shapes, no numbers."""
-        return shapes_only(self)
-
     @property
     def status(self) -> str | NDArray[np.str_]:
         """What to think of it, in a word of `WORDS`: one, or an array (*batch) of them."""
-        code = np.where(self.continued.numpy(force=True), 0, 1)
-        code = np.where(self.stable.numpy(force=True), code, 2)
-        code = np.where(self.converged.numpy(force=True), code, 3)
-        code = np.where(self.possible.numpy(force=True), code, 4)
-        return WORDS[int(code)] if code.ndim == 0 else np.array(WORDS)[code]
+        return status_word(WORDS, self.continued, self.stable, self.converged, self.possible)
 
     @property
     def load(self) -> ExternalLoad:
@@ -235,11 +227,7 @@ def solved(problem: Problem, start: Tensor | None = None, tolerance: float = TOL
     """The equilibria of a problem, in its dtype; arguments as of `solve_equilibrium`."""
     given, problem = problem.pressure, problem.double()
     size = (sum(problem.nodes), 3 if problem.arm.dimension == 2 else 6)
-    warm = (
-        np.zeros((0, *size))
-        if start is None
-        else numbers(start.expand(*problem.batch, *size).reshape(problem.count, *size))
-    )
+    warm = np.zeros((0, *size)) if start is None else flat(start, problem.batch, 2)
     packed = problem.packed
     found = packed.find(warm, tolerance)
     if not packed.arms.tables.is_empty:

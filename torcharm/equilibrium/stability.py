@@ -13,7 +13,7 @@ from torcharm.equilibrium.problem import Packed, Problem
 from torcharm.geometry.rod import actuator_lengths, strain
 from torcharm.inputs import plain_number
 from torcharm.statics.balance import segments_of, tilt_stiffness
-from torcharm.statics.cross_section import RANGE_SLACK, cross_sections, per_actuator
+from torcharm.statics.cross_section import RANGE_SLACK, characterised_range, cross_sections
 
 EIGENVALUES_AT_ONCE = 4096
 """Matrices whose inverses are held at once: 30 MB of 30 by 30."""
@@ -96,9 +96,8 @@ def beyond_range(problem: Problem, twists: Tensor) -> Iterator[tuple[Tensor, Ten
     for segment, shape in zip(segments_of(problem.arm)[0], twists.split(problem.nodes, -2), strict=True):
         across = segment.radii if segment.dimension == 2 else segment.offsets
         own = strain(actuator_lengths(shape, across), segment.length.unsqueeze(-2))
-        low, high = (per_actuator([model.strain_range[end] for model in segment.actuators], own) for end in (0, 1))
+        low, high, beyond = characterised_range(segment.actuators, own)
         width = high - low
-        beyond = torch.maximum(low - own, own - high)
         finite = torch.where(width.isfinite() & (width > 0), width, 1.0)
         yield own, beyond, finite, torch.where(beyond == own - high, 1.0, -1.0)
 

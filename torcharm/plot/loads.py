@@ -21,8 +21,8 @@ from torcharm.attainability import evaluate
 from torcharm.inputs import TensorLike, as_floating, check_choice, check_count, shown
 from torcharm.load import ExternalLoad
 from torcharm.plot._common import VERDICT_STYLES, Array, array, axes_or_new, mark_inks
+from torcharm.statics.balance import segments_of
 from torcharm.task import WRENCH_AT, Task
-from torcharm.wrench_sets.design_task_grid import segments_of
 
 FORCES = ("tip force $f_x$ (right) [N]", "tip force $f_y$ (up) [N]", "tip force $f_z$ (to the viewer) [N]")
 AZIMUTH = "azimuth of the force [°] (0 right, 90 to the viewer)"
@@ -292,7 +292,7 @@ def attainable_load_map(
         task = shape
     else:
         task = Task(shape.detach(), None, base_pose, ExternalLoad(), wrench_at or WRENCH_AT)
-    like = segments_of(arm)[0].radii
+    like = segments_of(arm)[0][0].radii
     if math.prod(task.twists.shape[:-2]) != 1:
         raise ValueError(f"shape: must be one, (N, 3) or (N, 6), got {tuple(task.twists.shape)}")
     places = (load_grid(plane="xy" if arm.dimension == 3 else None) if loads is None else loads).to(like)

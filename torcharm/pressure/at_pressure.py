@@ -8,8 +8,7 @@ from torch import Tensor
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.equilibrium.solve import solved
-from torcharm.equilibrium.stability import lengths_positive
-from torcharm.pressure.errors import errors_of
+from torcharm.pressure.errors import errors_of, outcome
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.pressure.predicted_error import PredictedError
 from torcharm.pressure.prepared import prepare
@@ -36,26 +35,14 @@ def error_at_pressure(
     problem = prepared.problem
     held = torch.minimum(pressure.to(problem.pressure), problem.pressure)
     found = solved(replace(problem, pressure=held))
-    with torch.no_grad():
-        possible = lengths_positive(problem, prepared.twists).expand(prepared.batch)
-    stable = found.stable & possible
-    errors = errors_of(prepared, held, found.twists, found.converged, stable)
-    columns = (
-        errors.tip_error,
-        errors.tip_rotation_error,
-        errors.shape_error,
-        errors.cost,
-        errors.per_node,
-        errors.pose_errors,
-        errors.pressure,
-        errors.twists,
-        torch.full(prepared.batch, float("nan"), dtype=held.dtype),
-        found.converged,
-        stable,
-        stable,
-        found.continued & stable,
-        found.strain_excess,
-        found.in_range,
-        possible,
+    stable = found.stable & prepared.possible
+    return outcome(
+        PredictedError,
+        prepared,
+        errors_of(prepared, held, found.twists, found.converged, stable),
+        optimality=torch.full(prepared.batch, float("nan"), dtype=held.dtype),
+        converged=found.converged,
+        stable=stable,
+        at_minimum=stable,
+        reached=found.continued & stable,
     )
-    return PredictedError(*(prepared.given_back(column) for column in columns))

@@ -6,40 +6,63 @@ theorem.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
 from torcharm.engine.descent import FLOOR
 from torcharm.equilibrium.gradient import with_gradients
+from torcharm.equilibrium.stability import strain_excess
 from torcharm.geometry.rod import group_of
+from torcharm.inputs import HoldsTensors
 from torcharm.pressure.pose_cost import pose_errors
 from torcharm.pressure.prepared import Prepared
 
 
-@dataclass(frozen=True, eq=False)
-class Errors:
-    """Of the shapes of a batch, with their gradients.
+@dataclass(frozen=True, eq=False, repr=False)
+class Errors(HoldsTensors):
+    """Of the shapes of a batch, with their gradients; attributes as of `PredictedError`."""
 
-    Attributes:
-        cost: (*batch) `Σ ω_i e_iᵀ K e_i` [m²].
-        shape_error: (*batch) `sqrt(Σ ω_i e_iᵀ K e_i / Σ ω_i)` [m].
-        tip_error, tip_rotation_error: (*batch) distance [m] and turn [rad] of the tip from the task's.
-        per_node: (*batch, N+1) `sqrt(e_iᵀ K e_i)` [m].
-        pose_errors: (*batch, N+1, 3 or 6) e_i [m, rad].
-        pressure: (*batch, M) [kPa].
-        twists: (*batch, N, K) [m, rad].
-    """
-
-    cost: Tensor
-    shape_error: Tensor
     tip_error: Tensor
     tip_rotation_error: Tensor
+    shape_error: Tensor
+    cost: Tensor
     per_node: Tensor
     pose_errors: Tensor
     pressure: Tensor
     twists: Tensor
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Outcome(Errors):
+    """What is said alike of pressures that are predicted, searched for and given; attributes as of `PredictedError`."""
+
+    optimality: Tensor
+    converged: Tensor
+    stable: Tensor
+    strain_excess: Tensor
+    in_range: Tensor
+    possible: Tensor
+
+
+Told = TypeVar("Told", bound=Outcome)
+
+
+def outcome(kind: type[Told], prepared: Prepared, errors: Errors, **found: Tensor) -> Told:
+    """Errors and what else was found, in the dtype and on the device of what was given.
+
+    Args:
+        kind: of outcome.
+        prepared: the problems.
+        errors: the errors, with the pressures and shapes that they are of.
+        found: all other attributes, but those of what is in range and what is possible.
+    """
+    with torch.no_grad():
+        excess, within = strain_excess(replace(prepared.problem, pressure=errors.pressure), errors.twists)
+    ranges = {"strain_excess": excess, "in_range": within, "possible": prepared.possible}
+    columns = vars(errors) | found | {name: value.expand(prepared.batch) for name, value in ranges.items()}
+    return kind(**{name: prepared.given_back(value) for name, value in columns.items()})
 
 
 def errors_at(prepared: Prepared, place: Tensor, twists: Tensor, known: Tensor, stable: Tensor) -> Errors:
@@ -73,10 +96,10 @@ def errors_of(prepared: Prepared, pressure: Tensor, reached: Tensor, known: Tens
     tip = square[..., -1, :]
     infinite = float("inf")
     return Errors(
-        cost=_masked(cost, stable, infinite),
-        shape_error=_masked(root(cost / omega, floor), stable, infinite),
         tip_error=_masked(root(tip[..., :split].sum(-1), floor), stable, infinite),
         tip_rotation_error=_masked(root(tip[..., split:].sum(-1), floor), stable, infinite),
+        shape_error=_masked(root(cost / omega, floor), stable, infinite),
+        cost=_masked(cost, stable, infinite),
         per_node=_masked(root((diagonal * square).sum(-1), floor.unsqueeze(-1)), stable, infinite),
         pose_errors=_masked(error, stable, float("nan")),
         pressure=pressure,

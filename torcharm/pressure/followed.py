@@ -16,7 +16,6 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
-from torcharm.engine.arms import numbers
 from torcharm.equilibrium.gradient import with_gradients
 from torcharm.equilibrium.stability import share_beyond_range
 from torcharm.pressure.errors import errors_at
@@ -92,10 +91,8 @@ def _rates(plain: Prepared, place: Tensor, twists: Tensor, ahead: Tensor) -> Ten
         len(ahead), plain.problem.count, *change.shape[-2:]
     )
     right = np.ascontiguousarray(-0.5 * change.movedim(0, 1).numpy())
-    flat = numbers(twists.expand(*plain.batch, *twists.shape[-2:]).reshape(plain.problem.count, *twists.shape[-2:]))
-    replace(plain.problem.packed, pressure=plain.flat(plain.at(place).pressure, 1)).solve(
-        flat, np.arange(plain.problem.count), right
-    )
+    packed = replace(plain.problem.packed, pressure=plain.flat(plain.at(place).pressure, 1))
+    packed.solve(plain.flat(twists, 2), np.arange(plain.problem.count), right)
     moved = torch.zeros(len(ahead), *twists.expand(*plain.batch, *twists.shape[-2:]).shape, dtype=twists.dtype)
     moved[..., plain.problem.unknown] = plain.shaped(right).movedim(len(plain.batch), 0)
     return moved

@@ -17,13 +17,14 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
+from torcharm.engine.arms import sizes_of
+from torcharm.engine.arrays import make
 from torcharm.engine.descent import HELD_UP, NO_GAIN, OPTIMUM
 from torcharm.engine.predictions import SCREENED, Predictions
-from torcharm.engine.questions import PREDICTIONS, Given, answer, make_predictions
+from torcharm.engine.questions import PREDICTIONS, Given, answer
 from torcharm.equilibrium.solve import TOLERANCE
-from torcharm.equilibrium.stability import lengths_positive, strain_excess
-from torcharm.inputs import HoldsTensors, shapes_only
-from torcharm.pressure.errors import errors_at
+from torcharm.equilibrium.status import status_word
+from torcharm.pressure.errors import Outcome, errors_at, outcome
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.pressure.prepared import Prepared, detached, prepare, stays_at
 from torcharm.task import Task, for_each_task
@@ -38,7 +39,7 @@ MINIMA = (OPTIMUM, NO_GAIN, HELD_UP)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PredictedError(HoldsTensors):
+class PredictedError(Outcome):
     """What `predict_error` found, of shape (*design batch, *task batch).
 
     Attributes:
@@ -70,22 +71,8 @@ class PredictedError(HoldsTensors):
         ('converged', [33.0, 100.0, 100.0, 21.0])
     """
 
-    tip_error: Tensor
-    tip_rotation_error: Tensor
-    shape_error: Tensor
-    cost: Tensor
-    per_node: Tensor
-    pose_errors: Tensor
-    pressure: Tensor
-    twists: Tensor
-    optimality: Tensor
-    converged: Tensor
     at_minimum: Tensor
-    stable: Tensor
     reached: Tensor
-    strain_excess: Tensor
-    in_range: Tensor
-    possible: Tensor
 
     DOUBTS: ClassVar[Mapping[str, str]] = {
         "not converged": "a stable shape, but perhaps not the best pressure: search_pressure may find a better one",
@@ -95,17 +82,10 @@ class PredictedError(HoldsTensors):
     }
     """Why a task is left undecided, by the status, and what to try."""
 
-    def __repr__(self) -> str:
-        """Shapes, no numbers."""
-        return shapes_only(self)
-
     @property
     def status(self) -> str | NDArray[Any]:
         """What to think of it, in a word of `WORDS`: one, or an array of them."""
-        code = np.where(self.converged.numpy(force=True), 0, 1)
-        for rank, flag in enumerate((self.reached, self.at_minimum, self.stable, self.possible), 2):
-            code = np.where(flag.numpy(force=True), code, rank)
-        return WORDS[int(code)] if code.ndim == 0 else np.array(WORDS)[code]
+        return status_word(WORDS, self.converged, self.reached, self.at_minimum, self.stable, self.possible)
 
 
 @overload
@@ -162,43 +142,29 @@ def prediction(
     prepared = prepare(arm, task, pose_cost)
     plain = detached(prepared)
     found = _found(plain)
-    with torch.no_grad():
-        possible = lengths_positive(plain.problem, plain.twists).expand(prepared.batch)
     place, twists = plain.shaped(found.place), plain.shaped(found.twists)
-    stable = plain.shaped(stays_at(plain, found.place, found.twists, found.stable)) & possible
+    stable = plain.shaped(stays_at(plain, found.place, found.twists, found.stable)) & prepared.possible
     converged = plain.shaped(found.ended == OPTIMUM) & stable
     at_minimum = plain.shaped(np.isin(found.ended, MINIMA)) & stable
     errors = errors_at(prepared, place, twists, stable if held else converged, stable)
-    with torch.no_grad():
-        excess, within = strain_excess(plain.at(place), twists)
-    columns = (
-        errors.tip_error,
-        errors.tip_rotation_error,
-        errors.shape_error,
-        errors.cost,
-        errors.per_node,
-        errors.pose_errors,
-        errors.pressure,
-        errors.twists,
-        plain.shaped(found.slope),
-        converged,
-        at_minimum,
-        stable,
-        plain.shaped(found.reached) & stable,
-        excess.expand(prepared.batch),
-        within.expand(prepared.batch),
-        possible,
+    return outcome(
+        PredictedError,
+        prepared,
+        errors,
+        optimality=plain.shaped(found.slope),
+        converged=converged,
+        stable=stable,
+        at_minimum=at_minimum,
+        reached=plain.shaped(found.reached) & stable,
     )
-    return PredictedError(*(prepared.given_back(column) for column in columns))
 
 
 def _found(prepared: Prepared) -> Predictions:
     """What the engine finds."""
-    problem, shape = prepared.engine, prepared.start
-    count, actuators = problem.limit.shape
-    sobol = torch.quasirandom.SobolEngine(actuators).draw(1 + SCREENED[-1], dtype=torch.float64)
-    draws = sobol[1:].numpy()
-    out = make_predictions(count, shape.shape[1], shape.shape[2], actuators)
-    given = Given(twists=shape, places=draws, weight=prepared.wrench_weights)
+    problem = prepared.engine
+    sizes = sizes_of(problem.arms, B=len(problem.limit))
+    sobol = torch.quasirandom.SobolEngine(sizes["M"]).draw(1 + SCREENED[-1], dtype=torch.float64)
+    out = make(Predictions, sizes)
+    given = Given(twists=prepared.start, places=sobol[1:].numpy(), weight=prepared.wrench_weights)
     answer(PREDICTIONS, problem, TOLERANCE, given, predictions=out)
     return out

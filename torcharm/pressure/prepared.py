@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries, RigidLink
-from torcharm.engine.arms import numbers, pose_rows
+from torcharm.arm_series import ArmSeries
+from torcharm.engine.arms import flat, pose_rows
 from torcharm.engine.continuation import CONTINUED, FAILED
 from torcharm.engine.path import Found
 from torcharm.engine.pose_error import Goal
 from torcharm.engine.pressure_model import Problem as EngineProblem
 from torcharm.equilibrium.problem import Problem
-from torcharm.equilibrium.stability import stays
+from torcharm.equilibrium.stability import lengths_positive, stays
 from torcharm.geometry import rod
 from torcharm.inputs import check_above_zero, shown
 from torcharm.pressure.pose_cost import PoseCost
@@ -65,6 +65,12 @@ class Prepared:
         """(*#batch, N+1, 3 or 6) of the squared errors of poses."""
         return self.cost.weights(self.nodes, self.problem.arm.neutral_length, self.dimension)
 
+    @cached_property
+    def possible(self) -> Tensor:
+        """(*batch) whether every length of the shape that is wanted is above 0."""
+        with torch.no_grad():
+            return lengths_positive(self.problem, self.twists).expand(self.batch)
+
     def poses(self, twists: Tensor) -> Tensor:
         """Poses (..., N+1, 3) or (..., N+1, 4, 4) of twists (..., N, K)."""
         links = [None if link is None else link.end(self.dimension) for link in segments_of(self.problem.arm)[1]]
@@ -73,8 +79,7 @@ class Prepared:
 
     def flat(self, value: Tensor, data: int) -> Numbers:
         """A tensor (*#batch, ...) as numbers (B, ...), of so many dimensions of data."""
-        tail = value.shape[value.ndim - data :]
-        return numbers(value.expand(*self.batch, *tail).reshape(self.problem.count, *tail))
+        return flat(value, self.batch, data)
 
     def shaped(self, value: Numbers) -> Tensor:
         """Numbers (B, ...) as a tensor (*batch, ...)."""
@@ -185,19 +190,8 @@ def _mapped(
     """Designs with every tensor (*batch, M) or (*batch, 1) changed, and those of links, which serve all designs."""
     if isinstance(arm, ArmDesign):
         return arm._map(change)
-    links = tuple(None if link is None else _mapped_link(link, change_link) for link in arm.links)
+    links = tuple(None if link is None else link._map(change_link) for link in arm.links)
     return ArmSeries(tuple(segment._map(change) for segment in arm.segments), links)
-
-
-def _mapped_link(link: RigidLink, change: Callable[[Tensor], Tensor]) -> RigidLink:
-    for name, value in (("mass", link.mass), ("length", link.length)):
-        if value is not None and value.ndim:
-            raise ValueError(f"links: must be one link for all designs, got a {name} of shape {tuple(value.shape)}")
-    new = object.__new__(RigidLink)
-    for name in ("length", "pose", "mass"):
-        value = getattr(link, name)
-        object.__setattr__(new, name, None if value is None else change(value))
-    return new
 
 
 def stays_at(prepared: Prepared, place: Numbers, twists: Numbers, known: Numbers) -> Numbers:

@@ -12,10 +12,9 @@ from torcharm.equilibrium.problem import Packed
 from torcharm.equilibrium.solve import TOLERANCE
 from torcharm.equilibrium.stability import stays
 from torcharm.inputs import check_choice
-from torcharm.pressure.outcome import nothing_found
 from torcharm.pressure.pose_cost import pose_errors
 from torcharm.pressure.prepared import Prepared
-from torcharm.pressure.starts import spread_points
+from torcharm.pressure.starts import nothing_found, spread_points
 
 SCIPY_METHODS = ("L-BFGS-B", "SLSQP", "TNC", "trust-constr", "Nelder-Mead", "Powell", "COBYLA")
 NOTHING = 1e3

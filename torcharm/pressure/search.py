@@ -11,37 +11,38 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
+from torcharm.engine.arms import sizes_of
+from torcharm.engine.arrays import make
 from torcharm.engine.continuation import CONTINUED, FAILED
-from torcharm.engine.pressure_model import make_work
-from torcharm.engine.search_room import LOADED, make_search
+from torcharm.engine.pressure_model import Work
+from torcharm.engine.search_room import LOADED, Search
 from torcharm.engine.searches import LOT, Searches, search_all
 from torcharm.engine.threads import spread
-from torcharm.engine.wrench_fit import make_fit
+from torcharm.engine.wrench_fit import Fit
 from torcharm.equilibrium.solve import TOLERANCE, NotConvergedError
-from torcharm.equilibrium.stability import lengths_positive, strain_excess
-from torcharm.inputs import HoldsTensors, check_choice, check_count, check_flag, shapes_only
-from torcharm.pressure.errors import errors_at
-from torcharm.pressure.outcome import nothing_found
+from torcharm.equilibrium.status import status_word
+from torcharm.inputs import check_choice, check_count, check_flag
+from torcharm.pressure.errors import Outcome, errors_at, outcome
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.pressure.prepared import Prepared, detached, prepare, stays_at
-from torcharm.pressure.starts import spread_points
+from torcharm.pressure.starts import nothing_found, spread_points
 from torcharm.task import Task, for_each_task
 
 METHODS = ("multistart", "scipy")
 STARTS = {"multistart": 8, "scipy": 1}
 ROUNDS = 4
 """Ends of descents that continuation does not reach, from which a search goes on along a boundary."""
-WORDS = ("converged", "snapped", "not converged", "not found", "impossible")
-"""What may be said of a search. Snapped: the arm gets there by a snap, not along one branch from zero load. Not
-converged: an equilibrium that is reached, but the descent did not come to its end, or leads on to where continuation
-does not follow: the pressure then is next to a jump. Not found: no start led to a stable equilibrium. Impossible:
+WORDS = ("converged", "not converged", "snapped", "not found", "impossible")
+"""What may be said of a search. Not converged: an equilibrium that is reached, but the descent did not come to its end,
+or leads on to where continuation does not follow: the pressure then is next to a jump. Snapped: the arm gets there by a
+snap, not along one branch from zero load. Not found: no start led to a stable equilibrium. Impossible:
 the task's shape leaves an actuator no length."""
 LESS_COMPRESSION = "a lower load, a stiffer arm, or antagonists that push and pull against each other"
 """What keeps an arm from buckling, for a person who may change it."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PressureSearch(HoldsTensors):
+class PressureSearch(Outcome):
     """What `search_pressure` found; `batch` is (*design batch, *task batch).
 
     Attributes:
@@ -71,21 +72,7 @@ class PressureSearch(HoldsTensors):
         ('converged', 22)
     """
 
-    pressure: Tensor
-    tip_error: Tensor
-    tip_rotation_error: Tensor
-    shape_error: Tensor
-    cost: Tensor
-    per_node: Tensor
-    pose_errors: Tensor
-    twists: Tensor
-    optimality: Tensor
-    converged: Tensor
     continued: Tensor
-    stable: Tensor
-    possible: Tensor
-    strain_excess: Tensor
-    in_range: Tensor
     start_cost: Tensor
 
     DOUBTS: ClassVar[Mapping[str, str]] = {
@@ -96,10 +83,6 @@ class PressureSearch(HoldsTensors):
         "not found": f"no start led to a stable equilibrium: try more starts, {LESS_COMPRESSION}",
     }
     """Why a task is left undecided, by the status, and what to try."""
-
-    def __repr__(self) -> str:
-        """Shapes, no numbers."""
-        return shapes_only(self)
 
     @property
     def spread(self) -> Tensor:
@@ -120,11 +103,7 @@ class PressureSearch(HoldsTensors):
     @property
     def status(self) -> str | NDArray[Any]:
         """What to think of it, in a word of `WORDS`: one, or an array of them."""
-        code = np.where(self.converged.numpy(force=True), 0, 2)
-        code = np.where(self.continued.numpy(force=True), code, 1)
-        code = np.where(self.stable.numpy(force=True), code, 3)
-        code = np.where(self.possible.numpy(force=True), code, 4)
-        return WORDS[int(code)] if code.ndim == 0 else np.array(WORDS)[code]
+        return status_word(WORDS, self.converged, self.continued, self.stable, self.possible)
 
 
 class Options(TypedDict, total=False):
@@ -240,33 +219,20 @@ def search_pressure(
 def _result(prepared: Prepared, plain: Prepared, found: Searches) -> PressureSearch:
     """What is said of what was found."""
     place, twists = plain.shaped(found.place), plain.shaped(found.twists)
-    with torch.no_grad():
-        possible = lengths_positive(plain.problem, plain.twists).expand(plain.batch)
-    stable = plain.shaped(stays_at(plain, found.place, found.twists, found.how != FAILED)) & possible
+    stable = plain.shaped(stays_at(plain, found.place, found.twists, found.how != FAILED)) & prepared.possible
     continued = plain.shaped(found.how == CONTINUED) & stable
     converged = plain.shaped(found.at_end) & continued
     errors = errors_at(prepared, place, twists, converged, stable)
-    with torch.no_grad():
-        excess, within = (value.expand(plain.batch) for value in strain_excess(plain.at(place), twists))
-    columns = (
-        errors.pressure,
-        errors.tip_error,
-        errors.tip_rotation_error,
-        errors.shape_error,
-        errors.cost,
-        errors.per_node,
-        errors.pose_errors,
-        errors.twists,
-        plain.shaped(found.optimality),
-        converged,
-        continued,
-        stable,
-        possible,
-        excess,
-        within,
-        plain.shaped(found.start_cost),
+    return outcome(
+        PressureSearch,
+        prepared,
+        errors,
+        optimality=plain.shaped(found.optimality),
+        converged=converged,
+        stable=stable,
+        continued=continued,
+        start_cost=plain.shaped(found.start_cost),
     )
-    return PressureSearch(*(prepared.given_back(column) for column in columns))
 
 
 def _found(prepared: Prepared, starts: int, rounds: int, seed: int) -> Searches:
@@ -281,11 +247,11 @@ def _found(prepared: Prepared, starts: int, rounds: int, seed: int) -> Searches:
     places[1] = 0.0  # no pressure at all
     start, pressure = np.zeros((0, *shape.shape[1:])), np.zeros_like(problem.limit)
     slots = LOADED + len(pool) // LOT + len(places)
+    sizes = sizes_of(problem.arms, slots=slots, starts=starts, pool=len(pool))
 
     def work(first: int, last: int) -> None:
-        room = make_work(problem.arms, pressure, slots)
-        search = make_search(problem.arms, starts, len(pool), slots)
-        fit, draws = make_fit(problem.arms, prepared.wrench_weights), pool.numpy()
+        room, search = make(Work, sizes, pressure=pressure), make(Search, sizes)
+        fit, draws = make(Fit, sizes, weight=prepared.wrench_weights), pool.numpy()
         search_all(problem, shape, draws, places, rounds, start, TOLERANCE, first, last, room, search, fit, out)
 
     spread(len(shape), work)

@@ -9,9 +9,11 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
-from torcharm.engine.questions import FITS, Given, answer, make_fits
+from torcharm.engine.arms import sizes_of
+from torcharm.engine.arrays import make
+from torcharm.engine.questions import FITS, Given, answer
 from torcharm.engine.wrench_fit import FitAnswers
-from torcharm.inputs import HoldsTensors, as_floating, check_at_least, check_count, check_finite, shapes_only
+from torcharm.inputs import HoldsTensors, as_floating, check_at_least, check_count, check_finite
 from torcharm.pressure.prepared import Prepared, detached, prepare
 from torcharm.pressure.starts import spread_points
 from torcharm.statics.external_load import HULL
@@ -41,10 +43,6 @@ class PressureFit(HoldsTensors):
     per_node: Tensor
     optimality: Tensor
     converged: Tensor
-
-    def __repr__(self) -> str:
-        """Shapes, no numbers."""
-        return shapes_only(self)
 
 
 def fit_pressure(
@@ -109,7 +107,6 @@ def _fitted(prepared: Prepared, force: float, moment: float, starts: NDArray[np.
             for column in problem.arms.unknown
         ]
     )
-    count, actuators = problem.limit.shape
-    fits = make_fits(count, shape.shape[1], len(weight), actuators)
+    fits = make(FitAnswers, sizes_of(problem.arms, B=len(problem.limit)))
     answer(FITS, problem, 0.0, Given(twists=shape, places=starts, weight=weight), fits=fits)
     return fits

@@ -160,6 +160,13 @@ def per_actuator(values: Sequence[float | Tensor], like: Tensor) -> Tensor:
     return like.new_tensor(values)
 
 
+def characterised_range(actuators: Sequence[Actuator], own_strain: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The ends (M) of actuators' characterised ranges of strain, and how far strains (..., M) lie beyond the nearer
+    one; negative within."""
+    low, high = (per_actuator([model.strain_range[end] for model in actuators], own_strain) for end in (0, 1))
+    return low, high, torch.maximum(low - own_strain, own_strain - high)
+
+
 def actuator_force(actuators: tuple[Actuator, ...], own_strain: Tensor, pressure: Tensor) -> Tensor:
     """Axial forces (..., M) [N]. Models that are the same are asked together: the cost follows the number of kinds.
 

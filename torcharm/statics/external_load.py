@@ -212,14 +212,25 @@ def _weight(rod: _Rod, mass: Tensor) -> Tensor:
     return torch.cat((force, force.new_zeros(*force.shape[:-1], rod.step.shape[-1] - rod.group.DIMENSION)), -1)
 
 
-def _point_load(rod: _Rod, point: PointLoad, *, gravity: bool) -> list[Part]:
-    """A point load's wrench and weight, on the elements before it."""
-    first, count = sum(rod.counts[: point.segment]), rod.counts[point.segment]
+def place_of(point: PointLoad, counts: Sequence[int]) -> tuple[int, float]:
+    """Where a point load is: the element, and the fraction of it, 0 only where the load's segment begins."""
+    first, count = sum(counts[: point.segment]), counts[point.segment]
     along = point.at * count
     along = round(along) if abs(along - round(along)) < _ON_A_NODE else along
     local = max(math.ceil(along) - 1, 0)
-    pose = rod.pose_at(first + local, along - local)
-    element, fraction = (first + local, along - local) if along > 0 else (first - 1, 1.0)
+    return first + local, along - local
+
+
+def carrier(element: int, fraction: float) -> tuple[int, float]:
+    """The last element that carries a load at such a place, and to which fraction of it; -1 if only the base does."""
+    return (element, fraction) if fraction > 0 else (element - 1, 1.0)
+
+
+def _point_load(rod: _Rod, point: PointLoad, *, gravity: bool) -> list[Part]:
+    """A point load's wrench and weight, on the elements before it."""
+    element, fraction = place_of(point, rod.counts)
+    pose = rod.pose_at(element, fraction)
+    element, fraction = carrier(element, fraction)
     if element < 0:
         return []  # the base carries it
     place, parts = rod.group.position(pose), []

@@ -13,6 +13,7 @@ from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries, RigidLink
 from torcharm.inputs import refuse_transforms, shown
 from torcharm.load import ExternalLoad
+from torcharm.statics.balance import segments_of
 from torcharm.statics.cross_section import RANGE_SLACK, CrossSections, cross_sections, per_actuator
 from torcharm.statics.external_load import HULL, required_wrench
 from torcharm.task import Task
@@ -33,13 +34,6 @@ class RequiredWrench:
     external: Tensor
     unit_weight: Tensor
     mass: Tensor
-
-    def along(self, normal: Tensor) -> Tensor:
-        """The wrenches' components (B, P, L, N) along vectors (B, P, L, N, C)."""
-        found = (normal * self.external).sum(-1)
-        for s, unit in enumerate(self.unit_weight):
-            found = found + self.mass[:, s].view(-1, 1, 1, 1) * (normal * unit.unsqueeze(-3)).sum(-1)
-        return found
 
     def whole(self) -> Tensor:
         """The wrenches (B, P, L, N, C) themselves."""
@@ -103,11 +97,6 @@ class DesignTaskGrid:
         return value.permute(order)
 
 
-def segments_of(arm: Arm) -> tuple[ArmDesign, ...]:
-    """The segments of an arm in series, or the arm itself."""
-    return arm.segments if isinstance(arm, ArmSeries) else (arm,)
-
-
 def fitted(arm: object, task: object) -> tuple[Arm, Task]:
     """An arm and a task that fit: of one dimension, device and number of segments; in one dtype, as torch promotes.
 
@@ -121,9 +110,10 @@ def fitted(arm: object, task: object) -> tuple[Arm, Task]:
         raise ValueError(f"task: must be of type Task, got {shown(task)}")
     if arm.dimension != task.dimension:
         raise ValueError(f"task: must be of the arm's dimension, {arm.dimension}, got {task.dimension}")
-    segments = segments_of(arm)
+    segments, links = segments_of(arm)
     if len(task.segment_nodes or (0,)) != len(segments):
         raise ValueError(f"segment_nodes: must hold one number for each of {len(segments)} segments, got {shown(task)}")
+    _check_links(links)
     ours, theirs = segments[0].radii, task.twists
     if ours.device != theirs.device:
         raise ValueError(
@@ -180,7 +170,6 @@ def _required(
     """What the task's loads ask for, and what a kilogram of each segment would."""
     columns = HULL[task.twists.shape[-1]]
     links = arm.links if isinstance(arm, ArmSeries) else None
-    _check_links(links)
     options: dict[str, Any] = {"wrench_at": task.wrench_at, "segment_nodes": task.segment_nodes}
 
     def flat(wrench: Tensor, loads: int) -> Tensor:
@@ -212,9 +201,9 @@ def _masses(segments: tuple[ArmDesign, ...]) -> Tensor:
     return torch.stack([segment.mass for segment in segments], -1)
 
 
-def _check_links(links: Sequence[RigidLink | None] | None) -> None:
+def _check_links(links: Sequence[RigidLink | None]) -> None:
     """Raise a ValueError if a link differs from design to design, which nothing here could tell from task to task."""
-    for index, link in enumerate(links or ()):
+    for index, link in enumerate(links):
         if link is not None and (
             link.mass.ndim or link.end(link.dimension or 2).ndim > (2 if link.dimension == 3 else 1)
         ):
@@ -224,7 +213,7 @@ def _check_links(links: Sequence[RigidLink | None] | None) -> None:
 def flat_segments(arm: Arm) -> tuple[ArmDesign, ...]:
     """The segments, each as a flat batch of all designs."""
     batch, found = arm.batch_shape, []
-    for segment in segments_of(arm):
+    for segment in segments_of(arm)[0]:
         if segment.batch_shape != batch:
             whole = segment.radii.expand(*batch, -1)
             length, limit = segment.length.expand_as(whole), segment.max_pressure.expand_as(whole)

@@ -13,6 +13,8 @@ from torch import Tensor
 
 from torcharm.actuators import Actuator, pressure_knots
 from torcharm.actuators.protocol import sampled_of
+from torcharm.engine.arms import numbers
+from torcharm.engine.arrays import make
 from torcharm.engine.curves import Samples
 from torcharm.engine.forces import SAMPLED, Models, models_of
 from torcharm.engine.node_sets import Answers, Sections, distance_kernel, make_room
@@ -83,11 +85,9 @@ def find_nearest(
     shape = (*sections.strain.shape[:2], required.external.shape[1], sections.strain.shape[2])
     models, data = engine_sections(sections, required, scale, samples)
     components, actuators = data.lever.shape[-1], data.lever.shape[-2]
-    wanted = as_array(required.external) * components_scale(scale, components)
-    more = [np.empty((*shape, components)), np.empty((*shape, components)), np.empty((*shape, components, actuators))]
-    more.append(np.empty(shape))
-    more = more if points else [np.empty((0,) * part.ndim) for part in more]
-    answers = Answers(np.empty(shape), np.empty(shape), *more)
+    wanted = numbers(required.external) * components_scale(scale, components)
+    sizes = dict(zip("BPLNDM", (*shape, components, actuators), strict=True)) if points else {}
+    answers = make(Answers, sizes, distance=np.empty(shape), gap=np.empty(shape))
     kernel = distance_kernel(components, signed)
 
     def work(first: int, last: int) -> None:
@@ -111,25 +111,20 @@ def engine_sections(
     constant = sections.constant
     constant = sections.strain.new_zeros(designs, shapes, nodes, components) if constant is None else constant
     return models, Sections(
-        as_array(sections.limit.expand(designs, 1, 1, actuators).reshape(designs, actuators)),
-        as_array(sections.strain),
-        as_array(sections.lever.expand(designs, 1, 1, actuators, components).reshape(designs, actuators, -1)) * factors,
-        as_array(sections.bending.expand(designs, shapes, nodes, actuators, components - 1)) * scale[1],
-        as_array(constant.expand(designs, shapes, nodes, components)) * factors,
+        numbers(sections.limit.expand(designs, 1, 1, actuators).reshape(designs, actuators)),
+        numbers(sections.strain),
+        numbers(sections.lever.expand(designs, 1, 1, actuators, components).reshape(designs, actuators, -1)) * factors,
+        numbers(sections.bending.expand(designs, shapes, nodes, actuators, components - 1)) * scale[1],
+        numbers(constant.expand(designs, shapes, nodes, components)) * factors,
         sampled(sections) if samples is None else samples,
-        as_array(required.unit_weight) * factors,
-        as_array(required.mass),
+        numbers(required.unit_weight) * factors,
+        numbers(required.mass),
     )
 
 
 def components_scale(scale: tuple[float, float], components: int) -> np.ndarray:  # type: ignore[type-arg]
     """Factors on the components of a wrench, from those on force and moment."""
     return np.array([scale[0]] + [scale[1]] * (components - 1))
-
-
-def as_array(value: Tensor) -> np.ndarray:  # type: ignore[type-arg]
-    """A tensor as the engine takes it: float64, on the CPU, without its graph."""
-    return np.ascontiguousarray(value.detach().cpu().double().numpy())
 
 
 @torch.no_grad()
@@ -194,7 +189,7 @@ def beyond_planes(
         required, bending = required.minus_first(), bending - bending[..., :1, :, :]
         constant = None if constant is None else constant - constant[..., :1, :]
     force, pressure = _mixed(sections, weight, held, relative=relative)
-    distance = required.along(normal)
+    distance = (normal * required.whole()).sum(-1)
     for c, own in enumerate(normal.unbind(-1)):
         provided = (force * sections.lever[..., c].unsqueeze(-3)).sum(-1)
         if c > 0:

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torcharm.inputs import HoldsTensors, broadcast_shapes, check_count, shapes_only
+from torcharm.inputs import HoldsTensors, broadcast_shapes, check_count
 from torcharm.wrench_sets.once import once
 
 TOLERANCE = 1e-6
@@ -50,10 +50,6 @@ class HullDistance(HoldsTensors):
     gap: Float[Tensor, "*batch"]
     converged: Bool[Tensor, "*batch"]
     resolved: Bool[Tensor, "*batch"]
-
-    def __repr__(self) -> str:
-        """Shapes, no numbers."""
-        return shapes_only(self)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from torcharm.actuators import want_gradients
-from torcharm.statics.cross_section import CrossSections, cross_sections, per_actuator
+from torcharm.statics.cross_section import CrossSections, characterised_range, cross_sections
 from torcharm.wrench_sets.design_task_grid import DesignTaskGrid, RequiredWrench, map_chunks
 from torcharm.wrench_sets.distance import NearestPoints, evaluate_distance, find_nearest, sampled
 from torcharm.wrench_sets.once import once
@@ -265,8 +265,5 @@ def possible_sections(sections: CrossSections) -> tuple[CrossSections, Tensor]:
 
 def strain_excess(sections: CrossSections) -> Tensor:
     """(b, p) the largest strain beyond its actuator's characterised range, 0 if none is."""
-    low, high = (
-        per_actuator([model.strain_range[end] for model in sections.actuators], sections.strain) for end in (0, 1)
-    )
-    beyond = torch.maximum(sections.strain - high, low - sections.strain)
+    *_, beyond = characterised_range(sections.actuators, sections.strain)
     return beyond.flatten(-2).amax(-1).clamp(min=0)

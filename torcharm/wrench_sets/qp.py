@@ -74,20 +74,9 @@ def qp_distance(
     resolved ones have the envelope's. Where several weights are optimal (duplicated vertices), the gradient
     in the vertices is one of several.
 
-    Measured on 2016 nodes of the paper's arms, V = 48 vertices in the plane, for the 1742 points outside. Largest error
-    of the value over max|H̃| without and with re-solves, share of these, and the error of the gradient ("kkt") in w,
-    whose length is 1:
-
-        ε                      1e-6     1e-8     1e-10    1e-12
-        value, qpth alone      3e-4     3e-6     5e-11    2e-13
-        value, checked         7e-9     3e-11    5e-11    2e-13
-        re-solved              37 %     2.7 %    0.4 %    0.1 %
-        gradient, median       6e-7     2e-6     2e-6     2e-6
-        gradient, largest      8e-5     8e-5     1e-4     4e-4
-
-    What remains of the gradient's error is qpth's, whose backward pass lifts multipliers and slacks to 1e-8; with
-    "envelope" it is 1e-10. Between edges almost in line the gradients in single vertices may differ by more, their sum
-    does not.
+    A larger ε makes errors of the value larger, and more elements be resolved. The gradient's error, some 1e-6 in w, is
+    qpth's, whose backward pass lifts multipliers and slacks to 1e-8; with "envelope" it is 1e-10. Between edges almost
+    in line the gradients in single vertices may differ by more, their sum does not.
 
     Args:
         point: where from.

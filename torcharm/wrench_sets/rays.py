@@ -12,13 +12,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torcharm.engine.arms import numbers
+from torcharm.engine.arrays import make
 from torcharm.engine.distance import TOUCHING
 from torcharm.engine.node_sets import make_room
-from torcharm.engine.ray import Ends, make_ray, ray_kernel
+from torcharm.engine.ray import Ends, Ray, ray_kernel
 from torcharm.engine.threads import spread
 from torcharm.statics.cross_section import CrossSections
 from torcharm.wrench_sets.design_task_grid import RequiredWrench
-from torcharm.wrench_sets.distance import CERTIFIED, as_array, beyond_planes, engine_sections
+from torcharm.wrench_sets.distance import CERTIFIED, beyond_planes, engine_sections
 from torcharm.wrench_sets.once import once
 
 BALANCED = 1e-9
@@ -70,17 +72,16 @@ def find_ends(
     """
     models, data = engine_sections(sections, start, (1.0, 1.0))
     components, actuators = data.lever.shape[-1], data.lever.shape[-2]
-    begin, change = as_array(start.external), as_array(direction)
+    begin, change = numbers(start.external), numbers(direction)
     designs = len(data.limit)
     shape = (2 * designs, *change.shape[:3])
-    more = [np.empty((*shape, components)), np.empty((*shape, components)), np.empty((*shape, components, actuators))]
-    more = more if points else [np.empty((0,) * part.ndim) for part in more]
-    ends = Ends(np.empty(shape), np.empty(shape), np.empty(shape), *more)
+    sizes = dict(zip("BPLNDM", (designs, *shape[1:], components, actuators), strict=True)) if points else {}
+    ends = make(Ends, sizes, factor=np.empty(shape), slack=np.empty(shape), gap=np.empty(shape))
     kernel, still = ray_kernel(components), _still(change, relative)
 
     def work(first: int, last: int) -> None:
-        room = make_room(models, components, change.shape[1], data.samples)
-        kernel(data, begin, change, still, relative, least, first, last, room, make_ray(components), ends)
+        room, ray = make_room(models, components, change.shape[1], data.samples), make(Ray, {"D": components})
+        kernel(data, begin, change, still, relative, least, first, last, room, ray, ends)
 
     spread(designs, work)
     found = [torch.from_numpy(part).to(sections.strain).unflatten(0, (-1, 2)) for part in ends if part.size or points]
@@ -97,7 +98,7 @@ def meet_points(
     """
     point, asked = sections.reaction(torch.zeros_like(sections.limit)).unsqueeze(-3), start.whole()
     size = point.norm(dim=-1) + asked.norm(dim=-1) + direction.norm(dim=-1)
-    still = torch.from_numpy(_still(as_array(direction), relative)).to(size.device)
+    still = torch.from_numpy(_still(numbers(direction), relative)).to(size.device)
     way, change = point - asked, direction
     if relative:
         way, change = way - way[..., :1, :], change - change[..., :1, :]

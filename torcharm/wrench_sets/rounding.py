@@ -33,19 +33,11 @@ def without_rounding(
         doubtful = (distance > 0) & (distance <= SUSPECT_ULPS * eps * max(scale) * largest)
         if not bool(doubtful.any()):
             return distance
-        wrench = torch.maximum(_asked(required, scale), _provided(sections, scale).unsqueeze(-2))
+        wrench = torch.maximum(_norm(required.whole(), scale), _provided(sections, scale).unsqueeze(-2))
         if relative:
             wrench = torch.maximum(wrench, wrench[..., :1])
         nothing = doubtful & (distance <= ROUNDING_ULPS * eps * wrench)
     return torch.where(nothing, 0.0, distance)
-
-
-def _asked(required: RequiredWrench, scale: tuple[float, float]) -> Tensor:
-    """Sizes (B, P, L, N) of required wrenches."""
-    wrench = required.external.expand(len(required.mass), *required.external.shape)
-    for segment, unit in enumerate(required.unit_weight):
-        wrench = wrench + required.mass[:, segment].view(-1, 1, 1, 1, 1) * unit.unsqueeze(-3)
-    return _norm(wrench, scale)
 
 
 def _provided(sections: CrossSections, scale: tuple[float, float]) -> Tensor:

@@ -17,8 +17,9 @@ from torch import Tensor
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.inputs import check_choice, check_count
+from torcharm.statics.balance import segments_of
 from torcharm.statics.cross_section import CrossSections, actuator_force
-from torcharm.wrench_sets.design_task_grid import RequiredWrench, segments_of
+from torcharm.wrench_sets.design_task_grid import RequiredWrench
 from torcharm.wrench_sets.distance import NearestPoints
 from torcharm.wrench_sets.hull_distance import HullDistance
 from torcharm.wrench_sets.vertices import find_nearest_vertices
@@ -40,7 +41,7 @@ def check_sets(
 ) -> None:
     """Raise a ValueError unless sets of this kind can be made of so many samples, and measured like this."""
     check_choice("hull", hull, HULLS)
-    most = max(segment.actuator_count for segment in segments_of(arm))
+    most = max(segment.actuator_count for segment in segments_of(arm)[0])
     if hull == "edges" and most > MOST_EDGE_ACTUATORS:
         raise ValueError(
             f"hull: 'edges' samples M 2^(M-1) edges and is for at most {MOST_EDGE_ACTUATORS} actuators, "

@@ -8,8 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torcharm.engine.depth import make_polytope
-from torcharm.engine.simplex import make_simplex
+from torcharm.engine.arrays import make
+from torcharm.engine.depth import Polytope, sizes_of_set
+from torcharm.engine.simplex import Simplex
 from torcharm.engine.threads import spread
 from torcharm.engine.vertices import VertexAnswers, vertex_kernel
 from torcharm.inputs import broadcast_shapes, check_flag, check_tensor, shown
@@ -53,13 +54,12 @@ def find_nearest_vertices(point: Tensor, vertices: Tensor, *, signed: bool = Fal
     points, corners = points.nan_to_num(0.0, 0.0, 0.0), corners.nan_to_num(0.0, 0.0, 0.0)
     unit = power_of_two(torch.maximum(points.abs().amax((1, 2)), corners.abs().amax((1, 2))))
     contiguous = [np.ascontiguousarray((x / unit.view(-1, 1, 1)).numpy()) for x in (points, corners)]
-    shape = contiguous[0].shape[:2]
-    square = (*shape, dimension)
-    answers = VertexAnswers(np.empty(shape), np.empty(shape), np.empty(square), np.empty(square), np.empty(square))
+    sizes = sizes_of_set(1, dimension) | dict(zip("BL", points.shape, strict=False))
+    answers = make(VertexAnswers, sizes)
     kernel = vertex_kernel(dimension, signed)
 
     def work(first: int, last: int) -> None:
-        simplex, polytope = make_simplex(1, dimension), make_polytope(1, dimension)
+        simplex, polytope = make(Simplex, sizes), make(Polytope, sizes)
         kernel(contiguous[1], contiguous[0], ROUNDINGS * eps, first, last, simplex, polytope, answers)
 
     spread(len(points), work)

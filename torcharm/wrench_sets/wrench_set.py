@@ -16,9 +16,10 @@ from torcharm.actuators import is_linear_in_pressure, pressure_knots
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.geometry.rod import check_segment_nodes
-from torcharm.inputs import HoldsTensors, check_tensor, shapes_only, shown
+from torcharm.inputs import HoldsTensors, check_tensor, shown
+from torcharm.statics.balance import segments_of
 from torcharm.statics.cross_section import CrossSections, actuator_force, cross_sections
-from torcharm.wrench_sets.design_task_grid import flat_segments, segments_of
+from torcharm.wrench_sets.design_task_grid import flat_segments
 from torcharm.wrench_sets.vertex_sets import EDGE_SAMPLES, check_sets, edge_pressures, edge_vertices
 
 CURVE_POINTS = 17
@@ -51,10 +52,6 @@ class WrenchHulls(HoldsTensors):
 
     vertices: Tensor
     pressure: Tensor
-
-    def __repr__(self) -> str:
-        """Shapes, no numbers."""
-        return shapes_only(self)
 
     def volume(self) -> Tensor:
         """(..., N) areas [N·N·m] in the plane, volumes [N·(N·m)²] in space; differentiable as the vertices are."""
@@ -104,7 +101,7 @@ def wrench_hulls(
     check_tensor("twists", twists, "N", 3 if arm.dimension == 2 else 6)
     check_sets(arm, hull, samples)
     counts = (twists.shape[-2],) if segment_nodes is None else check_segment_nodes(segment_nodes, twists.shape[-2])
-    if len(counts) != len(segments_of(arm)):
+    if len(counts) != len(segments_of(arm)[0]):
         raise ValueError(f"segment_nodes: must hold one number for each segment, got {shown(segment_nodes)}")
     shapes = twists.reshape(-1, *twists.shape[-2:])
     parts = zip(flat_segments(arm), shapes.split(counts, -2), strict=True)
