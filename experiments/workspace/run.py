@@ -208,18 +208,34 @@ def unconfirmed(
 
 
 def beyond(points: Array, region: AlphaShape) -> Array:
-    """(P,) how far points (P, D) lie outside of a region: from its boundary's nearest facet, or from its nearest state
-    where that is nearer, as at the end of a spike too thin for an area; 0 within."""
+    """(P,) how far points (P, D) lie outside of a region: from its boundary's nearest facet; or from what is too thin
+    for an area (a volume), its nearest state, or line between neighbours, which an alpha shape holds; 0 within."""
     away = np.zeros(len(points))
     outside = np.flatnonzero(~region.contains(points))
     if len(outside):
         away[outside] = cKDTree(region.points).query(points[outside])[0]
-    if len(outside) and len(region.facets):
-        corners = region.points[region.facets]
+    facets = np.concatenate((region.facets, lines_of_spikes(region)))
+    if len(outside) and len(facets):
+        corners = region.points[facets]
         near = cKDTree(corners.mean(1)).query(points[outside], min(FACETS, len(corners)))[1]
         for own in near.reshape(len(outside), -1).T:
             away[outside] = np.minimum(away[outside], to_facet(points[outside], corners[own]))
     return away
+
+
+def lines_of_spikes(region: AlphaShape) -> Array:
+    """(L, D) both ends of Delaunay's lines no longer than 2 α from points that are no corner of the region; the second
+    again where three corners are asked for."""
+    if region.triangulation is None:
+        return region.facets[:0]
+    simplices = region.triangulation.simplices
+    within = np.zeros(len(region.points), dtype=bool)
+    within[simplices[region.kept]] = True
+    lines = np.concatenate([simplices[:, pair] for pair in combinations(range(simplices.shape[1]), 2)])
+    lines = np.unique(np.sort(lines[~within[lines].all(1)], 1), axis=0)
+    long = np.linalg.norm(region.points[lines[:, 0]] - region.points[lines[:, 1]], axis=1)
+    lines = lines[long <= 2 * region.radius]
+    return lines[:, (0, 1, 1)[: region.points.shape[1]]]
 
 
 def to_facet(points: Array, corners: Array) -> Array:

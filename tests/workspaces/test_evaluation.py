@@ -63,7 +63,9 @@ class TestFormula:
         assert found.extrapolated_region.size == pytest.approx(self.found().size, rel=0.01)
 
 
-@pytest.mark.parametrize(("arm", "weight"), [(ta.antagonistic_arm(), 2.0), (ta.mckibben_arm(), 1.0)])
+@pytest.mark.parametrize(
+    ("arm", "weight"), [(ta.antagonistic_arm(), 2.0), (ta.bellows_arm(), 2.0), (ta.mckibben_arm(), 1.0)]
+)
 def test_brute_force_finds_nothing_beyond(arm, weight):
     found = ta.workspace(arm, hanging(arm, weight), states=10_000, nodes=6)
     tips, codes, _ = brute_force(arm, hanging(arm, weight), random_places(arm, 20_000), nodes=6)

@@ -29,7 +29,7 @@ from torcharm.pressure.starts import spread_points
 from torcharm.task import WRENCH_AT
 from torcharm.workspaces.frontier import Frontier
 from torcharm.workspaces.result import Workspace
-from torcharm.workspaces.states import EXCLUDED, REACHED, Batch, KnownSlopes, has_payload, joined, solve_states
+from torcharm.workspaces.states import EXCLUDED, REACHED, Batch, KnownSlopes, joined, solve_states
 
 Array = NDArray[np.float64]
 
@@ -38,30 +38,36 @@ Callback = Callable[[int, int], object]
 
 SPREAD = 0.2
 """Of the states, over the whole box of pressures."""
-MIXED = 0.1
+MIXED = 0.07
 """Of the states, between those of them that are reached, of which the box may hold few."""
-STAGES = {2: ((0.5, 1.0), (0.8, 0.3), (1.0, 0.1)), 3: ((0.5, 1.0), (0.75, 0.3), (1.0, 0.1))}
-"""In which boundaries are followed, in the plane and in space: how many of the states are known by its end, and how far
-attempts go in parts of the resolution: first far and then near."""
+STAGES = {2: ((0.6, 1.0), (1.0, 0.2)), 3: ((0.65, 1.0), (0.85, 0.3), (1.0, 0.1))}
+"""In which boundaries are followed, in the plane and in space: how many of the states are known by its end, and how close
+together attempts are that promise little, in parts of the resolution."""
 INSIDE = 0.05
-"""Of the states, among those reached before boundaries are followed near: what a region lacks inside is no boundary."""
+"""Of the states, among those reached after the first stage: what a region lacks inside is no boundary."""
+REPEATS, AGAIN = 3, (0.1, 0.2)
+"""How often, while states are left, boundaries are followed again from states spread inside: how many of all; and how
+close together, as in a stage. A region that range limits grows from them where no state of its boundary leads on."""
+IN_RANGE = 0.6
+"""Of the states that follow boundaries, for that of the region in range; the others follow that of the extrapolated."""
 OVERHANG = 0.25
 """By which random pressures overshoot each end of their range, where they are held: a third lie on the box's faces, by
 which most of a workspace is bounded."""
 AT_ONCE = 2000
 """States solved between two looks at the clock: at most a second's work in space."""
-ROUNDS = 12
-"""In which a region grows, at most, of a stage."""
+ROUNDS = {2: 6, 3: 12}
+"""In which a region of the plane, or of space, grows at most of a stage."""
 FURTHER = 3
 """Pushes of a round, one from where the other got to: as many resolutions at most."""
-FEW = 1e-3
-"""Of the states: a round with fewer is a region's last of its stage."""
+FEW = 1e-2
+"""Of the states: a round that leaves fewer to be found is a region's last of its stage."""
 TYPICAL = 0.99
 """Of the states have as many neighbours as a simplex has corners within the resolution."""
-FINER = {2: 0.4, 3: 0.9}
+FINER = {2: 0.4, 3: 1.1}
 """Times the distance within which they do: so much denser states become. In space most go to the boundary."""
-THIN = 1e-3
-"""Of the arm's length: no resolution is finer."""
+UNSEEN, SMALL = 5e-4, 4e-3
+"""Of the arm's length: no resolution is finer, and no gain looked for smaller; a round whose largest gain is smaller is
+a region's last of its stage."""
 
 
 class _Stopped(Exception):
@@ -130,13 +136,16 @@ def workspace(
         run.spread(int(SPREAD * states), seed)
         run.resolve(EXCLUDED)
         run.mix(int((SPREAD + MIXED) * states), seed)
-        for stage, (share, scale) in enumerate(STAGES[scene.arm.dimension]):
+        for stage, (share, spacing) in enumerate(STAGES[scene.arm.dimension]):
             if stage == 1:
                 run.mix(run.count + int(INSIDE * states), seed + 1)
                 if scene.arm.dimension == 3:  # in the plane the first resolution is fine enough
                     run.resolve(REACHED)
-            run.follow_boundaries(scale, int(share * states))
-        run.mix(states, seed + 2)
+            run.follow_boundaries(spacing, int(share * states))
+        for more in range(REPEATS):
+            run.mix(min(run.count + int(AGAIN[0] * states), states), seed + 2 + more)
+            run.follow_boundaries(AGAIN[1], states)
+        run.mix(states, seed + 2 + REPEATS)
     except KeyboardInterrupt:
         stopped = "interrupted"
     except _Stopped:
@@ -164,10 +173,9 @@ class _Run:
 
     def add(self, place: Array) -> None:
         """Solve the states at normalised pressures."""
-        payload = has_payload(self.scene.load)
         for part in np.split(place, range(AT_ONCE, len(place), AT_ONCE)):
             if len(part):
-                self.batches.append(solve_states(self.scene, part, payload))
+                self.batches.append(solve_states(self.scene, part))
             if self.callback is not None and self.callback(self.count, self.wanted) is True:
                 raise _Stopped
 
@@ -201,34 +209,34 @@ class _Run:
         one, other = own[draw.integers(len(own), size=(2, max(until - self.count, 0)))]
         self.add(one + draw.random((len(one), 1)) * (other - one))
 
-    def follow_boundaries(self, scale: float, end: int) -> None:
+    def follow_boundaries(self, spacing: float, end: int) -> None:
         """Solve states beyond the boundaries while there are any, first of the region in range; so many in all."""
         assert self.resolutions is not None
-        one = np.ones(self.scene.arm.actuator_count)
+        one, length = np.ones(self.scene.arm.actuator_count), float(self.scene.arm.neutral_length)
         for share, resolution, region in (
-            (0.5, self.resolutions[0], ((REACHED,), *_range_of_places(self.scene), True)),
+            (IN_RANGE, self.resolutions[0], ((REACHED,), *_range_of_places(self.scene), True)),
             (1.0, self.resolutions[1], ((REACHED, EXCLUDED), 0 * one, one, False)),
         ):
-            frontier = Frontier(self.slopes, resolution, scale * resolution, *region)
-            self._push(frontier, self.count + int(share * (end - self.count)))
+            frontier = Frontier(self.slopes, resolution, spacing * resolution, UNSEEN * length, *region)
+            self._push(frontier, self.count + int(share * (end - self.count)), SMALL * length)
 
-    def _push(self, frontier: Frontier, end: int) -> None:
-        """Solve states beyond one boundary, up to so many in all."""
+    def _push(self, frontier: Frontier, end: int, small: float) -> None:
+        """Solve states beyond one boundary, up to so many in all, while gains are not small [m]."""
         states = joined(self.batches)
-        for _ in range(ROUNDS):
-            before = self.count
-            push = frontier.push(states, (end - before) // 2)
+        for _ in range(ROUNDS[self.scene.arm.dimension]):
+            push = frontier.push(states, (end - self.count) // 2)
+            most = push.gain.max(initial=0.0)
             for _ in range(FURTHER):
                 self.add(push.place)
                 states = joined(self.batches)
                 push = frontier.push_on(states, push, (end - self.count) // 2)
-            if self.count - before < FEW * self.wanted:
+            if most < small or end - self.count < FEW * self.wanted:
                 break
 
     def result(self, stopped: str) -> Workspace:
         """What is known."""
         if not self.batches:
-            self.batches.append(solve_states(self.scene, np.zeros((0, self.scene.arm.actuator_count)), False))
+            self.batches.append(solve_states(self.scene, np.zeros((0, self.scene.arm.actuator_count))))
         states, resolutions = joined(self.batches), self.resolutions or (0.0, 0.0)
         if stopped != "finished":  # those chosen were for more states than there are
             spread = int(SPREAD * self.wanted)
@@ -245,7 +253,7 @@ def _resolution(states: Batch, scene: Problem, worst: int, spread: int | None = 
     """
     from scipy.spatial import cKDTree
 
-    least, position = THIN * float(scene.arm.neutral_length), states.position
+    least, position = UNSEEN * float(scene.arm.neutral_length), states.position
     counted = states.code.numpy() <= worst
     asked = position[:spread][counted[:spread]]
     position = np.unique(position[counted], axis=0)

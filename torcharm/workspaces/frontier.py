@@ -3,7 +3,7 @@
 The region reached is an alpha shape. From the corners of each facet of its boundary, the step of pressures is sought
 that takes the tip to a place before the facet: least squares with the tip's slope, in the box of pressures and, of a
 region in range, within the range of strains. A step that promises nothing shows that the facet lies on the boundary of
-what can be reached, to first order; it costs no equilibrium.
+what can be reached, to first order; it costs no equilibrium. So are the ends and edges of what is too thin for facets.
 """
 
 from dataclasses import dataclass, field
@@ -12,15 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torcharm.engine.box_steps import box_steps
-from torcharm.geometry.alpha_shape import Indices, alpha_shape
+from torcharm.geometry.alpha_shape import AlphaShape, Indices, alpha_shape
 from torcharm.workspaces.states import Batch, KnownSlopes, Slopes
 
 Array = NDArray[np.float64]
 
 LEAST_GAIN = 0.05
-"""Of the scale: a step that promises less is not worth a state."""
-APART = 1.0
-"""Of the scale: the side of squares (cubes) of which each gets one attempt at a time."""
+"""Of the spacing: a step that promises less is not worth a state."""
 TRIES = 4
 """Of each facet: every further one goes half as far, for where the model is good for short steps alone, as near a
 snap."""
@@ -30,7 +28,10 @@ step may change all, and little comes of what it promises."""
 MARGIN = 1e-3
 """Of the width of a range of strains, kept free: what slopes do not tell of steps of a resolution."""
 DAMPING = 1e-2
-"""Of the scale, that a whole range of pressure counts as: of steps to one place the shortest is taken."""
+"""Of the resolution, that a whole range of pressure counts as: of steps to one place the shortest is taken."""
+SHARP = 0.7
+"""Length of the mean of the normals of the facets around a point, below which that is the end or the edge of something
+thin: none of them points along it."""
 PASSES = 6
 """In which the limits are found that a step meets: as many settle, or the next try does."""
 
@@ -43,11 +44,13 @@ class Pushes:
         place: (b, M) normalised pressures.
         normal: (b, D) out of the region.
         height: (b,) where along it the boundary is, as far as is known [m].
+        gain: (b,) how far beyond that they should come [m].
     """
 
     place: Array
     normal: Array
     height: Array
+    gain: Array
 
     def __len__(self) -> int:
         return len(self.place)
@@ -59,8 +62,9 @@ class Frontier:
 
     Attributes:
         slopes: of the states, as far as they are known.
-        resolution: of the alpha shape [m].
-        scale: of attempts: how far they go, at most, and how far they lie apart [m].
+        resolution: of the alpha shape, and how far attempts go at most [m].
+        spacing: how far those that promise little lie apart [m].
+        least: a gain that nobody would see [m].
         codes: indices into `STATES`.
         low, high: (M,) of normalised pressures.
         in_range: whether strains must stay in their range.
@@ -69,12 +73,18 @@ class Frontier:
 
     slopes: KnownSlopes
     resolution: float
-    scale: float
+    spacing: float
+    least: float
     codes: tuple[int, ...]
     low: Array
     high: Array
     in_range: bool
     tries: dict[tuple[int, ...], int] = field(default_factory=dict)
+
+    @property
+    def least_gain(self) -> float:
+        """A step that promises less is not worth a state [m]."""
+        return max(LEAST_GAIN * self.spacing, self.least)
 
     def push(self, states: Batch, most: int) -> Pushes:
         """Attempts from the corners of the boundary's facets; none where none promises a gain.
@@ -86,33 +96,39 @@ class Frontier:
         index = np.flatnonzero(np.isin(states.code.numpy(), self.codes))
         position = states.position
         shape = alpha_shape(position[index], self.resolution)
-        facets, normal = index[shape.facets], shape.normals
+        spike, away = ways_out_of_spikes(shape)
+        facets = index[np.concatenate((shape.facets, np.tile(spike[:, None], (1, position.shape[1]))))]
+        normal = np.concatenate((shape.normals, away))
         keys = [tuple(key) for key in np.sort(facets, 1).tolist()]
         tried = np.array([self.tries.get(key, 0) for key in keys], dtype=int)
         still = np.flatnonzero(tried < TRIES)
         facets, normal = facets[still], normal[still]
         centre = position[facets].mean(1)
         half = 0.5 ** tried[still, None]
-        goal = centre + self.scale * half * normal
+        goal = centre + self.resolution * half * normal
         height = (centre * normal).sum(1)
-        attempts = [self._attempts(states, corner, goal, half) for corner in facets.T]
-        place, promised = (np.stack(part) for part in zip(*attempts, strict=True))
+        corners = facets.T  # each facet is tried from all of them
+        many = [np.tile(one, (len(corners), 1)) for one in (goal, half)]
+        found = self._attempts(states, corners.ravel(), *many)
+        place, promised = (part.reshape(*corners.shape, part.shape[-1]) for part in found)
         best = (promised * normal).sum(2).argmax(0), np.arange(len(facets))
-        chosen = self._worthwhile(promised[best], normal, height, most)
+        gain = (promised[best] * normal).sum(1) - height
+        chosen = self._worthwhile(promised[best], gain, most)
         for facet in still[chosen]:
             self.tries[keys[facet]] = self.tries.get(keys[facet], 0) + 1
-        return Pushes(place[best][chosen], normal[chosen], height[chosen])
+        return Pushes(place[best][chosen], normal[chosen], height[chosen], gain[chosen])
 
     def push_on(self, states: Batch, last: Pushes, most: int) -> Pushes:
         """Further attempts from where the last ones got to, the last of the states."""
         index = np.arange(len(states) - len(last), len(states))
         position = states.position[index]
         height = (position * last.normal).sum(1)
-        gained = np.isin(states.code.numpy()[index], self.codes) & (height - last.height > LEAST_GAIN * self.scale)
+        gained = np.isin(states.code.numpy()[index], self.codes) & (height - last.height > self.least_gain)
         index, position, height, normal = index[gained], position[gained], height[gained], last.normal[gained]
-        place, promised = self._attempts(states, index, position + self.scale * normal, np.ones((len(index), 1)))
-        chosen = self._worthwhile(promised, normal, height, most)
-        return Pushes(place[chosen], normal[chosen], height[chosen])
+        place, promised = self._attempts(states, index, position + self.resolution * normal, np.ones((len(index), 1)))
+        gain = (promised * normal).sum(1) - height
+        chosen = self._worthwhile(promised, gain, most)
+        return Pushes(place[chosen], normal[chosen], height[chosen], gain[chosen])
 
     def _attempts(self, states: Batch, source: Indices, goal: Array, part: Array) -> tuple[Array, Array]:
         """(b, M) normalised pressures that should take tips from states to goals (b, D), and where slopes see them
@@ -121,13 +137,13 @@ class Frontier:
         step = self._steps(place, slopes, goal - start, LONGEST_STEP * part)
         return (place + step).clip(self.low, self.high), start + (slopes.tip @ step[..., None])[..., 0]
 
-    def _worthwhile(self, promised: Array, normal: Array, height: Array, most: int) -> Indices:
-        """The attempts that promise enough beyond the boundary, so many at most; of several to one place the best."""
-        gain = (promised * normal).sum(1) - height
+    def _worthwhile(self, promised: Array, gain: Array, most: int) -> Indices:
+        """The attempts whose gain is enough, so many at most; of several to one place the best."""
         order = np.argsort(-gain, kind="stable")
-        order = order[gain[order] > LEAST_GAIN * self.scale]
-        cell = np.floor(promised[order] / (APART * self.scale))
-        first = np.sort(np.unique(cell, axis=0, return_index=True)[1])
+        order = order[gain[order] > self.least_gain]
+        level = np.floor(np.log2(np.maximum(gain[order] / self.spacing, 1.0)))[:, None]  # far ones lie as far apart
+        cell = np.floor(promised[order] / (self.spacing * 2**level))
+        first = np.sort(np.unique(np.concatenate((level, cell), 1), axis=0, return_index=True)[1])
         return np.asarray(order[first[:most]])
 
     def _steps(self, place: Array, slopes: Slopes, way: Array, longest: Array) -> Array:
@@ -138,16 +154,35 @@ class Frontier:
         gradient, curvature = -(tip.swapaxes(1, 2) @ way[..., None])[..., 0], tip.swapaxes(1, 2) @ tip
         beyond, slope = slopes.beyond + MARGIN, slopes.beyond_slope * width[:, None]
         start = np.where(width > 0, (place - low) / np.where(width > 0, width, 1.0), 0.0)
-        weight, met = (self.scale / MARGIN) ** 2, np.zeros(beyond.shape, dtype=bool)
+        weight, met = (self.resolution / MARGIN) ** 2, np.zeros(beyond.shape, dtype=bool)
         for _ in range(PASSES if self.in_range else 1):
             held = slope * met[..., None]
             step = box_steps(
                 gradient + weight * (held.swapaxes(1, 2) @ np.where(met, beyond, 0.0)[..., None])[..., 0],
                 curvature + weight * (held.swapaxes(1, 2) @ held),
                 start,
-                (DAMPING * self.scale) ** 2,
+                (DAMPING * self.resolution) ** 2,
             )
             before, met = met, beyond + (slope @ step[..., None])[..., 0] > 0
             if (before == met).all():
                 break
         return width * step
+
+
+def ways_out_of_spikes(shape: AlphaShape) -> tuple[Indices, Array]:
+    """Points (b,) where facets tell no way out, and that way (b, D) from each: sharp corners and edges, and points that
+    are no corner of the region, as at the end of a spike thinner than the resolution."""
+    from scipy.spatial import cKDTree
+
+    points, facets = shape.points, shape.facets
+    normal, count = np.zeros(points.shape), np.zeros(len(points))
+    np.add.at(normal, facets, shape.normals[:, None])
+    np.add.at(count, facets, 1.0)
+    sharp = np.flatnonzero(np.linalg.norm(normal, axis=1) < SHARP * count)
+    within = np.zeros(len(points), dtype=np.bool_)
+    if shape.triangulation is not None:
+        within[shape.triangulation.simplices[shape.kept]] = True
+    alone = np.flatnonzero(~within) if within.any() else sharp[:0]
+    away = points[alone] - points[within][cKDTree(points[within]).query(points[alone])[1]] if len(alone) else points[:0]
+    way = np.concatenate((normal[sharp], away))
+    return np.concatenate((sharp, alone)), way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-300)

@@ -15,7 +15,7 @@ from torcharm.equilibrium.problem import Problem
 from torcharm.geometry.alpha_shape import AlphaShape, alpha_shape
 from torcharm.inputs import HoldsTensors, Tabular, TensorLike, as_floating, check_above_zero
 from torcharm.load import ExternalLoad
-from torcharm.workspaces.states import EXCLUDED, REACHED, STATES, Batch, has_payload, position_of
+from torcharm.workspaces.states import EXCLUDED, REACHED, STATES, Batch, has_payload, payload_factors, position_of
 
 Array = NDArray[np.float64]
 
@@ -83,7 +83,7 @@ class Workspace(HoldsTensors, Tabular):
             states.twists,
             states.code,
             states.strain_excess,
-            states.payload_factor,
+            payload_factors(scene, states),
             *resolutions,
             scene.arm,
             scene.load,

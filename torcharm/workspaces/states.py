@@ -39,7 +39,6 @@ class Batch:
         tip_pose: (S, 3) or (S, 4, 4).
         code: (S,) indices into `STATES`.
         strain_excess: (S,) the largest strain beyond its characterised range.
-        payload_factor: (S,), infinite without a payload; NaN of states that are not stable.
     """
 
     place: Tensor
@@ -47,7 +46,6 @@ class Batch:
     tip_pose: Tensor
     code: Tensor
     strain_excess: Tensor
-    payload_factor: Tensor
 
     def __len__(self) -> int:
         return len(self.place)
@@ -69,22 +67,11 @@ def position_of(pose: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def solve_states(scene: Problem, place: Array, payload: bool) -> Batch:
-    """The states at normalised pressures (S, M).
-
-    Args:
-        scene: the arm and what loads it.
-        payload: whether that holds a payload.
-    """
+def solve_states(scene: Problem, place: Array) -> Batch:
+    """The states at normalised pressures (S, M) of a scene: the arm and what loads it."""
     places = torch.from_numpy(place)
     found = solved(at_places(scene, places))
-    code = _codes(found)
-    factor = torch.full(found.stable.shape, torch.inf, dtype=torch.float64)
-    stable = code <= SNAPPED
-    if payload and bool(stable.any()):
-        factor[stable] = _payload_factors(scene, found.twists[stable])
-    factor[~stable] = torch.nan
-    return Batch(places, found.twists, found.poses[:, -1], code, found.strain_excess, factor)
+    return Batch(places, found.twists, found.poses[:, -1], _codes(found), found.strain_excess)
 
 
 def at_places(scene: Problem, place: Tensor) -> Problem:
@@ -106,11 +93,16 @@ def _codes(found: Equilibrium) -> Tensor:
     return code
 
 
-def _payload_factors(scene: Problem, twists: Tensor) -> Tensor:
-    """(S,) by what the payload can grow at equilibria under it."""
-    nodes = scene.nodes if len(scene.nodes) > 1 else None
-    task = Task(twists, None, scene.base_pose, scene.load, scene.wrench_at, nodes)
-    return held_factor(scene.arm, task)
+@torch.no_grad()
+def payload_factors(scene: Problem, states: Batch) -> Tensor:
+    """(S,) by what the payload can grow at each shape; infinite without one, NaN of states that are not stable."""
+    stable = states.code <= SNAPPED
+    factor = torch.where(stable, torch.inf, torch.nan).double()
+    if has_payload(scene.load) and bool(stable.any()):
+        nodes = scene.nodes if len(scene.nodes) > 1 else None
+        task = Task(states.twists[stable], None, scene.base_pose, scene.load, scene.wrench_at, nodes)
+        factor[stable] = held_factor(scene.arm, task)
+    return factor
 
 
 def has_payload(load: ExternalLoad) -> bool:
