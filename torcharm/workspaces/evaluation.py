@@ -41,10 +41,10 @@ SPREAD = 0.2
 MIXED = 0.07
 """Of the states, between those of them that are reached, of which the box may hold few."""
 STAGES = {2: ((0.6, 1.0), (1.0, 0.2)), 3: ((0.65, 1.0), (0.85, 0.3), (1.0, 0.1))}
-"""In which boundaries are followed, in the plane and in space: how many of the states are known by its end, and how close
-together attempts are that promise little, in parts of the resolution."""
-INSIDE = 0.05
-"""Of the states, among those reached after the first stage: what a region lacks inside is no boundary."""
+"""In which boundaries are followed, in the plane and in space: how many of the states are known by its end, and how
+close together attempts are that promise little, in parts of the resolution."""
+INSIDE = {2: 0.1, 3: 0.05}
+"""Of the states, in the plane and in space, among those reached after the first stage: what a region lacks inside is no boundary."""
 REPEATS, AGAIN = 3, (0.1, 0.2)
 """How often, while states are left, boundaries are followed again from states spread inside: how many of all; and how
 close together, as in a stage. A region that range limits grows from them where no state of its boundary leads on."""
@@ -138,7 +138,7 @@ def workspace(
         run.mix(int((SPREAD + MIXED) * states), seed)
         for stage, (share, spacing) in enumerate(STAGES[scene.arm.dimension]):
             if stage == 1:
-                run.mix(run.count + int(INSIDE * states), seed + 1)
+                run.mix(run.count + int(INSIDE[scene.arm.dimension] * states), seed + 1)
                 if scene.arm.dimension == 3:  # in the plane the first resolution is fine enough
                     run.resolve(REACHED)
             run.follow_boundaries(spacing, int(share * states))
