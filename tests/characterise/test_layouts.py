@@ -178,14 +178,18 @@ ASKED = [
     (
         BOTH,
         ("--gauge-length", "80 mm", "--columns", "strain=3"),
-        r"gauge_length: must stand with .* that are lengths, got one and strain in % in column 3 of tester.txt",
+        r"gauge_length: must stand with .* that are lengths, .* got one and strain in % in column 3 of tester.txt",
     ),
     (BOTH, ("--columns", "3"), r"columns: must be as in 'time=Time:s, force=4', got '3'"),
     (BOTH, ("--columns", "force=9"), r"columns: force: must be from 1 to 4, .*, got 9"),
     (BOTH, ("--columns", "force=Kraft"), r"columns: force: must be the number or .*, got 'Kraft'"),
     (BOTH, ("--columns", "forse=4"), r"columns: must be one of .*, got 'forse'; did you mean force\?"),
     (BOTH, ("--columns", "force=4:furlong"), r"columns: force: the unit of force must be one of N, .*, got 'furlong'"),
-    (BOTH, ("--columns", "strain=3,extension=2"), r"columns: must name one of strain, contraction and extension, .*"),
+    (
+        BOTH,
+        ("--columns", "strain=3,extension=2"),
+        r"columns: must name one of strain, contraction, extension, length, .*",
+    ),
     (
         ("reference", "seconds since 1970, no header"),
         ("--unit", "kPa"),

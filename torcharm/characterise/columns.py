@@ -24,6 +24,7 @@ _LIKELY: dict[str, tuple[tuple[float, str], ...]] = {
     "strain": ((1.0, "mm/mm"), (math.inf, "%")),
     "contraction": ((1.0, "mm/mm"), (math.inf, "%")),
     "extension": ((1e3, "mm"), (math.inf, "µm")),
+    "length": ((1e3, "mm"), (math.inf, "µm")),
     "pressure": ((12.0, "bar"), (1.2e3, "kPa"), (1.2e4, "mbar"), (math.inf, "Pa")),
     "force": ((math.inf, "N"),),
 }

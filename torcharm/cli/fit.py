@@ -47,7 +47,7 @@ def fit(
         str | None,
         typer.Option(
             help="Columns by name or number, with units that the file lacks: "
-            '"time=Time:s,extension=5:mm,force=Load"; also strain, contraction, pressure.',
+            '"time=Time:s,extension=5:mm,force=Load"; also strain, contraction, length, pressure.',
             show_default="as the header names them",
         ),
     ] = None,
