@@ -48,11 +48,11 @@ def stretch_quantity(sheet: Sheet, columns: Columns | None, gauge_length: float 
         stretches = ("contraction", "extension", "length", "strain")  # with lengths the former go
     found = said or [quantity for quantity in stretches if has_column(sheet, quantity, None)]
     if not found:
-        header = header_of(sheet)
+        header, is_log = header_of(sheet), has_column(sheet, "pressure", None) and not has_column(sheet, "force", None)
         raise ValueError(
             f"{sheet.source}: line {header.line}: must name one column of strain, contraction, extension or length, "
             f'got {header.none}; --columns says which, as in "{example(sheet, ("extension",), columns)}" or '
-            f'"{example(sheet, ("contraction",), columns)}"'
+            f'"{example(sheet, ("contraction",), columns)}"{"; or is it a log, for --pressure?" * is_log}'
         )
     return found[0]
 
