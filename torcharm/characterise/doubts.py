@@ -4,7 +4,6 @@ import warnings
 from collections.abc import Sequence
 
 import numpy as np
-import torch
 
 from torcharm.actuators.measured import Measured
 from torcharm.actuators.polynomial import PolynomialActuator
@@ -19,15 +18,11 @@ THIN = 0.2
 LEVERAGE, UNSURE = 10.0, 0.03
 """In square roots of their number, by what coefficients may amplify what the fit leaves where the model counts as
 characterised; and of the largest force, how much that may make."""
-GRID = 31
-"""Strains and pressures at which that is looked at."""
 FORCES = (0.05, 1e4)
 """Between these [N] lies the largest force of a soft actuator."""
 STUCK, MORE_OFF, AT_LEAST = 0.02, 1.5, 10
 """Of the samples, how many at the highest pressure, how much worse than others they fit, and how many at least, tell
 of a sensor at its end."""
-SAME = 1e-9
-"""Of the largest force, what forces that are all the same may differ by."""
 LOW = 0.9
 """R² below which strain and pressure hardly tell the force."""
 FAR_OFF = 0.1
@@ -98,10 +93,10 @@ def covered(model: Measured) -> float:
 
 
 def _undetermined(model: Actuator, recording: Recording, residual: Array) -> str:
-    """Whether samples lie on a line of strains and pressures, or leave coefficients open that count between them.
+    """Whether samples lie about a line of strains and pressures, or leave coefficients open that count between them.
 
-    A misfit that is no noise changes a predicted force by up to `√(gᵀ (XᵀX / n)⁻¹ g)` of its root mean square, with X
-    the monomials of the samples and g those of the force.
+    A misfit that is no noise changes a force by up to `√(gᵀ (XᵀX / n)⁻¹ g)` of its root mean square, with X the
+    monomials of samples and g those of the force.
     """
     if not isinstance(model, Measured):
         return ""
@@ -109,33 +104,31 @@ def _undetermined(model: Actuator, recording: Recording, residual: Array) -> str
     if share < THIN:
         return (
             f"strain and pressure moved together: samples cover {100 * share:.2g} % of the box of their ranges, and "
-            "the model holds there alone, as what each of the two does cannot be told: test at several pressures for "
-            "each strain"
+            "beyond nothing tells what each of the two does: test at several pressures for each strain"
         )
     if not isinstance(model, PolynomialActuator):
         return ""
     powers = tuple((i, j) for i, j, _ in model.coefficients)
     monomials = Monomials.for_data(powers, recording.strain, recording.pressure)
     _, triangle = np.linalg.qr(monomials.values(recording.strain, recording.pressure))
-    axes = np.meshgrid(*(np.linspace(*ends, GRID) for ends in (model.strain_range, model.pressure_range)))
-    strain, pressure = (axis.ravel() for axis in axes)
-    known = model.characterised(torch.from_numpy(strain), torch.from_numpy(pressure)).numpy()
-    wanted = monomials.values(strain[known], pressure[known])
-    gain = np.sqrt(len(residual) * (np.linalg.lstsq(triangle.T, wanted.T, rcond=None)[0] ** 2).sum(0))
+    corners = np.array(model.region)
+    strain, pressure = ((corners + corners[:, None]) / 2).reshape(-1, 2).T  # between any two, which lies inside
+    wanted = np.linalg.lstsq(triangle.T, monomials.values(strain, pressure).T, rcond=None)[0]
+    gain = np.sqrt(len(residual) * (wanted**2).sum(0))
     worst, most = int(gain.argmax()), float(np.abs(recording.force).max())
     off = float(gain[worst]) * float(np.sqrt((residual**2).mean()))
     if gain[worst] < LEVERAGE * np.sqrt(len(powers)) or off < UNSURE * most:
         return ""
     return (
         f"{len(powers)} coefficients are more than the samples determine: by what the fit leaves, the force at strain "
-        f"{strain[known][worst]:.3g} and {pressure[known][worst]:.3g} kPa may be {100 * min(off / most, 1):.2g} % of "
-        "the largest force off: were both ever away from 0 at once? Test at three pressures or more for each of "
-        "several strains, or fit a lower --degree"
+        f"{strain[worst]:.3g} and {pressure[worst]:.3g} kPa may be {100 * min(off / most, 1):.0f} % of "
+        "the largest force off: were both ever away from 0 at once, and at three values each? Test more of them, or "
+        "fit a lower --degree"
     )
 
 
 def _low(recording: Recording, residual: Array) -> str:
-    if float(np.ptp(recording.force)) <= SAME * float(np.abs(recording.force).max()):
+    if np.ptp(recording.force) == 0:
         return f"forces are {recording.force.mean():.4g} N in every sample: is it the right column?"
     share = float(residual @ residual) / max(float(np.sum((recording.force - recording.force.mean()) ** 2)), 1e-300)
     if share <= 1 - LOW:

@@ -110,14 +110,14 @@ def read_tester(
 ) -> TesterRecord:
     """Read time, force and strain of a tensile tester's file of columns; units are those that the file names.
 
-    Columns are known by their names (Force or Load, Strain, Extension or Displacement, ...) unless said; others are
+    Columns are known by their names (Force or Load, Strain, Extension or Displacement, Length, ...) unless said; others are
     passed over. Stamps that repeat or go back a little are averaged, and damaged lines left out, a few of them.
 
     Args:
         path: the file.
         columns: which columns hold what, by name or number, and in which unit, where the file does not tell:
             "time=1:ms, extension=5:mm, force=Load:N".
-        gauge_length: of the actuators [m]; strain is then the extension over it.
+        gauge_length: of the actuators [m]; strain is then the extension over it, or the length over it less 1.
         positive: whether positive forces of the file "pull" or "push". None: those of compressive forces push, others
             are assumed to pull until `align` sees by the samples that they push.
         truncated: whether to accept a file that ends within a line, and drop that line.

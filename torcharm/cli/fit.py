@@ -61,7 +61,7 @@ def fit(
     gauge_length: Annotated[
         str | None,
         typer.Option(
-            help='Of the actuators, where files hold lengths of extension or contraction: "80 mm".',
+            help='Of the actuators, where files hold lengths, or those of extension or contraction: "80 mm".',
             show_default="strains are read",
         ),
     ] = None,
