@@ -397,6 +397,12 @@ def test_clocks_that_do_not_overlap_are_searched_from_a_common_start():
     assert ta.estimate_offset(run, late, smoothing=0).offset + 1.69e12 == pytest.approx(137.0, abs=1.0)
 
 
+def test_a_search_goes_no_further_than_both_files_reach():
+    run, log = delayed(300.0)
+    near, far = (ta.estimate_offset(run, log, smoothing=0, search=search) for search in (5e3, 1e12))
+    assert far.offset == pytest.approx(near.offset, abs=1.0)
+
+
 def test_an_offset_out_of_reach_is_a_warning():
     with pytest.warns(UserWarning, match=r"best offset lies at the edge of ±300 ms"):
         ta.estimate_offset(*delayed(900.0), smoothing=0, search=300.0)

@@ -110,8 +110,8 @@ def read_tester(
 ) -> TesterRecord:
     """Read time, force and strain of a tensile tester's file of columns; units are those that the file names.
 
-    Columns are known by their names (Force or Load, Strain, Extension or Displacement, Length, ...) unless said; others are
-    passed over. Stamps that repeat or go back a little are averaged, and damaged lines left out, a few of them.
+    Columns are known by their names (Force or Load, Strain, Extension or Displacement, Length, ...) unless said; others
+    are passed over. Stamps that repeat or go back a little are averaged, and damaged lines left out, a few of them.
 
     Args:
         path: the file.

@@ -48,7 +48,8 @@ def stretch_quantity(sheet: Sheet, columns: Columns | None, gauge_length: float 
         stretches = ("contraction", "extension", "length", "strain")  # with lengths the former go
     found = said or [quantity for quantity in stretches if has_column(sheet, quantity, None)]
     if not found:
-        header, is_log = header_of(sheet), has_column(sheet, "pressure", None) and not has_column(sheet, "force", None)
+        header = header_of(sheet)
+        is_log = [has_column(sheet, own, None) for own in ("time", "pressure", "force")] == [True, True, False]
         raise ValueError(
             f"{sheet.source}: line {header.line}: must name one column of strain, contraction, extension or length, "
             f'got {header.none}; --columns says which, as in "{example(sheet, ("extension",), columns)}" or '
@@ -131,7 +132,8 @@ def check_strains(source: str, strain: Array, stretch: Column) -> None:
     if stretch.unit in LENGTH and size.min() > max(1.0, FAR_FROM_REST * float(np.ptp(strain))):
         raise ValueError(
             f"{source}: strains must count from the actuators' own length, got {strain.min():.3g} to "
-            f"{strain.max():.3g}, never near 0: is this a position, or is the gauge length wrong?"
+            f"{strain.max():.3g}, never near 0: is this a position or a whole length (length=), or is the gauge "
+            "length wrong?"
         )
     low, high = PLAUSIBLE_STRAIN
     most = float(size.max())
