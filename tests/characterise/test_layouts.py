@@ -474,7 +474,7 @@ def test_decimal_commas_beside_points_are_named(fit):
 
 def test_parts_of_1_in_a_column_of_percents_and_units_taken_are_told(fit, tmp_path):
     (tmp_path / "t.csv").write_text(layouts.LONG.replace("strain", "strain [%]"))
-    with pytest.warns(UserWarning, match=r"is the unit of strain, %, right, or are the cells parts of 1\?"):
+    with pytest.warns(UserWarning, match=r"is its unit %, are the cells parts of 1, is"):
         read_table(tmp_path / "t.csv")
     _, shown = fit("--table", "table.txt", table=layouts.LONG)
     assert "names no unit of strain: read as parts of 1" in shown

@@ -18,8 +18,7 @@ MOST_LEVELS = 40
 """Distinct strains, or pressures, of what counts as a table; a recording has thousands."""
 
 PAUSE, RARE, MISSED = 20.0, 3, 0.01
-"""In usual steps of a log, how long what interrupts it lasts; how many such there are of a log that does not pause by
-design; and of the tester's stamps, how many they must hold to be told."""
+"""In usual steps of a log, its pauses; how many are no design; and of the tester's stamps, how many in them count."""
 TOO_SHORT = 0.01
 """Of a run, a log that lasts no longer is in another unit of time, or of another run."""
 

@@ -24,7 +24,7 @@ from torcharm.characterise.delimited import Array, Form, Sheet, check_damage, nu
 from torcharm.characterise.headers import header_of
 from torcharm.characterise.recordings import POSITIVE, ask_if_absolute, gauge_pressure
 from torcharm.characterise.signs import settled
-from torcharm.characterise.stretch import PLAUSIBLE_STRAIN, check_strains, known_signs, strains_of, stretch_quantity
+from torcharm.characterise.stretch import check_strains, known_signs, strains_of, stretch_quantity
 from torcharm.files import StrPath
 from torcharm.inputs import check_choice
 from torcharm.units import PRESSURE, STRAIN, unit_named
@@ -95,7 +95,7 @@ def read_table(
     return read
 
 
-MOST_WITHOUT_UNIT = {"contraction": 1.0, "strain": PLAUSIBLE_STRAIN[1]}
+MOST_WITHOUT_UNIT = {"contraction": 1.0, "strain": 5.0}
 """What parts of 1 may reach: nothing contracts to less than no length; larger numbers are percents."""
 ROUNDING = 2e-3
 """Of the largest force, by how much columns of one heading may differ."""

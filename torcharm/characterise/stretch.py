@@ -12,8 +12,9 @@ from torcharm.characterise.signs import ASSUMED, NAMED, SAID, Signs
 from torcharm.inputs import check_number
 from torcharm.units import LENGTH
 
-PLAUSIBLE_STRAIN = (0.02, 5.0)
-"""Between these lies the largest strain, or percents were taken for parts of 1, or these for percents."""
+PLAUSIBLE_STRAIN, LEAST_STRAIN, NEAR_REST = (-0.6, 1.0), 0.02, 0.3
+"""Between the first lie the strains of soft actuators; the largest is more than the second, the least no more than the
+third: else percents were taken for parts of 1 or these for percents, positions for extensions, forces for strains."""
 FAR_FROM_REST = 3.0
 """In widths of their range, how far from 0 lengths all lie that are positions, if further than the gauge length."""
 LONGEST_GAUGE = 3.0
@@ -24,8 +25,6 @@ MOST_ROWS = 2000
 """Of a file, evenly spread, tell as much of its columns as all."""
 ALIKE = 0.9
 """The squared correlation of strains and extensions of one actuator, at least: clamps and grips slip."""
-LIKELY_STRAIN, NEAR_REST = (-0.6, 1.0), 0.3
-"""Between these lie the strains of soft actuators; and no further than that from 0 the least of them."""
 
 
 def stretch_quantity(sheet: Sheet, columns: Columns | None, gauge_length: float | None) -> str:
@@ -135,22 +134,13 @@ def check_strains(source: str, strain: Array, stretch: Column) -> None:
             f"{strain.max():.3g}, never near 0: is this a position or a whole length (length=), or is the gauge "
             "length wrong?"
         )
-    low, high = PLAUSIBLE_STRAIN
-    most = float(size.max())
-    if not low <= most <= high:
-        how = f"more than {high:g}" if most > high else f"less than {low:g}"
-        cells = ", or are the cells parts of 1" if most < low and stretch.unit == "%" else ""
-        cells = ", and the gauge length" if stretch.unit in LENGTH else cells
+    (low, high), least = PLAUSIBLE_STRAIN, LEAST_STRAIN
+    if not low <= strain.min() <= strain.max() <= high or size.max() < least or size.min() > NEAR_REST:
+        cells = ", are the cells parts of 1" if size.max() < least and stretch.unit == "%" else ""
         warnings.warn(
-            f"{source}: strains reach {most:.3g}, {how}: is the unit of {stretch.quantity}, {stretch.unit}, right"
-            f"{cells}?",
-            stacklevel=4,
-        )
-    elif not LIKELY_STRAIN[0] <= strain.min() <= strain.max() <= LIKELY_STRAIN[1] or size.min() > NEAR_REST:
-        warnings.warn(
-            f"{source}: strains from {strain.min():.3g} to {strain.max():.3g} are no soft actuator's, which are near 0 "
-            "at rest: are the columns, the unit and the gauge length right, and are these changes of length (length= "
-            "takes whole lengths)?",
+            f"{source}: strains are {strain.min():.3g} to {strain.max():.3g}, those of soft actuators near 0 at rest, "
+            f"over {least:g} at most and from {low:g} to {high:g}: is this the column of {stretch.quantity}, is its "
+            f"unit {stretch.unit}{cells}, is the gauge length right, or are these whole lengths (length=)?",
             stacklevel=4,
         )
 
