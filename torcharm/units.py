@@ -22,6 +22,7 @@ MEASURED = {
     "strain": STRAIN | LENGTH,
     "contraction": STRAIN | LENGTH,
     "extension": LENGTH | STRAIN,
+    "length": LENGTH,
     "force": FORCE | {"cN": 0.01, "daN": 10.0, "ozf": 4.4482216152605 / 16},
     "pressure": PRESSURE
     | {"atm": 101.325, "kgf/cm²": 98.0665, "mmHg": 101.325 / 760, "inHg": 3.386389, "mmH2O": 9.80665e-3}

@@ -77,3 +77,52 @@ def test_limits_beyond_what_was_measured_are_told():
     assert doubts(recording(), max_pressure=500.0) == [
         "max_pressure: 500 kPa is beyond 80 kPa, above which nothing was measured"
     ]
+
+
+def law(strain, pressure, count=400):
+    """Samples of a law that the models hold, with the noise of sensors."""
+    random = np.random.default_rng(5)
+    force = sum(c * strain**i * pressure**j for (i, j), c in layouts.TRUTH.items()) + 0.05 * random.normal(size=count)
+    strain, pressure = strain + 1e-4 * random.normal(size=count), (pressure + 0.1 * random.normal(size=count)).clip(0)
+    return ta.Recording(strain, pressure, force, np.zeros(count, int), ("a.csv",))
+
+
+TIME = np.arange(400) * 0.1
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_strain_and_pressure_that_move_together_are_told(degree):
+    together = np.abs(np.sin(TIME / 2))
+    (said,) = doubts(law(0.1 * together, 60 * together), degree=degree)
+    assert said.startswith("strain and pressure moved together: samples cover ")
+    assert "test at several pressures for each strain" in said
+
+
+@pytest.mark.parametrize("degree", [2, 3])
+def test_coefficients_that_samples_leave_open_are_told(degree):
+    apart = law(np.where(TIME < 20, 0.1 * np.sin(TIME), 0.0), np.where(TIME < 20, 0.0, 30 * (1 - np.cos(0.942 * TIME))))
+    (said,) = doubts(apart, degree=degree)
+    assert f"{len(layouts.TRUTH) if degree == 2 else 9} coefficients are more than the samples determine" in said
+    assert not doubts(apart, degree=1)
+    assert not doubts(law(0.1 * np.sin(TIME), 30 * (1 - np.cos(0.942 * TIME))), degree=degree)
+
+
+def test_a_pressure_that_is_clipped_is_told():
+    pressure = 30 * (1 - np.cos(0.942 * TIME))
+    run = law(0.1 * np.sin(TIME), pressure)
+    (said,) = (one for one in doubts(replace(run, pressure=pressure.clip(max=40.0))) if "exactly" in one)
+    assert "are at exactly 40 kPa, the highest pressure, while forces change by " in said
+    held = law(0.1 * np.sin(TIME), pressure.clip(max=40.0))  # one that a regulator holds is none
+    assert not doubts(replace(held, pressure=pressure.clip(max=40.0)))
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e-4])
+def test_forces_that_no_soft_actuator_has_are_told(factor):
+    given = recording()
+    (said,) = doubts(replace(given, force=factor * given.force))
+    assert "those of soft ones 0.05 to 10000 N: are the unit of force and the number of actuators right?" in said
+
+
+def test_forces_that_are_all_the_same_are_told():
+    given = recording()
+    assert doubts(replace(given, force=np.full_like(given.force, 5.0)))[-1].startswith("forces are 5 N in every sample")

@@ -178,14 +178,20 @@ ASKED = [
     (
         BOTH,
         ("--gauge-length", "80 mm", "--columns", "strain=3"),
-        r"gauge_length: must stand with .* that are lengths, got one and strain in % in column 3 of tester.txt",
+        r"gauge_length: must stand with .* that are lengths, .* got one and strain in % in column 3 of tester.txt",
     ),
     (BOTH, ("--columns", "3"), r"columns: must be as in 'time=Time:s, force=4', got '3'"),
     (BOTH, ("--columns", "force=9"), r"columns: force: must be from 1 to 4, .*, got 9"),
     (BOTH, ("--columns", "force=Kraft"), r"columns: force: must be the number or .*, got 'Kraft'"),
+    (BOTH, ("--pressure-columns", "forse=4"), r"--pressure-columns: must be one of .*, got 'forse'; did you mean .*"),
+    (BOTH, ("--model", "mckibben"), r"--degree: must be left out with --model mckibben, for which it means .*"),
     (BOTH, ("--columns", "forse=4"), r"columns: must be one of .*, got 'forse'; did you mean force\?"),
     (BOTH, ("--columns", "force=4:furlong"), r"columns: force: the unit of force must be one of N, .*, got 'furlong'"),
-    (BOTH, ("--columns", "strain=3,extension=2"), r"columns: must name one of strain, contraction and extension, .*"),
+    (
+        BOTH,
+        ("--columns", "strain=3,extension=2"),
+        r"columns: must name one of strain, contraction, extension, length, .*",
+    ),
     (
         ("reference", "seconds since 1970, no header"),
         ("--unit", "kPa"),
@@ -199,6 +205,21 @@ def test_what_is_lacking_or_contradicts_is_one_line(fit, files, options, message
     said = fit(*RUN, *options, tester=layouts.TESTERS[files[0]][0], log=layouts.LOGS[files[1]][0])
     assert isinstance(said, str)
     assert re.fullmatch(f"torcharm: {message}\n", said)
+
+
+def test_files_that_are_swapped_are_told(fit):
+    said = fit(*RUN, tester=layouts.REFERENCE_LOG, log=layouts.REFERENCE)
+    assert "or is it a log, for --pressure?" in said
+
+
+def test_a_hint_keeps_the_unit_that_a_name_ends_with(fit):
+    minutes = layouts.text(
+        "t_min,p_MPa", layouts.lines(layouts.STAMPS / 6e4, layouts.pressure_at(layouts.STAMPS) / 1e3)
+    )
+    said = fit(*RUN, tester=layouts.REFERENCE, log=minutes)
+    assert 'perhaps as in "time=t_min:min"' in said
+    found = fit(*RUN, "--pressure-columns", "time=t_min:min", tester=layouts.REFERENCE, log=minutes)
+    assert_law(found[0], layouts.TRUTH)
 
 
 def test_a_tester_without_pressures_needs_a_log(fit):
@@ -453,7 +474,7 @@ def test_decimal_commas_beside_points_are_named(fit):
 
 def test_parts_of_1_in_a_column_of_percents_and_units_taken_are_told(fit, tmp_path):
     (tmp_path / "t.csv").write_text(layouts.LONG.replace("strain", "strain [%]"))
-    with pytest.warns(UserWarning, match=r"is the unit of strain, %, right, or are the cells parts of 1\?"):
+    with pytest.warns(UserWarning, match=r"is its unit %, are the cells parts of 1, is"):
         read_table(tmp_path / "t.csv")
     _, shown = fit("--table", "table.txt", table=layouts.LONG)
     assert "names no unit of strain: read as parts of 1" in shown

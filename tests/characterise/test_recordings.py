@@ -10,6 +10,7 @@ import pytest
 
 import torcharm as ta
 from torcharm.characterise import recordings
+from torcharm.characterise.alignment import by_depth
 from torcharm.characterise.misfit import smooth
 from torcharm.characterise.recordings import PressureRecord
 
@@ -107,7 +108,7 @@ def test_pressures_that_rest_at_the_atmosphere_are_asked_about_and_read_if_said_
 
 def test_a_strain_that_is_none_is_a_warning(tmp_path):
     path = csv_file(tmp_path, ['"0","0","0","1"', '"20","0","0.4","1"'])
-    with pytest.warns(UserWarning, match=r"tester.csv: strains reach 0.004, less than 0.01: is the unit of strain, %"):
+    with pytest.warns(UserWarning, match=r"strains are 0 to 0.004, .* is its unit %, are the cells parts of 1, is"):
         ta.read_tester(path)
 
 
@@ -135,9 +136,32 @@ def test_a_gauge_length_that_is_not_the_files_own_is_a_warning(tmp_path, recwarn
     assert np.allclose(found.strain, 2e-3 * np.arange(8) / 0.08)
 
 
+@pytest.mark.parametrize("strains", [(0, -80, 10), (40, 60, 80), (0, 60, 140)])
+def test_strains_of_no_soft_actuator_are_a_warning(tmp_path, strains):
+    path = csv_file(tmp_path, [f'"{20 * k}","{0.6 * e}","{e}","1"' for k, e in enumerate(strains)])
+    with pytest.warns(UserWarning, match=r"strains are .* those of soft actuators near 0 .* whole lengths .length="):
+        ta.read_tester(path)
+
+
+def test_strains_and_displacements_that_contradict_each_other_are_a_warning(tmp_path):
+    path = csv_file(tmp_path, [f'"{20 * k}","{k}","{(7 * k) % 5}","1"' for k in range(9)])
+    with pytest.warns(UserWarning, match="its strains and its lengths do not go together: .* are columns swapped"):
+        ta.read_tester(path)
+
+
+@pytest.mark.parametrize("name", ["Length", "Height", "Länge"])
+def test_lengths_count_from_the_gauge_length(tmp_path, name):
+    path = write(tmp_path / "t.csv", f"Time (s),{name} (mm),Force (N)\n0,80,1\n1,88,2\n2,76,3\n")
+    np.testing.assert_allclose(ta.read_tester(path, gauge_length=0.08).strain, [0, 0.1, -0.05], atol=1e-15)
+    said = ta.read_tester(path, columns="length=2", gauge_length=0.08)
+    np.testing.assert_allclose(said.strain, [0, 0.1, -0.05], atol=1e-15)
+    with pytest.raises(ValueError, match=r"gauge_length: is missing, .* gives lengths in mm and no strains"):
+        ta.read_tester(path)
+
+
 def test_an_implausible_strain_is_a_warning(tmp_path):
     path = csv_file(tmp_path, ['"0","0","0","1"', '"20","0","66.8","1"'], HEAD.replace("(%)", "(mm/mm)"))
-    with pytest.warns(UserWarning, match=r"tester.csv: strains reach 66.8"):
+    with pytest.warns(UserWarning, match=r"tester.csv: strains are 0 to 66.8, those of"):
         ta.read_tester(path)
 
 
@@ -258,12 +282,35 @@ def test_pauses_of_the_log():
     run, pressure = records()
     kept = (pressure.time < 1000) | (pressure.time > 2000)
     paused = PressureRecord(pressure.time[kept], pressure.pressure[kept], "p.txt")
-    bridged = ta.align(run, paused, smoothing=0)
+    with pytest.warns(UserWarning, match=r"p.txt: has no pressures for 1.02 s, .* 51 samples .*--max-gap 510 leaves"):
+        bridged = ta.align(run, paused, smoothing=0)
     assert len(bridged.strain) == len(run.time)
     found = ta.align(run, paused, smoothing=0, max_gap=100.0)
     times = found.strain * run.time[-1] / 0.5
     assert not ((times > 1001) & (times < 1999)).any()
     assert len(found.strain) == ((run.time <= 990) | (run.time >= 2010)).sum() == 149
+
+
+def test_a_log_that_pauses_often_does_so_by_design():
+    run, pressure = records()
+    kept = pressure.time % 500 < 200
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ta.align(run, PressureRecord(pressure.time[kept], pressure.pressure[kept], "p.txt"), smoothing=0, offset=0)
+
+
+def test_absolute_pressures_of_a_vacuum_are_asked_about():
+    time = np.arange(400) * 100.0
+    strain, depth = 0.13 * np.sin(time / 1800), 20 * (1 - np.cos(time / 2600))
+    run = recordings.TesterRecord(time, strain, 60 * strain + 1.2 * depth, "t.csv")
+    log = PressureRecord(time, 101.325 - depth, "p.txt", as_absolute='--columns "pressure=2:kPa abs"')
+    asked = r"never above 101.3 kPa, where the actuator has no force: are they absolute\? .* says so, beside --vacuum"
+    with pytest.warns(UserWarning, match=asked):
+        read = ta.align(run, log, smoothing=0, offset=0)
+    with pytest.raises(
+        ValueError, match=r"--vacuum: must stand with pressures below 0, got 61.\d+ to 101.3 kPa: .* abs"
+    ):
+        by_depth(read)
 
 
 def test_a_log_in_seconds_that_is_read_in_milliseconds():
@@ -348,6 +395,12 @@ def test_clocks_that_do_not_overlap_are_searched_from_a_common_start():
     run, log = delayed(137.0)
     late = PressureRecord(log.time[500:] + 1.69e12, log.pressure[500:], "p.txt")
     assert ta.estimate_offset(run, late, smoothing=0).offset + 1.69e12 == pytest.approx(137.0, abs=1.0)
+
+
+def test_a_search_goes_no_further_than_both_files_reach():
+    run, log = delayed(300.0)
+    near, far = (ta.estimate_offset(run, log, smoothing=0, search=search) for search in (5e3, 1e12))
+    assert far.offset == pytest.approx(near.offset, abs=1.0)
 
 
 def test_an_offset_out_of_reach_is_a_warning():

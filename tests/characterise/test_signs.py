@@ -34,6 +34,12 @@ def test_what_is_not_clear_is_not_told():
     assert positive_forces(0 * strain, pressure, force) == ""
     assert positive_forces(strain[:8], pressure[:8], force[:8]) == ""
     assert positive_forces(strain, pressure, 100 * (strain - 0.25) ** 2) == ""  # rises and falls
+    together = strain + 2e-4 * random.normal(size=len(strain))  # pressure, too
+    assert positive_forces(strain, 100 * together, 0.9 * 100 * strain - 60 * strain + random.normal(size=300)) == ""
+    either = random.random(300) < 0.5  # what both do at once is left open, and not what strain does
+    force = ta.Bellows().force(*(torch.from_numpy(values) for values in (strain * either, pressure * ~either))).numpy()
+    off = 1e-3 * random.normal(size=(2, 300))
+    assert positive_forces(strain * either + off[0], pressure * ~either + 50 * off[1], -force) == "pull"
 
 
 @pytest.mark.parametrize("way", ["pull", "push"])

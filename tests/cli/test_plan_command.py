@@ -91,7 +91,11 @@ def test_only_plans_that_all_fail_are_an_error(tmp_path):
     said = planned(tmp_path, text=FAR, code=NONE_FOUND)
     assert "mine: no shape: none of 4 elements" in said
     assert "Next:" not in said
-    planned(tmp_path, text=FAR + STUDY[STUDY.index("[[plan]]") :].replace("drawer", "near"))
+    near = STUDY[STUDY.index("[[plan]]") :].replace("drawer", "near")
+    planned(tmp_path, text=FAR + near)
+    said = planned(tmp_path, "--out", tmp_path / "p.csv", text=FAR.replace("[1.0, -0.2,", "[5.0, 5.0,") + near)
+    assert "mine: no shape: none of 4 elements" in said
+    assert (tmp_path / "p.csv").read_text().count("\nnear,mine,") == 4
 
 
 def test_tasks_read_back_as_they_were():

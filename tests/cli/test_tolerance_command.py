@@ -112,6 +112,12 @@ def test_mistakes_are_one_line(tmp_path, monkeypatch, capsys, arguments, words):
     assert words in mistake(monkeypatch, capsys, "tolerance", path, *arguments)
 
 
+def test_a_mistake_comes_before_what_is_doubtful(tmp_path, monkeypatch, capsys):
+    path = tmp_path / "doubtful.toml"
+    path.write_text(STUDY.replace('kind = "bellows"', 'kind = "bellows"\nmax_pressure = 0.4'), encoding="utf-8")
+    assert mistake(monkeypatch, capsys, "tolerance", path).count("\n") <= 1
+
+
 def test_actuators_are_scattered_alike_on_request(study, tmp_path):
     plan = load_study(study)
     arm, task = plan.arms[0].design, plan.tasks[0].task

@@ -556,6 +556,11 @@ BAD_STUDIES = {
         "arm[1].actuators[2].kind: must be one of bellows, mckibben, polynomial",
         'got "mckiben"; did you mean mckibben?',
     ),
+    "actuator is a path": (
+        bad_actuator('"models/mine.toml"'),
+        "arm[1].actuators[2].kind: must be one of bellows",
+        'got "models/mine.toml"; of a file: { kind = "file", path = "models/mine.toml" }',
+    ),
     "actuator is a number": (bad_actuator("3"), "arm[1].actuators[2]: must be a table with a kind", "got 3"),
     "actuator without kind": (bad_actuator("{ force_scale = 2 }"), "arm[1].actuators[2].kind: missing; must be one of"),
     "unknown actuator key": (

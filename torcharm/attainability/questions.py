@@ -12,6 +12,9 @@ from torcharm.arm_series import with_slices
 
 LONGEST = 5.0
 """A length of an arm or a shape [m] beyond which metres were hardly meant."""
+FARTHEST = 20.0
+"""A place of a pose [m], as far from the origin, beyond which metres were hardly meant: one out of reach is no question
+of units, but of its plan alone."""
 MOST_TURN = 4 * math.pi
 """A bend of a whole segment [rad], two turns, beyond which radians were hardly meant."""
 LEAST_LIMIT = 0.03
@@ -92,7 +95,7 @@ def question_about_lengths(lengths: Sequence[float], most: float = LONGEST) -> s
 def question_about_pose(place: Sequence[float], heading: float | None = None) -> str | None:
     """Whether a pose, of a place [m] and perhaps a heading [rad], is in other units; None: it makes sense."""
     away = math.hypot(*place)
-    far = f"{away:.3g} m from the origin" if away > LONGEST else ""
+    far = f"{away:.3g} m from the origin" if away > FARTHEST else ""
     turned = f"a heading of {heading:g} rad" if heading is not None and abs(heading) > MOST_HEADING else ""
     if not far and not turned:
         return None

@@ -1,5 +1,6 @@
 """Recordings of one run or several: pressure smoothed and brought to the tester's time stamps, runs pooled."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +17,8 @@ from torcharm.inputs import check_count, check_number
 MOST_LEVELS = 40
 """Distinct strains, or pressures, of what counts as a table; a recording has thousands."""
 
+PAUSE, RARE, MISSED = 20.0, 3, 0.01
+"""In usual steps of a log, its pauses; how many are no design; and of the tester's stamps, how many in them count."""
 TOO_SHORT = 0.01
 """Of a run, a log that lasts no longer is in another unit of time, or of another run."""
 
@@ -141,12 +144,30 @@ def _kept(
             f"{log.source}: lasts {logged:g} ms, and {tester.source} {ran:g} ms, must be of the same run: is the unit "
             'of time right? --pressure-columns says it, as in "time=1:s"'
         )
-    if max_gap is not None:
-        after = np.searchsorted(clock, tester.time).clip(1, len(clock) - 1)
-        kept &= clock[after] - clock[after - 1] <= max_gap
+    after = np.searchsorted(clock, tester.time).clip(1, len(clock) - 1)
+    gap = clock[after] - clock[after - 1]
+    if max_gap is None:
+        _warn_of_pauses(log, kept & (gap > PAUSE * float(np.median(np.diff(clock)))), tester)
+    else:
+        kept &= gap <= max_gap
         if not kept.any():
             raise ValueError(f"max_gap: leaves no sample of {tester.source} and {log.source}, got {max_gap:g} ms")
     return kept
+
+
+def _warn_of_pauses(log: PressureRecord, inside: NDArray[np.bool_], tester: TesterRecord) -> None:
+    """Warn of the tester's stamps inside pauses of the log, unless it pauses often, as those do that save in blocks."""
+    steps = np.diff(log.time)
+    longest = float(steps.max())
+    if inside.sum() < MISSED * len(inside) or (steps > longest / 2).sum() > RARE:
+        return
+    usual = float(np.median(steps))
+    warnings.warn(
+        f"{log.source}: has no pressures for {longest / 1e3:.3g} s, usually one each {usual / 1e3:.3g} s: in "
+        f"such pauses {inside.sum()} samples of {tester.source} have what lies between the ends: --max-gap "
+        f"{longest / 2:.0f} leaves them out",
+        stacklevel=4,
+    )
 
 
 def noted(source: str, notes: Sequence[str]) -> tuple[tuple[str, str], ...]:
@@ -193,7 +214,17 @@ def pool(recordings: Sequence[Recording]) -> Recording:
 
 
 def by_depth(recording: Recording) -> Recording:
-    """The same with pressures below zero as depths of vacuum, which are positive: what limits and results then are."""
+    """The same with pressures below zero as depths of vacuum, which are positive: what limits and results then are.
+
+    Raises:
+        ValueError: most of their range is above zero.
+    """
+    low, high = float(recording.pressure.min()), float(recording.pressure.max())
+    if high > -low:
+        raise ValueError(
+            f"--vacuum: must stand with pressures below 0, got {low:.4g} to {high:.4g} kPa: depths do without it, "
+            'and absolute pressures are said beside it, by --columns or --pressure-columns: "pressure=2:kPa abs"'
+        )
     settings = (*recording.settings, ("pressures", "depths of vacuum"))
     return replace(recording, pressure=-recording.pressure, settings=settings)
 

@@ -11,6 +11,7 @@ NAMES = {
     "strain": r"strain|dehnung|stauchung",
     "contraction": r"contraction|shortening|kontraktion|verkürzung",
     "extension": r"extension|displacement|elongation|crosshead|stroke|position|travel|weg\b|traverse|verlängerung",
+    "length": r"length|height|länge\b|höhe\b",
     "force": r"force|load|kraft",
     "pressure": r"pressure|druck(?!kraft)",
 }
@@ -39,8 +40,10 @@ def is_compressive(name: str) -> bool:
 
 
 def is_sure(quantity: str, name: str) -> bool:
-    """Whether a quantity or a name says which way a stretch counts: contraction, compressive, extension, tensile."""
-    return quantity == "contraction" or is_compressive(name) or _LENGTHENING.search(name.lower()) is not None
+    """Whether a quantity or a name says which way a stretch counts: contraction, length, compressive, tensile."""
+    return (
+        quantity in ("contraction", "length") or is_compressive(name) or _LENGTHENING.search(name.lower()) is not None
+    )
 
 
 def candidates(sheet: Sheet, header: Header, quantity: str) -> list[int]:

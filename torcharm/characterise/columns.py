@@ -24,6 +24,7 @@ _LIKELY: dict[str, tuple[tuple[float, str], ...]] = {
     "strain": ((1.0, "mm/mm"), (math.inf, "%")),
     "contraction": ((1.0, "mm/mm"), (math.inf, "%")),
     "extension": ((1e3, "mm"), (math.inf, "µm")),
+    "length": ((1e3, "mm"), (math.inf, "µm")),
     "pressure": ((12.0, "bar"), (1.2e3, "kPa"), (1.2e4, "mbar"), (math.inf, "Pa")),
     "force": ((math.inf, "N"),),
 }
@@ -274,6 +275,8 @@ def example(
         spread = {i: float(np.ptp(values_of(sheet, i))) for i in known[: len(known) * (len(known) > 1)]}
         index = next((i for i in spread if spread[i] >= VARIED * max(spread.values())), (known or free)[0])
         unit, (units, unknown) = own.unit and f"{own.unit}{' abs' * own.absolute}", named_units(header, index, quantity)
+        if not unit and not units and quantity == "time":  # minutes and hours are no units unless they end a name
+            unit = unit_named(re.split(r"[_\s]", header.names[index])[-1], quantity) or ""
         if not unit and not units and quantity not in (defaults or {}):
             unit = "?" if _LIKE_A_UNIT.fullmatch(unknown) else _likely_unit(quantity, values_of(sheet, index))
         if unit or own.column or len(named) != 1:

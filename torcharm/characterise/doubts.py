@@ -6,12 +6,23 @@ from collections.abc import Sequence
 import numpy as np
 
 from torcharm.actuators.measured import Measured
+from torcharm.actuators.polynomial import PolynomialActuator
 from torcharm.actuators.protocol import Actuator
 from torcharm.characterise.alignment import Recording, is_table
 from torcharm.characterise.choice import Candidate, forces
 from torcharm.characterise.least_squares import MAD, Array, Monomials, exponents, least_squares_loss
 from torcharm.characterise.misfit import USUAL_DEGREE
 
+THIN = 0.2
+"""Of the box of strains and pressures, what share samples must cover to tell what each of the two does."""
+LEVERAGE, UNSURE = 10.0, 0.03
+"""In square roots of their number, by what coefficients may amplify what the fit leaves where the model counts as
+characterised; and of the largest force, how much that may make."""
+FORCES = (0.05, 1e4)
+"""Between these [N] lies the largest force of a soft actuator."""
+STUCK, MORE_OFF, AT_LEAST = 0.02, 1.5, 10
+"""Of the samples, how many at the highest pressure, how much worse than others they fit, and how many at least, tell
+of a sensor at its end."""
 LOW = 0.9
 """R² below which strain and pressure hardly tell the force."""
 FAR_OFF = 0.1
@@ -38,12 +49,87 @@ def warn_of_doubts(model: Actuator, recording: Recording, compared: Sequence[Can
     """
     residual = recording.force - forces(model, recording.strain, recording.pressure)
     off = _unbalanced(recording), _low(recording, residual), _far_off(recording, compared), _spikes(recording, residual)
-    for doubt in (*off, _beyond(model)):
+    given = _size(recording), _clipped(recording), _undetermined(model, recording, residual)
+    for doubt in (*off, *given, _beyond(model)):
         if doubt:
             warnings.warn(doubt, stacklevel=2)
 
 
+def _size(recording: Recording) -> str:
+    low, high = FORCES
+    most = float(np.quantile(np.abs(recording.force), 0.99))  # spikes are told as such
+    if low <= most <= high:
+        return ""
+    return (
+        f"forces of one actuator reach {most:.3g} N, those of soft ones {low:g} to {high:g} N: are the unit of force "
+        "and the number of actuators right?"
+    )
+
+
+def _clipped(recording: Recording) -> str:
+    """Whether pressures stand at their highest while forces go on, as no function of strain tells them there."""
+    strain, pressure, force = recording.strain, recording.pressure, recording.force
+    top = pressure >= pressure.max() - 1e-6 * float(np.ptp(pressure))
+    if is_table(recording) or top.sum() < max(AT_LEAST, STUCK * len(top)) or (~top).sum() < AT_LEAST:
+        return ""
+    own, rest = (
+        np.sqrt(least_squares_loss(strain[part], pressure[part], force[part], powers) / part.sum())
+        for part, powers in ((top, ((0, 0), (1, 0), (2, 0), (3, 0))), (~top, exponents(USUAL_DEGREE)))
+    )
+    if own < max(MORE_OFF * rest, SPIKE_OF_FORCE * float(np.abs(force).max())):
+        return ""
+    return (
+        f"{top.sum()} samples are at exactly {pressure.max():.4g} kPa, the highest pressure, while forces change by "
+        f"{own:.2g} N more than strains tell: was the pressure clipped, as the sensor or the logger reached its end?"
+    )
+
+
+def covered(model: Measured) -> float:
+    """Of the box of its strains and pressures, what share a model's region covers, which is a polygon."""
+    (low, high), (first, last) = model.strain_range, model.pressure_range  # type: ignore[attr-defined]
+    following = (*model.region[1:], *model.region[:1])
+    area = abs(sum(x * v - u * y for (x, y), (u, v) in zip(model.region, following, strict=True))) / 2
+    return min(1.0, area / ((high - low) * (last - first)))
+
+
+def _undetermined(model: Actuator, recording: Recording, residual: Array) -> str:
+    """Whether samples lie about a line of strains and pressures, or leave coefficients open that count between them.
+
+    A misfit that is no noise changes a force by up to `√(gᵀ (XᵀX / n)⁻¹ g)` of its root mean square, with X the
+    monomials of samples and g those of the force.
+    """
+    if not isinstance(model, Measured):
+        return ""
+    share = covered(model)
+    if share < THIN:
+        return (
+            f"strain and pressure moved together: samples cover {100 * share:.2g} % of the box of their ranges, and "
+            "beyond nothing tells what each of the two does: test at several pressures for each strain"
+        )
+    if not isinstance(model, PolynomialActuator):
+        return ""
+    powers = tuple((i, j) for i, j, _ in model.coefficients)
+    monomials = Monomials.for_data(powers, recording.strain, recording.pressure)
+    _, triangle = np.linalg.qr(monomials.values(recording.strain, recording.pressure))
+    corners = np.array(model.region)
+    strain, pressure = ((corners + corners[:, None]) / 2).reshape(-1, 2).T  # between any two, which lies inside
+    wanted = np.linalg.lstsq(triangle.T, monomials.values(strain, pressure).T, rcond=None)[0]
+    gain = np.sqrt(len(residual) * (wanted**2).sum(0))
+    worst, most = int(gain.argmax()), float(np.abs(recording.force).max())
+    off = float(gain[worst]) * float(np.sqrt((residual**2).mean()))
+    if gain[worst] < LEVERAGE * np.sqrt(len(powers)) or off < UNSURE * most:
+        return ""
+    return (
+        f"{len(powers)} coefficients are more than the samples determine: by what the fit leaves, the force at strain "
+        f"{strain[worst]:.3g} and {pressure[worst]:.3g} kPa may be {100 * min(off / most, 1):.0f} % of "
+        "the largest force off: were both ever away from 0 at once, and at three values each? Test more of them, or "
+        "fit a lower --degree"
+    )
+
+
 def _low(recording: Recording, residual: Array) -> str:
+    if np.ptp(recording.force) == 0:
+        return f"forces are {recording.force.mean():.4g} N in every sample: is it the right column?"
     share = float(residual @ residual) / max(float(np.sum((recording.force - recording.force.mean()) ** 2)), 1e-300)
     if share <= 1 - LOW:
         return ""

@@ -24,12 +24,12 @@ from torcharm.characterise.delimited import Array, Form, Sheet, check_damage, nu
 from torcharm.characterise.headers import header_of
 from torcharm.characterise.recordings import POSITIVE, ask_if_absolute, gauge_pressure
 from torcharm.characterise.signs import settled
-from torcharm.characterise.stretch import PLAUSIBLE_STRAIN, check_strains, known_signs, strain_scale, stretch_quantity
+from torcharm.characterise.stretch import check_strains, known_signs, strains_of, stretch_quantity
 from torcharm.files import StrPath
 from torcharm.inputs import check_choice
 from torcharm.units import PRESSURE, STRAIN, unit_named
 
-LEADS = ("contraction", "extension", "strain", "pressure")
+LEADS = ("contraction", "extension", "strain", "length", "pressure")
 """What the first column of a table of forces alone may hold."""
 _HEAD = re.compile(r"\s*([-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*[(\[]?\s*([^\d\s()\[\]]*[^()\[\]]*?)\s*[)\]]?\s*")
 _INSIDE = re.compile(r"(?<!\d_)([-+]?(?<![\d.,])\d[\d.,]*)\s*([^\W\d_]+)")
@@ -80,7 +80,7 @@ def read_table(
     strain, pressure, force = (table * [column.factor for column in found.values()]).T
     _check_parts(sheet.source, stretch, strain)
     pressure, taken_off = gauge_pressure(pressure, sheet.source, pressures)
-    strain = strain_scale(sheet, stretch, gauge_length) * strain
+    strain = strains_of(sheet, stretch, gauge_length, strain)
     check_strains(sheet.source, strain, stretch)
     usual = "pull" if quantity == "contraction" else "push"
     signs = known_signs(stretch, squeezes=forces.compressive, positive=positive, usual=usual)
@@ -95,7 +95,7 @@ def read_table(
     return read
 
 
-MOST_WITHOUT_UNIT = {"contraction": 1.0, "strain": PLAUSIBLE_STRAIN[1]}
+MOST_WITHOUT_UNIT = {"contraction": 1.0, "strain": 5.0}
 """What parts of 1 may reach: nothing contracts to less than no length; larger numbers are percents."""
 ROUNDING = 2e-3
 """Of the largest force, by how much columns of one heading may differ."""

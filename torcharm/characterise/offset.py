@@ -96,12 +96,14 @@ def estimate_offset(
     check_number("search", search, 0.0, strict=True, unit="ms")
     apart = log.time[0] > tester.time[-1] or log.time[-1] < tester.time[0]
     centre = float(tester.time[0] - log.time[0]) if apart else 0.0
+    search = min(search, float(np.ptp(tester.time) + np.ptp(log.time)))  # beyond, the two do not overlap
     misfit = Misfit(tester, log.time + centre, smoothed(log, smoothing), exponents(degree))
     grid = offset_grid(search)
     found = np.array([misfit(shift) for shift in grid])
     if not np.isfinite(found).any():
         raise ValueError(
-            f"search: {tester.source} and {log.source} overlap too little to look {search:g} ms either way"
+            f"search (--find-offset): must reach further, {tester.source} and {log.source} overlap too little within "
+            f"±{search:g} ms"
         )
     if found.argmin() in (0, len(grid) - 1):
         warnings.warn(
@@ -131,4 +133,7 @@ def _valleys(misfit: Misfit, grid: Array, found: Array) -> list[float]:
     low = np.flatnonzero(np.isfinite(found) & (found <= padded[:-2]) & (found <= padded[2:]))
     best = low[np.argsort(found[low], kind="stable")][:VALLEYS]
     ends = [(grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]) for i in best.tolist()]
-    return [float(minimize_scalar(misfit, bounds=pair, method="bounded", options={"xatol": 0.1}).x) for pair in ends]
+    with np.errstate(invalid="ignore"):  # where nothing is shared the misfit is infinite
+        return [
+            float(minimize_scalar(misfit, bounds=pair, method="bounded", options={"xatol": 0.1}).x) for pair in ends
+        ]

@@ -19,11 +19,10 @@ from torcharm.characterise.delimited import Sheet, check_damage, numbers, read_s
 from torcharm.characterise.headers import header_of
 from torcharm.characterise.signs import PLAIN, Signs
 from torcharm.characterise.stretch import (
-    check_gauge_length,
+    check_other_stretch,
     check_strains,
     known_signs,
-    own_strains,
-    strain_scale,
+    strains_of,
     stretch_quantity,
 )
 from torcharm.files import StrPath
@@ -111,14 +110,14 @@ def read_tester(
 ) -> TesterRecord:
     """Read time, force and strain of a tensile tester's file of columns; units are those that the file names.
 
-    Columns are known by their names (Force or Load, Strain, Extension or Displacement, ...) unless said; others are
-    passed over. Stamps that repeat or go back a little are averaged, and damaged lines left out, a few of them.
+    Columns are known by their names (Force or Load, Strain, Extension or Displacement, Length, ...) unless said; others
+    are passed over. Stamps that repeat or go back a little are averaged, and damaged lines left out, a few of them.
 
     Args:
         path: the file.
         columns: which columns hold what, by name or number, and in which unit, where the file does not tell:
             "time=1:ms, extension=5:mm, force=Load:N".
-        gauge_length: of the actuators [m]; strain is then the extension over it.
+        gauge_length: of the actuators [m]; strain is then the extension over it, or the length over it less 1.
         positive: whether positive forces of the file "pull" or "push". None: those of compressive forces push, others
             are assumed to pull until `align` sees by the samples that they push.
         truncated: whether to accept a file that ends within a line, and drop that line.
@@ -185,12 +184,9 @@ def as_tester_record(
     check_damage(sheet, truncated=truncated)
     stretch = stretch_quantity(sheet, columns, gauge_length)
     found = find_columns(sheet, ("time", "force", stretch), columns, _clock_unit(sheet, columns))
-    scale = strain_scale(sheet, found[stretch], gauge_length)
-    found |= own_strains(sheet, stretch, columns, gauge_length)
     table, line, notes = _in_time(sheet, found)
-    if gauge_length is not None and "strain" in found:
-        check_gauge_length(sheet.source, table[stretch], table["strain"], gauge_length)
-    strain = table[stretch] * scale
+    strain = strains_of(sheet, found[stretch], gauge_length, table[stretch])
+    check_other_stretch(sheet, found[stretch], columns, gauge_length)
     check_strains(sheet.source, strain, found[stretch])
     signs = known_signs(found[stretch], squeezes=found["force"].compressive, positive=positive, usual="pull")
     tension = 1.0 if signs.positive == "pull" else -1.0
@@ -253,7 +249,8 @@ def gauge_pressure(pressure: Array, source: str, column: Column) -> tuple[Array,
 def ask_if_absolute(
     source: str, option: str, strain: Array, pressure: Array, force: Array, *, rests: bool = True
 ) -> None:
-    """Warn where pressures are never below that of the surroundings, unless forces tell that this is a pressure.
+    """Warn where pressures are never below that of the surroundings, or never above it and never near 0, unless forces
+    tell that this is a pressure.
 
     At its own length an actuator has a force if it is under pressure, and none at that of the surroundings.
 
@@ -263,15 +260,19 @@ def ask_if_absolute(
         strain, pressure [kPa], force: (n).
         rests: whether it is asked where forces tell nothing: runs rest at some time, tables may begin at any pressure.
     """
-    low = float(pressure.min())
-    if not option or not ATMOSPHERE[0] <= low <= ATMOSPHERE[1]:
+    low, high = float(pressure.min()), float(pressure.max())
+    ends = [end for end in (low, high) if ATMOSPHERE[0] <= end <= ATMOSPHERE[1]]
+    if not option or not ends or low < NEAR_REST * high:
         return
-    at_rest = (np.abs(strain) <= NEAR_REST) & (pressure <= low + NEAR_REST * np.ptp(pressure))
+    evacuated = ends[0] != low
+    at_rest = (np.abs(strain) <= NEAR_REST) & (np.abs(pressure - ends[0]) <= NEAR_REST * np.ptp(pressure))
     none = bool(at_rest.any()) and float(np.abs(force[at_rest]).mean()) < NO_FORCE * float(np.abs(force).max())
-    if none or (rests and not at_rest.any()):
+    if none or (rests and not evacuated and not at_rest.any()):
         why = ", where the actuator has no force" if none else ""
         warnings.warn(
-            f"{source}: pressures are never below {low:.4g} kPa{why}: are they absolute? {option} says so", stacklevel=4
+            f"{source}: pressures are never {'above' if evacuated else 'below'} {ends[0]:.4g} kPa{why}: are they "
+            f"absolute? {option} says so{', beside --vacuum' if evacuated else ''}",
+            stacklevel=4,
         )
 
 

@@ -18,6 +18,8 @@ MOST_SAMPLES = 4000
 """Of a recording, of which so many, evenly spread, tell as much as all."""
 CLEAR = 0.8
 """Of the mean size of the force's slope along the strain, how much its mean must be for its sign to be clear."""
+OPEN = 20.0
+"""So often may what is no noise in forces count in their change over all strains; more, and samples leave it open."""
 ABOVE_NOISE = 2.0
 """In root mean squares of what a quadratic leaves of forces: by so much must they change over the strains."""
 
@@ -26,7 +28,7 @@ def positive_forces(strain: Array, pressure: Array, force: Array) -> str:
     """What positive forces do by the samples, "pull" or "push"; "" where that is not clear.
 
     An actuator that is held at a pressure resists being moved: the longer it is, the more it pulls, or the less it
-    pushes. The slope is that of the best quadratic.
+    pushes. The slope is that of the best quadratic, or plane where samples do not determine the former.
 
     Args:
         strain: (n) positive where longer.
@@ -35,15 +37,22 @@ def positive_forces(strain: Array, pressure: Array, force: Array) -> str:
     """
     step = max(1, len(force) // MOST_SAMPLES)
     x, y, f = strain[::step], pressure[::step], force[::step]
-    monomials = Monomials.for_data(((0, 0), *exponents(2)), x, y)
-    if len(f) < 2 * len(monomials.powers) or np.ptp(x) == 0:
-        return ""
-    matrix = monomials.values(x, y)
-    coefficients, _, rank, _ = np.linalg.lstsq(matrix, f, rcond=None)
-    if rank < len(monomials.powers):
+    if np.ptp(x) == 0:
         return ""
     half = np.ptp(x) / 2  # by differences, which of a quadratic are exact
-    slope = (monomials.values(x + half, y) - monomials.values(x - half, y)) @ coefficients / (2 * half)
+    for degree in (2, 1):
+        monomials = Monomials.for_data(((0, 0), *exponents(degree)), x, y)
+        if len(f) < 2 * len(monomials.powers):
+            return ""
+        matrix, ends = monomials.values(x, y), (monomials.values(x + sign * half, y) for sign in (1, -1))
+        coefficients, _, rank, _ = np.linalg.lstsq(matrix, f, rcond=None)
+        changes = np.subtract(*ends)  # of the force over all strains
+        gain = np.sqrt(len(f)) * np.linalg.norm(np.linalg.lstsq(matrix.T, changes.mean(0), rcond=None)[0])
+        if rank == len(monomials.powers) and gain <= OPEN:
+            break
+    else:
+        return ""
+    slope = changes @ coefficients / (2 * half)
     mean, noise = float(slope.mean()), float((f - matrix @ coefficients).std())
     if abs(mean) < CLEAR * float(np.abs(slope).mean()) or abs(mean) * np.ptp(x) < ABOVE_NOISE * noise:
         return ""

@@ -1,5 +1,6 @@
 """`torcharm fit`: from test-bench recordings, or a data sheet's table, to a model file."""
 
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from torcharm.characterise.delimited import Sheet
     from torcharm.characterise.recordings import PressureRecord, TesterRecord
 
+OTHER_PRESSURE = 0.2
+"""By which share the highest pressures of a run's two files may differ."""
 KINDS = ("best", "polynomial", "mckibben", "gridded")
 
 
@@ -47,7 +50,7 @@ def fit(
         str | None,
         typer.Option(
             help="Columns by name or number, with units that the file lacks: "
-            '"time=Time:s,extension=5:mm,force=Load"; also strain, contraction, pressure.',
+            '"time=Time:s,extension=5:mm,force=Load"; also strain, contraction, length, pressure.',
             show_default="as the header names them",
         ),
     ] = None,
@@ -58,7 +61,7 @@ def fit(
     gauge_length: Annotated[
         str | None,
         typer.Option(
-            help='Of the actuators, where files hold lengths of extension or contraction: "80 mm".',
+            help='Of the actuators, where files hold lengths, or those of extension or contraction: "80 mm".',
             show_default="strains are read",
         ),
     ] = None,
@@ -111,7 +114,7 @@ def fit(
             show_default="polynomial; best for tables",
         ),
     ] = None,
-    degree: Annotated[int, typer.Option(help="Of the polynomial; the paper's is 3.")] = 3,
+    degree: Annotated[int | None, typer.Option(help="Of the polynomial.", show_default="3, the paper's")] = None,
     loss: Annotated[str, typer.Option(help="linear (least squares), or against outliers huber, soft_l1, cauchy.")] = (
         "linear"
     ),
@@ -142,6 +145,9 @@ def fit(
         of_runs |= {"--max-gap": max_gap, "--truncated": truncated or None}
         _check_needed(of_runs if table else {}, "a --table")
         _check_needed({} if pressure else {"--pressure-columns": pressure_columns}, "no --pressure")
+        without = model in ("mckibben", "gridded") and find_offset is None
+        _check_needed({"--degree": degree} if without else {}, f"--model {model}")
+        degree = 3 if degree is None else degree
         reading = _Reading(columns, pressure_columns, _length(gauge_length), positive, unit, truncated=truncated)
         alignment = {"actuators": 1 if actuators is None else actuators, "smoothing": smoothing, "max_gap": max_gap}
         recording = reading.table(table) if table else reading.runs(sheets, given, degree, alignment)
@@ -268,9 +274,8 @@ class _Reading:
             sheet, self.columns, self.gauge_length, positive=self.positive, truncated=self.truncated
         )
         if log is not None:
-            own = as_pressure_record(
-                log, self.unit, self.log_columns, truncated=self.truncated, option="--pressure-columns"
-            )
+            own = self.log(log)
+            _compare_pressures(sheet, own)
         elif has_column(sheet, "pressure", self.columns):
             own = as_pressure_record(sheet, self.unit, self.columns, truncated=self.truncated, alone=False)
         else:
@@ -279,6 +284,34 @@ class _Reading:
                 f'names one, as in "{example(sheet, ("pressure",), self.columns)}"'
             )
         return tester, own
+
+    def log(self, sheet: "Sheet") -> "PressureRecord":
+        """What the logger wrote; errors about columns name its own option."""
+        from torcharm.characterise.recordings import as_pressure_record
+
+        option = "--pressure-columns"
+        try:
+            return as_pressure_record(sheet, self.unit, self.log_columns, truncated=self.truncated, option=option)
+        except ValueError as error:
+            raise ValueError(re.sub("^columns:", f"{option}:", str(error))) from None
+
+
+def _compare_pressures(sheet: "Sheet", log: "PressureRecord") -> None:
+    """Warn where the tester's file has pressures, too, whose highest is another than the log's."""
+    from torcharm.characterise.recordings import as_pressure_record
+
+    try:
+        with warnings.catch_warnings(action="ignore"):  # what is doubtful about it does not count
+            own = as_pressure_record(sheet, None, None, truncated=True, alone=False)
+    except ValueError:  # it has none, or not as surely
+        return
+    highest, logged = float(own.pressure.max()), float(log.pressure.max())
+    if abs(highest - logged) > OTHER_PRESSURE * max(highest, logged):
+        warnings.warn(
+            f"{sheet.source}: its own pressures reach {highest:.4g} kPa, those of {log.source} {logged:.4g} kPa, which "
+            "are taken: are their units right, and are they of one run?",
+            stacklevel=2,
+        )
 
 
 def _length(text: str | None) -> float | None:

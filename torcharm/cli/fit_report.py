@@ -76,32 +76,29 @@ def _quality(model: "Actuator", recording: "Recording") -> Iterator[str]:
 
 def _limits(model: "Actuator") -> Iterator[str]:
     """Where the model was measured, and what it holds that was not."""
+    from torcharm.actuators.measured import Measured
+    from torcharm.characterise.doubts import covered
     from torcharm.characterise.fit import FittedActuator
 
     (low, high), (first, last) = model.strain_range, model.pressure_range
     yield f"Characterised for strains from {low:.3f} to {high:.3f}, pressures from {first:.3g} to {last:.3g} kPa"
     region = getattr(model, "region", ())
-    if region:
-        share = _area(region) / ((high - low) * (last - first))
-        yield f"and in {min(100 * share, 100):.0f} % of that box: in the region of all samples, which the file holds"
+    if region and isinstance(model, Measured):
+        yield f"and in {100 * covered(model):.0f} % of that box: in the region of all samples, which the file holds"
     shape = model.quality.monotonicity if isinstance(model, FittedActuator) and model.quality else None
     if shape is not None and shape.failing_strain is None:
         yield "Monotonic in pressure all over that range"
     elif shape is not None and shape.failing_strain is not None:
         where = "at strains from {:.3f} to {:.3f}".format(*shape.failing_strain)
         yield f"Monotonic in pressure up to {shape.up_to:.1f} kPa; beyond, not everywhere {where}"
-    yield f"Highest pressure in use: {model.max_pressure:.1f} kPa"
+    beyond = shape is not None and model.max_pressure > shape.up_to
+    why = ", beyond that; --max-pressure sets another" if beyond else ""
+    yield f"Highest pressure in use: {model.max_pressure:.1f} kPa{why}"
     if getattr(model.bending_stiffness, "assumed", False):
         yield (
             f"Bending stiffness: {model.bending_stiffness.stiffness:.3g} N·m², which the paper estimated for its own "  # type: ignore[union-attr]
             "bellows and muscles, is assumed: such data do not tell this actuator's; --bending sets it"
         )
-
-
-def _area(corners: Sequence[tuple[float, float]]) -> float:
-    """Of a polygon, by the shoelace formula."""
-    following = (*corners[1:], corners[0])
-    return abs(sum(x * v - u * y for (x, y), (u, v) in zip(corners, following, strict=True))) / 2
 
 
 def _reading(recording: "Recording") -> Iterator[str]:

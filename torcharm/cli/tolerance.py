@@ -93,7 +93,7 @@ def tolerance(
         from torcharm.study.built import built_rows
 
         check_ending("--out", out, RESULT_FORMATS)
-        plan = example_study() if study is None else asked_about(load_study(study))
+        plan = example_study() if study is None else load_study(study)
         sizes = {"radii": radii, "length": length, "limits": limits, "force": force}
         sizes |= {"force_offset": force_offset, "bending": bending}
         how = replace(plan.manufacture, scatter=_scatter(plan, sizes, correlated or [], model_covariance, uniform))
@@ -102,6 +102,7 @@ def tolerance(
         how = replace(how, seed=how.seed if seed is None else check_count("--seed", seed, 0))
         for path in numbered(figure, len(plan.tasks)):
             check_writable(path, "--figure")
+        plan = plan if study is None else asked_about(plan)
         found: list[BuiltStudy] = []
         refused: dict[str, list[str]] = {}
         interrupted = find_built(plan, how, found, refused, margin, sobol)

@@ -129,7 +129,9 @@ def by_kinds(*models: "type[Table]") -> Any:
             raise refuse(f"missing; must be one of {', '.join(kinds)}; got {shown_value(value)}", "kind")
         kind = value["kind"]
         if not isinstance(kind, str) or kind not in kinds:
-            raise refuse(f"must be one of {', '.join(kinds)}, got {shown_value(kind)}{hint(kind, kinds)}", "kind")
+            is_path = "file" in kinds and str(kind).endswith(".toml")
+            meant = f'; of a file: {{ kind = "file", path = {shown_value(kind)} }}' if is_path else hint(kind, kinds)
+            raise refuse(f"must be one of {', '.join(kinds)}, got {shown_value(kind)}{meant}", "kind")
         return value
 
     choices = tuple(Annotated[model, Tag(f"<{model.__name__}>")] for model in models)
