@@ -44,7 +44,8 @@ STAGES = {2: ((0.6, 1.0), (1.0, 0.2)), 3: ((0.65, 1.0), (0.85, 0.3), (1.0, 0.1))
 """In which boundaries are followed, in the plane and in space: how many of the states are known by its end, and how
 close together attempts are that promise little, in parts of the resolution."""
 INSIDE = {2: 0.1, 3: 0.05}
-"""Of the states, in the plane and in space, among those reached after the first stage: what a region lacks inside is no boundary."""
+"""Of the states, in the plane and in space, among those reached after the first stage: what a region lacks inside is no
+boundary."""
 REPEATS, AGAIN = 3, (0.1, 0.2)
 """How often, while states are left, boundaries are followed again from states spread inside: how many of all; and how
 close together, as in a stage. A region that range limits grows from them where no state of its boundary leads on."""
