@@ -46,7 +46,7 @@ close together attempts are that promise little, in parts of the resolution."""
 INSIDE = {2: 0.1, 3: 0.05}
 """Of the states, in the plane and in space, among those reached after the first stage: what a region lacks inside is no
 boundary."""
-REPEATS, AGAIN = 3, (0.1, 0.2)
+REPEATS, AGAIN = 2, (0.1, 0.2)
 """How often, while states are left, boundaries are followed again from states spread inside: how many of all; and how
 close together, as in a stage. A region that range limits grows from them where no state of its boundary leads on."""
 IN_RANGE = 0.6
