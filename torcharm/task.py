@@ -154,7 +154,7 @@ class Task(HoldsTensors):
         for point in self.load.points:
             wrench = None if point.wrench is None else own(point.wrench, 1)
             points.append(replace(point, wrench=wrench, mass=own(point.mass, 0)))
-        load = ExternalLoad(None if tip is None else own(tip, 1), self.load.gravity, points)
+        load = replace(self.load, tip=None if tip is None else own(tip, 1), points=tuple(points))
         return replace(self, twists=own(self.twists, 2), load=load)
 
     def __repr__(self) -> str:

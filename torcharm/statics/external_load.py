@@ -2,7 +2,7 @@
 
 Plain statics in the plane and in space: at a node the loads beyond it ask for the force `Σ F_j` and the moment
 `Σ M_j + (p_j - p) × F_j`, both turned into the node's frame. The same as carrying wrenches from node to node by
-`Ad⁻ᵀ`, without a loop. This is the only place that carries loads.
+`Ad⁻ᵀ`, without a loop. How loads change as an arm moves is in `engine/carried_load.py`, held against this by a test.
 """
 
 import math
