@@ -61,7 +61,7 @@ ROUNDS = {2: 6, 3: 12}
 FURTHER = 3
 """Pushes of a round, one from where the other got to: as many resolutions at most."""
 FEW = 1e-2
-"""Of the states: a round that leaves fewer to be found is a region's last of its stage."""
+"""Of the states: a region does not grow by fewer, they are left to the next stage."""
 TYPICAL = 0.99
 """Of the states have as many neighbours as a simplex has corners within the resolution."""
 FINER = {2: 0.4, 3: 1.1}
@@ -225,13 +225,15 @@ class _Run:
         """Solve states beyond one boundary, up to so many in all, while gains are not small [m]."""
         states = joined(self.batches)
         for _ in range(ROUNDS[self.scene.arm.dimension]):
+            if end - self.count < FEW * self.wanted:
+                break
             push = frontier.push(states, (end - self.count) // 2)
             most = push.gain.max(initial=0.0)
             for _ in range(FURTHER):
                 self.add(push.place)
                 states = joined(self.batches)
                 push = frontier.push_on(states, push, (end - self.count) // 2)
-            if most < small or end - self.count < FEW * self.wanted:
+            if most < small:
                 break
 
     def result(self, stopped: str) -> Workspace:

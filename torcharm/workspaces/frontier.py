@@ -114,6 +114,9 @@ class Frontier:
         best = (promised * normal).sum(2).argmax(0), np.arange(len(facets))
         gain = (promised[best] * normal).sum(1) - height
         chosen = self._worthwhile(promised[best], gain, most)
+        flat = facets[:, 0] != facets[:, 1]  # the way out of a spike changes with what is around it
+        for facet in still[flat & (gain <= self.least_gain)]:  # would promise the same again
+            self.tries[keys[facet]] = TRIES
         for facet in still[chosen]:
             self.tries[keys[facet]] = self.tries.get(keys[facet], 0) + 1
         return Pushes(place[best][chosen], normal[chosen], height[chosen], gain[chosen])
@@ -155,16 +158,21 @@ class Frontier:
         beyond, slope = slopes.beyond + MARGIN, slopes.beyond_slope * width[:, None]
         start = np.where(width > 0, (place - low) / np.where(width > 0, width, 1.0), 0.0)
         weight, met = (self.resolution / MARGIN) ** 2, np.zeros(beyond.shape, dtype=bool)
+        step, unsettled = np.zeros(place.shape), np.arange(len(place))
         for _ in range(PASSES if self.in_range else 1):
-            held = slope * met[..., None]
-            step = box_steps(
-                gradient + weight * (held.swapaxes(1, 2) @ np.where(met, beyond, 0.0)[..., None])[..., 0],
-                curvature + weight * (held.swapaxes(1, 2) @ held),
-                start,
+            held = slope[unsettled] * met[unsettled, :, None]
+            step[unsettled] = box_steps(
+                gradient[unsettled]
+                + weight * (held.swapaxes(1, 2) @ np.where(met, beyond, 0.0)[unsettled, :, None])[..., 0],
+                curvature[unsettled] + weight * (held.swapaxes(1, 2) @ held),
+                start[unsettled],
                 (DAMPING * self.resolution) ** 2,
             )
-            before, met = met, beyond + (slope @ step[..., None])[..., 0] > 0
-            if (before == met).all():
+            meets = beyond[unsettled] + (slope[unsettled] @ step[unsettled, :, None])[..., 0] > 0
+            changed = (meets != met[unsettled]).any(1)
+            met[unsettled] = meets
+            unsettled = unsettled[changed]
+            if not len(unsettled):
                 break
         return width * step
 
