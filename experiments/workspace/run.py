@@ -229,10 +229,8 @@ def lines_of_spikes(region: AlphaShape) -> Array:
     if region.triangulation is None:
         return region.facets[:0]
     simplices = region.triangulation.simplices
-    within = np.zeros(len(region.points), dtype=bool)
-    within[simplices[region.kept]] = True
     lines = np.concatenate([simplices[:, pair] for pair in combinations(range(simplices.shape[1]), 2)])
-    lines = np.unique(np.sort(lines[~within[lines].all(1)], 1), axis=0)
+    lines = np.unique(np.sort(lines[~region.filled[lines].all(1)], 1), axis=0)
     long = np.linalg.norm(region.points[lines[:, 0]] - region.points[lines[:, 1]], axis=1)
     lines = lines[long <= 2 * region.radius]
     return lines[:, (0, 1, 1)[: region.points.shape[1]]]

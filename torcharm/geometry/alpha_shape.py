@@ -46,6 +46,14 @@ class AlphaShape:
         edges = corners[:, 1:] - corners[:, :1]
         return float(np.abs(np.linalg.det(edges)).sum()) / factorial(self.points.shape[1])
 
+    @property
+    def filled(self) -> NDArray[np.bool_]:
+        """(P,) which of its points are corners of the region: the others lie alone, as in a spike thinner than α."""
+        filled = np.zeros(len(self.points), dtype=np.bool_)
+        if self.triangulation is not None:
+            filled[self.triangulation.simplices[self.kept]] = True
+        return filled
+
     def contains(self, points: Array) -> NDArray[np.bool_]:
         """(...) which of some points (..., D) lie within."""
         if self.triangulation is None:

@@ -3,7 +3,7 @@
 The region reached is an alpha shape. From the corners of each facet of its boundary, the step of pressures is sought
 that takes the tip to a place before the facet: least squares with the tip's slope, in the box of pressures and, of a
 region in range, within the range of strains. A step that promises nothing shows that the facet lies on the boundary of
-what can be reached, to first order; it costs no equilibrium. So are the ends and edges of what is too thin for facets.
+what can be reached, to first order; it costs no equilibrium. Ends and edges of what is too thin for facets are tried too.
 """
 
 from dataclasses import dataclass, field
@@ -114,8 +114,8 @@ class Frontier:
         best = (promised * normal).sum(2).argmax(0), np.arange(len(facets))
         gain = (promised[best] * normal).sum(1) - height
         chosen = self._worthwhile(promised[best], gain, most)
-        flat = facets[:, 0] != facets[:, 1]  # the way out of a spike changes with what is around it
-        for facet in still[flat & (gain <= self.least_gain)]:  # would promise the same again
+        hopeless = gain <= self.least_gain  # and would be again; but ways out of spikes change with what is around
+        for facet in still[hopeless & (facets[:, 0] != facets[:, 1])]:
             self.tries[keys[facet]] = TRIES
         for facet in still[chosen]:
             self.tries[keys[facet]] = self.tries.get(keys[facet], 0) + 1
@@ -187,10 +187,9 @@ def ways_out_of_spikes(shape: AlphaShape) -> tuple[Indices, Array]:
     np.add.at(normal, facets, shape.normals[:, None])
     np.add.at(count, facets, 1.0)
     sharp = np.flatnonzero(np.linalg.norm(normal, axis=1) < SHARP * count)
-    within = np.zeros(len(points), dtype=np.bool_)
-    if shape.triangulation is not None:
-        within[shape.triangulation.simplices[shape.kept]] = True
-    alone = np.flatnonzero(~within) if within.any() else sharp[:0]
-    away = points[alone] - points[within][cKDTree(points[within]).query(points[alone])[1]] if len(alone) else points[:0]
+    filled = shape.filled
+    alone = np.flatnonzero(~filled) if filled.any() else sharp[:0]
+    inner = points[filled]
+    away = points[alone] - inner[cKDTree(inner).query(points[alone])[1]] if len(alone) else points[:0]
     way = np.concatenate((normal[sharp], away))
     return np.concatenate((sharp, alone)), way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-300)
