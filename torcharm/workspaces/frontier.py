@@ -3,7 +3,7 @@
 The region reached is an alpha shape. From the corners of each facet of its boundary, the step of pressures is sought
 that takes the tip to a place before the facet: least squares with the tip's slope, in the box of pressures and, of a
 region in range, within the range of strains. A step that promises nothing shows that the facet lies on the boundary of
-what can be reached, to first order; it costs no equilibrium. Ends and edges of what is too thin for facets are tried too.
+what can be reached, to first order; it costs no equilibrium. Ends and edges too thin for facets are tried as well.
 """
 
 from dataclasses import dataclass, field
