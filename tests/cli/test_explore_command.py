@@ -6,6 +6,8 @@ import signal
 import socket
 import subprocess
 import sys
+import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -32,6 +34,25 @@ def study(tmp_path):
     return path
 
 
+@contextmanager
+def exploring(study, out, port="0"):
+    """A process that serves a study; tests in the background ignore Ctrl-C, it does not."""
+    pytest.importorskip("viser", reason="needs torcharm[explore]")
+    command = [sys.executable, "-m", "torcharm.cli", "explore", study, "--out", out, "--port", port, "--no-open"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "200"}
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "env": environment}
+    options["preexec_fn"] = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
+    with subprocess.Popen(command, **options) as process:
+        yield process
+
+
+def address(process):
+    """Where a process says that it serves."""
+    where = re.fullmatch(r"small: (http://127\.0\.0\.1:\d+)\n", process.stdout.readline())
+    assert where is not None
+    return where[1]
+
+
 @pytest.mark.skipif(os.name != "posix", reason="needs signals")
 def test_it_serves_until_interrupted_and_says_where_and_what_it_writes(study, tmp_path):
     pytest.importorskip("viser", reason="needs torcharm[explore]")
@@ -40,19 +61,13 @@ def test_it_serves_until_interrupted_and_says_where_and_what_it_writes(study, tm
     out = tmp_path / "better.toml"
     taken = socket.create_server(("127.0.0.1", 0))
     port = str(taken.getsockname()[1])
-    command = [sys.executable, "-m", "torcharm.cli", "explore", study, "--out", out, "--port", port, "--no-open"]
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "200"}
-    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "env": environment}
-    options["preexec_fn"] = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)  # tests in the background ignore it
-    with taken, subprocess.Popen(command, **options) as process:
-        assert process.stdout is not None
+    with taken, exploring(study, out, port) as process:
         assert process.stdout.readline() == f"Port {port} is in use; the page has the next one that is free.\n"
-        where = re.fullmatch(r"small: (http://127\.0\.0\.1:\d+)\n", process.stdout.readline())
-        assert where is not None
+        where = address(process)
         assert process.stdout.readline() == f"Its button saves to {out}. Ctrl-C ends it.\n"
-        with socket.create_connection(("127.0.0.1", int(where[1].rpartition(":")[2]))) as stranger:
+        with socket.create_connection(("127.0.0.1", int(where.rpartition(":")[2]))) as stranger:
             stranger.sendall(b"\x16\x03\x01 as https begins\r\n\r\n")
-        with Page(where[1]) as page:
+        with Page(where) as page:
             page.until(lambda: page.pictures)
             page.press("save the study")
             page.until(out.exists)
@@ -60,6 +75,23 @@ def test_it_serves_until_interrupted_and_says_where_and_what_it_writes(study, tm
         assert process.stdout.read() == "Ended.\n"
         assert "Traceback" not in process.stderr.read()
         assert process.wait(30) == 0
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs signals")
+@pytest.mark.parametrize("after", [0.05, 0.3, 0.8])
+def test_ctrl_c_amid_long_work_ends_it_as_well(study, tmp_path, after):
+    pytest.importorskip("viser", reason="needs torcharm[explore]")
+    from experiments.live_page.socket import Page
+
+    with exploring(study, tmp_path / "better.toml") as process:
+        with Page(address(process)) as page:
+            page.until(lambda: page.pictures)
+            page.press("show the workspace")
+            page.until(lambda: "Looking for" in page.words)
+            time.sleep(after)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=120)
+        assert process.returncode == 0, errors
 
 
 @pytest.fixture

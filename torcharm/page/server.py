@@ -70,6 +70,8 @@ class Server:
         time.sleep(FAREWELL if views else 0.0)
         with redirect_stdout(io.StringIO()):
             self._server.stop()
+        for view in tuple(self.views.values()):  # one opened meanwhile would not let the process end
+            view.session.close()
 
     def _prepare(self) -> None:
         """What all pages share, and what happens when one comes and goes."""

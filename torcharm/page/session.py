@@ -2,6 +2,9 @@
 
 One thread does it. While it evaluates, changes gather; then all are applied, which takes no time, and only the last
 state is evaluated. So a burst of moves drops the states between, and none is ever waited for.
+
+A process waits for its threads before it ends: one that Python cuts off amid compiled code aborts the process. They say
+so themselves, as a thread is else what the one that starts it is, and viser's do not hold up the end.
 """
 
 import sys
@@ -46,7 +49,7 @@ class Session:
 
     def start(self) -> None:
         """Evaluate and show the first state, and go on from there."""
-        threading.Thread(target=self._run, name="torcharm page", daemon=True).start()
+        threading.Thread(target=self._run, name="torcharm page", daemon=False).start()
 
     @property
     def state(self) -> State:
@@ -90,13 +93,13 @@ class Session:
         """Look for a shape through the tip that the arm can hold, beside all else; one at a time."""
         if self._planning.acquire(blocking=False):
             self._tell("Planning a shape through this tip that the arm can hold, for some seconds.")
-            threading.Thread(target=self._plan, args=(self.state,), name="torcharm plan", daemon=True).start()
+            threading.Thread(target=self._plan, args=(self.state,), name="torcharm plan", daemon=False).start()
 
     def sweep(self) -> None:
         """Find where the tip can be under the load, beside all else; it is shown until arm or load change."""
         if self._sweeping.acquire(blocking=False):
             self._tell("Looking for where the tip can be under this load, for some seconds.")
-            threading.Thread(target=self._sweep, args=(self.state,), name="torcharm workspace", daemon=True).start()
+            threading.Thread(target=self._sweep, args=(self.state,), name="torcharm workspace", daemon=False).start()
 
     def wait(self, seconds: float) -> bool:
         """Until all changes are shown, or for so long; whether they are."""
