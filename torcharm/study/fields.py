@@ -143,9 +143,11 @@ def _kinds_of(model: "type[Table]") -> Sequence[str]:
     return next(part.allowed for part in model.model_fields["kind"].metadata if isinstance(part, Check))
 
 
-def by_list(value: Any) -> str:
-    """The tag of a list, or of anything else."""
-    return "<list>" if isinstance(value, list) else "<other>"
+def one_or_list(one: Any, many: Any, words: str = "", *kinds: type) -> Any:
+    """The type of one value or of a list; words say what these are that a study may have, of which kinds."""
+    tagged = Annotated[many, Tag("<list>")] | Annotated[one, Tag("<other>")]
+    tag = Discriminator(lambda value: "<list>" if isinstance(value, list) else "<other>")
+    return Annotated[tagged, tag, *([either(words, *kinds)] if words else [])]
 
 
 def by_key(*keys: str) -> Discriminator:
@@ -163,12 +165,14 @@ class Needed:
 class Table(BaseModel):
     """A table of the file: unknown and missing keys are found before any value is looked at.
 
-    Every key has a description, and examples if it is required or its default is to leave it out.
+    The text below a key is its description; there are examples if it is required or left out by default.
     """
 
     stands_alone: ClassVar[bool] = True
     """Whether the table that its examples make can be read as it is: one that names a file cannot."""
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        extra="forbid", strict=True, frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -200,32 +204,28 @@ def _words(kind: Any, metadata: Sequence[Any]) -> str:
     words = next((part.words for part in flat if isinstance(part, Check) and part.words), _TYPES.get(kind, ""))
     if get_origin(kind) is list and (each := _words(get_args(kind)[0], ())) not in ("", _TYPES[float]):
         words = f"{words}, each {each}" if words else f"a list of {each}"
-    bounds = [text.format(getattr(part, key)) for part in flat for key, text in _BOUNDS.items() if hasattr(part, key)]
+    bounds = [
+        text.format(**{key: getattr(part, key)}) for part in flat for key, text in _BOUNDS.items() if hasattr(part, key)
+    ]
     return f"{words}, {' and '.join(bounds)}" if bounds else words
 
 
 _TYPES = {float: "a number", int: "a whole number", bool: "true or false", str: "a text in quotes"}
-_BOUNDS = {"gt": "above {:g}", "ge": "at least {:g}", "lt": "below {}", "le": "at most {}"}
+_BOUNDS = {"gt": "above {gt:g}", "ge": "at least {ge:g}", "lt": "below {lt}", "le": "at most {le}"}
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+Seed = Annotated[int, Field(ge=0, lt=2**32)]
 Name = Annotated[str, Check(check_name, words="a text of one line")]
 Range = Annotated[list[float], entries("lowest", "highest")]
 
 # Messages
 
-_ALLOWED = {
-    "float_type": "a number",
-    "finite_number": "a finite number",
-    "int_type": "a whole number",
-    "string_type": "a text in quotes",
-    "bool_type": "true or false",
-    "list_type": "a list",
-    "greater_than": "above {gt:g}",
-    "greater_than_equal": "at least {ge:g}",
-    "less_than": "below {lt}",
-    "less_than_equal": "at most {le}",
-}
+_ALLOWED = dict(zip(("float_type", "int_type", "bool_type", "string_type"), _TYPES.values(), strict=True))
+_ALLOWED |= {"list_type": "a list", "finite_number": "a finite number"}
+_COMPARED = ("greater_than", "greater_than_equal", "less_than", "less_than_equal")
+_ALLOWED |= dict(zip(_COMPARED, _BOUNDS.values(), strict=True))
+"""By pydantic's names of errors."""
 
 
 def first_mistake(error: ValidationError, raw: Mapping[str, Any]) -> str:

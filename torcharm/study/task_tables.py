@@ -11,15 +11,16 @@ from torcharm.study.arm_tables import NamedTable, Names, name_as
 from torcharm.study.fields import (
     Check,
     Name,
+    Seed,
     Table,
     by_key,
     by_kinds,
-    by_list,
     either,
     entries,
     filled,
     one_key,
     one_of,
+    one_or_list,
     refuse,
     shown_value,
 )
@@ -42,9 +43,12 @@ class AffineShape(Table):
 
     twists: ClassVar[Any] = staticmethod(affine_curvature)
     """What makes the shape of the other keys."""
-    kind: Annotated[str, one_of(("affine",))] = Field(description="That it is such a shape.", examples=["affine"])
-    slope: Angle = Field(description="Change of the curvature from base to tip.", examples=[0.0])
-    intercept: Angle = Field(description="Curvature at the base.", examples=[1.0, "60 deg"])
+    kind: Annotated[str, one_of(("affine",))] = Field(examples=["affine"])
+    """That it is such a shape."""
+    slope: Angle = Field(examples=[0.0])
+    """Change of the curvature from base to tip."""
+    intercept: Angle = Field(examples=[1.0, "60 deg"])
+    """Curvature at the base."""
     length: PositiveLength = _length
     nodes: Nodes = _nodes
     direction: Angle | None = _direction
@@ -54,17 +58,22 @@ class CubicShape(AffineShape):
     """A shape of curvature cubic s³ + quadratic s² + slope s + intercept."""
 
     twists: ClassVar[Any] = staticmethod(cubic_curvature)
-    kind: Annotated[str, one_of(("cubic",))] = Field(description="That it is such a shape.", examples=["cubic"])
-    cubic: Angle = Field(description="Factor of s³.", examples=[4.0])
-    quadratic: Angle = Field(description="Factor of s².", examples=[-6.0])
+    kind: Annotated[str, one_of(("cubic",))] = Field(examples=["cubic"])
+    """That it is such a shape."""
+    cubic: Angle = Field(examples=[4.0])
+    """Factor of s³."""
+    quadratic: Angle = Field(examples=[-6.0])
+    """Factor of s²."""
 
 
 class ConstantShape(Table):
     """An arc of a circle."""
 
     twists: ClassVar[Any] = staticmethod(constant_curvature)
-    kind: Annotated[str, one_of(("constant",))] = Field(description="That it is such a shape.", examples=["constant"])
-    curvature: Angle = Field(description="Angle by which it turns from base to tip.", examples=["60 deg"])
+    kind: Annotated[str, one_of(("constant",))] = Field(examples=["constant"])
+    """That it is such a shape."""
+    curvature: Angle = Field(examples=["60 deg"])
+    """Angle by which it turns from base to tip."""
     length: PositiveLength = _length
     nodes: Nodes = _nodes
     direction: Angle | None = _direction
@@ -74,22 +83,22 @@ class HelixShape(Table):
     """A helix in space: its bend goes round the backbone, which does not twist."""
 
     twists: ClassVar[Any] = staticmethod(helix)
-    kind: Annotated[str, one_of(("helix",))] = Field(description="That it is such a shape.", examples=["helix"])
-    curvature: Angle = Field(description="Of the centreline, times its length.", examples=["90 deg"])
-    torsion: Angle = Field(description="Angle by which the bend goes round.", examples=["180 deg"])
+    kind: Annotated[str, one_of(("helix",))] = Field(examples=["helix"])
+    """That it is such a shape."""
+    curvature: Angle = Field(examples=["90 deg"])
+    """Of the centreline, times its length."""
+    torsion: Angle = Field(examples=["180 deg"])
+    """Angle by which the bend goes round."""
     length: PositiveLength = _length
     nodes: Nodes = _nodes
-    direction: Angle = Field(
-        default=0.0, description="Direction to which it bends at the base, from the arm's left (y) towards z."
-    )
+    direction: Angle = 0.0
+    """Direction to which it bends at the base, from the arm's left (y) towards z."""
 
 
 ShapeTable: Any = by_kinds(AffineShape, CubicShape, ConstantShape, HelixShape)
-ShapesTable = Annotated[
-    Annotated[list[ShapeTable], filled("a list of shapes, one for each segment"), Tag("<list>")]
-    | Annotated[ShapeTable, Tag("<other>")],
-    Discriminator(by_list),
-]
+ShapesTable: Any = one_or_list(
+    ShapeTable, Annotated[list[ShapeTable], filled("a list of shapes, one for each segment")]
+)
 
 
 def _check_not_negative(value: list[float]) -> list[float]:
@@ -110,27 +119,22 @@ def _check_share(value: Any) -> Any:
 class DrawnLoads(Table):
     """Random loads at the tip, each component even between minus and plus half its scale."""
 
-    count: Annotated[int, Field(ge=1, le=1_000_000)] = Field(description="How many.", examples=[40])
+    count: Annotated[int, Field(ge=1, le=1_000_000)] = Field(examples=[40])
+    """How many."""
     scale: Annotated[Load, AfterValidator(_check_not_negative)] = Field(
-        default=[20.0, 20.0, 2.0],
-        description="The width in which each component lies, at least 0; in space six.",
-        examples=[[4.0, 4.0, 0.4]],
+        default=[20.0, 20.0, 2.0], examples=[[4.0, 4.0, 0.4]]
     )
-    seed: Annotated[int, Field(ge=0, lt=2**32)] = Field(
-        default=100, description="Of the draw: the same gives the same loads."
-    )
+    """The width in which each component lies, at least 0; in space six."""
+    seed: Seed = 100
+    """Of the draw: the same gives the same loads."""
 
 
-LoadsTable = Annotated[
-    Annotated[
-        list[Load],
-        filled("at least one load [f_x, f_y, m]"),
-        Tag("<list>"),
-    ]
-    | Annotated[DrawnLoads, Tag("<other>")],
-    Discriminator(by_list),
-    either("a list of [f_x, f_y, m], in space of six, or a table with count, scale and seed", list, dict),
-]
+LoadsTable: Any = one_or_list(
+    DrawnLoads,
+    Annotated[list[Load], filled("at least one load [f_x, f_y, m]")],
+    "a list of [f_x, f_y, m], in space of six, or a table with count, scale and seed",
+    *(list, dict),
+)
 At = Annotated[float, Check(_check_share, words=_SHARE)]
 _at: Any = Field(default=1.0, description="Place on its segment, as a share of its length.", examples=[0.5])
 _segment: Any = Field(
@@ -144,7 +148,8 @@ _Count = Annotated[int, Field(ge=1)]
 class PayloadTable(Table):
     """A mass on the arm, which weighs."""
 
-    mass: Mass = Field(description="How much.", examples=["100 g"])
+    mass: Mass = Field(examples=["100 g"])
+    """How much."""
     at: At = _at
     segment: _Count | None = _segment
 
@@ -152,34 +157,30 @@ class PayloadTable(Table):
 class PointTable(Table):
     """A force and a moment at a place of the arm."""
 
-    wrench: Load = Field(description="Force and moment, as of loads.", examples=[[1.0, 0.0, 0.0]])
+    wrench: Load = Field(examples=[[1.0, 0.0, 0.0]])
+    """Force and moment, as of loads."""
     at: At = _at
     segment: _Count | None = _segment
-    frame: Annotated[str, one_of(FRAMES)] = Field(
-        default="world", description="Whether the directions are the world's, or turn with the arm.", examples=["body"]
-    )
+    frame: Annotated[str, one_of(FRAMES)] = Field(default="world", examples=["body"])
+    """Whether the directions are the world's, or turn with the arm."""
 
 
 class PoseTable(Table):
     """A pose in space in words: where it is, where it points, and how far it is turned about that."""
 
     stands_alone: ClassVar[bool] = False
-    position: Position = Field(description="Its place in the world.", examples=[["100 mm", "-300 mm", "50 mm"]])
-    direction: Annotated[list[float], entries("x", "y", "z")] = Field(
-        description="Where the arm's centreline points there, in the world: a vector of any length.",
-        examples=[[0.5, -1.0, 0.2]],
-    )
-    turn: Angle = Field(
-        default=0.0,
-        description="Angle about that direction. At 0 a tip is turned as an arm has it that bends in one plane from "
-        "its base, and a base as one that hangs and is tilted to the direction.",
-        examples=["30 deg"],
-    )
+    position: Position = Field(examples=[["100 mm", "-300 mm", "50 mm"]])
+    """Its place in the world."""
+    direction: Annotated[list[float], entries("x", "y", "z")] = Field(examples=[[0.5, -1.0, 0.2]])
+    """Where the arm's centreline points there, in the world: a vector of any length."""
+    turn: Angle = Field(default=0.0, examples=["30 deg"])
+    """Angle about that direction. At 0 a tip is turned as an arm has it that bends in one plane from its base, and a
+    base as one that hangs and is tilted to the direction."""
 
 
 def _by_form(value: Any) -> str:
-    if isinstance(value, dict):
-        return "<table>"
+    if isinstance(value, dict | str):
+        return "<table>" if isinstance(value, dict) else "<name>"
     return "<matrix>" if isinstance(value, list) and any(isinstance(row, list) for row in value) else "<pose>"
 
 
@@ -189,17 +190,13 @@ _Matrix = Annotated[
 ]
 IN_SPACE = "a table of position, direction and turn, or the four rows of a homogeneous matrix [m]"
 _POSE = f"a list [x, y, θ], or in space {IN_SPACE}"
-TipPose = Annotated[
-    Annotated[PoseTable, Tag("<table>")] | Annotated[_Matrix, Tag("<matrix>")] | Annotated[Pose, Tag("<pose>")],
+_Forms: Any = (
+    Annotated[PoseTable, Tag("<table>")] | Annotated[_Matrix, Tag("<matrix>")] | Annotated[Pose, Tag("<pose>")]
+)
+TipPose: Any = Annotated[_Forms, Discriminator(_by_form), either(_POSE, list, dict)]
+BasePose: Any = Annotated[
+    Annotated[str, one_of(tuple(HEADINGS)), Tag("<name>")] | _Forms,
     Discriminator(_by_form),
-    either(_POSE, list, dict),
-]
-BasePose = Annotated[
-    Annotated[str, one_of(tuple(HEADINGS)), Tag("<name>")]
-    | Annotated[PoseTable, Tag("<table>")]
-    | Annotated[_Matrix, Tag("<matrix>")]
-    | Annotated[Pose, Tag("<pose>")],
-    Discriminator(lambda value: "<name>" if isinstance(value, str) else _by_form(value)),
     either(f"{', '.join(HEADINGS)}, {_POSE}", str, list, dict),
 ]
 base_pose: Any = Field(
@@ -218,44 +215,35 @@ base_pose: Any = Field(
 class WeighedTable(NamedTable):
     """What is loaded along the arm."""
 
-    gravity: bool = Field(
-        default=False, description="Whether arm, links and payloads weigh: 9.81 m/s² down (-y).", examples=[True]
-    )
-    payloads: list[PayloadTable] | None = Field(
-        default=None, description="Masses on the arm; they need gravity.", examples=[[{"mass": "100 g", "at": 0.5}]]
-    )
+    gravity: bool = Field(default=False, examples=[True])
+    """Whether arm, links and payloads weigh: 9.81 m/s² down (-y)."""
+    payloads: list[PayloadTable] | None = Field(default=None, examples=[[{"mass": "100 g", "at": 0.5}]])
+    """Masses on the arm; they need gravity."""
     points: list[PointTable] | None = Field(
-        default=None,
-        description="Further forces and moments, along the arm.",
-        examples=[[{"wrench": [1.0, 0.0, 0.0], "at": 0.5, "frame": "body"}]],
+        default=None, examples=[[{"wrench": [1.0, 0.0, 0.0], "at": 0.5, "frame": "body"}]]
     )
+    """Further forces and moments, along the arm."""
 
 
 class LoadedTable(WeighedTable):
     """What tasks have beside a shape."""
 
-    loads: LoadsTable | None = Field(
-        default=None,
-        description="Loads at the tip in the world frame, x right, y up and z to the viewer: forces, and the moment; "
-        "in space six numbers. Without it, none.",
-        examples=[[[0.0, 0.0, 0.0], [1.0, "-200 gf", 0.1]]],
-    )
+    loads: LoadsTable | None = Field(default=None, examples=[[[0.0, 0.0, 0.0], [1.0, "-200 gf", 0.1]]])
+    """Loads at the tip in the world frame, x right, y up and z to the viewer: forces, and the moment; in space six
+    numbers. Without it, none."""
     base_pose: BasePose = base_pose
-    wrench_at: Annotated[str, one_of(WRENCH_PLACES)] = Field(
-        default="middle",
-        description="Where on its element a node's wrench is taken; the start is the paper's, and less exact.",
-        examples=["start"],
-    )
-    arms: Names | None = Field(
-        default=None, description="The arms that are to hold it. Without it, all.", examples=[["paper", "own"]]
-    )
+    wrench_at: Annotated[str, one_of(WRENCH_PLACES)] = Field(default="middle", examples=["start"])
+    """Where on its element a node's wrench is taken; the start is the paper's, and less exact."""
+    arms: Names | None = Field(default=None, examples=[["paper", "own"]])
+    """The arms that are to hold it. Without it, all."""
 
 
 class ShapedTask(LoadedTable):
     """A task: a shape by name, and the loads to hold it under."""
 
     name: Name = name_as("bend")
-    shape: ShapesTable = Field(description="The centreline to hold; of an arm of segments a list, one for each.")
+    shape: ShapesTable
+    """The centreline to hold; of an arm of segments a list, one for each."""
 
 
 class TwistTask(LoadedTable):
@@ -263,13 +251,12 @@ class TwistTask(LoadedTable):
 
     name: Name = name_as("twists")
     twists: Annotated[list[Twist], filled("a list of [l, γ, κ], one for each node")] = Field(
-        description="Length, shear and curvature of each element from the base on, as if all the arm, or its segment, "
-        "were like it; in space six numbers [l, γ_y, γ_z, κ_x, κ_y, κ_z].",
-        examples=[[[0.48, 0.0, 1.0], [0.48, 0.0, "30 deg"], [0.48, 0.0, 0.0]]],
+        examples=[[[0.48, 0.0, 1.0], [0.48, 0.0, "30 deg"], [0.48, 0.0, 0.0]]]
     )
-    segment_nodes: Annotated[list[_Count], filled("a list of numbers")] | None = Field(
-        default=None, description="How many of these each segment has; without it, the arm is one.", examples=[[3]]
-    )
+    """Length, shear and curvature of each element from the base on, as if all the arm, or its segment, were like it; in
+    space six numbers [l, γ_y, γ_z, κ_x, κ_y, κ_z]."""
+    segment_nodes: Annotated[list[_Count], filled("a list of numbers")] | None = Field(default=None, examples=[[3]])
+    """How many of these each segment has; without it, the arm is one."""
 
 
 TaskTable = Annotated[

@@ -4,11 +4,11 @@ import re
 from collections.abc import Sequence
 from typing import Annotated, Any
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import Field
 
 from torcharm.attainability.questions import question_about_pose
 from torcharm.inputs import hint
-from torcharm.study.fields import Check, by_list, either, entries, refuse, shown_value
+from torcharm.study.fields import Check, entries, one_or_list, refuse, shown_value
 from torcharm.units import ANGLE, AREA, FORCE, LENGTH, MASS, MOMENT, PRESSURE, SHARE, micro
 
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)\s*")
@@ -73,16 +73,11 @@ NotNegativeLength = Annotated[float, Field(ge=0), in_unit(LENGTH)]
 PositivePressure = Annotated[float, Field(gt=0), in_unit(PRESSURE)]
 NotNegativePressure = Annotated[float, Field(ge=0), in_unit(PRESSURE)]
 
-Lengths = Annotated[
-    Annotated[PositiveLength, Tag("<other>")] | Annotated[list[PositiveLength], Tag("<list>")],
-    Discriminator(by_list),
-    either("a number or a list of numbers [m]", int, float, str, list),
-]
-Limits = Annotated[
-    Annotated[NotNegativePressure, Tag("<other>")] | Annotated[list[NotNegativePressure], Tag("<list>")],
-    Discriminator(by_list),
-    either("a number or a list of numbers [kPa]", int, float, str, list),
-]
+_NUMBERS = (int, float, str, list)
+Lengths: Any = one_or_list(PositiveLength, list[PositiveLength], "a number or a list of numbers [m]", *_NUMBERS)
+Limits: Any = one_or_list(
+    NotNegativePressure, list[NotNegativePressure], "a number or a list of numbers [kPa]", *_NUMBERS
+)
 LengthRange = Annotated[list[Length], entries("lowest", "highest")]
 PressureRange = Annotated[list[Pressure], entries("lowest", "highest")]
 
@@ -101,10 +96,12 @@ def each_in(*forms: dict[str, dict[str, float]]) -> Any:
     return Annotated[list[float], Check(check, words=words), entries(*forms[0], other=[*forms[-1]])]
 
 
-Load: Any = each_in(
-    {"f_x": FORCE, "f_y": FORCE, "m": MOMENT},
-    {"f_x": FORCE, "f_y": FORCE, "f_z": FORCE, "m_x": MOMENT, "m_y": MOMENT, "m_z": MOMENT},
-)
+WRENCHES = {
+    2: {"f_x": FORCE, "f_y": FORCE, "m": MOMENT},
+    3: {"f_x": FORCE, "f_y": FORCE, "f_z": FORCE, "m_x": MOMENT, "m_y": MOMENT, "m_z": MOMENT},
+}
+"""By the dimension, the numbers of a load and their units."""
+Load: Any = each_in(*WRENCHES.values())
 
 
 def _ask_of_pose(value: Any) -> Any:
