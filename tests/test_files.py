@@ -173,7 +173,7 @@ def test_an_interrupted_search_leaves_what_it_found(folder, monkeypatch, capsys)
 
 @pytest.mark.parametrize("name", [".", "nowhere/o.csv", "run.csv/o.csv", "x" * 300 + ".csv", "f-2.png"])
 def test_an_unwritable_target_is_found_before_the_work(folder, monkeypatch, capsys, name):
-    monkeypatch.setattr(study, "evaluate_study", lambda plan: pytest.fail("the work was done"))
+    monkeypatch.setattr(study, "evaluate_arm", lambda *_: pytest.fail("the work was done"))
     monkeypatch.setattr("torcharm.characterise.delimited.read_sheet", lambda *_, **__: pytest.fail("it was read"))
     monkeypatch.setattr("torcharm.design.shape_planning.plan_shape", lambda *_, **__: pytest.fail("it was planned"))
     monkeypatch.setattr("torcharm.pressure.search.search_pressure", lambda *_, **__: pytest.fail("it was searched"))

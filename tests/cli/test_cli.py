@@ -306,7 +306,7 @@ def test_help_of_each_command_shows_an_example(command, example):
         ),
         (["evaluate", "--figure", "figure"], ["--figure: figure: must end in one of .png", "got no ending"]),
         (["evaluate", "--figure", "nowhere/figure.png"], ["--figure: nowhere/figure.png: the directory"]),
-        (["evaluate", "--out", "a.png", "--figure", "a.png"], ["--figure: a.png: is the file of --out"]),
+        (["evaluate", "--out", "a.csv", "--figure", "a.csv"], ["--figure: a.csv: is the file of --out"]),
         (["evaluate", "bad.toml", "--out", "./bad.toml"], ["--out: bad.toml: is the study itself"]),
         (["evaluate", "--quick"], ["No such option", "--quick"]),
         (["evaluate", "--out"], ["--out", "requires an argument"]),
@@ -326,7 +326,7 @@ def test_mistakes_are_one_line(monkeypatch, capsys, tmp_path, args, parts):
 
 
 def test_outputs_are_checked_before_the_work(monkeypatch, capsys):
-    monkeypatch.setattr(study, "evaluate_study", lambda *_: pytest.fail("the work was done"))
+    monkeypatch.setattr(study, "evaluate_arm", lambda *_: pytest.fail("the work was done"))
     mistake(monkeypatch, capsys, "evaluate", "--out", "nowhere/results.csv")
     mistake(monkeypatch, capsys, "evaluate", "--figure", "figure.txt")
 
@@ -347,7 +347,7 @@ def test_failures_on_the_way_are_one_line(monkeypatch, capsys, error, line):
     def fail(*_):
         raise error
 
-    monkeypatch.setattr(study, "evaluate_study", fail)
+    monkeypatch.setattr(study, "evaluate_arm", fail)
     assert line in mistake(monkeypatch, capsys, "evaluate")
 
 
@@ -355,20 +355,21 @@ def test_a_defect_keeps_its_traceback(monkeypatch):
     def fail(*_):
         raise RuntimeError("a defect")
 
-    monkeypatch.setattr(study, "evaluate_study", fail)
+    monkeypatch.setattr(study, "evaluate_arm", fail)
     monkeypatch.setattr(sys, "argv", ["torcharm", "evaluate"])
     with pytest.raises(RuntimeError, match="a defect"):
         cli.main()
 
 
 def test_interruption_is_one_line_and_keeps_what_is_finished(monkeypatch, capsys, tmp_path):
-    plan, finished = study.paper_study(), study.evaluate_study
+    plan, finished = study.paper_study(), study.evaluate_arm
 
-    def interrupt(plan, refused):
-        yield next(finished(plan))
-        raise KeyboardInterrupt
+    def interrupt(arm, *others):
+        if arm.name != plan.arms[0].name:
+            raise KeyboardInterrupt
+        return finished(arm, *others)
 
-    monkeypatch.setattr(study, "evaluate_study", interrupt)
+    monkeypatch.setattr(study, "evaluate_arm", interrupt)
     monkeypatch.setattr(sys, "argv", ["torcharm", "evaluate", "--paper", "--out", str(tmp_path / "rows.csv")])
     with pytest.raises(SystemExit) as caught:
         cli.main()
@@ -449,7 +450,7 @@ def test_process_is_interrupted_by_a_signal():
     slow = (
         "import signal, sys, time; from torcharm import cli, study;"
         "signal.signal(signal.SIGINT, signal.default_int_handler);"  # which a process in the background ignores
-        "study.evaluate_study = lambda *_: (print('working', flush=True), time.sleep(60));"
+        "study.evaluate_arm = lambda *_: (print('working', flush=True), time.sleep(60));"
         "sys.argv = ['torcharm', 'evaluate']; cli.main()"
     )
     with subprocess.Popen([sys.executable, "-c", slow], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:

@@ -242,7 +242,7 @@ def test_searches_that_find_no_equilibrium_count_as_failed(tmp_path):
         (("--pressure", "1,2,3,4", "--load", "1,2,3 N"), "--load: must be a number [N·m] or a text of one and a unit"),
         (("--pressure", "1,2,3,-4"), "pressure: must be at least 0 kPa, as vacuum is not supported, got -4"),
         (("--pressure", "1,2,3,4", "--load", "1"), "--load: must be 3 numbers"),
-        (("--pressure", "1,2,3,4", "--arm", "left"), "--arm: must be one of antagonistic, bellows-only, got left"),
+        (("--pressure", "1,2,3,4", "--arm", "left"), "--arm: must be one of antagonistic, bellows-only, got 'left'"),
         (("--pressure", "1,2,3,4", "--figure", "a.txt"), "--figure: a.txt: must end in one of"),
         (("--pressure", "0,0,0,0", "--nodes", "0"), "nodes: must be an integer of at least 1"),
     ],

@@ -15,7 +15,7 @@ from commands import invoke, mistake, one_start, twists_of
 import torcharm as ta
 from torcharm.cli import optimise
 from torcharm.pressure.search import WORDS
-from torcharm.study import evaluate_study, example_text, parse_study, result_rows, summarise
+from torcharm.study import evaluate_study, example_text, parse_study, result_rows, summarise, write_rows
 
 D = torch.float64
 STIFF = '{ kind = "bellows", bending = { kind = "constant", stiffness = -0.05 } }'
@@ -311,8 +311,7 @@ def test_angles_of_arms_in_space_are_told_beside_arms_in_the_plane(tmp_path):
     out = tmp_path / "out.csv"
     arms = parse_study(MIXED).arms[:2]
     results = [(arm, SimpleNamespace(given=arm.design, best=arm.design)) for arm in arms]
-    study = parse_study(MIXED)
-    optimise.write_best(out, tmp_path / "study.toml", out, study, results, ".csv")
+    write_rows(out, list(optimise.best_rows(results)))
     text = " ".join(cell for column in optimise.design_columns(results) for cell in column.cells)
     rows = list(csv.DictReader(out.open(encoding="utf-8")))
     angles = {name: [one["given_angle_deg"] for one in rows if one["arm"] == name] for name in ("flat", "a")}

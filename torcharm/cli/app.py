@@ -25,7 +25,7 @@ from torcharm.cli import (
     tolerance,
     workspace,
 )
-from torcharm.cli.terminal import INTERRUPTED, fail
+from torcharm.cli.terminal import INTERRUPTED, fail, mistakes
 
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]  # click's own, which newer typers hold inside
 
@@ -120,4 +120,4 @@ for _function, _example in (
     (sweep.sweep, "torcharm sweep study.toml --count 1e6 --out run"),
     (tolerance.tolerance, "torcharm tolerance study.toml --radii '1 mm' --force '5 %' --figure built.png"),
 ):
-    app.command(cls=_Command, epilog=f"Example: {_example}")(_function)
+    app.command(cls=_Command, epilog=f"Example: {_example}")(mistakes()(_function))

@@ -2,91 +2,64 @@
 
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from torcharm.cli import options, outputs
 from torcharm.cli.summaries import heading, summary_columns
 from torcharm.cli.tables import print_table
-from torcharm.cli.terminal import (
-    FIGURE_FORMATS,
-    asked_about,
-    check_ending,
-    check_outputs,
-    count,
-    finish,
-    mistakes,
-    numbered,
-    open_console,
-    progress,
-    save_all,
-    say,
-)
-from torcharm.files import check_writable
+from torcharm.cli.terminal import count, open_console, say
+from torcharm.cli.work import Told, Work, read_study
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from rich.console import Console
 
-    from torcharm.study import NamedTask, Study, StudyResult
+    from torcharm.study import NamedArm, NamedTask, Study, StudyResult
 
 
 def evaluate(
-    study: Annotated[
-        Path | None, typer.Argument(help="A study, as TOML. Without one, the example of torcharm init.")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Write a row for every arm, task and load, to a file .csv or .json.")
-    ] = None,
-    figure: Annotated[
-        Path | None,
-        typer.Option("--figure", help=f"Draw the tasks, to a file ending in {', '.join(FIGURE_FORMATS)}."),
-    ] = None,
-    sums: Annotated[bool, typer.Option("--sums", help="Show the paper's sums over the nodes, too.")] = False,
+    study: options.Study = None,
+    out: options.Rows = None,
+    figure: Annotated[Path | None, options.figure("Draw the tasks")] = None,
+    sums: options.Sums = False,
     paper: Annotated[bool, typer.Option("--paper", help="Evaluate the paper's validation.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the rows of --out as JSON, and no tables.")] = False,
+    as_json: options.Json = False,
 ) -> None:
     """Evaluate every arm of a study on each of its tasks: how far off, held or not, and why not."""
-    with mistakes():
-        if paper and study is not None:
-            raise ValueError(f"--paper: stands alone, got the study {study} too")
-        check_outputs(study, out, figure)
-        from torcharm.study import RESULT_FORMATS, example_study, load_study, paper_study
+    if paper and study is not None:
+        raise ValueError(f"--paper: stands alone, got the study {study} too")
+    from torcharm.study import RESULT_FORMATS, example_study, paper_study, result_rows
 
-        check_ending("--out", out, RESULT_FORMATS)
-        plan = paper_study() if paper else example_study() if study is None else asked_about(load_study(study))
-        for path in numbered(figure, len(plan.tasks)):
-            check_writable(path, "--figure")
-        started = time.perf_counter()
-        results, refused, interrupted = evaluate_all(plan)
-        if results:  # nothing is worth a file that may be there
-            console = open_console()
-            if as_json:
-                _print_json(results)
-            else:
-                _report(console, plan, results, time.perf_counter() - started, sums or paper)
-                for line in [] if paper else _next_steps(study, results):
-                    say(console, line)
-            save_all(console, _outputs(plan, results, out, figure))
-        finish(interrupted, results, refused)
+    outputs.check(study, out, figure, RESULT_FORMATS)
+    plan = paper_study() if paper else example_study() if study is None else read_study(study)
+    figures = outputs.numbered("--figure", figure, len(plan.tasks))
+    work, started = Work(), time.perf_counter()
+    results = evaluate_all(plan, work)
+    if results:  # nothing is worth a file that may be there
+        rows = [row for result in results for row in result_rows(result)]
+        if as_json:
+            typer.echo(json.dumps(rows, indent=1))
+        else:
+            _report(open_console(), plan, results, time.perf_counter() - started, sums or paper)
+            for line in [] if paper else _next_steps(study, results):
+                say(line)
+        drawn = outputs.figures(figures, outputs.by_task(plan.tasks, results), _drawn)
+        outputs.save([*outputs.rows(out, rows), *drawn])
+    work.finish(results)
 
 
-def evaluate_all(plan: "Study") -> "tuple[list[StudyResult], dict[str, list[str]], bool]":
-    """What is found of all arms on their tasks, who was refused by why, and whether Ctrl-C came between."""
-    from torcharm.study import evaluate_study
+def evaluate_all(plan: "Study", work: Work) -> "list[StudyResult]":
+    """What is found of all arms on their tasks."""
+    from torcharm.study import evaluate_arm
 
-    results: list[StudyResult] = []
-    refused: dict[str, list[str]] = {}
-    with progress("evaluating", sum(len(plan.arms_of(task)) for task in plan.tasks)) as advance:
-        try:
-            for result in evaluate_study(plan, lambda arm, why: refused.setdefault(why, []).append(arm.name)):
-                results.append(result)
-                advance()
-        except KeyboardInterrupt:  # what is finished is shown and written all the same
-            return results, refused, True
-    return results, refused, False
+    def evaluated(arm: "NamedArm", task: "NamedTask", _: Told) -> "Iterator[StudyResult]":
+        yield evaluate_arm(arm, task, plan.settings)
+
+    return work.each("evaluating", plan.pairs, evaluated)
 
 
 def _next_steps(study: Path | None, results: Sequence["StudyResult"]) -> Iterator[str]:
@@ -102,31 +75,11 @@ def _next_steps(study: Path | None, results: Sequence["StudyResult"]) -> Iterato
     yield from f"Next: {said}.".splitlines() if said else ()
 
 
-def _print_json(results: Sequence["StudyResult"]) -> None:
-    from torcharm.study import result_rows
-
-    typer.echo(json.dumps([row for result in results for row in result_rows(result)], indent=1))
-
-
-def _outputs(
-    plan: "Study", results: Sequence["StudyResult"], out: Path | None, figure: Path | None
-) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
-    from torcharm.study import check_format, write_results
-
-    if out is not None:
-        rows, ending = sum(result.loads for result in results), f".{check_format(out)}"
-        yield out, lambda path: write_results(path, results, ending), f" ({count(rows, 'row')})."
-    for place, task in zip(numbered(figure, len(plan.tasks)), plan.tasks, strict=False):
-        shown = [result for result in results if result.task is task]
-        if shown:
-            yield place, partial(_draw, task=task, results=shown), f" ({task.name})."
-
-
-def _draw(path: Path, task: "NamedTask", results: Sequence["StudyResult"]) -> None:
+def _drawn(task: "NamedTask", results: Sequence["StudyResult"]) -> "Figure":
     from torcharm.plot import study_figure
 
     arms = [(result.arm.name, result.arm.design) for result in results]
-    study_figure(arms, task.name, task.task, [result.attainability for result in results]).savefig(path)
+    return study_figure(arms, task.name, task.task, [result.attainability for result in results])
 
 
 def _report(console: "Console", plan: "Study", results: Sequence["StudyResult"], seconds: float, sums: bool) -> None:
@@ -136,8 +89,8 @@ def _report(console: "Console", plan: "Study", results: Sequence["StudyResult"],
     from torcharm.study.words import why_not
 
     console.print(Text(plan.name, style="bold").append(plan.description and f"  {plan.description}", style="not bold"))
-    for task in plan.tasks:
-        chosen = [(result, summarise(result)) for result in results if result.task is task]
+    for task, own in outputs.by_task(plan.tasks, results):
+        chosen = [(result, summarise(result)) for result in own]
         if not chosen:
             continue
         console.print()
@@ -159,9 +112,8 @@ def _report(console: "Console", plan: "Study", results: Sequence["StudyResult"],
 def _legend(plan: "Study", results: Sequence["StudyResult"], sums: bool) -> Iterator[str]:
     """What the columns mean, in a line each."""
     from torcharm.study.words import verdict_legend, worst_node_legend
+    from torcharm.wrench_sets.node_distances import counted
 
-    if not results:
-        return
     found = results[0].attainability
     if found.prediction is not None:
         yield from verdict_legend(plan.settings, results)
@@ -171,12 +123,5 @@ def _legend(plan: "Study", results: Sequence["StudyResult"], sums: bool) -> Iter
     if found.node_miss is not None:
         yield worst_node_legend(plan.settings)
     if sums or found.prediction is None:
-        yield f"sums over nodes: {_sums(plan)}."
-
-
-def _sums(plan: "Study") -> str:
-    from torcharm.wrench_sets.node_distances import counted
-
-    settings = plan.settings
-    what = "squared distances" if settings.power == 2 else "distances"
-    return f"{what} from attainable wrenches, {counted(plan.settings.weights)}"
+        what = "squared distances" if plan.settings.power == 2 else "distances"
+        yield f"sums over nodes: {what} from attainable wrenches, {counted(plan.settings.weights)}."

@@ -8,13 +8,13 @@ from typing import Annotated
 
 import typer
 
-from torcharm.cli.terminal import asked_about, check_ending, check_outputs, compiling_told, mistakes, open_console, say
+from torcharm.cli import options, outputs
+from torcharm.cli.terminal import compiling_told, say
+from torcharm.cli.work import read_study
 
 
 def explore(
-    study: Annotated[
-        Path | None, typer.Argument(help="A study, as TOML. Without one, the example of torcharm init.")
-    ] = None,
+    study: options.Study = None,
     out: Annotated[
         Path, typer.Option("--out", help="The one file that the page's buttons save to and load from, .toml.")
     ] = Path("explored.toml"),
@@ -33,48 +33,41 @@ def explore(
 
     Each browser that opens it has a page of its own. Ctrl-C ends all.
     """
-    with mistakes():
-        check_outputs(study, out, None)
-        check_ending("--out", out, ("toml",))
-        from torcharm.extras import extra
-
-        extra("viser", "explore")
-        from torcharm.page.answers import answer
-        from torcharm.page.server import LOOPBACK, Server
-        from torcharm.page.state import BEST, BY_HAND, opened, with_mode
-        from torcharm.study import example_study, load_study
-
-        plan = example_study() if study is None else asked_about(load_study(study))
-        if not plan.tasks:
-            raise ValueError(f"{study}: task: must hold at least one table that begins with [[task]], got none")
-        state = opened(plan, study)
-        console = open_console()
-        with compiling_told():
-            for mode in (BEST, BY_HAND):  # else the page would wait for the engine, in silence
-                answer(with_mode(state, mode))
-        # This process does nothing but serve: a browser may leave while its picture is on the way, and what connects
-        # may be no browser, as one that tries https.
-        warnings.filterwarnings("ignore", "Queued a .* on a closed connection")
-        logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
-        server = Server(state, out, host, port)
-        try:
-            if port not in (0, server.port):
-                say(console, f"Port {port} is in use; the page has the next one that is free.")
-            say(console, f"{plan.name}: {server.url}")
-            if host not in LOOPBACK:
-                say(console, f"Whoever reaches this machine at {host} may see it, move the arm and overwrite {out}.")
-            say(console, f"Its button saves to {out}{', in place of what is there' * out.exists()}. Ctrl-C ends it.")
-            if not no_open:
-                _open(server.url)
-            while True:
-                time.sleep(3600)
-        except KeyboardInterrupt:
-            say(console, "Ended.")
-        finally:
-            server.stop()
-
-
-def _open(url: str) -> None:
+    outputs.check(study, out, endings=("toml",))
     import webbrowser
 
-    webbrowser.open(url)
+    from torcharm.extras import extra
+
+    extra("viser", "explore")
+    from torcharm.page.answers import answer
+    from torcharm.page.server import LOOPBACK, Server
+    from torcharm.page.state import BEST, BY_HAND, opened, with_mode
+    from torcharm.study import example_study
+
+    plan = example_study() if study is None else read_study(study)
+    if not plan.tasks:
+        raise ValueError(f"{study}: task: must hold at least one table that begins with [[task]], got none")
+    state = opened(plan, study)
+    with compiling_told():
+        for mode in (BEST, BY_HAND):  # else the page would wait for the engine, in silence
+            answer(with_mode(state, mode))
+    # This process does nothing but serve: a browser may leave while its picture is on the way, and what connects
+    # may be no browser, as one that tries https.
+    warnings.filterwarnings("ignore", "Queued a .* on a closed connection")
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
+    server = Server(state, out, host, port)
+    try:
+        if port not in (0, server.port):
+            say(f"Port {port} is in use; the page has the next one that is free.")
+        say(f"{plan.name}: {server.url}")
+        if host not in LOOPBACK:
+            say(f"Whoever reaches this machine at {host} may see it, move the arm and overwrite {out}.")
+        say(f"Its button saves to {out}{', in place of what is there' * out.exists()}. Ctrl-C ends it.")
+        if not no_open:
+            webbrowser.open(server.url)
+        while True:
+            time.sleep(3600)
+    except KeyboardInterrupt:
+        say("Ended.")
+    finally:
+        server.stop()

@@ -1,9 +1,8 @@
 """`torcharm fit`: from test-bench recordings, or a data sheet's table, to a model file."""
 
 import re
-import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,13 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from torcharm.cli import options, outputs
 from torcharm.cli.fit_report import report
-from torcharm.cli.terminal import FIGURE_FORMATS, check_outputs, count, mistakes, open_console, save_all, say
+from torcharm.cli.terminal import count, numbers, say, tell
 from torcharm.inputs import shown
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from torcharm.actuators import Actuator
     from torcharm.characterise.alignment import Recording
     from torcharm.characterise.choice import Candidate
@@ -29,6 +27,17 @@ OTHER_PRESSURE = 0.2
 KINDS = ("best", "polynomial", "mckibben", "gridded")
 
 
+@contextmanager
+def warnings_told() -> Iterator[None]:
+    """What is doubtful but no mistake: a line each on the standard error."""
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always", UserWarning)
+        yield
+    for message in dict.fromkeys(" ".join(str(warning.message).split()) for warning in found):
+        tell(f"warning: {message}")
+
+
+@warnings_told()
 def fit(
     out: Annotated[Path, typer.Option("--out", help="Write the force model, as TOML, for studies and ArmDesign.")],
     instron: Annotated[
@@ -128,37 +137,35 @@ def fit(
         typer.Option(help="K [N·m²] at that pressure; no tensile test tells.", show_default="the paper's, assumed"),
     ] = None,
     truncated: Annotated[bool, typer.Option("--truncated", help="Accept recordings that end within a line.")] = False,
-    figure: Annotated[
-        Path | None, typer.Option("--figure", help=f"Draw the fit, to a file ending in {', '.join(FIGURE_FORMATS)}.")
-    ] = None,
+    figure: Annotated[Path | None, options.figure("Draw the fit")] = None,
 ) -> None:
     """Fit a force model to recordings of a tensile tester and a pressure log, or to a data sheet's table."""
-    with mistakes(), _warnings_on_stderr():
-        check_outputs(None, out, figure)
-        from torcharm.characterise.alignment import by_depth
-        from torcharm.characterise.doubts import warn_of_doubts
+    outputs.check(None, out, figure)
+    from torcharm.characterise.alignment import by_depth
+    from torcharm.characterise.doubts import warn_of_doubts
+    from torcharm.units import LENGTH
 
-        given = _Runs(instron or [], pressure or [], offset or [], find_offset)
-        given.check(table, out)
-        sheets = given.read(table, truncated=truncated)
-        of_runs = {"--actuators": actuators, "--smoothing": smoothing, "--offset": offset, "--find-offset": find_offset}
-        of_runs |= {"--max-gap": max_gap, "--truncated": truncated or None}
-        _check_needed(of_runs if table else {}, "a --table")
-        _check_needed({} if pressure else {"--pressure-columns": pressure_columns}, "no --pressure")
-        without = model in ("mckibben", "gridded") and find_offset is None
-        _check_needed({"--degree": degree} if without else {}, f"--model {model}")
-        degree = 3 if degree is None else degree
-        reading = _Reading(columns, pressure_columns, _length(gauge_length), positive, unit, truncated=truncated)
-        alignment = {"actuators": 1 if actuators is None else actuators, "smoothing": smoothing, "max_gap": max_gap}
-        recording = reading.table(table) if table else reading.runs(sheets, given, degree, alignment)
-        recording = by_depth(recording) if vacuum else recording
-        options = {"loss": loss, "monotonic": monotonic, "max_pressure": max_pressure, "bending_stiffness": bending}
-        compared, found = _fitted(recording, model or ("best" if table else "polynomial"), degree, options)
-        console = open_console()
-        warn_of_doubts(found, recording, compared)
-        report(console, found, recording, compared)
-        save_all(console, _outputs(found, recording, out, figure))
-        _paste(console, out)
+    given = _Runs(instron or [], pressure or [], offset or [], find_offset)
+    given.check(table, out)
+    sheets = given.read(table, truncated=truncated)
+    of_runs = {"--actuators": actuators, "--smoothing": smoothing, "--offset": offset, "--find-offset": find_offset}
+    of_runs |= {"--max-gap": max_gap, "--truncated": truncated or None}
+    _check_needed(of_runs if table else {}, "a --table")
+    _check_needed({} if pressure else {"--pressure-columns": pressure_columns}, "no --pressure")
+    without = model in ("mckibben", "gridded") and find_offset is None
+    _check_needed({"--degree": degree} if without else {}, f"--model {model}")
+    degree = 3 if degree is None else degree
+    length = None if gauge_length is None else numbers("--gauge-length", gauge_length, [LENGTH])[0]
+    reading = _Reading(columns, pressure_columns, length, positive, unit, truncated=truncated)
+    alignment = {"actuators": 1 if actuators is None else actuators, "smoothing": smoothing, "max_gap": max_gap}
+    recording = reading.table(table) if table else reading.runs(sheets, given, degree, alignment)
+    recording = by_depth(recording) if vacuum else recording
+    how = {"loss": loss, "monotonic": monotonic, "max_pressure": max_pressure, "bending_stiffness": bending}
+    compared, found = _fitted(recording, model or ("best" if table else "polynomial"), degree, how)
+    warn_of_doubts(found, recording, compared)
+    report(found, recording, compared)
+    outputs.save(_outputs(found, recording, out, figure))
+    _paste(out)
 
 
 def _check_needed(options: Mapping[str, object], where: str) -> None:
@@ -314,19 +321,6 @@ def _compare_pressures(sheet: "Sheet", log: "PressureRecord") -> None:
         )
 
 
-def _length(text: str | None) -> float | None:
-    """A gauge length [m]."""
-    if text is None:
-        return None
-    from torcharm.study.units import numbers_in
-    from torcharm.units import LENGTH
-
-    try:
-        return numbers_in(text, [LENGTH])[0]
-    except ValueError as error:
-        raise ValueError(f"--gauge-length: {error}") from None
-
-
 def _fitted(
     recording: "Recording", kind: str, degree: int, options: dict[str, Any]
 ) -> tuple[list["Candidate"], "Actuator"]:
@@ -345,9 +339,7 @@ def _fitted(
         raise
 
 
-def _outputs(
-    model: "Actuator", recording: "Recording", out: Path, figure: Path | None
-) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
+def _outputs(model: "Actuator", recording: "Recording", out: Path, figure: Path | None) -> Iterator[outputs.Output]:
     from torcharm.characterise.model_file import save_actuator
 
     yield out, lambda path: save_actuator(path, model), "."
@@ -357,20 +349,10 @@ def _outputs(
         yield figure, lambda path: characterisation_figure(model, recording).savefig(path), "."
 
 
-def _paste(console: "Console", out: Path) -> None:
+def _paste(out: Path) -> None:
     """A line for a study, of which a path that is no whole one starts at the study's folder."""
     from torcharm.characterise.toml_text import toml_entry
 
     where = "" if out.is_absolute() else " in this folder"
-    say(console, f"In a study{where}, for all actuators of an arm, or in a list with others:")
-    say(console, toml_entry("actuators", {"kind": "file", "path": str(out)}))
-
-
-@contextmanager
-def _warnings_on_stderr() -> Iterator[None]:
-    """What is doubtful but no mistake: a line each on the standard error."""
-    with warnings.catch_warnings(record=True) as found:
-        warnings.simplefilter("always", UserWarning)
-        yield
-    for message in dict.fromkeys(" ".join(str(warning.message).split()) for warning in found):
-        print("torcharm: warning:", message, file=sys.stderr)
+    say(f"In a study{where}, for all actuators of an arm, or in a list with others:")
+    say(toml_entry("actuators", {"kind": "file", "path": str(out)}))

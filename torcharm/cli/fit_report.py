@@ -7,19 +7,16 @@ from torcharm.cli.tables import Column, print_table
 from torcharm.cli.terminal import count, say
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from torcharm.actuators import Actuator
     from torcharm.characterise.alignment import Recording
     from torcharm.characterise.choice import Candidate
     from torcharm.characterise.fit import FittedActuator
 
 
-def report(console: "Console", model: "Actuator", recording: "Recording", compared: Sequence["Candidate"]) -> None:
+def report(model: "Actuator", recording: "Recording", compared: Sequence["Candidate"]) -> None:
     """Print all of it.
 
     Args:
-        console: to say it.
         model: that was fitted.
         recording: to which.
         compared: kinds of models, the chosen one first; none if the kind was given.
@@ -28,10 +25,10 @@ def report(console: "Console", model: "Actuator", recording: "Recording", compar
 
     if isinstance(model, FittedActuator):
         print_table(_coefficients(model))
-        console.print()
+        say()
     for part in (_comparison(recording, compared), _quality(model, recording), _limits(model), _reading(recording)):
         for line in part:
-            say(console, line)
+            say(line)
 
 
 def _coefficients(model: "FittedActuator") -> list[Column]:

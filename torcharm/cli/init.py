@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from torcharm.cli.terminal import mistakes, open_console, say
+from torcharm.cli.terminal import say
 
 
 def init(
@@ -20,15 +20,14 @@ def init(
     force: Annotated[bool, typer.Option("--force", help="Overwrite the file if there is one.")] = False,
 ) -> None:
     """Write a commented study to start from; with --all, a reference of all keys, which is a study too."""
-    with mistakes():
-        if every and space:
-            raise ValueError("--space: must not stand beside --all, which has the keys of space too")
-        from torcharm.files import atomic_write
-        from torcharm.study import example_text, key_reference
+    if every and space:
+        raise ValueError("--space: must not stand beside --all, which has the keys of space too")
+    from torcharm.files import atomic_write
+    from torcharm.study import example_text, key_reference
 
-        path = out or Path("all_keys.toml" if every else "space.toml" if space else "study.toml")
-        if path.exists() and not force:
-            raise ValueError(f"{path}: is there already; --force overwrites it")
-        with atomic_write(path) as partial:
-            partial.write_text(key_reference() if every else example_text(space), encoding="utf-8", newline="\n")
-        say(open_console(), f"Wrote {path}. Evaluate it with: torcharm evaluate {path}")
+    path = out or Path("all_keys.toml" if every else "space.toml" if space else "study.toml")
+    if path.exists() and not force:
+        raise ValueError(f"{path}: is there already; --force overwrites it")
+    with atomic_write(path) as partial:
+        partial.write_text(key_reference() if every else example_text(space), encoding="utf-8", newline="\n")
+    say(f"Wrote {path}. Evaluate it with: torcharm evaluate {path}")

@@ -1,34 +1,22 @@
 """`torcharm optimise`: every arm of a study made better on all its tasks together."""
 
 import math
-import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from torcharm.cli import options, outputs
 from torcharm.cli.tables import LONGEST_WORD, Column, print_table
-from torcharm.cli.terminal import (
-    FIGURE_FORMATS,
-    asked_about,
-    check_ending,
-    check_outputs,
-    finish,
-    mistakes,
-    numbered,
-    open_console,
-    progress,
-    save_all,
-    say,
-)
-from torcharm.files import check_writable, is_stream
+from torcharm.cli.terminal import say, tell
+from torcharm.cli.work import Told, Work, read_study
+from torcharm.files import is_stream
 
 if TYPE_CHECKING:
-    from torcharm.design import Objective, OptimisedDesign, Progress
+    from torcharm.design import OptimisedDesign, Progress
     from torcharm.study import NamedArm, Study
 
 OPTIMISED = ", optimised"
@@ -46,10 +34,7 @@ def optimise(
             "row for every arm and actuator, given and best.",
         ),
     ] = None,
-    figure: Annotated[
-        Path | None,
-        typer.Option("--figure", help=f"Draw errors and designs, to a file ending in {', '.join(FIGURE_FORMATS)}."),
-    ] = None,
+    figure: Annotated[Path | None, options.figure("Draw errors and designs")] = None,
     checkpoint: Annotated[
         Path | None, typer.Option("--checkpoint", help="Keep finished starts in this file, and go on from it.")
     ] = None,
@@ -58,72 +43,46 @@ def optimise(
 
     Ctrl-C ends the optimisation and shows what was found until then.
     """
-    with mistakes():
-        check_outputs(study, out, figure)
-        _check_checkpoint(study, out, figure, checkpoint)
-        from torcharm.study import RESULT_FORMATS, load_study
+    from torcharm.study import RESULT_FORMATS
 
-        check_ending("--out", out, (*RESULT_FORMATS, "toml"))
-
-        plan = asked_about(load_study(study))
-        for option, path in (("--figure", figure), ("--checkpoint", checkpoint)):
-            for one in numbered(path, len(plan.arms)):
-                check_writable(one, option)
-        results: list[tuple[NamedArm, OptimisedDesign]] = []
-        refused: dict[str, list[str]] = {}
-        try:
-            _optimise(plan, numbered(checkpoint, len(plan.arms)), results, refused)
-        except KeyboardInterrupt:  # what is finished is shown and written all the same
-            interrupted = True
-        else:
-            interrupted = any(result.stopped == "interrupted" for _, result in results)
-        if results:
-            _tell(results)
-        save_all(open_console(), _outputs(study, plan, results, out, numbered(figure, len(plan.arms))))
-        if results:
-            say(open_console(), _next_step(study, out))
-        finish(interrupted, results, refused)
+    outputs.check(study, out, figure, (*RESULT_FORMATS, "toml"), checkpoint)
+    plan = read_study(study)
+    figures = outputs.numbered("--figure", figure, len(plan.arms))
+    checkpoints = outputs.numbered("--checkpoint", checkpoint, len(plan.arms))
+    work = Work()
+    results = _optimise(plan, checkpoints, work)
+    if results:
+        _tell(results)
+    outputs.save(_outputs(study, plan, results, out, figures))
+    if results:
+        say(_next_step(study, out))
+    work.finish(results)
 
 
-def _optimise(
-    plan: "Study",
-    checkpoints: Sequence[Path],
-    results: list[tuple["NamedArm", "OptimisedDesign"]],
-    refused: dict[str, list[str]],
-) -> None:
-    """Append to `results` what is found of the arms, in their order; arms that are refused by why they are."""
+def _optimise(plan: "Study", checkpoints: Sequence[Path], work: Work) -> "list[tuple[NamedArm, OptimisedDesign]]":
+    """What is found of the arms, in their order."""
     from torcharm.design import optimise_design
 
     how = plan.optimisation
-    with progress("optimising", how.starts * len(plan.arms)) as move, _warnings_in_a_line():
-        for index, arm in enumerate(plan.arms):
-            options: dict[str, Any] = {"starts": how.starts, "seed": how.seed, "iterations": how.iterations}
-            options["tolerance"] = plan.settings.tolerance
-            options["checkpoint"] = checkpoints[index] if checkpoints else None
-            options["callback"] = partial(_move, move, arm.name, index * how.starts, how.objective)
-            try:
-                tasks = [named.task for named in plan.tasks_of(arm)]
-                result = optimise_design(arm.design, tasks, how.space, how.objective, **options)
-            except ValueError as error:  # costs this arm alone
-                refused.setdefault(str(error), []).append(arm.name)
-                continue
-            results.append((arm, result))
-            if result.stopped == "interrupted":
-                return
-            move(to=(index + 1) * how.starts)
+    scale, unit = (1e3, "mm") if how.objective.unit == "m" else (1.0, how.objective.unit)
+    options: dict[str, Any] = {"starts": how.starts, "seed": how.seed, "iterations": how.iterations}
+    options["tolerance"] = plan.settings.tolerance
 
+    def optimised(arm: "NamedArm", checkpoint: Path | None, told: Told) -> "Iterator[tuple[NamedArm, OptimisedDesign]]":
+        def callback(done: "Progress") -> None:
+            best = f"{scale * done.value:.4g} {unit}" if math.isfinite(done.value) else "-"
+            told(done.start, f"{arm.name}, best {best}")
 
-def _move(move: Callable[..., None], name: str, before: int, objective: "Objective", done: "Progress") -> None:
-    """Move the bar on to the starts that have ended, with the best value until then."""
-    scale, unit = (1e3, "mm") if objective.unit == "m" else (1.0, objective.unit)
-    best = f"{scale * done.value:.4g} {unit}" if math.isfinite(done.value) else "-"
-    move(to=before + done.start, words=f"{name}, best {best}")
+        tasks = [named.task for named in plan.tasks_of(arm)]
+        further = {"checkpoint": checkpoint, "callback": callback}
+        result = optimise_design(arm.design, tasks, how.space, how.objective, **options | further)
+        yield arm, result
+        if result.stopped == "interrupted":
+            raise KeyboardInterrupt
 
-
-def _check_checkpoint(study: Path, out: Path | None, figure: Path | None, checkpoint: Path | None) -> None:
-    for what, other in (("the study itself", study), ("the file of --out", out), ("the file of --figure", figure)):
-        if checkpoint is not None and other is not None and checkpoint.resolve() == other.resolve():
-            raise ValueError(f"--checkpoint: {checkpoint}: is {what}, must be another file")
+    places: Sequence[Path | None] = checkpoints or [None] * len(plan.arms)
+    with _warnings_in_a_line():
+        return work.each("optimising", list(zip(plan.arms, places, strict=True)), optimised, how.starts)
 
 
 def _tell(results: Found) -> None:
@@ -131,26 +90,25 @@ def _tell(results: Found) -> None:
     from torcharm.design.space import LEAST_SPACING
     from torcharm.statics.balance import segments_of
 
-    console = open_console()
     print_table(_errors(results))
-    console.print()
+    say()
     print_table(design_columns(results), lead=2)
-    console.print()
+    say()
     for line in _legend(results):
-        say(console, line)
+        say(line)
     space = results[0][1].space
     segments = [segment for _, result in results for segment in segments_of(result.best)[0]]
     if space.spacing is None and "radii" in space.free and any(segment.diameter is None for segment in segments):
         near = f"as close as {1e3 * LEAST_SPACING:g} mm, axis to axis"
-        say(console, f"Actuators without a diameter may come {near}: give them one, or set optimise.spacing.")
+        say(f"Actuators without a diameter may come {near}: give them one, or set optimise.spacing.")
     for arm, result in results:
-        say(console, f"{arm.name}: {result.status}.")
+        say(f"{arm.name}: {result.status}.")
         if result.violated and result.best is not result.given:
-            say(console, f"{arm.name}: the given arm is outside these constraints: {'; '.join(result.violated)}.")
+            say(f"{arm.name}: the given arm is outside these constraints: {'; '.join(result.violated)}.")
         if rest := rest_words(result.best):
-            say(console, f"{arm.name}: the best arm: {rest}.")
+            say(f"{arm.name}: the best arm: {rest}.")
         if result.active:
-            say(console, f"{arm.name}: the best arm is held back by: {'; '.join(result.active)}.")
+            say(f"{arm.name}: the best arm is held back by: {'; '.join(result.active)}.")
 
 
 def _legend(results: Found) -> Iterator[str]:
@@ -182,18 +140,15 @@ def _next_step(study: Path, out: Path | None) -> str:
 
 def _outputs(
     study: Path, plan: "Study", results: Found, out: Path | None, figures: Sequence[Path]
-) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
-    if out is not None and results:
-        from torcharm.study import check_format
-
-        ending = ".toml" if out.suffix.lower() == ".toml" else f".{check_format(out)}"
-        yield out, lambda path: write_best(path, study, out, plan, results, ending), "."
-    places = dict(zip((arm.name for arm in plan.arms), figures, strict=False))
+) -> Iterator[outputs.Output]:
+    if out is not None and out.suffix.lower() == ".toml" and results:
+        yield out, lambda path: path.write_text(_toml(study, out, plan, results), "utf-8", newline="\n"), "."
+    elif results:
+        yield from outputs.rows(out, list(best_rows(results)))
     for arm, result in results if figures else ():
         from torcharm.plot import optimisation_figure
 
-        place = places[arm.name]
-        yield place, optimisation_figure(result, arm.name).savefig, f" ({arm.name})."
+        yield figures[plan.arms.index(arm)], optimisation_figure(result, arm.name).savefig, f" ({arm.name})."
 
 
 @contextmanager
@@ -201,18 +156,8 @@ def _warnings_in_a_line() -> Iterator[None]:
     """Warnings as one line each on the standard error, as mistakes are told."""
     with warnings.catch_warnings():
         warnings.simplefilter("always", RuntimeWarning)
-        warnings.showwarning = lambda message, *_, **__: print("torcharm:", message, file=sys.stderr)
+        warnings.showwarning = lambda message, *_, **__: tell(str(message))
         yield
-
-
-def write_best(path: Path, study: Path, out: Path, plan: "Study", results: Found, ending: str) -> None:
-    """The file of --out, written where it is to be moved from."""
-    if ending == ".toml":
-        path.write_text(_toml(study, out, plan, results), encoding="utf-8", newline="\n")
-    else:
-        from torcharm.study import write_rows
-
-        write_rows(path, list(_rows(results)), ending)
 
 
 def _toml(study: Path, out: Path, plan: "Study", results: Found) -> str:
@@ -228,7 +173,7 @@ def _toml(study: Path, out: Path, plan: "Study", results: Found) -> str:
     return study_to_toml(plan, name, arms, {arm.name: result.status for arm, result in results})
 
 
-def _rows(results: Found) -> Iterator[dict[str, Any]]:
+def best_rows(results: Found) -> Iterator[dict[str, Any]]:
     """A row for each arm and actuator, given and best."""
     from torcharm.actuators import model_name
 
@@ -266,32 +211,23 @@ def _errors(results: Found) -> list[Column]:
     """A row for each arm: plain errors and counts of tasks, given and best."""
     from torcharm.inputs import three_digits
 
-    objective = results[0][1].objective
     columns = [Column("arm", [arm.name for arm, _ in results], LONGEST_WORD)]
+    every, over = [result for _, result in results], results[0][1].objective.over
 
-    def add(title: str, cells: Iterator[tuple[str, str]]) -> None:
-        columns.append(Column(f"{title}\ngiven → best", [" → ".join(pair) for pair in cells]))
+    def add(title: str, *pairs: tuple[object, object]) -> None:
+        columns.append(Column(f"{title}\ngiven → best", [f"{given} → {best}" for given, best in pairs]))
 
-    every = [result for _, result in results]
-    if objective.unit == "m":
+    if results[0][1].objective.unit == "m":
         add(
             "shape [mm]",
-            (_pair(three_digits, r.before.shape_mm(objective.over), r.after.shape_mm(objective.over)) for r in every),
+            *((three_digits(r.before.shape_mm(over)), three_digits(r.after.shape_mm(over))) for r in every),
         )
     else:
-        add("value [N]", (_pair("{:.4g}".format, r.given_value, r.value) for r in every))
-    add("tip [mm]", (_pair(three_digits, r.before.tip_mm, r.after.tip_mm) for r in every))
-    tasks = [len(result.after.stable) for result in every]
-    add("held", ((f"{r.given_held}", f"{r.held} of {n}") for r, n in zip(every, tasks, strict=True)))
-    add(
-        "out of range",
-        ((f"{r.before.out_of_range}", f"{r.after.out_of_range} of {n}") for r, n in zip(every, tasks, strict=True)),
-    )
+        add("value [N]", *((f"{r.given_value:.4g}", f"{r.value:.4g}") for r in every))
+    add("tip [mm]", *((three_digits(r.before.tip_mm), three_digits(r.after.tip_mm)) for r in every))
+    add("held", *((r.given_held, f"{r.held} of {len(r.after.stable)}") for r in every))
+    add("out of range", *((r.before.out_of_range, f"{r.after.out_of_range} of {len(r.after.stable)}") for r in every))
     return columns
-
-
-def _pair(told: Callable[[float], str], given: float, best: float) -> tuple[str, str]:
-    return told(given), told(best)
 
 
 def design_columns(results: Found) -> list[Column]:

@@ -3,34 +3,21 @@
 import itertools
 import math
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from torcharm.cli import options, outputs
 from torcharm.cli.summaries import error_columns
 from torcharm.cli.tables import LONGEST_WORD, Column, print_table
-from torcharm.cli.terminal import (
-    FIGURE_FORMATS,
-    asked_about,
-    check_ending,
-    check_outputs,
-    count,
-    finish,
-    mistakes,
-    numbered,
-    open_console,
-    progress,
-    save_all,
-    say,
-)
-from torcharm.files import check_writable
+from torcharm.cli.terminal import count, open_console, say
+from torcharm.cli.work import Told, Work, read_study
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from matplotlib.figure import Figure
 
     from torcharm.design.shape_planning import PlannedShape
     from torcharm.study import NamedArm, NamedTask, Study, StudyResult
@@ -40,9 +27,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Found:
-    """What is found of one plan by one arm; without a shape there is no result, which is as of torcharm evaluate."""
+    """What is found of one task, a plan, by one arm; without a shape there is no result, as of torcharm evaluate."""
 
-    wanted: "NamedPlan"
+    task: "NamedPlan"
     arm: "NamedArm"
     shape: "PlannedShape"
     result: "StudyResult | None"
@@ -63,44 +50,33 @@ def plan(
             "node to a file .csv or .json.",
         ),
     ] = None,
-    figure: Annotated[
-        Path | None,
-        typer.Option("--figure", help=f"Draw the shapes, to a file ending in {', '.join(FIGURE_FORMATS)}."),
-    ] = None,
-    sums: Annotated[bool, typer.Option("--sums", help="Show the paper's sums over the nodes, too.")] = False,
+    figure: Annotated[Path | None, options.figure("Draw the shapes")] = None,
+    sums: options.Sums = False,
 ) -> None:
     """Find shapes through the tip poses of a study, for each arm that they name or fit.
 
     Verdicts are those of torcharm evaluate on the shape found. Each element's wrench is taken at its middle. Where no
     shape is found for any plan, the command exits with 1. Ctrl-C ends the work and shows what was found until then.
     """
-    with mistakes():
-        check_outputs(study, out, figure)
-        from torcharm.study import RESULT_FORMATS, load_study
+    from torcharm.study import RESULT_FORMATS
 
-        check_ending("--out", out, (*RESULT_FORMATS, "toml"))
-
-        read = asked_about(load_study(study))
-        if not read.plans:
-            raise ValueError(f"{study}: plan: must hold at least one table that begins with [[plan]], got none")
-        for path in numbered(figure, len(read.plans)):
-            check_writable(path, "--figure")
-        found: list[Found] = []
-        interrupted = False
-        try:
-            _find(read, found)
-        except KeyboardInterrupt:  # what is finished is shown and written all the same
-            interrupted = True
-        _tell(read, found, sums)
-        for line in _next_steps(study, out, found):
-            say(open_console(), line)
-        save_all(open_console(), _outputs(read, found, out, figure))
-        finish(interrupted, found, {})
-        refused = [f"{one.wanted.name}, {one.arm.name}: {one.shape.status}" for one in found if one.refused]
-        if refused:
-            raise ValueError(f"{study}: {'; '.join(refused)}")
-        if not any(one.result for one in found):
-            sys.exit(NONE_FOUND)
+    outputs.check(study, out, figure, (*RESULT_FORMATS, "toml"))
+    read = read_study(study)
+    if not read.plans:
+        raise ValueError(f"{study}: plan: must hold at least one table that begins with [[plan]], got none")
+    figures, work = outputs.numbered("--figure", figure, len(read.plans)), Work()
+    found = _find(read, work)
+    _tell(read, found, sums)
+    for line in _next_steps(study, out, found):
+        say(line)
+    possible = outputs.by_task(read.plans, [one for one in found if not one.refused])
+    outputs.save([*_written(read, found, out), *outputs.figures(figures, possible, _drawn)])
+    work.finish(found)
+    refused = [f"{one.task.name}, {one.arm.name}: {one.shape.status}" for one in found if one.refused]
+    if refused:
+        raise ValueError(f"{study}: {'; '.join(refused)}")
+    if not any(one.result for one in found):
+        sys.exit(NONE_FOUND)
 
 
 REFUSED = "refused: "
@@ -109,36 +85,27 @@ NONE_FOUND = 1
 """How the command exits where no plan has a shape: the study is right, the arms are not."""
 
 
-def _find(read: "Study", found: list[Found]) -> None:
-    """Append to `found` what is found of each plan by each arm."""
+def _find(read: "Study", work: Work) -> list[Found]:
+    """What is found of each plan by each arm."""
     import torch
 
     from torcharm.design.shape_planning import PlannedShape, plan_shape
+    from torcharm.study import NamedTask, evaluate_arm
 
-    with progress("planning", sum(len(read.arms_of(wanted)) for wanted in read.plans)) as advance:
-        for wanted in read.plans:
-            for arm in read.arms_of(wanted):
-                pose, load, how = wanted.tip_pose, wanted.load, wanted.smoothness
-                options = {"nodes": wanted.nodes, "base_pose": wanted.base_pose, "in_range": wanted.in_range}
-                try:
-                    shape = plan_shape(arm.design, pose, load, how, **options)  # type: ignore[arg-type]
-                except ValueError as error:  # costs this plan alone
-                    none = torch.full((wanted.nodes, 3 * arm.design.dimension - 3), math.nan)
-                    shape = PlannedShape(f"{REFUSED}{error}", none, math.nan, math.nan, None)
-                found.append(Found(wanted, arm, shape, _judged(read, wanted, arm, shape)))
-                advance()
+    def planned(arm: "NamedArm", wanted: "NamedPlan", _: Told) -> Iterator[Found]:
+        options: dict[str, Any] = {name: getattr(wanted, name) for name in ("nodes", "base_pose", "in_range")}
+        try:
+            shape = plan_shape(arm.design, wanted.tip_pose, wanted.load, wanted.smoothness, **options)
+        except ValueError as error:  # costs this plan alone
+            none = torch.full((wanted.nodes, 3 * arm.design.dimension - 3), math.nan)
+            shape = PlannedShape(f"{REFUSED}{error}", none, math.nan, math.nan, None)
+        result = None
+        if shape.attainability is not None:  # evaluated as the study's tasks are
+            task = NamedTask(wanted.name, shape.attainability.task, (arm.name,))
+            result = evaluate_arm(arm, task, read.settings)
+        yield Found(wanted, arm, shape, result)
 
-
-def _judged(read: "Study", wanted: "NamedPlan", arm: "NamedArm", shape: "PlannedShape") -> "StudyResult | None":
-    """The shape as a task, evaluated as the study's tasks are."""
-    from torcharm.attainability import evaluate
-    from torcharm.study import NamedTask, StudyResult
-
-    if shape.attainability is None:
-        return None
-    task = shape.attainability.task
-    judged = evaluate(arm.design, task, **vars(read.settings))
-    return StudyResult(arm, NamedTask(wanted.name, task, (arm.name,)), read.settings, judged)
+    return work.each("planning", [(arm, wanted) for wanted in read.plans for arm in read.arms_of(wanted)], planned)
 
 
 TWISTS = {
@@ -154,28 +121,33 @@ TWISTS = {
 def _tell(read: "Study", found: Sequence[Found], sums: bool) -> None:
     from torcharm.study.words import verdict_legend
 
-    console = open_console()
-    for wanted in read.plans:
-        shown = [one for one in found if one.wanted is wanted]
+    for wanted, shown in outputs.by_task(read.plans, found):
         if shown:
-            _report(console, wanted, shown, sums)
+            _report(wanted, shown, sums)
     results = [one.result for one in found if one.result is not None]
     if not results:
         return
     lines = [*verdict_legend(read.settings, results)] if results[0].verdicts is not None else []
     for line in [*lines, *LEGEND]:
-        console.print(line)
+        open_console().print(line)
 
 
-def _report(console: "Console", wanted: "NamedPlan", found: Sequence[Found], sums: bool) -> None:
+def _report(wanted: "NamedPlan", found: Sequence[Found], sums: bool) -> None:
     """The tables of one plan, and in words what the arms do not hold."""
     from rich.text import Text
 
     from torcharm.study import result_rows
+    from torcharm.study.words import sentence
 
+    console = open_console()
     console.print(Text("Plan ").append(wanted.name, style="bold").append(f", {count(wanted.nodes, 'node')} a segment"))
     console.print()
-    rows = [_no_row(one) if one.result is None else next(iter(result_rows(one.result))) for one in found]
+    rows = [
+        {"verdict": "refused" if one.refused else "no shape", "reason": one.shape.status}
+        if one.result is None
+        else next(iter(result_rows(one.result)))
+        for one in found
+    ]
     arms = Column("arm", [one.arm.name for one in found], LONGEST_WORD)
     print_table([arms, *error_columns(rows, sums)])
     if any(one.result for one in found):
@@ -184,14 +156,9 @@ def _report(console: "Console", wanted: "NamedPlan", found: Sequence[Found], sum
     console.print()
     for one, row in zip(found, rows, strict=True):
         if row["reason"]:
-            say(console, f"{one.arm.name}: {row['reason']}{'' if row['reason'].endswith('?') else '.'}")
+            say(f"{one.arm.name}: {sentence(row['reason'])}")
     if any(row["reason"] for row in rows):
         console.print()
-
-
-def _no_row(one: Found) -> dict[str, Any]:
-    """What stands in a table for a plan without a shape."""
-    return {"verdict": "refused" if one.refused else "no shape", "reason": one.shape.status}
 
 
 LEGEND = (
@@ -211,32 +178,24 @@ def _next_steps(study: Path, out: Path | None, found: Sequence[Found]) -> Iterat
         yield f"Next: torcharm plan {study} --out shapes.toml writes the shapes as tasks to paste into the study."
 
 
-def _outputs(
-    read: "Study", found: Sequence[Found], out: Path | None, figure: Path | None
-) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
+def _written(read: "Study", found: Sequence[Found], out: Path | None) -> Iterator[outputs.Output]:
+    """The file of --out, if there is something to write."""
+    from torcharm.study import task_to_toml
+
     if out is not None and out.suffix.lower() == ".toml":
         tasks = list(_tasks(read, found))
         if tasks:
-            yield out, partial(_write_tasks, tasks=tasks), f" ({count(len(tasks), 'task')})."
-    elif out is not None and found:
-        rows = sum(len(one.shape.twists) for one in found if one.shape.found)
-        from torcharm.study import check_format, write_rows
-
-        ending = f".{check_format(out)}"
-        yield out, lambda path: write_rows(path, list(_rows(found)), ending), f" ({count(rows, 'row')})."
-    for place, wanted in zip(numbered(figure, len(read.plans)), read.plans, strict=False):
-        shown = [one for one in found if one.wanted is wanted and not one.refused]
-        if shown:
-            yield place, partial(_draw, found=shown), f" ({wanted.name})."
+            text = "\n".join(task_to_toml(task) for task in tasks)
+            yield out, lambda path: path.write_text(text, encoding="utf-8"), f" ({count(len(tasks), 'task')})."
+    elif found:
+        yield from outputs.rows(out, list(_rows(found)))
 
 
-def _draw(path: Path, found: Sequence[Found]) -> None:
+def _drawn(wanted: "NamedPlan", found: Sequence[Found]) -> "Figure":
     from torcharm.plot import plan_figure
 
-    wanted = found[0].wanted
     shapes = [(one.arm.name, one.arm.design, one.shape) for one in found]
-    drawn = plan_figure(shapes, wanted.name, wanted.tip_pose, base_pose=wanted.base_pose)
-    drawn.savefig(path)
+    return plan_figure(shapes, wanted.name, wanted.tip_pose, base_pose=wanted.base_pose)
 
 
 def _tasks(read: "Study", found: Sequence[Found]) -> "Iterator[NamedTask]":
@@ -245,8 +204,8 @@ def _tasks(read: "Study", found: Sequence[Found]) -> "Iterator[NamedTask]":
     for one in found:
         if one.result is None:
             continue
-        alone = len(read.arms_of(one.wanted)) == 1
-        first = name = one.wanted.name if alone else f"{one.wanted.name}, {one.arm.name}"
+        alone = len(read.arms_of(one.task)) == 1
+        first = name = one.task.name if alone else f"{one.task.name}, {one.arm.name}"
         numbers = itertools.count(2)
         while name in taken:
             name = f"{first} {next(numbers)}"
@@ -254,23 +213,16 @@ def _tasks(read: "Study", found: Sequence[Found]) -> "Iterator[NamedTask]":
         yield replace(one.result.task, name=name)
 
 
-def _write_tasks(path: Path, tasks: "Sequence[NamedTask]") -> None:
-    from torcharm.study import task_to_toml
-
-    path.write_text("\n".join(task_to_toml(task) for task in tasks), encoding="utf-8")
-
-
 def _shape_columns(found: Sequence[Found]) -> Iterator[Column]:
     """How long and how bent the shapes are, and what they cost."""
-    cells = [["-"] * 5 if one.result is None else _shape_cells(one.result.task.task, one.shape) for one in found]
+    cells = []
+    for one in found:
+        spans = _elements(one.result.task.task) if one.result else ()
+        own = [cell for values in spans for cell in (f"{sum(values):.4g}", _span(values))]
+        cells.append([*own, f"{one.shape.cost:.4g}"] if own else ["-"] * 5)
     titles = ("length [mm]\nwhole", "length [mm]\nof each", "bend [°]\nwhole", "bend [°]\nof each", "cost")
-    for title, own in zip(titles, zip(*cells, strict=True), strict=True):
-        yield Column(title, own)
-
-
-def _shape_cells(task: "Task", shape: "PlannedShape") -> list[str]:
-    spans = [cell for values in _elements(task) for cell in (f"{sum(values):.4g}", _span(values))]
-    return [*spans, f"{shape.cost:.4g}"]
+    for title, column in zip(titles, zip(*cells, strict=True), strict=True):
+        yield Column(title, column)
 
 
 def _elements(task: "Task") -> tuple[list[float], list[float]]:
@@ -299,4 +251,4 @@ def _rows(found: Sequence[Found]) -> Iterator[dict[str, Any]]:
         for node, twist in enumerate(one.shape.twists.tolist() if one.shape.found else (), 1):
             columns = TWISTS[len(twist)]
             cells = [(MM if name.endswith("mm") else DEG) * value for name, value in zip(columns, twist, strict=True)]
-            yield {"plan": one.wanted.name, "arm": one.arm.name, "node": node, **dict(zip(columns, cells, strict=True))}
+            yield {"plan": one.task.name, "arm": one.arm.name, "node": node, **dict(zip(columns, cells, strict=True))}

@@ -2,38 +2,27 @@
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import fields, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from torcharm.cli.summaries import error_columns, heading, summary_columns
+from torcharm.cli import options, outputs
+from torcharm.cli.summaries import error_columns, heading, number_column, summary_columns
 from torcharm.cli.tables import LONGEST_WORD, Column, print_table
-from torcharm.cli.terminal import (
-    FIGURE_FORMATS,
-    asked_about,
-    check_ending,
-    check_outputs,
-    count,
-    finish,
-    mistakes,
-    numbered,
-    open_console,
-    progress,
-    save_all,
-    say,
-)
-from torcharm.files import atomic_write, check_writable, is_stream
+from torcharm.cli.terminal import open_console, say
+from torcharm.cli.work import Told, Work, read_study
+from torcharm.files import atomic_write, is_stream
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from torcharm.pressure.search import PressureSearch
     from torcharm.study import NamedArm, NamedTask, Settings, StudyResult
 
-Found = Sequence["StudyResult"]
 BLOCKS = {"multistart": 100, "scipy": 1}
 """Loads searched at once: what an interruption may lose."""
 PAUSE = 2.0
@@ -54,11 +43,7 @@ def search(
     ] = None,
     figure: Annotated[
         Path | None,
-        typer.Option(
-            "--figure",
-            help="Draw the shapes reached under the loads of least, median and largest error over its tolerance, "
-            f"to a file ending in {', '.join(FIGURE_FORMATS)}.",
-        ),
+        options.figure("Draw the shapes reached under the loads of least, median and largest error over its tolerance"),
     ] = None,
     method: Annotated[str, typer.Option(help="multistart, or scipy (the paper's, slow).")] = "multistart",
     starts: Annotated[
@@ -71,72 +56,63 @@ def search(
     Files have the columns of torcharm evaluate: verdict, reason, errors, and the pressure of every actuator.
     Ctrl-C ends the search and shows what was found until then.
     """
-    with mistakes():
-        check_outputs(study, out, figure)
-        from torcharm.inputs import check_choice
-        from torcharm.pressure.pose_cost import NODE_WEIGHTS
-        from torcharm.pressure.search import METHODS
-        from torcharm.study import RESULT_FORMATS, load_study, paper_study
+    from torcharm.inputs import check_choice
+    from torcharm.pressure.pose_cost import NODE_WEIGHTS, PoseCost
+    from torcharm.pressure.search import METHODS
+    from torcharm.study import RESULT_FORMATS, paper_study
 
-        check_ending("--out", out, RESULT_FORMATS)
-        check_choice("--method", method, METHODS)
-        check_choice("--weights", weights, NODE_WEIGHTS)
-        if starts is not None and starts < 1:
-            raise ValueError(f"--starts: must be at least 1, got {starts}")
-        plan = paper_study() if study is None else asked_about(load_study(study))
-        for path in numbered(figure, len(plan.tasks)):
-            check_writable(path, "--figure")
-        kept = _Rows(out)
-        results: list[tuple[NamedTask, Found]] = []
-        refused: dict[str, list[str]] = {}
-        interrupted = False
-        with kept:
-            for task in plan.tasks:
-                how = partial(_blocks, settings=plan.settings, method=method, starts=starts, weights=weights)
-                found, interrupted = _search(
-                    plan.arms_of(task), task, kept, how, _starts_of_blocks(task, method), refused
-                )
-                if found:
-                    results.append((task, found))
-                    _report(task, found)
-                if interrupted:
-                    break
-        console = open_console()
-        for line in _legend(plan.settings, results):
-            console.print(line)
-        save_all(console, _outputs(kept, results, numbered(figure, len(plan.tasks))))
-        finish(interrupted, results, refused)
+    outputs.check(study, out, figure, RESULT_FORMATS)
+    check_choice("--method", method, METHODS)
+    check_choice("--weights", weights, NODE_WEIGHTS)
+    if starts is not None and starts < 1:
+        raise ValueError(f"--starts: must be at least 1, got {starts}")
+    plan = paper_study() if study is None else read_study(study)
+    figures = outputs.numbered("--figure", figure, len(plan.tasks))
+    how = {"method": method, "starts": starts, "pose_cost": PoseCost(weights), "progress": False}
+    work = Work()
+    found: list[tuple[NamedTask, list[StudyResult]]] = []
+    with _Rows(out) as kept:
+        for task in plan.tasks:
+            found.append((task, _search(plan.arms_of(task), task, plan.settings, how, kept, work)))
+            if found[-1][1]:
+                _report(*found[-1])
+            if work.interrupted:
+                break
+    results = [result for _, own in found for result in own]
+    for line in _legend(plan.settings, results):
+        open_console().print(line)
+    outputs.save([*(outputs.rows(out, kept.rows) if results else ()), *outputs.figures(figures, found, _drawn)])
+    work.finish(results)
 
 
 def _search(
-    arms: "Sequence[NamedArm]",
+    arms: Sequence["NamedArm"],
     task: "NamedTask",
+    settings: "Settings",
+    how: dict[str, Any],
     kept: "_Rows",
-    blocks: "Callable[[NamedArm, NamedTask], Iterator[tuple[int, StudyResult]]]",
-    starts: Sequence[int],
-    refused: dict[str, list[str]],
-) -> "tuple[Found, bool]":
-    """What is found of all arms on one task, and whether Ctrl-C came between; arms are refused by why they are."""
+    work: Work,
+) -> list["StudyResult"]:
+    """What is found of all arms on one task, some loads at a time; `how` has arguments of `search_pressure`."""
+    from torcharm.pressure.search import search_pressure
     from torcharm.study.results import result_rows
 
-    parts: dict[str, list[StudyResult]] = {arm.name: [] for arm in arms}
-    interrupted = False
-    with progress(task.name, len(arms) * len(starts)) as advance:
-        try:
-            for arm in arms:
-                try:
-                    for first, part in blocks(arm, task):
-                        parts[arm.name].append(part)
-                        kept.add(result_rows(part, first))
-                        advance()
-                except ValueError as error:  # costs this arm alone
-                    refused.setdefault(str(error), []).append(arm.name)
-        except KeyboardInterrupt:  # what is finished is shown and written all the same
-            interrupted = True
-    return [_whole(task, own) for own in parts.values() if own], interrupted
+    firsts = range(0, math.prod(task.task.batch_shape), BLOCKS[how["method"]])
+
+    def searched(arm: "NamedArm", task: "NamedTask", told: Told) -> "Iterator[StudyResult]":
+        for done, first in enumerate(firsts, 1):
+            part = task.task.part(slice(first, first + firsts.step))
+            found = _judged(arm, task, first, search_pressure(arm.design, part, **how), settings)
+            kept.add(result_rows(found, first + 1))
+            yield found
+            told(done)
+
+    found = work.each(task.name, [(arm, task) for arm in arms], searched, len(firsts))
+    parts = ([one for one in found if one.arm is arm] for arm in arms)
+    return [_whole(task, own) for own in parts if own]
 
 
-def _whole(task: "NamedTask", parts: "Sequence[StudyResult]") -> "StudyResult":
+def _whole(task: "NamedTask", parts: Sequence["StudyResult"]) -> "StudyResult":
     """What was found of one arm under all loads, or under the first if the search was interrupted."""
     import torch
 
@@ -144,22 +120,20 @@ def _whole(task: "NamedTask", parts: "Sequence[StudyResult]") -> "StudyResult":
 
     searches = [part.attainability.prediction for part in parts]
     columns = (torch.cat([getattr(one, field.name) for one in searches]) for field in fields(PressureSearch))
-    found = PressureSearch(*columns)
-    return _judged(parts[0].arm, task, 0, found, parts[0].settings)
+    return _judged(parts[0].arm, task, 0, PressureSearch(*columns), parts[0].settings)
 
 
 def _judged(
     arm: "NamedArm", task: "NamedTask", first: int, found: "PressureSearch", settings: "Settings"
 ) -> "StudyResult":
     """A search under the loads from the first on, in the words of `torcharm evaluate`."""
-    from torcharm.attainability import evaluate
-    from torcharm.study import StudyResult
+    from torcharm.study import evaluate_arm
 
-    part = replace(task, task=task.task.part(slice(first, first + found.tip_error.numel())))
-    return StudyResult(arm, part, settings, evaluate(arm.design, part.task, found=found, **vars(settings)))
+    part = task.task.part(slice(first, first + found.tip_error.numel()))
+    return evaluate_arm(arm, replace(task, task=part), settings, found)
 
 
-def _report(task: "NamedTask", found: "Found") -> None:
+def _report(task: "NamedTask", found: Sequence["StudyResult"]) -> None:
     from torcharm.study import summarise
     from torcharm.study.results import result_rows
 
@@ -169,7 +143,7 @@ def _report(task: "NamedTask", found: "Found") -> None:
     if loads > MOST:
         print_table(list(summary_columns([(result, summarise(result)) for result in found])))
         console.print()
-        say(console, "Loads of least, median and largest error over its tolerance:")
+        say("Loads of least, median and largest error over its tolerance:")
         console.print()
     every = [list(result_rows(result)) for result in found]
     rows = [own[load] for result, own in zip(found, every, strict=True) for load in _told(result)]
@@ -182,13 +156,15 @@ def _report(task: "NamedTask", found: "Found") -> None:
 
 def _reasons(rows: Sequence[dict[str, Any]], loads: int) -> Iterator[str]:
     """Why loads are not held, once for all of an arm that share a reason."""
+    from torcharm.study.words import sentence
+
     shared: dict[tuple[str, str], list[str]] = {}
     for row in rows:
         if row["reason"]:
             shared.setdefault((row["arm"], row["reason"]), []).append(str(row["load"]))
     for (arm, reason), own in shared.items():
         which = f", load{'s' * (len(own) > 1)} {', '.join(own)}" if loads > 1 else ""
-        yield f"{arm}{which}: {reason}{'' if reason.endswith('?') else '.'}"
+        yield f"{arm}{which}: {sentence(reason)}"
 
 
 def _told(result: "StudyResult") -> list[int]:
@@ -205,32 +181,23 @@ def _told(result: "StudyResult") -> list[int]:
 
 def _columns(told: Sequence[dict[str, Any]]) -> list[Column]:
     """A row for each arm and load that is told: the verdict, the errors and the pressure of each actuator."""
-    from torcharm.inputs import three_digits
-
-    columns = [
+    pressures = {int(name.split("_")[1]): name for row in told for name in row if name.startswith("pressure_")}
+    return [
         Column("arm", [str(row["arm"]) for row in told], LONGEST_WORD),
         Column("load", [str(row["load"]) for row in told]),
         *error_columns(told),
+        *(
+            column
+            for actuator, name in sorted(pressures.items())
+            for column in number_column(told, name, f"actuator {actuator}\n[kPa]")
+        ),
     ]
-    pressures = sorted({name for row in told for name in row if name.startswith("pressure_")}, key=_actuator)
-    for name in pressures:
-        values = [row.get(name) for row in told]
-        if any(value is not None for value in values):
-            cells = ["-" if value is None else three_digits(value) for value in values]
-            columns.append(Column(f"actuator {_actuator(name)}\n[kPa]", cells))
-    return columns
 
 
-def _actuator(column: str) -> int:
-    """The number of the actuator whose pressures are in a column."""
-    return int(column.split("_")[1])
-
-
-def _legend(settings: "Settings", results: "Sequence[tuple[NamedTask, Found]]") -> Iterator[str]:
+def _legend(settings: "Settings", found: Sequence["StudyResult"]) -> Iterator[str]:
     """What the tables mean, in a line each."""
     from torcharm.study.words import verdict_legend
 
-    found = [result for _, one in results for result in one]
     if not found:
         return
     yield from verdict_legend(settings, found)
@@ -238,22 +205,11 @@ def _legend(settings: "Settings", results: "Sequence[tuple[NamedTask, Found]]") 
     yield "actuator: its pressure; numbers count all actuators of the arm, passive ones too, from 1."
 
 
-def _outputs(
-    kept: "_Rows", results: "Sequence[tuple[NamedTask, Found]]", figures: Sequence[Path]
-) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
-    if kept.path is not None and results:
-        yield kept.path, kept.write, f" ({count(len(kept.rows), 'row')})."
-    for place, (task, found) in zip(figures, results, strict=False):
-        yield place, partial(_draw, task=task, found=found), f" ({task.name})."
-
-
-def _draw(path: Path, task: "NamedTask", found: "Found") -> None:
+def _drawn(task: "NamedTask", found: Sequence["StudyResult"]) -> "Figure":
     from torcharm.plot import search_figure
-    from torcharm.pressure.search import PressureSearch
 
-    searches = [(result, result.attainability.prediction) for result in found]
-    shown = [(one.arm.name, one.arm.design, search) for one, search in searches if isinstance(search, PressureSearch)]
-    search_figure(shown, task.name, task.task, tolerance=found[0].settings.tolerance).savefig(path)
+    shown: Any = [(one.arm.name, one.arm.design, one.attainability.prediction) for one in found]
+    return search_figure(shown, task.name, task.task, tolerance=found[0].settings.tolerance)
 
 
 class _Rows:
@@ -268,8 +224,8 @@ class _Rows:
         self._grows = path is not None and not is_stream(path)  # a terminal gets all at the end
         self._next = -math.inf
 
-    def __enter__(self) -> None:
-        pass
+    def __enter__(self) -> "_Rows":
+        return self
 
     def __exit__(self, kind: object, *_: object) -> None:
         if kind is not None and self.rows:
@@ -286,30 +242,6 @@ class _Rows:
                 self._next = ended + max(PAUSE, 20 * (ended - started))
 
     def _save(self) -> None:
-        if self.path is not None and self._grows:
-            with suppress(OSError), atomic_write(self.path) as partial:
-                self.write(partial)
-
-    def write(self, path: Path) -> None:
-        from torcharm.study.results import check_format, write_rows
-
-        assert self.path is not None
-        write_rows(path, self.rows, f".{check_format(self.path)}")
-
-
-def _starts_of_blocks(task: "NamedTask", method: str) -> range:
-    """The first load of each block, from 0."""
-    return range(0, math.prod(task.task.batch_shape), BLOCKS[method])
-
-
-def _blocks(
-    arm: "NamedArm", task: "NamedTask", settings: "Settings", method: str, starts: int | None, weights: str
-) -> "Iterator[tuple[int, StudyResult]]":
-    """The searches of one arm on one task, some loads at a time, with the number of the first load."""
-    from torcharm.pressure.pose_cost import PoseCost
-    from torcharm.pressure.search import search_pressure
-
-    for first in _starts_of_blocks(task, method):
-        part = task.task.part(slice(first, first + BLOCKS[method]))
-        found = search_pressure(arm.design, part, method, starts=starts, pose_cost=PoseCost(weights), progress=False)
-        yield first + 1, _judged(arm, task, first, found, settings)
+        for path, write, _ in outputs.rows(self.path, self.rows) if self._grows else ():
+            with suppress(OSError), atomic_write(path) as partial:
+                write(partial)

@@ -6,16 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from torcharm.cli.terminal import (
-    FIGURE_FORMATS,
-    asked_about,
-    check_outputs,
-    compiling_told,
-    mistakes,
-    open_console,
-    save_all,
-    say,
-)
+from torcharm.cli import options, outputs
+from torcharm.cli.terminal import compiling_told, numbers, say
+from torcharm.cli.work import arms_named, read_study
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -42,54 +35,50 @@ def shape(
         Path | None, typer.Option("--study", help="Take the arm from a study.", show_default="the paper's")
     ] = None,
     arm: Annotated[str | None, typer.Option("--arm", help="Its name.", show_default="the first")] = None,
-    nodes: Annotated[int, typer.Option("--nodes", help="Elements of the arm, or of each segment.")] = 10,
+    nodes: options.Nodes = 10,
     gravity: Annotated[bool, typer.Option("--gravity", help="Let the arm and its links weigh.")] = False,
-    figure: Annotated[
-        Path | None, typer.Option("--figure", help=f"Draw it, to a file ending in {', '.join(FIGURE_FORMATS)}.")
-    ] = None,
+    figure: Annotated[Path | None, options.figure("Draw it")] = None,
 ) -> None:
     """Solve the forward mechanics of one arm: print the pose of its tip, and draw it on request.
 
     Each element's wrench is taken at its middle.
     """
-    with mistakes():
-        check_outputs(study, None, figure)
-        from torcharm.equilibrium import solve_equilibrium
-        from torcharm.load import ExternalLoad
-        from torcharm.pressure.search import LESS_COMPRESSION
-        from torcharm.study import load_study, paper_study
-        from torcharm.units import FORCE, MOMENT
+    outputs.check(study, None, figure)
+    from torcharm.equilibrium import solve_equilibrium
+    from torcharm.load import ExternalLoad
+    from torcharm.pressure.search import LESS_COMPRESSION
+    from torcharm.study import paper_study
+    from torcharm.study.units import WRENCHES
 
-        plan = paper_study() if study is None else asked_about(load_study(study))
-        chosen = _arm(plan.arms, arm)
-        limits = chosen.design.max_pressure.tolist()
-        pressures = _pressures(pressure, limits)
-        units = (FORCE, FORCE, MOMENT) if chosen.design.dimension == 2 else (FORCE,) * 3 + (MOMENT,) * 3
-        wrench = [0.0] * len(units) if load == "0" else _numbers("--load", load, units)
-        whole = ExternalLoad(wrench, gravity)
-        with compiling_told():
-            found = solve_equilibrium(chosen.design, pressures, whole, nodes)
-        if not bool(found.converged):
-            left = float(found.residual)
-            why = f"the imbalance left is {left:.2g} of the load" if left > 1e-10 else "the only one found is folded"
-            raise ValueError(
-                f"no equilibrium was found for {chosen.name} at --pressure {pressure} under --load {load}: {why}"
-            )
-        console = open_console()
-        say(console, f"{chosen.name}: tip at {_place(found.poses[-1])}")
-        if not bool(found.continued):
-            say(console, "The arm snapped on the way to the full load: other shapes are possible.")
-            say(console, f"To keep it from snapping, try {LESS_COMPRESSION}.")
-        if not bool(found.stable):
-            say(console, "The arm would not stay there: this equilibrium is not stable.")
-        above = [f"{given:g} of {limit:g}" for given, limit in zip(pressures, limits, strict=True) if given > limit]
-        if above:
-            say(console, f"Pressures are above the arm's limits: {', '.join(above)} kPa.")
-        if not bool(found.in_range):
-            excess = float(found.strain_excess)
-            what = f"Strains are up to {excess:.2g} out of range" if excess > 1e-9 else "Pressures are out of range"
-            say(console, f"{what}: there the force models are extrapolated.")
-        save_all(console, [(path, lambda own: _draw(own, chosen, found), ".") for path in (figure,) if path])
+    plan = paper_study() if study is None else read_study(study)
+    chosen = arms_named(plan, arm)[0]
+    limits = chosen.design.max_pressure.tolist()
+    pressures = _pressures(pressure, limits)
+    units = list(WRENCHES[chosen.design.dimension].values())
+    wrench = [0.0] * len(units) if load == "0" else numbers("--load", load, units)
+    whole = ExternalLoad(wrench, gravity)
+    with compiling_told():
+        found = solve_equilibrium(chosen.design, pressures, whole, nodes)
+    if not bool(found.converged):
+        left = float(found.residual)
+        why = f"the imbalance left is {left:.2g} of the load" if left > 1e-10 else "the only one found is folded"
+        raise ValueError(
+            f"no equilibrium was found for {chosen.name} at --pressure {pressure} under --load {load}: {why}"
+        )
+    say(f"{chosen.name}: tip at {_place(found.poses[-1])}")
+    if not bool(found.continued):
+        say("The arm snapped on the way to the full load: other shapes are possible.")
+        say(f"To keep it from snapping, try {LESS_COMPRESSION}.")
+    if not bool(found.stable):
+        say("The arm would not stay there: this equilibrium is not stable.")
+    above = [f"{given:g} of {limit:g}" for given, limit in zip(pressures, limits, strict=True) if given > limit]
+    if above:
+        say(f"Pressures are above the arm's limits: {', '.join(above)} kPa.")
+    if not bool(found.in_range):
+        excess = float(found.strain_excess)
+        what = f"Strains are up to {excess:.2g} out of range" if excess > 1e-9 else "Pressures are out of range"
+        say(f"{what}: there the force models are extrapolated.")
+    outputs.save([(figure, lambda path: _draw(path, chosen, found), ".")] if figure else [])
 
 
 def _place(pose: "Tensor") -> str:
@@ -104,15 +93,6 @@ def _place(pose: "Tensor") -> str:
     return f"x {MM * x:.6g} mm, y {MM * y:.6g} mm, z {MM * z:.6g} mm, pointing to ({direction})"
 
 
-def _arm(arms: "tuple[NamedArm, ...]", name: str | None) -> "NamedArm":
-    if name is None:
-        return arms[0]
-    for arm in arms:
-        if arm.name == name:
-            return arm
-    raise ValueError(f"--arm: must be one of {', '.join(arm.name for arm in arms)}, got {name}")
-
-
 def _pressures(text: str, limits: Sequence[float]) -> list[float]:
     """Of each actuator [kPa]; those of passive ones, whose limit is 0, may be left out."""
     from torcharm.units import PRESSURE
@@ -125,17 +105,8 @@ def _pressures(text: str, limits: Sequence[float]) -> list[float]:
         if given != len(limits):
             raise ValueError(f"--pressure: must be {len(limits)} numbers with commas between them{fewer}, got {text}")
         driven = list(range(len(limits)))
-    found = dict(zip(driven, _numbers("--pressure", text, [PRESSURE] * given), strict=True))
+    found = dict(zip(driven, numbers("--pressure", text, [PRESSURE] * given), strict=True))
     return [found.get(index, 0.0) for index in range(len(limits))]
-
-
-def _numbers(option: str, text: str, units: Sequence[dict[str, float]]) -> list[float]:
-    from torcharm.study.units import numbers_in
-
-    try:
-        return numbers_in(text, units)
-    except ValueError as error:
-        raise ValueError(f"{option}: {error}") from None
 
 
 def _draw(path: Path, arm: "NamedArm", found: "Equilibrium") -> None:

@@ -1,7 +1,6 @@
 """What commands say of arms on tasks: a heading, and the columns of tables of verdicts and errors."""
 
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from torcharm.cli.tables import LONGEST_WORD, Column
@@ -34,45 +33,49 @@ def summary_columns(rows: Sequence[tuple["StudyResult", "Summary"]], sums: bool 
 def _cells(summary: "Summary", sums: bool) -> dict[str, str]:
     """The cells of a row by their titles; medians over loads."""
     from torcharm.inputs import three_digits
+    from torcharm.study.results import ERRORS
+    from torcharm.wrench_sets.node_distances import METRICS
 
     median, cells = summary.median, {}
     if summary.verdicts is not None:
         cells["held"] = f"{summary.held} of {summary.loads}"
-        cells["tip off\n[mm]"] = three_digits(1e3 * median["tip_error"])
-        cells["turned\n[°]"] = three_digits(math.degrees(median["tip_rotation_error"]))
-        cells["shape\n[mm]"] = three_digits(1e3 * median["shape_error"])
+        for title, name, unit, scale in ERRORS:
+            cells[_title(title, unit)] = three_digits(scale * median[name])
     elif summary.not_excluded is not None:
         cells["not\nexcluded"] = f"{summary.not_excluded} of {summary.loads}"
     if summary.not_excluded is not None:
         worst = "-" if summary.worst_node is None else f"{summary.worst_node}: {summary.worst_miss:.2g}"
         cells["worst node:\nlacks [N]"] = worst
     if summary.verdicts is not None:
-        cells["not held"] = _not_held(summary.verdicts)
+        others = [f"{many} {word}" for word, many in summary.verdicts.items() if word != "held"]
+        cells["not held"] = ",\n".join(others) or "-"
     if sums or summary.verdicts is None:
-        cells |= {f"{name}\nsum [N]": three_digits(median[name]) for name in ("absolute", "relative") if name in median}
+        cells |= {_title(f"{name}\nsum", "N"): three_digits(median[name]) for name in METRICS if name in median}
     return cells
 
 
-def _not_held(verdicts: Mapping[str, int]) -> str:
-    return ",\n".join(f"{many} {word}" for word, many in verdicts.items() if word != "held") or "-"
+def _title(words: str, unit: str) -> str:
+    gap = " " if "\n" in words else "\n"
+    return f"{words}{gap}[{unit.replace('deg', '°')}]"
 
 
 def error_columns(rows: Sequence[Mapping[str, Any]], sums: bool = False) -> Iterator[Column]:
     """The verdict and the errors of one load in each row, rows as of files; with the paper's sums on request."""
-    from torcharm.inputs import three_digits
+    from torcharm.study.results import ERRORS
+    from torcharm.wrench_sets.node_distances import METRICS
 
     if any(row.get("verdict") is not None for row in rows):
         yield Column("verdict", [str(row.get("verdict") or "-") for row in rows], LONGEST_WORD)
-    shown = {"tip off\n[mm]": "tip_error_mm", "turned\n[°]": "tip_rotation_error_deg", "shape\n[mm]": "shape_error_mm"}
-    for title, name in shown.items():
-        if not any(name in row for row in rows):
-            continue
-        yield Column(title, _numbers(rows, name, three_digits))
-    for name in ("absolute", "relative") if sums else ():
-        if any(f"{name}_N" in row for row in rows):
-            yield Column(f"{name}\nsum [N]", _numbers(rows, f"{name}_N", three_digits))
+    for title, name, unit, _ in ERRORS:
+        yield from number_column(rows, f"{name}_{unit}", _title(title, unit))
+    for name in METRICS if sums else ():
+        yield from number_column(rows, f"{name}_N", _title(f"{name}\nsum", "N"))
 
 
-def _numbers(rows: Sequence[Mapping[str, Any]], name: str, words: Callable[[float], str]) -> list[str]:
+def number_column(rows: Sequence[Mapping[str, Any]], name: str, title: str) -> Iterator[Column]:
+    """The numbers in a column of a file, if any row has one."""
+    from torcharm.inputs import three_digits
+
     values = [row.get(name) for row in rows]
-    return ["-" if value is None else words(value) for value in values]
+    if any(value is not None for value in values):
+        yield Column(title, ["-" if value is None else three_digits(value) for value in values])

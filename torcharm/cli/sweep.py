@@ -6,20 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from torcharm.cli import options, outputs
 from torcharm.cli.tables import Column, print_table
-from torcharm.cli.terminal import (
-    FIGURE_FORMATS,
-    asked_about,
-    check_outputs,
-    compiling_told,
-    count,
-    finish,
-    mistakes,
-    open_console,
-    save_all,
-    say,
-)
-from torcharm.inputs import check_choice
+from torcharm.cli.terminal import compiling_told, count, say
+from torcharm.cli.work import Work, arms_named, read_study
 
 if TYPE_CHECKING:
     from torcharm.study import NamedArm, Study
@@ -69,37 +59,35 @@ def sweep(
         str | None, typer.Option("--by", help="The column that ranks designs.", show_default="the first metric")
     ] = None,
     rows: Annotated[int, typer.Option("--rows", min=1, help="Of the tables.")] = SHOWN,
-    figure: Annotated[
-        Path | None,
-        typer.Option(
-            "--figure", help=f"Draw that column against size, to a file ending in {', '.join(FIGURE_FORMATS)}."
-        ),
-    ] = None,
+    figure: Annotated[Path | None, options.figure("Draw that column against size")] = None,
 ) -> None:
     """Evaluate a whole space of designs of an arm, on all tasks of a study.
 
     Results are kept in shards: Ctrl-C, or whatever ends it, costs none that is finished, and the same command goes on.
     Prints the best designs, and those that no other beats in both the metric and the size.
     """
-    with mistakes():
-        from torcharm.sweeps import open_sweep
+    from torcharm.sweeps import open_sweep
 
-        check_outputs(study, None, figure)
-        if show is not None:
-            _stands_alone(show, {"STUDY": study, "--out": out, "--shard": shard, "--scheduler": scheduler})
-            _tell(open_sweep(show), by, rows, figure)
-            return
-        if study is None or out is None:
-            missing = "STUDY" if study is None else "--out"
-            raise ValueError(f"{missing}: must be given, unless --show is")
-        options: dict[str, Any] = {"workers": workers, "executor": scheduler, "shard": _part(shard), "out": out}
-        options |= {"reduce": _reduce(reduce)} | _sampling(number, levels)
-        from torcharm.study import load_study
-
-        plan = asked_about(load_study(study))
-        result = _run(plan, _chosen(plan, arm), metrics, seed, options)
-        _tell(result, by, rows, figure)
-        finish(result.interrupted, [result] if result.finished else [], {})
+    outputs.check(study, None, figure)
+    if show is not None:
+        others = {"STUDY": study, "--out": out, "--shard": shard, "--scheduler": scheduler}
+        given = [name for name, value in others.items() if value is not None]
+        if given:
+            raise ValueError(f"--show: stands alone, got {show} and {' and '.join(given)}")
+        _tell(open_sweep(show), by, rows, figure)
+        return
+    if study is None or out is None:
+        missing = "STUDY" if study is None else "--out"
+        raise ValueError(f"{missing}: must be given, unless --show is")
+    how: dict[str, Any] = {"workers": workers, "executor": scheduler, "shard": _part(shard), "out": out}
+    how |= {"reduce": _reduce(reduce)} | _sampling(number, levels)
+    plan = read_study(study)
+    chosen = arms_named(plan, arm)
+    if len(chosen) > 1:
+        raise ValueError(f"--arm: must name one of the study's arms: {', '.join(one.name for one in chosen)}")
+    result = _run(plan, chosen[0], metrics, seed, how)
+    _tell(result, by, rows, figure)
+    Work(interrupted=result.interrupted).finish(range(result.finished))
 
 
 def _run(plan: "Study", arm: "NamedArm", metrics: str | None, seed: int | None, options: dict[str, Any]) -> Any:
@@ -116,12 +104,6 @@ def _run(plan: "Study", arm: "NamedArm", metrics: str | None, seed: int | None, 
     tasks = [named.task for named in plan.tasks_of(arm)]
     with compiling_told():
         return sweep_designs(arm.design, how.space, tasks, **options)
-
-
-def _stands_alone(show: Path, others: dict[str, object]) -> None:
-    given = [name for name, value in others.items() if value is not None]
-    if given:
-        raise ValueError(f"--show: stands alone, got {show} and {' and '.join(given)}")
 
 
 def _part(shard: str | None) -> tuple[int, int] | None:
@@ -154,48 +136,34 @@ def _sampling(number: str | None, levels: int | None) -> dict[str, Any]:
     return {"count": int(whole)}
 
 
-def _chosen(plan: "Study", name: str | None) -> "NamedArm":
-    """The arm of a name, or the only one."""
-    names = [arm.name for arm in plan.arms]
-    if name is None and len(names) > 1:
-        raise ValueError(f"--arm: must name one of the study's arms: {', '.join(names)}")
-    if name is not None:
-        check_choice("--arm", name, names)
-    return plan.arms[0 if name is None else names.index(name)]
-
-
 def _tell(result: "SweepResult", by: str | None, rows: int, figure: Path | None) -> None:
     """Counts, the best designs and the Pareto set; and a figure, once a design is feasible."""
     from torcharm.sweeps.ranking import label, rankings
 
-    console = open_console()
     column = rankings(result.columns)[0] if by is None else result.column(by)
     share = 100 * result.feasible / max(result.finished, 1)
-    say(console, f"{result.finished:,} of {result.count:,} designs, {result.feasible:,} ({share:.3g} %) feasible.")
+    say(f"{result.finished:,} of {result.count:,} designs, {result.feasible:,} ({share:.3g} %) feasible.")
     tasks = count(result.manifest.tasks, "task")
     said = ", ".join(f"{number:,} {name.replace('_', ' ')}" for name, number in result.verdicts.items() if number)
-    say(console, f"Each feasible one on {tasks}: {said or 'nothing yet'}.")
+    say(f"Each feasible one on {tasks}: {said or 'nothing yet'}.")
     best = result.best(rows, column)
     if len(best):
-        console.print()
-        say(console, f"The best by {label(column)}:")
+        say()
+        say(f"The best by {label(column)}:")
         print_table(_columns(result, best))
     front = result.pareto(column, "size") if column in result.manifest.numbers else None
     if front is not None and len(front) and column != "size_mm":
-        console.print()
-        say(console, f"No other is both smaller and better by {label(column)}: {_thinned(len(front), rows)}")
+        say()
+        thinned = f"{rows} of {len(front)}" if len(front) > rows else len(front)
+        say(f"No other is both smaller and better by {label(column)}: {thinned}")
         places = sorted({round(place * (len(front) - 1) / max(rows - 1, 1)) for place in range(rows)})
         print_table(_columns(result, front.taken(places)))
     if not result.complete:
-        console.print()
+        say()
         missing = result.manifest.shards - len(result.summary.shards)
-        say(console, f"{missing:,} of {count(result.manifest.shards, 'shard')} are missing: the same command goes on.")
+        say(f"{missing:,} of {count(result.manifest.shards, 'shard')} are missing: the same command goes on.")
     if figure is not None:
-        save_all(console, [(figure, lambda path: result.plot("size", column).savefig(path), ".")])
-
-
-def _thinned(total: int, rows: int) -> str:
-    return f"{rows} of {total}" if total > rows else f"{total}"
+        outputs.save([(figure, lambda path: result.plot("size", column).savefig(path), ".")])
 
 
 def _columns(result: "SweepResult", found: "SweepRows") -> list[Column]:

@@ -1,29 +1,25 @@
-"""What every command shares: how mistakes are told, where outputs may go, what is printed."""
+"""What every command shares: how mistakes are told, how far work is, and what is printed."""
 
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
-
-from torcharm.files import atomic_write, check_writable, is_stream
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from torcharm.study import Study
-
-
-FIGURE_FORMATS = ("png", "pdf", "svg", "jpg", "eps")
 MISTAKE, INTERRUPTED = 2, 130
-MOST_NAMED = 4
-"""Of the arms of which the same is asked."""
 COMPILING = "torcharm: compiling, once: about {} s"
+
+
+def tell(message: str) -> None:
+    """Say something on one line of the standard error."""
+    print("torcharm:", " ".join(message.split()), file=sys.stderr)
 
 
 def fail(message: str, code: int = MISTAKE) -> NoReturn:
     """Say on one line of the standard error what is wrong, and exit."""
-    print("torcharm:", " ".join(message.split()), file=sys.stderr)
+    tell(message)
     sys.exit(code)
 
 
@@ -57,40 +53,14 @@ def as_given(option: str, text: str) -> Iterator[None]:
         raise ValueError(f"{option}: {must}{allowed}, got {text}{also}{hint}") from None
 
 
-def finish(interrupted: bool, finished: Sized, refused: Mapping[str, Sequence[str]]) -> None:
-    """Say who was refused, and end the command by an error unless all is well.
+def numbers(option: str, text: str, units: Sequence[dict[str, float]]) -> list[float]:
+    """Numbers with commas between them, of an option's text; each may have one of its own units behind it."""
+    from torcharm.study.units import numbers_in
 
-    Args:
-        interrupted: whether Ctrl-C came.
-        finished: what there is to show all the same.
-        refused: names of arms by why they were.
-    """
-    for why, names in refused.items():
-        print("torcharm:", " ".join(f"{', '.join(dict.fromkeys(names))}: {why}".split()), file=sys.stderr)
-    if interrupted:
-        raise KeyboardInterrupt(*[] if finished else ["nothing was finished"])
-    if refused:
-        sys.exit(MISTAKE)
-
-
-def asked_about(study: "Study") -> "Study":
-    """The study, after what is doubtful about it, on the standard error.
-
-    That is limits that make sense in other units, actuators at one place, and a bending stiffness that was assumed.
-    """
-    from torcharm.attainability.questions import note_on_bending, question_about_limits, question_about_places
-    from torcharm.statics.balance import segments_of
-
-    arms: dict[str, list[str]] = {}
-    for arm in study.arms:
-        segments = segments_of(arm.design)[0]
-        for question in (question_about_limits(segments), question_about_places(segments), note_on_bending(segments)):
-            if question is not None:
-                arms.setdefault(question, []).append(arm.name)
-    for question, names in arms.items():
-        rest = [f"{len(names) - MOST_NAMED} more"] if len(names) > MOST_NAMED else []
-        print(f"torcharm: {', '.join([*names[:MOST_NAMED], *rest])}: {question}", file=sys.stderr)
-    return study
+    try:
+        return numbers_in(text, units)
+    except ValueError as error:
+        raise ValueError(f"{option}: {error}") from None
 
 
 @contextmanager
@@ -115,34 +85,11 @@ def compiling_told() -> Iterator[None]:
         yield
 
 
-def check_outputs(study: Path | None, out: Path | None, figure: Path | None) -> None:
-    """Raise a ValueError about an output that cannot be written, before the work is done."""
-    for option, path in (("--out", out), ("--figure", figure)):
-        if path is None:
-            continue
-        check_writable(path, option)
-        if study is not None and path.resolve() == study.resolve():
-            raise ValueError(f"{option}: {path}: is the study itself, must be another file")
-    if figure is None:
-        return
-    check_ending("--figure", figure, FIGURE_FORMATS)
-    if out is not None and out.resolve() == figure.resolve():
-        raise ValueError(f"--figure: {figure}: is the file of --out, must be another")
-
-
-def check_ending(option: str, path: Path | None, allowed: Sequence[str]) -> None:
-    """Raise a ValueError unless an output, if there is one, ends in one of the formats allowed, or is a stream."""
-    if path is None or path.suffix.lower().removeprefix(".") in allowed or (option == "--out" and is_stream(path)):
-        return
-    which = f"one of .{', .'.join(allowed)}" if len(allowed) > 2 else f".{' or .'.join(allowed)}"
-    raise ValueError(f"{option}: {path}: must end in {which}, got {path.suffix or 'no ending'}")
-
-
 @contextmanager
 def progress(what: str, total: int) -> Iterator[Callable[..., None]]:
     """A bar on the standard error, of a terminal only; elsewhere a line if the engine is compiled first.
 
-    Gives a function that moves it on by one; or to so many of the total, as `to=3`, with some words behind the bar.
+    Gives a function that moves it on to so many of the total, with some words behind the bar.
     """
     from rich.console import Console
     from rich.markup import escape
@@ -154,39 +101,10 @@ def progress(what: str, total: int) -> Iterator[Callable[..., None]]:
     with compiling_told(), Progress(*columns, console=console, transient=True, disable=hidden) as bar:
         task = bar.add_task(escape(what), total=total, words="")
 
-        def move(to: int | None = None, words: str = "") -> None:
-            bar.update(task, advance=1 if to is None else None, completed=to, words=words)
+        def move(to: int, words: str = "") -> None:
+            bar.update(task, completed=to, words=words)
 
         yield move
-
-
-def save_all(console: "Console", outputs: Iterable[tuple[Path, Callable[[Path], object], str]]) -> None:
-    """Write each output whole and say so; a failure costs no other output, and is an error at the end.
-
-    Args:
-        console: to say it.
-        outputs: where to, what writes the file whose name it is given, and what to say after `Wrote ...` then.
-    """
-    failed = []
-    for path, write, words in outputs:
-        try:
-            with atomic_write(path) as partial:
-                write(partial)
-        except BrokenPipeError:
-            raise
-        except (OSError, ValueError, MemoryError) as error:
-            failed.append(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error or 'no memory'}")
-        else:
-            say(console, f"Wrote {path}{words}")
-    if failed:
-        raise ValueError("; ".join(failed))
-
-
-def numbered(path: Path | None, count: int) -> list[Path]:
-    """The path itself for one thing to write; with the thing's number for each of several; nothing without a path."""
-    if path is None or count == 1:
-        return [] if path is None else [path]
-    return [path.with_stem(f"{path.stem}-{index}") for index in range(1, count + 1)]
 
 
 def open_console() -> "Console":
@@ -196,9 +114,9 @@ def open_console() -> "Console":
     return Console(highlight=False, markup=False, emoji=False)
 
 
-def say(console: "Console", text: str) -> None:
+def say(text: str = "") -> None:
     """A line that a pipe gets whole; a terminal wraps it."""
-    console.print(text, soft_wrap=True)
+    open_console().print(text, soft_wrap=True)
 
 
 def count(number: int, thing: str) -> str:

@@ -1,37 +1,25 @@
 """`torcharm tolerance`: how far off the arms of a study will be once they are built, and what decides that."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from torcharm.cli import options, outputs
 from torcharm.cli.summaries import heading
 from torcharm.cli.tables import LONGEST_WORD, Column, print_table
-from torcharm.cli.terminal import (
-    FIGURE_FORMATS,
-    as_given,
-    asked_about,
-    check_ending,
-    check_outputs,
-    count,
-    finish,
-    mistakes,
-    numbered,
-    open_console,
-    progress,
-    save_all,
-    say,
-)
-from torcharm.files import check_writable
+from torcharm.cli.terminal import as_given, count, open_console, say
+from torcharm.cli.work import Told, Work, asked_about
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from torcharm.design.scatter import Scatter
     from torcharm.design.tolerance_result import BuiltArms
-    from torcharm.study import NamedTask, Study
+    from torcharm.study import NamedArm, NamedTask, Study
     from torcharm.study.built import BuiltStudy
     from torcharm.study.data import Manufacture
 
@@ -72,51 +60,47 @@ def tolerance(
     ] = False,
     samples: Annotated[int | None, typer.Option("--samples", help="Built arms.", show_default="1000")] = None,
     seed: Annotated[int | None, typer.Option("--seed", help="Of the samples.", show_default="0")] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Write a row for every arm, task and load, to a file .csv or .json.")
-    ] = None,
-    figure: Annotated[
-        Path | None,
-        typer.Option("--figure", help=f"Draw percentiles and shares, to a file ending in {', '.join(FIGURE_FORMATS)}."),
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the rows of --out as JSON, and no tables.")] = False,
+    out: options.Rows = None,
+    figure: Annotated[Path | None, options.figure("Draw percentiles and shares")] = None,
+    as_json: options.Json = False,
 ) -> None:
     """Predict the tip errors of built arms: percentiles, yields, and which tolerance decides them.
 
     Options of what is scattered replace the table [tolerance] of the study as a whole. Ctrl-C ends the work and shows
     what was found until then, of the arm at work from those built by then.
     """
-    with mistakes():
-        check_outputs(study, out, figure)
-        from torcharm.inputs import check_count
-        from torcharm.study import RESULT_FORMATS, example_study, load_study
-        from torcharm.study.built import built_rows
+    from torcharm.inputs import check_count
+    from torcharm.study import RESULT_FORMATS, example_study, load_study
+    from torcharm.study.built import built_rows
 
-        check_ending("--out", out, RESULT_FORMATS)
-        plan = example_study() if study is None else load_study(study)
-        sizes = {"radii": radii, "length": length, "limits": limits, "force": force}
-        sizes |= {"force_offset": force_offset, "bending": bending}
-        how = replace(plan.manufacture, scatter=_scatter(plan, sizes, correlated or [], model_covariance, uniform))
-        how = replace(how, compensated=compensated or how.compensated)
-        how = replace(how, samples=how.samples if samples is None else check_count("--samples", samples, 2))
-        how = replace(how, seed=how.seed if seed is None else check_count("--seed", seed, 0))
-        for path in numbered(figure, len(plan.tasks)):
-            check_writable(path, "--figure")
-        plan = plan if study is None else asked_about(plan)
-        found: list[BuiltStudy] = []
-        refused: dict[str, list[str]] = {}
-        interrupted = find_built(plan, how, found, refused, margin, sobol)
-        if found:
-            if as_json:
-                typer.echo(json.dumps(list(built_rows(found)), indent=1))
-            else:
-                _tell(plan, found)
-            save_all(open_console(), _outputs(plan, found, out, figure))
-        finish(interrupted, found, refused)
+    outputs.check(study, out, figure, RESULT_FORMATS)
+    plan = example_study() if study is None else load_study(study)
+    sizes = {"radii": radii, "length": length, "limits": limits, "force": force}
+    sizes |= {"force_offset": force_offset, "bending": bending}
+    how = plan.manufacture
+    how = replace(
+        how,
+        scatter=_scatter(how.scatter, sizes, correlated or [], model_covariance, uniform),
+        compensated=compensated or how.compensated,
+        samples=how.samples if samples is None else check_count("--samples", samples, 2),
+        seed=how.seed if seed is None else check_count("--seed", seed, 0),
+    )
+    figures, work = outputs.numbered("--figure", figure, len(plan.tasks)), Work()
+    plan = plan if study is None else asked_about(plan)
+    found = find_built(plan, how, work, margin, sobol)
+    if found:
+        rows = list(built_rows(found))
+        if as_json:
+            typer.echo(json.dumps(rows, indent=1))
+        else:
+            _tell(plan, found)
+        drawn = outputs.figures(figures, outputs.by_task(plan.tasks, found), _drawn)
+        outputs.save([*outputs.rows(out, rows), *drawn])
+    work.finish(found)
 
 
 def _scatter(
-    plan: "Study",
+    scatter: "Scatter | None",
     sizes: Mapping[str, str | None],
     correlated: Sequence[str],
     model_covariance: bool,
@@ -130,7 +114,6 @@ def _scatter(
     if given or model_covariance:
         kind = "uniform" if uniform else "normal"
         return Scatter(**given, model_covariance=model_covariance, distribution=kind, correlated=alike)
-    scatter = plan.manufacture.scatter
     if scatter is None:
         raise ValueError(
             "tolerance: must say what is scattered: by options such as --radii '1 mm' --force '5 %', "
@@ -168,67 +151,43 @@ def _correlation(text: str) -> tuple[str, float]:
 
 
 def find_built(
-    plan: "Study",
-    how: "Manufacture",
-    found: list["BuiltStudy"],
-    refused: dict[str, list[str]],
-    margin: bool = False,
-    sobol: bool = False,
-) -> bool:
-    """Append to `found` what is found, task by task, arms that are refused by why they are; whether Ctrl-C came."""
+    plan: "Study", how: "Manufacture", work: Work, margin: bool = False, sobol: bool = False
+) -> "list[BuiltStudy]":
+    """What is found of all arms on their tasks as they are built, or as many of them as there are by Ctrl-C."""
     from torcharm.design.tolerance import built_as
     from torcharm.study.built import BuiltStudy
 
     assert how.scatter is not None
-    pairs = [(arm, task) for task in plan.tasks for arm in plan.arms_of(task)]
-    with progress("building", len(pairs) * how.samples) as move:
-        for index, (arm, task) in enumerate(pairs):
-            before, name = index * how.samples, arm.name
+    further: dict[str, Any] = {"tolerance": plan.settings.tolerance, "margin": margin, "sobol": sobol}
+    scattered = (how.scatter, how.compensated, how.samples, how.seed)
 
-            def told(done: int, of: int, before: int = before, name: str = name) -> None:
-                move(to=before + done * how.samples // of, words=name)
+    def built(arm: "NamedArm", task: "NamedTask", told: Told) -> Iterator[BuiltStudy]:
+        def callback(done: int, of: int) -> None:
+            told(done * how.samples // of, arm.name)
 
-            try:
-                built = built_as(
-                    arm.design,
-                    task.task,
-                    how.scatter,
-                    how.compensated,
-                    how.samples,
-                    how.seed,
-                    tolerance=plan.settings.tolerance,
-                    margin=margin,
-                    sobol=sobol,
-                    callback=told,
-                )
-            except ValueError as error:  # costs this arm alone
-                refused.setdefault(str(error), []).append(arm.name)
-                continue
-            except KeyboardInterrupt:  # before one arm was built
-                return True
-            found.append(BuiltStudy(arm, task, built))
-            if built.stopped == "interrupted":
-                return True
-    return False
+        found = built_as(arm.design, task.task, *scattered, callback=callback, **further)
+        yield BuiltStudy(arm, task, found)
+        if found.stopped == "interrupted":
+            raise KeyboardInterrupt
+
+    return work.each("building", plan.pairs, built, how.samples)
 
 
 def _tell(plan: "Study", found: Sequence["BuiltStudy"]) -> None:
     from torcharm.study.built import sobol_words
 
-    console = open_console()
-    for task in plan.tasks:
-        own = [one for one in found if one.task is task]
+    for task, own in outputs.by_task(plan.tasks, found):
         if not own:
             continue
-        console.print(heading(task, own[0].built.tip_error.shape[-1]))
-        console.print()
+        open_console().print(heading(task, own[0].built.tip_error.shape[-1]))
+        say()
         print_table(list(_columns(own)))
         for one in own:
             for words in filter(None, (one.built.interruption, one.built.agreement, sobol_words(one.built))):
-                say(console, f"{one.arm.name}: {words}.")
-        console.print()
+                say(f"{one.arm.name}: {words}.")
+        say()
     for line in _legend(plan, found[0].built):
-        say(console, line)
+        say(line)
 
 
 def _columns(found: Sequence["BuiltStudy"]) -> Iterator[Column]:
@@ -262,22 +221,7 @@ def _legend(plan: "Study", built: "BuiltArms") -> Iterator[str]:
     yield "what scatters the tip: shares in its variance, by gradients at the drawn arm."
 
 
-def _outputs(
-    plan: "Study", found: Sequence["BuiltStudy"], out: Path | None, figure: Path | None
-) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
-    from torcharm.study import check_format, write_rows
-    from torcharm.study.built import built_rows
-
-    if out is not None:
-        rows, ending = list(built_rows(found)), f".{check_format(out)}"
-        yield out, lambda path: write_rows(path, rows, ending), f" ({count(len(rows), 'row')})."
-    for place, task in zip(numbered(figure, len(plan.tasks)), plan.tasks, strict=False):
-        own = [one for one in found if one.task is task]
-        if own:
-            yield place, partial(_draw, task=task, found=own), f" ({task.name})."
-
-
-def _draw(path: Path, task: "NamedTask", found: Sequence["BuiltStudy"]) -> None:
+def _drawn(task: "NamedTask", found: Sequence["BuiltStudy"]) -> "Figure":
     from torcharm.plot import tolerance_figure
 
-    tolerance_figure([(one.arm.name, one.built) for one in found], task.name).savefig(path, dpi=150)
+    return tolerance_figure([(one.arm.name, one.built) for one in found], task.name)

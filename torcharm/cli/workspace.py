@@ -1,27 +1,16 @@
 """`torcharm workspace`: where the arms of a study can reach with a payload."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from torcharm.cli import options, outputs
 from torcharm.cli.tables import LONGEST_WORD, Column, print_table
-from torcharm.cli.terminal import (
-    FIGURE_FORMATS,
-    as_given,
-    asked_about,
-    check_ending,
-    check_outputs,
-    count,
-    finish,
-    mistakes,
-    open_console,
-    progress,
-    save_all,
-    say,
-)
+from torcharm.cli.terminal import as_given, count, say
+from torcharm.cli.work import Told, Work, arms_named, read_study
 
 if TYPE_CHECKING:
     from torcharm.study import NamedArm
@@ -31,9 +20,7 @@ if TYPE_CHECKING:
 
 
 def workspace(
-    study: Annotated[
-        Path | None, typer.Argument(help="A study, as TOML. Without one, the example of torcharm init.")
-    ] = None,
+    study: options.Study = None,
     payload: Annotated[
         str | None,
         typer.Option(
@@ -44,7 +31,7 @@ def workspace(
     ] = None,
     arm: Annotated[str | None, typer.Option("--arm", help="The name of one.", show_default="all")] = None,
     states: Annotated[int, typer.Option("--states", help="Equilibria of each arm.")] = 20_000,
-    nodes: Annotated[int, typer.Option("--nodes", help="Elements of the arm, or of each segment.")] = 10,
+    nodes: options.Nodes = 10,
     base: Annotated[str, typer.Option("--base", help="How the arm is mounted: hanging, upright, horizontal.")] = (
         "hanging"
     ),
@@ -60,40 +47,31 @@ def workspace(
     out: Annotated[
         Path | None, typer.Option("--out", help="Write a row for every arm and state, to a file .csv or .json.")
     ] = None,
-    figure: Annotated[
-        Path | None,
-        typer.Option("--figure", help=f"Draw the arms side by side, to a file ending in {', '.join(FIGURE_FORMATS)}."),
-    ] = None,
+    figure: Annotated[Path | None, options.figure("Draw the arms side by side")] = None,
 ) -> None:
     """Where can the tip be with a payload, over all pressures, loading from rest? And what could it carry there?
 
     Ctrl-C ends it and shows what was found until then.
     """
-    with mistakes():
-        check_outputs(study, out, figure)
-        from torcharm.geometry.rod import HEADINGS
-        from torcharm.inputs import check_choice, check_count
-        from torcharm.study import RESULT_FORMATS, example_study, load_study
+    from torcharm.geometry.rod import HEADINGS
+    from torcharm.inputs import check_choice, check_count
+    from torcharm.study import RESULT_FORMATS, example_study, workspace_rows
 
-        check_ending("--out", out, RESULT_FORMATS)
-        check_count("--states", states, 100)
-        check_count("--nodes", nodes, 1)
-        check_choice("--base", base, tuple(HEADINGS))
-        plan = example_study() if study is None else asked_about(load_study(study))
-        names = [one.name for one in plan.arms]
-        if arm is not None:
-            check_choice("--arm", arm, names)
-        chosen = [one for one in plan.arms if arm in (None, one.name)]
-        _check_figure(chosen, figure, payload, show)
-        found: list[tuple[NamedArm, Workspace]] = []
-        refused: dict[str, list[str]] = {}
-        started = time.perf_counter()
-        options = {"nodes": nodes, "base_pose": base, "gravity": gravity}
-        interrupted = find_workspaces(chosen, payload, states, options, found, refused)
-        if found:
-            _report(found, time.perf_counter() - started)
-            save_all(open_console(), _outputs(found, show, out, figure))
-        finish(interrupted, found, refused)
+    outputs.check(study, out, figure, RESULT_FORMATS)
+    check_count("--states", states, 100)
+    check_count("--nodes", nodes, 1)
+    check_choice("--base", base, tuple(HEADINGS))
+    plan = example_study() if study is None else read_study(study)
+    chosen = arms_named(plan, arm)
+    _check_figure(chosen, figure, payload, show)
+    how, work, started = {"nodes": nodes, "base_pose": base, "gravity": gravity}, Work(), time.perf_counter()
+    found = find_workspaces(chosen, payload, states, how, work)
+    if found:
+        _report(found, time.perf_counter() - started)
+        rows = [row for one in found for row in workspace_rows(*one)] if out is not None else []
+        drawn = [(figure, lambda path: _draw(path, found, show), ".")] if figure is not None else []
+        outputs.save([*outputs.rows(out, rows), *drawn])
+    work.finish(found)
 
 
 def _check_figure(arms: Sequence["NamedArm"], figure: Path | None, payload: str | None, show: str | None) -> None:
@@ -109,47 +87,30 @@ def _check_figure(arms: Sequence["NamedArm"], figure: Path | None, payload: str 
 
 
 def find_workspaces(
-    arms: Sequence["NamedArm"],
-    payload: str | None,
-    states: int,
-    options: dict[str, Any],
-    found: list[tuple["NamedArm", "Workspace"]],
-    refused: dict[str, list[str]],
-) -> bool:
-    """Append what is found of the arms, those refused by why they are; whether Ctrl-C came."""
+    arms: Sequence["NamedArm"], payload: str | None, states: int, how: dict[str, Any], work: Work
+) -> "list[tuple[NamedArm, Workspace]]":
+    """What is found of the arms; `how` has further arguments of `torcharm.workspace`."""
     from torcharm.workspaces import workspace as find_workspace
 
-    with progress("workspace", states * len(arms)) as move:
-        for index, one in enumerate(arms):
-            try:
-                given = None if payload is None else _payload(payload, one.design.dimension)
-                told = _teller(move, index * states, one.name)
-                result = find_workspace(one.design, given, states=states, callback=told, **options)
-            except ValueError as error:  # costs this arm alone
-                refused.setdefault(str(error), []).append(one.name)
-                continue
-            except KeyboardInterrupt:
-                return True
-            found.append((one, result))
-            if result.stopped == "interrupted":
-                return True
-    return False
+    def found(arm: "NamedArm", design: Any, told: Told) -> "Iterator[tuple[NamedArm, Workspace]]":
+        given = None if payload is None else _payload(payload, design.dimension)
+        one = find_workspace(design, given, states=states, callback=lambda done, _: told(done, arm.name), **how)
+        yield arm, one
+        if one.stopped == "interrupted":
+            raise KeyboardInterrupt
 
-
-def _teller(move: Callable[..., None], before: int, name: str) -> Callable[[int, int], None]:
-    return lambda done, _: move(to=before + done, words=name)
+    return work.each("workspace", [(arm, arm.design) for arm in arms], found, states)
 
 
 def _payload(text: str, dimension: int) -> float | list[float]:
     """A mass [kg] or a wrench [N, N·m]."""
     from torcharm.inputs import check_number
-    from torcharm.study.units import numbers_in
-    from torcharm.units import FORCE, MASS, MOMENT
+    from torcharm.study.units import WRENCHES, numbers_in
+    from torcharm.units import MASS
 
-    wrench = (FORCE, FORCE, MOMENT) if dimension == 2 else (FORCE,) * 3 + (MOMENT,) * 3
     with as_given("--payload", text):
         if "," in text:
-            return numbers_in(text, wrench)
+            return numbers_in(text, list(WRENCHES[dimension].values()))
         try:
             (mass,) = numbers_in(text, (MASS,))
         except ValueError as error:
@@ -161,28 +122,26 @@ def _payload(text: str, dimension: int) -> float | list[float]:
 
 def _report(found: "Found", seconds: float) -> None:
     """A row for each arm, and what the columns mean."""
-    console = open_console()
     print_table(list(_columns(found)))
-    console.print()
-    say(console, "reached: by stable equilibria that loading from rest leads to, within characterised strains and")
-    say(console, "pressures; extrapolated: beyond these, too. furthest: from the base; lowest, highest: y.")
+    say()
+    say("reached: by stable equilibria that loading from rest leads to, within characterised strains and")
+    say("pressures; extrapolated: beyond these, too. furthest: from the base; lowest, highest: y.")
     shares = [one.shares for _, one in found]
     for word, meaning in MEANINGS.items():
         if any(own[word] > 0 for own in shares):
-            say(console, f"{word}: {meaning}.")
+            say(f"{word}: {meaning}.")
     if any(one.has_payload for _, one in found):
         say(
-            console,
             "payload x: the largest factor by which the payload could grow anywhere, if each node had pressures",
         )
-        say(console, "of its own: an upper bound of what the arm bears.")
+        say("of its own: an upper bound of what the arm bears.")
     for arm, one in found:
         if one.interruption:
-            say(console, f"{arm.name}: {one.interruption}; the region is smaller or coarser than that of all.")
+            say(f"{arm.name}: {one.interruption}; the region is smaller or coarser than that of all.")
         if one.unsettled:
-            say(console, f"{arm.name}: {one.unsettled}; ask for more by --states.")
+            say(f"{arm.name}: {one.unsettled}; ask for more by --states.")
     states = sum(len(one.code) for _, one in found)
-    say(console, f"{count(states, 'state')} in {seconds:.2g} s.")
+    say(f"{count(states, 'state')} in {seconds:.2g} s.")
 
 
 MEANINGS = {
@@ -225,18 +184,6 @@ def _rounded(value: float) -> str:
 
 def _percent(share: float) -> str:
     return "0" if share == 0 else "<0.1" if share < 1e-3 else f"{100 * share:.3g}"
-
-
-def _outputs(
-    found: "Found", show: str | None, out: Path | None, figure: Path | None
-) -> Iterator[tuple[Path, Callable[[Path], object], str]]:
-    from torcharm.study import check_format, workspace_rows, write_rows
-
-    if out is not None:
-        rows = [row for arm, one in found for row in workspace_rows(arm, one)]
-        yield out, lambda path: write_rows(path, rows, f".{check_format(out)}"), f" ({count(len(rows), 'row')})."
-    if figure is not None:
-        yield figure, lambda path: _draw(path, found, show), "."
 
 
 def _draw(path: Path, found: "Found", show: str | None) -> None:

@@ -64,7 +64,8 @@ def arm_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Iterator
 
 def error_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Iterator[Panel]:
     """How far off each design's tip is over the loads of one task, over the same bins."""
-    known = [one for one in results if _has_errors(one)]
+    errors = [(one, one.attainability.tip_error) for one in results]
+    known = [one for one, error in errors if error is not None and bool(error.isfinite().any())]
     edges = tip_error_edges([one.attainability for one in known]) if known else None
     drawn = []
     for result in known:
@@ -77,12 +78,6 @@ def error_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Iterat
         axes.set_ylim(0, highest)
         said = [f"without a number, as no shape was found: {lost} of {result.loads}"] if lost else []
         yield to_panel(axes.figure, result, evaluated, "errors", "; ".join((*_missed_by(result), *said)))
-
-
-def _has_errors(result: StudyResult) -> bool:
-    """Whether a shape was found for any load."""
-    error = result.attainability.tip_error
-    return error is not None and bool(error.isfinite().any())
 
 
 def _missed_by(result: StudyResult) -> Iterator[str]:

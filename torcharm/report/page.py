@@ -15,6 +15,7 @@ from markupsafe import Markup
 from torcharm.report.content import Evaluated
 from torcharm.report.sections import SECTIONS
 
+FILES = ("style.css", "copy.js")
 PACKAGES = ("torcharm", "torch", "numba", "numpy")
 """Whose versions the report tells."""
 
@@ -35,7 +36,8 @@ def study_report(evaluated: Evaluated, advance: Callable[[], object] = lambda: N
     for make in SECTIONS:
         sections.append(make(evaluated))
         advance()
-    style, script = _file("style.css"), _file("copy.js")
+    style, script = (resources.files("torcharm.report").joinpath(name).read_text("utf-8") for name in FILES)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return _template().render(
         evaluated=evaluated,
         versions=[*((name, version(name)) for name in PACKAGES), ("Python", platform.python_version())],
@@ -43,7 +45,7 @@ def study_report(evaluated: Evaluated, advance: Callable[[], object] = lambda: N
         style=Markup(style),
         script=Markup(script),
         # The page's own script runs, and no other one, even if a name were ever read as one.
-        policy=f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src '{_digest(script)}'; "
+        policy=f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'; "
         "base-uri 'none'; form-action 'none'",
     )
 
@@ -61,12 +63,3 @@ def _printable(value: Any) -> Any:
     return "".join(
         "\ufffd" if unicodedata.category(one) in ("Cc", "Cs") and one not in "\n\t" else one for one in value
     )
-
-
-def _file(name: str) -> str:
-    return resources.files("torcharm.report").joinpath(name).read_text(encoding="utf-8")
-
-
-def _digest(script: str) -> str:
-    """As a policy names a script."""
-    return f"sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}"

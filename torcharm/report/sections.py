@@ -170,12 +170,9 @@ SECTIONS: tuple[Callable[[Evaluated], Section | None], ...] = (
 
 def _drawn(evaluated: Evaluated, title: str, text: str, panels: Panels, in_space: int = 3) -> Section | None:
     """A section of figures, task by task; of tasks in space so many beside each other."""
-    blocks = list(_blocks(evaluated, panels, in_space))
+    blocks = [
+        Block(title=task.name, panels=drawn, columns=in_space if task.task.dimension == 3 else 3)
+        for task in evaluated.tasks
+        if (drawn := list(panels(evaluated.of_task(task), evaluated)))
+    ]
     return Section(title, blocks, text) if blocks else None
-
-
-def _blocks(evaluated: Evaluated, panels: Panels, in_space: int) -> Iterator[Block]:
-    for task in evaluated.tasks:
-        drawn = list(panels(evaluated.of_task(task), evaluated))
-        if drawn:
-            yield Block(title=task.name, panels=drawn, columns=in_space if task.task.dimension == 3 else 3)

@@ -26,6 +26,7 @@ from torcharm.study.results import (
     Summary as Summary,
     check_format as check_format,
     csv_text as csv_text,
+    evaluate_arm as evaluate_arm,
     evaluate_study as evaluate_study,
     result_rows as result_rows,
     summarise as summarise,

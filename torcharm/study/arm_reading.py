@@ -36,7 +36,7 @@ from torcharm.study.arm_tables import (
     ShippedActuator,
 )
 from torcharm.study.data import NamedArm
-from torcharm.study.fields import field_path, shown_value, within
+from torcharm.study.fields import ask, field_path, shown_value, within
 
 HIGHEST_DEGREE = 20
 """Of strain or pressure in a polynomial force model."""
@@ -98,9 +98,7 @@ def _parts(table: SegmentTable, folder: Path, files: list[str | None]) -> list[A
     parts: list[ArmDesign | RigidLink] = [_bundle(table, places, models, counts)]
     if table.link is not None:
         with within("link"):
-            question = question_about_mass(table.link.mass)
-            if question is not None:
-                raise ValueError(f"mass: {question}")
+            ask("mass", question_about_mass(table.link.mass))
             parts.append(RigidLink(table.link.length, mass=table.link.mass))
     return parts
 

@@ -139,6 +139,11 @@ class Study(HoldsTensors):
         """The arms that are to hold a task, or for which to plan a shape, in the study's order."""
         return tuple(arm for arm in self.arms if not task.arms or arm.name in task.arms)
 
+    @property
+    def pairs(self) -> list[tuple[NamedArm, NamedTask]]:
+        """Every arm with each task that it is to hold, task by task."""
+        return [(arm, task) for task in self.tasks for arm in self.arms_of(task)]
+
     def tasks_of(self, arm: NamedArm) -> tuple[NamedTask, ...]:
         """The tasks that an arm is to hold."""
         return tuple(task for task in self.tasks if not task.arms or arm.name in task.arms)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import NoneType, UnionType
-from typing import Annotated, Any, ClassVar, Union, get_args, get_origin
+from typing import Annotated, Any, ClassVar, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 from pydantic.fields import FieldInfo
@@ -14,10 +14,18 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from torcharm.inputs import hint
 
+Read = TypeVar("Read", bound=BaseModel)
+
 
 def refuse(text: str, key: str = "") -> PydanticCustomError:
     """An error about the value in hand, or about one of its keys."""
     return PydanticCustomError("study", "{text}", {"text": text, "key": key})
+
+
+def ask(field: str, question: str | None, more: str = "") -> None:
+    """Raise a ValueError about a field of which there is a question: a value that makes sense in other units only."""
+    if question is not None:
+        raise ValueError(f"{field}: {question}{more}")
 
 
 def shown_value(value: object) -> str:
@@ -235,6 +243,14 @@ def first_mistake(error: ValidationError, raw: Mapping[str, Any]) -> str:
     keys = [part for part in mistake["loc"] if not str(part).startswith("<")]
     path = [*keys, context["key"]] if context.get("key") else keys
     return f"{field_path(path)}: {_what_is_wrong(mistake, context)}{_whose(keys, raw)}"
+
+
+def validated(model: type[Read], table: Mapping[str, Any]) -> Read:
+    """What a study that holds the table reads; a ValueError tells the first of its mistakes."""
+    try:
+        return model.model_validate(table)
+    except ValidationError as error:
+        raise ValueError(one_line(first_mistake(error, table))) from None
 
 
 def _what_is_wrong(mistake: ErrorDetails, context: Mapping[str, Any]) -> str:

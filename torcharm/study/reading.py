@@ -6,8 +6,6 @@ from importlib import resources
 from os import PathLike
 from pathlib import Path
 
-from pydantic import ValidationError
-
 from torcharm.attainability import CHOICES, PoseTolerance, check_measure
 from torcharm.attainability.questions import LONGEST, WIDEST, question_about_lengths
 from torcharm.characterise.toml_text import read_toml
@@ -23,7 +21,7 @@ from torcharm.statics.balance import segments_of
 from torcharm.study.arm_reading import make_arm
 from torcharm.study.arm_tables import NamedTable
 from torcharm.study.data import Manufacture, NamedArm, NamedPlan, NamedTask, Optimisation, Settings, Study
-from torcharm.study.fields import field_path, first_mistake, one_line, shown_value, within
+from torcharm.study.fields import ask, field_path, one_line, shown_value, validated, within
 from torcharm.study.tables import EvaluateTable, OptimiseTable, PlanTable, StudyTable, ToleranceTable
 from torcharm.study.task_reading import (
     check_columns,
@@ -36,7 +34,6 @@ from torcharm.study.task_reading import (
     read_pose,
     shape_field,
 )
-from torcharm.study.task_tables import ShapedTask, TwistTask
 from torcharm.wrench_sets.vertex_sets import CURVE_SAMPLES, EDGE_SAMPLES
 
 
@@ -73,11 +70,7 @@ def parse_study(text: str, source: str = "study", folder: str | PathLike[str] = 
     except ValueError as error:
         raise ValueError(one_line(str(error))) from None
     try:
-        table = StudyTable.model_validate(raw)
-    except ValidationError as error:
-        raise ValueError(one_line(f"{source}: {first_mistake(error, raw)}")) from None
-    try:
-        return replace(_study(table, Path(folder)), tables=raw)
+        return replace(_study(validated(StudyTable, raw), Path(folder)), tables=raw)
     except ValueError as error:
         raise ValueError(one_line(f"{source}: {error}")) from None
 
@@ -112,7 +105,8 @@ def _study(table: StudyTable, folder: Path) -> Study:
         with within(field_path(["task", index]), job.name):
             its_arms = [arm.design for arm in arms if not job.arms or arm.name in job.arms]
             tasks.append(make_task(job, 3 if its_arms and all(arm.dimension == 3 for arm in its_arms) else 2))
-            _check_arms(job, tasks[-1], arms)
+            for arm in _named(tasks[-1].arms, arms):
+                check_fit(shape_field(job), tasks[-1].task, arm)
     with within("evaluate", ""):
         settings = _settings(table.evaluate)
     plain = Study(table.name, table.description, tuple(arms), tuple(tasks), settings)
@@ -134,12 +128,6 @@ def _study(table: StudyTable, folder: Path) -> Study:
         with within(field_path(["plan", index]), wanted.name):
             plans.append(_plan(wanted, arms))
     return replace(plain, optimisation=optimisation, manufacture=manufacture, plans=tuple(plans))
-
-
-def _check_arms(table: ShapedTask | TwistTask, task: NamedTask, arms: Sequence[NamedArm]) -> None:
-    """Refuse a task for arms that there are not, or that it does not fit."""
-    for arm in _named(task.arms, arms):
-        check_fit(shape_field(table), task.task, arm)
 
 
 def _named(given: Sequence[str], arms: Sequence[NamedArm]) -> list[NamedArm]:
@@ -179,9 +167,7 @@ def _optimisation(table: OptimiseTable, manufacture: Manufacture) -> Optimisatio
         ("bounds.length", table.bounds.length, LONGEST),
         ("spacing", spacing, WIDEST),
     ):
-        question = question_about_lengths(values, most) if values else None
-        if question is not None:
-            raise ValueError(f"{field}: {question}")
+        ask(field, question_about_lengths(values, most) if values else None)
     bounds = {name: (ends[0], ends[1]) for name, ends in table.bounds.model_dump(exclude_none=True).items()}
     space = DesignSpace(tuple(table.free), table.tied, bounds, table.spacing, table.in_range)
     robust = None

@@ -4,7 +4,7 @@ import csv
 import io
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -17,12 +17,19 @@ from torch import Tensor
 from torcharm.attainability import VERDICTS, Attainability, evaluate
 from torcharm.files import atomic_write, is_stream, plain_cell
 from torcharm.inputs import HoldsTensors
+from torcharm.pressure.search import PressureSearch
 from torcharm.study.data import NamedArm, NamedTask, Settings, Study
 from torcharm.wrench_sets.node_distances import METRICS
 
 RESULT_FORMATS = ("csv", "json")
 MM, DEG = 1e3, 180.0 / np.pi
 """In a metre, and in a radian: files and tables hold lengths in millimetres, and angles in degrees."""
+ERRORS = (
+    ("tip off", "tip_error", "mm", MM),
+    ("turned", "tip_rotation_error", "deg", DEG),
+    ("shape", "shape_error", "mm", MM),
+)
+"""Of errors the title in tables, the name, and unit and scale in tables and files."""
 
 
 @dataclass(frozen=True)
@@ -88,23 +95,17 @@ class Summary:
         return (self.not_excluded or 0) if self.verdicts is None else self.verdicts.get("held", 0)
 
 
-def evaluate_study(study: Study, refused: Callable[[NamedArm, str], object] | None = None) -> Iterator[StudyResult]:
-    """Evaluate every arm on its tasks, one after the other: task by task, in the study's order of arms.
+def evaluate_arm(
+    arm: NamedArm, task: NamedTask, settings: Settings, found: PressureSearch | None = None
+) -> StudyResult:
+    """What `torcharm.evaluate` finds for one arm on one task, or a pressure search that was made, in its words."""
+    return StudyResult(arm, task, settings, evaluate(arm.design, task.task, found=found, **vars(settings)))
 
-    Args:
-        study: what to evaluate.
-        refused: told of an arm that cannot be evaluated on a task, and why; it costs no others. None: a ValueError.
-    """
-    for task in study.tasks:
-        for arm in study.arms_of(task):
-            try:
-                found = evaluate(arm.design, task.task, **vars(study.settings))
-            except ValueError as error:
-                if refused is None:
-                    raise
-                refused(arm, str(error))
-                continue
-            yield StudyResult(arm, task, study.settings, found)
+
+def evaluate_study(study: Study) -> Iterator[StudyResult]:
+    """Evaluate every arm on its tasks, one after the other: task by task, in the study's order of arms."""
+    for arm, task in study.pairs:
+        yield evaluate_arm(arm, task, study.settings)
 
 
 def summarise(result: StudyResult) -> Summary:
@@ -221,11 +222,10 @@ def result_rows(result: StudyResult, first: int = 1) -> Iterator[dict[str, Any]]
     if words is not None:
         columns |= {"verdict": words}
     columns |= {"reason": result.reasons}
-    scaled = (("tip_error", "tip_error_mm", MM), ("tip_rotation_error", "tip_rotation_error_deg", DEG))
-    for name, title, scale in (*scaled, ("shape_error", "shape_error_mm", MM)):
+    for _, name, unit, scale in ERRORS:
         value = getattr(found, name)
         if value is not None:
-            columns |= {title: _numbers(scale * value)}
+            columns |= {f"{name}_{unit}": _numbers(scale * value)}
     if found.node_miss is not None and found.worst_node is not None and found.worst_miss is not None:
         known = (found.worst_miss > 0) & found.worst_miss.isfinite()
         node = (found.worst_node + 1).flatten().tolist()

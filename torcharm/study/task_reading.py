@@ -11,7 +11,7 @@ from torcharm.geometry.rod import HEADINGS, as_base
 from torcharm.load import ExternalLoad, PointLoad
 from torcharm.statics.balance import segments_of
 from torcharm.study.data import NamedArm, NamedTask, Pose
-from torcharm.study.fields import field_path, shown_value, within
+from torcharm.study.fields import ask, field_path, shown_value, within
 from torcharm.study.task_tables import (
     IN_SPACE,
     AffineShape,
@@ -39,9 +39,7 @@ def make_task(table: ShapedTask | TwistTask, dimension: int = 2) -> NamedTask:
     """The task of a table, for arms of a dimension, so that a straight shape needs no direction in space."""
     segments, field = _segments(table, dimension), shape_field(table)
     for twists in segments:
-        question = question_about_shape(twists)
-        if question is not None:
-            raise ValueError(f'{field}: {question} A text with a unit, such as "48 cm" or "30 deg", is understood')
+        ask(field, question_about_shape(twists), ' A text with a unit, such as "48 cm" or "30 deg", is understood')
     columns, nodes = segments[0].shape[-1], [len(twists) for twists in segments]
     loads = _loads(table, columns, sum(nodes))
     base = read_base(table.base_pose, columns, SHAPE_IS)
@@ -109,10 +107,9 @@ def read_points(table: WeighedTable, columns: int, segments: int) -> list[PointL
             with within(field_path([name, index])):
                 if one.segment is not None and one.segment > segments:
                     raise ValueError(f"segment: must be at most {segments}, the number of them, got {one.segment}")
-                question = question_about_mass(one.mass) if isinstance(one, PayloadTable) else None
-                if question is not None:
-                    raise ValueError(f"mass: {question}")
-                if isinstance(one, PointTable):
+                if isinstance(one, PayloadTable):
+                    ask("mass", question_about_mass(one.mass))
+                else:
                     check_columns("wrench", len(one.wrench), columns)
                 segment = -1 if one.segment is None else one.segment - 1
                 points.append(PointLoad(**one.model_dump(exclude={"segment"}), segment=segment))
@@ -159,9 +156,7 @@ def read_pose(field: str, pose: Pose | PoseTable, start: Pose | str | None) -> P
         place = pose.position
     elif len(pose) == 4:
         place = [row[3] for row in pose[:3]]  # type: ignore[index]
-    question = question_about_pose(place)
-    if question is not None:
-        raise ValueError(f"{field}: {question}")
+    ask(field, question_about_pose(place))
     if not isinstance(pose, PoseTable):
         return pose
     base = torch.as_tensor(as_base(start, torch.zeros((), dtype=torch.float64), 6), dtype=torch.float64)

@@ -3,8 +3,10 @@
 import math
 from collections.abc import Iterator, Sequence
 
+from torcharm.inputs import three_digits
 from torcharm.study.data import Settings
 from torcharm.study.results import StudyResult, Summary
+from torcharm.workspaces import Workspace
 from torcharm.wrench_sets.node_distances import counted
 
 MEANINGS = {
@@ -24,12 +26,17 @@ CHANGE = (
 )
 
 
+def sentence(reason: str) -> str:
+    """A reason with a stop behind it, unless it is a question."""
+    return reason if reason.endswith("?") else f"{reason}."
+
+
 def why_not(summary: Summary, load: int, verdict: str, reason: str) -> str:
     """The sentence on the load that stands for those not held, after the arm's name."""
     alike = 0 if summary.verdicts is None else summary.verdicts[verdict]
     which = f", the furthest off of {alike} {verdict}" if alike > 1 else ""
     about = f", load {load} of {summary.loads}{which}" if summary.loads > 1 else ""
-    return f"{about}: {reason}{'' if reason.endswith('?') else '.'}"
+    return f"{about}: {sentence(reason)}"
 
 
 def verdict_legend(settings: Settings, results: Sequence[StudyResult]) -> Iterator[str]:
@@ -53,6 +60,11 @@ def worst_node_legend(settings: Settings) -> str:
 def weighing_legend(settings: Settings) -> str:
     """How moments come into newtons, in a line."""
     return f"{counted(settings.weights)}: so do moments count beside forces in what nodes lack, and in margins."
+
+
+def region_size(found: Workspace) -> str:
+    """How large a region that a tip reaches is, or a volume."""
+    return f"{three_digits(1e4 * found.size)} cm²" if found.dimension == 2 else f"{three_digits(1e3 * found.size)} dm³"
 
 
 def next_commands(study: str, results: Sequence[StudyResult]) -> Iterator[tuple[str, str]]:

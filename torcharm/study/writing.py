@@ -5,10 +5,9 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
-from pydantic import ValidationError
 from torch import Tensor
 
 from torcharm.actuators import (
@@ -30,9 +29,8 @@ from torcharm.statics.balance import segments_of
 from torcharm.study.arm_reading import make_actuator
 from torcharm.study.arm_tables import ActuatorTable, NamedTable, SegmentTable
 from torcharm.study.data import NamedArm, Study
-from torcharm.study.fields import Table, field_path, first_mistake, one_line, within
+from torcharm.study.fields import Table, field_path, validated, within
 
-Read = TypeVar("Read", bound=Table)
 DIGITS = 10
 """Of numbers, as many as read back to 1e-9 of themselves: nothing is built or measured as well."""
 NOWHERE = 1e-12
@@ -66,7 +64,7 @@ def arm_to_toml(arm: ArmDesign | ArmSeries, name: str, files: Sequence[str | Non
         raise ValueError(
             f"files: must be a path or None for each of {arm.actuator_count} actuators, got {shown(files)}"
         )
-    _validated(NamedTable, {"name": name})
+    validated(NamedTable, {"name": name})
     segments, links = segments_of(arm)
     if len(segments) == 1:
         return _text("[[arm]]", {"name": name} | _segment(segments[0], links[0], paths))
@@ -150,7 +148,7 @@ def _segment(arm: ArmDesign, link: RigidLink | None, paths: Sequence[str | None]
             )
         table["link"] = {"length": link.length.item(), "mass": link.mass.item()}
     table["actuators"] = [_table(*pair, index) for index, pair in enumerate(zip(arm.actuators, paths, strict=True))]
-    _validated(SegmentTable, table)
+    validated(SegmentTable, table)
     return table
 
 
@@ -159,7 +157,7 @@ def _table(model: Actuator, path: str | None, index: int) -> str | dict[str, Any
     if path is not None:
         return {"kind": "file", "path": path} | _options(model, index)
     for table in _forms(model, index):
-        (read,) = _validated(_Actuators, {"actuators": [table]}).actuators
+        (read,) = validated(_Actuators, {"actuators": [table]}).actuators
         if _alike(make_actuator(read, ["actuators", index], Path()), model):
             return table if len(table) > 1 else str(table["kind"])
     raise _refusal(index, model)
@@ -224,14 +222,6 @@ def _bending(model: LinearBending | ConstantBending) -> dict[str, Any]:
     if model.reference_pressure is not None:
         table["reference_pressure"] = plain_number(model.reference_pressure)
     return table
-
-
-def _validated(model: type[Read], table: dict[str, Any]) -> Read:
-    """What a study that holds the table reads."""
-    try:
-        return model.model_validate(table)
-    except ValidationError as error:
-        raise ValueError(one_line(first_mistake(error, table))) from None
 
 
 def _refusal(index: int, model: Actuator) -> ValueError:
