@@ -33,10 +33,10 @@ from torcharm.study.results import (
     write_results as write_results,
     write_rows as write_rows,
 )
-from torcharm.study.task_writing import task_to_toml as task_to_toml
 from torcharm.study.workspaces import workspace_rows as workspace_rows
 from torcharm.study.writing import (
     arm_to_toml as arm_to_toml,
     moved_files as moved_files,
     study_to_toml as study_to_toml,
+    task_to_toml as task_to_toml,
 )

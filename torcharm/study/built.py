@@ -70,13 +70,11 @@ def built_rows(found: Sequence[BuiltStudy]) -> Iterator[dict[str, Any]]:
     """A row for each arm, task and load."""
     for one in found:
         columns = one.built.to_dict()
-        for index in range(len(columns["task"])):
-            row: dict[str, Any] = {"arm": one.arm.name, "task": one.task.name, "load": index + 1}
+        for load in columns.pop("task"):
+            row: dict[str, Any] = {"arm": one.arm.name, "task": one.task.name, "load": load + 1}
             for name, values in columns.items():
-                if name == "task":
-                    continue
                 unit = "_mm" if "tip_error" in name else "_N" if "margin" in name else ""
-                value = values[index] * (MM if unit == "_mm" else 1.0)
+                value = values[load] * (MM if unit == "_mm" else 1.0)
                 row[f"{name}{unit}"] = value if math.isfinite(value) else None
             row |= {"samples": len(one.built.tip_error), "stopped": one.built.stopped}
             yield row

@@ -1,7 +1,8 @@
 """What a study holds: named arms and tasks, and how to evaluate them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import count
 from typing import Any
 
 from torcharm.arm import ArmDesign
@@ -18,6 +19,12 @@ from torcharm.load import ExternalLoad
 from torcharm.task import Task
 
 Pose = Sequence[float] | Sequence[Sequence[float]]
+
+
+def unused_name(name: str, taken: Collection[str]) -> str:
+    """The name, with the first number from 2 behind it, if need be, with which nothing else has it."""
+    names = (name if number == 1 else f"{name} {number}" for number in count(1))
+    return next(one for one in names if one not in taken)
 
 
 @dataclass(frozen=True)

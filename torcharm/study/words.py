@@ -3,9 +3,10 @@
 import math
 from collections.abc import Iterator, Sequence
 
+from torcharm.attainability import PoseTolerance
 from torcharm.inputs import three_digits
 from torcharm.study.data import Settings
-from torcharm.study.results import StudyResult, Summary
+from torcharm.study.results import MM, StudyResult, Summary
 from torcharm.workspaces import Workspace
 from torcharm.wrench_sets.node_distances import counted
 
@@ -20,6 +21,7 @@ MEANINGS = {
 HELD_OUTSIDE = (
     "held beside a margin below 0: the margin is that of the exact shape, and held allows a shape within the tolerance"
 )
+NOT_EXCLUDED = "not excluded: no node lacks a wrench, which is necessary but not sufficient."
 CHANGE = (
     "change from the base: a segment's nodes share its pressures, so these have to give each node what it needs beyond "
     "the first"
@@ -39,12 +41,15 @@ def why_not(summary: Summary, load: int, verdict: str, reason: str) -> str:
     return f"{about}: {sentence(reason)}"
 
 
+def allowed(tolerance: PoseTolerance, length: str = "the length") -> str:
+    """How far off tip and shape may be, of an arm whose length has a name where that decides."""
+    near = f"2 % of {length}" if tolerance.tip is None else f"{MM * tolerance.tip:g} mm"
+    return f"tip and shape within {near}, turned within {math.degrees(tolerance.rotation):.3g}°"
+
+
 def verdict_legend(settings: Settings, results: Sequence[StudyResult]) -> Iterator[str]:
     """What the verdicts mean that were given, in a line each."""
-    tip = settings.tolerance.tip
-    near = "2 % of the length" if tip is None else f"{1e3 * tip:g} mm"
-    turn = math.degrees(settings.tolerance.rotation)
-    yield f"held: tip and shape within {near}, turned within {turn:.3g}°."
+    yield f"held: {allowed(settings.tolerance)}."
     words = {word for result in results for word in result.verdicts or ()}
     for word, meaning in MEANINGS.items():
         if word in words:

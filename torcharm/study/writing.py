@@ -1,4 +1,4 @@
-"""From designs to the text of a study file."""
+"""From designs and tasks to the text of a study file."""
 
 import math
 import os
@@ -24,12 +24,16 @@ from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries, RigidLink, with_slices
 from torcharm.characterise.toml_text import toml_entry
 from torcharm.files import is_stream
+from torcharm.geometry.rod import HEADINGS, as_base
 from torcharm.inputs import plain_number, shown
+from torcharm.load import PointLoad
 from torcharm.statics.balance import segments_of
 from torcharm.study.arm_reading import make_actuator
 from torcharm.study.arm_tables import ActuatorTable, NamedTable, SegmentTable
-from torcharm.study.data import NamedArm, Study
+from torcharm.study.data import NamedArm, NamedTask, Study
 from torcharm.study.fields import Table, field_path, validated, within
+from torcharm.study.task_tables import TwistTask
+from torcharm.task import Task
 
 DIGITS = 10
 """Of numbers, as many as read back to 1e-9 of themselves: nothing is built or measured as well."""
@@ -67,12 +71,64 @@ def arm_to_toml(arm: ArmDesign | ArmSeries, name: str, files: Sequence[str | Non
     validated(NamedTable, {"name": name})
     segments, links = segments_of(arm)
     if len(segments) == 1:
-        return _text("[[arm]]", {"name": name} | _segment(segments[0], links[0], paths))
+        return _text("[[arm]]", {"name": name} | _rounded(_segment(segments[0], links[0], paths)))
     texts = [_text("[[arm]]", {"name": name})]
     for index, ((segment, own), link) in enumerate(zip(with_slices(segments), links, strict=True)):
         with within(field_path(["segment", index])):
-            texts.append(_text("[[arm.segment]]", _segment(segment, link, paths[own])))
+            texts.append(_text("[[arm.segment]]", _rounded(_segment(segment, link, paths[own]))))
     return "\n".join(texts)
+
+
+def task_to_toml(named: NamedTask) -> str:
+    """A task as a `[[task]]` table to paste into a study, from which the same task is read, number by number.
+
+    Args:
+        named: one shape under any number of tip loads, and the names of the task and of its arms.
+
+    Raises:
+        ValueError: the task has several shapes or bases, or point loads in a batch.
+    """
+    task = named.task
+    many = [
+        point for point in task.load.points if point.mass.ndim or (point.wrench is not None and point.wrench.ndim > 1)
+    ]
+    if task.twists.ndim > 2 or task.base_pose.ndim > task.dimension - 1 or many:
+        raise ValueError(f"task: must have one shape, one base and one of each point load, got {shown(task)}")
+    load = task.load
+    payloads = [{"mass": point.mass.item(), **_place(point)} for point in load.points if bool(point.mass)]
+    points = [
+        {"wrench": point.wrench.tolist(), **_place(point), "frame": point.frame}
+        for point in load.points
+        if point.wrench is not None
+    ]
+    table = {
+        "name": named.name,
+        "arms": list(named.arms) or None,
+        "twists": task.twists.tolist(),
+        "segment_nodes": task.segment_nodes,
+        "loads": None if load.tip is None else load.tip.reshape(-1, load.tip.shape[-1]).tolist(),
+        "gravity": load.gravity,
+        "payloads": payloads or None,
+        "points": points or None,
+        "base_pose": _base(task),
+        "wrench_at": task.wrench_at,
+    }
+    fields = TwistTask.model_fields
+    return _text("[[task]]", {key: value for key, value in table.items() if value != fields[key].default})
+
+
+def _place(point: PointLoad) -> dict[str, Any]:
+    """Where a point load sits; of segments, that are counted from 1 here, the last is left out."""
+    return {"at": point.at} | ({"segment": point.segment + 1} if point.segment >= 0 else {})
+
+
+def _base(task: Task) -> str | list[Any]:
+    """The base pose, by name if it has one."""
+    for name in HEADINGS:
+        if torch.equal(as_base(name, task.twists, task.twists.shape[-1]), task.base_pose):
+            return name
+    numbers: list[Any] = task.base_pose.tolist()
+    return numbers
 
 
 KEPT = ("evaluate", "optimise", "tolerance")
@@ -121,7 +177,7 @@ def moved_files(files: Sequence[str | None], study: Path, out: Path) -> tuple[st
 
 
 def _text(heading: str, table: Mapping[str, Any]) -> str:
-    return "\n".join([heading, *(toml_entry(key, _rounded(value)) for key, value in table.items()), ""])
+    return "\n".join([heading, *(toml_entry(key, value) for key, value in table.items()), ""])
 
 
 def _rounded(value: Any) -> Any:
