@@ -18,6 +18,8 @@ StrPath = str | PathLike[str]
 
 MOST_BYTES = 200_000_000
 """The largest file that is read; a larger one is none that a person meant."""
+TEMPORARY = ".torcharm-"
+"""How the name of a file begins that is being written; a process that was killed may leave one."""
 _LONGEST_SUFFIX = 16
 _CELL_STARTS = ("=", "+", "-", "@", "\t", "\r")
 _KINDS = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
@@ -128,7 +130,7 @@ def is_stream(path: StrPath) -> bool:
 def _beside(target: Path) -> Path:
     """A new name in the target's folder, with its ending."""
     suffix = target.suffix if len(target.suffix.encode()) <= _LONGEST_SUFFIX else ""
-    return target.parent / f".torcharm-{os.getpid()}-{secrets.token_hex(6)}{suffix}"
+    return target.parent / f"{TEMPORARY}{os.getpid()}-{secrets.token_hex(6)}{suffix}"
 
 
 def _reason(error: Exception) -> str:

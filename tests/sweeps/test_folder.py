@@ -169,14 +169,14 @@ def test_two_sweeps_in_one_folder_are_refused(tmp_path):
 def test_a_folder_that_cannot_be_written_is_refused_at_once(tmp_path, monkeypatch):
     file = tmp_path / "file"
     file.write_text("")
-    with pytest.raises(ValueError, match=r"^out: .*file/run: cannot be written: Not a directory"):
+    with pytest.raises(ValueError, match=r"^out: .*file/run: cannot be written, Not a directory"):
         small_sweep(file / "run")
 
     def denied(*_, **__):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(Path, "write_bytes", denied)
-    with pytest.raises(ValueError, match=r"^out: .*: cannot be written: Permission denied"):
+    monkeypatch.setattr(Path, "open", denied)
+    with pytest.raises(ValueError, match=r"^out: .*: cannot be written, Permission denied"):
         small_sweep(tmp_path / "run")
 
 

@@ -47,10 +47,6 @@ class SobolPoints:
             found ^= (gray >> bit & 1)[:, None] * direction
         return np.asarray(found * 0.5**BITS)
 
-    def to_json(self) -> dict[str, Any]:
-        """As lists of numbers."""
-        return {"first": self.first.tolist(), "directions": self.directions.tolist()}
-
 
 @dataclass(frozen=True, eq=False)
 class GridPoints:
@@ -67,10 +63,6 @@ class GridPoints:
         places = np.stack(np.unravel_index(indices, self.levels), -1)
         steps = np.array(self.levels) - 1
         return np.where(steps > 0, places / np.maximum(steps, 1), 0.5)
-
-    def to_json(self) -> dict[str, Any]:
-        """As lists of numbers."""
-        return {"levels": list(self.levels)}
 
 
 Sampler = SobolPoints | GridPoints
@@ -152,10 +144,9 @@ class DesignPoints:
 
     def to_json(self) -> dict[str, Any]:
         """All that `points_from_json` needs."""
-        free = self.free
-        arrays = {name: getattr(free, name).tolist() for name in ("spread", "base", "low", "high")}
-        words = {"names": list(free.names), "units": list(free.units)}
-        return {"sampler": self.sampler.to_json(), "order": [list(own) for own in self.order], **arrays, **words}
+        numbers = {name: np.asarray(value).tolist() for name, value in vars(self.sampler).items()}
+        free = {name: np.asarray(value).tolist() for name, value in vars(self.free).items()}
+        return {"sampler": numbers, "order": [list(own) for own in self.order], **free}
 
 
 def points_from_json(content: dict[str, Any]) -> DesignPoints:

@@ -35,8 +35,7 @@ def histograms(blocks: Blocks, ranges: Ranges, names: Sequence[str], bins: int) 
     for place, axes in enumerate(np.ravel(figure.subplots(1, len(names)))):
         axes.stairs(counts[place], edges[place], fill=True, color=INK)
         axes.set(xlabel=label(names[place]), ylabel="" if place else "number of designs", ylim=(0, None))
-        if _logarithmic(edges[place]):
-            axes.set_xscale("log")
+        axes.set_xscale(_scale(edges[place]))
     return figure
 
 
@@ -56,11 +55,7 @@ def density(blocks: Blocks, ranges: Ranges, x: str, y: str, bins: int) -> "Figur
     shown = np.ma.masked_less(count.T, 1)
     mesh = axes.pcolormesh(*edges, shown, norm=LogNorm(1, max(2.0, count.max())), cmap="viridis", rasterized=True)
     figure.colorbar(mesh, label="number of designs")
-    axes.set(xlabel=label(x), ylabel=label(y))
-    if _logarithmic(edges[0]):
-        axes.set_xscale("log")
-    if _logarithmic(edges[1]):
-        axes.set_yscale("log")
+    axes.set(xlabel=label(x), ylabel=label(y), xscale=_scale(edges[0]), yscale=_scale(edges[1]))
     return figure
 
 
@@ -83,5 +78,5 @@ def bin_edges(blocks: Blocks, ranges: Ranges, name: str, bins: int) -> Edges:
     return np.asarray(edges, dtype=np.float64)
 
 
-def _logarithmic(edges: Edges) -> bool:
-    return bool(0 < DECADES * edges[0] < edges[-1])
+def _scale(edges: Edges) -> str:
+    return "log" if 0 < DECADES * edges[0] < edges[-1] else "linear"

@@ -6,25 +6,22 @@ function of it and of the arm, the space and the tasks, which it holds digests o
 
 import hashlib
 import json
-import os
 import pickle
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from torcharm.design.space import Arm
 from torcharm.extras import extra
-from torcharm.files import StrPath, atomic_write, read_file
+from torcharm.files import TEMPORARY, StrPath, atomic_write, check_writable, read_file
 from torcharm.sweeps.designs import DesignPoints, points_from_json
 
 KIND = "torcharm sweep, 1"
 """Of the folder; another number stands for other files in it."""
 MANIFEST, ARM, SUMMARY, SHARDS = "manifest.json", "arm.pickle", "summary.parquet", "shards"
-TEMPORARY = ".torcharm-*"
-"""What a process that was killed leaves of the file that it was writing."""
 
 Part = tuple[int, int]
 
@@ -69,17 +66,12 @@ class Manifest:
     @cached_property
     def text(self) -> str:
         """As its file holds it."""
-        return json.dumps({"kind": KIND, **vars_of(self)}, indent=1) + "\n"
+        return json.dumps({"kind": KIND, **asdict(self)}, indent=1) + "\n"
 
     @cached_property
     def digest(self) -> str:
         """That every shard carries."""
         return hashlib.sha256(self.text.encode()).hexdigest()[:16]
-
-
-def vars_of(manifest: Manifest) -> dict[str, Any]:
-    """The fields of a manifest, and nothing that is cached."""
-    return {name: getattr(manifest, name) for name in Manifest.__dataclass_fields__}
 
 
 def read_manifest(folder: StrPath) -> Manifest:
@@ -124,12 +116,10 @@ def prepare_folder(folder: Path) -> None:
     """Make the folder, and see that it can be written."""
     try:
         (folder / SHARDS).mkdir(parents=True, exist_ok=True)
-        for place in (folder, folder / SHARDS):
-            probe = place / f".torcharm-{os.getpid()}"
-            probe.write_bytes(b"")
-            probe.unlink()
     except OSError as error:
-        raise ValueError(f"out: {folder}: cannot be written: {error.strerror or error}") from None
+        raise ValueError(f"out: {folder}: cannot be written, {error.strerror or error}") from None
+    for place in (folder, folder / SHARDS):
+        check_writable(place / MANIFEST, "out")
 
 
 def make_manifest(folder: Path, arm: Arm, decide: Callable[[], Manifest]) -> Manifest:
@@ -175,7 +165,7 @@ def locked(folder: Path, part: Part | None) -> Iterator[None]:
 
 def remove_leftovers(folder: Path) -> None:
     """Remove what processes that were killed left half-written; for who holds the lock of the whole sweep."""
-    for left in [*folder.glob(TEMPORARY), *(folder / SHARDS).glob(TEMPORARY)]:
+    for left in [*folder.glob(f"{TEMPORARY}*"), *(folder / SHARDS).glob(f"{TEMPORARY}*")]:
         with suppress(OSError):
             left.unlink()
 

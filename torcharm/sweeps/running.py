@@ -1,7 +1,8 @@
 """`sweep`: from an arm, a space and tasks to a folder of evaluated designs."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -146,7 +147,7 @@ def sweep(
         parts = shard[1] if shard else workers or usable_cores()
         if crew is not None and not (folder / MANIFEST).exists():
             crew.begin()  # while the size of a shard is tried out
-        decide = _decision(problem, designs, number, tasks, measures, shard_size, parts)
+        decide = partial(_decided, problem, designs, number, tasks, measures, shard_size, parts)
         manifest = make_manifest(folder, designs.designs.arm, decide)
         check_same(out, manifest, problem, shard_size)
         job = Job(str(folder), manifest, designs, tasks, measures)
@@ -248,7 +249,7 @@ def described(
     return {"torcharm": __version__} | found | {name: repr(value) for name, value in vars(measures).items()}
 
 
-def _decision(
+def _decided(
     problem: Mapping[str, str],
     designs: IndexedDesigns,
     count: int,
@@ -256,17 +257,13 @@ def _decision(
     measures: Measures,
     shard_size: int | None,
     parts: int,
-) -> Callable[[], Manifest]:
-    """What makes the manifest if there is none."""
-
-    def decide() -> Manifest:
-        loads = sum(task.batch_shape.numel() for task in tasks)
-        chunk = max(1, CHUNK // loads)
-        size = shard_size or _shard_size(designs, count, tasks, measures, chunk, parts)
-        columns = measures.numbers, measures.counts
-        return Manifest(dict(problem), count, size, min(chunk, size), loads, *columns, designs.points.to_json())
-
-    return decide
+) -> Manifest:
+    """The manifest of a sweep that has none yet."""
+    loads = sum(task.batch_shape.numel() for task in tasks)
+    chunk = max(1, CHUNK // loads)
+    size = shard_size or _shard_size(designs, count, tasks, measures, chunk, parts)
+    columns = measures.numbers, measures.counts
+    return Manifest(dict(problem), count, size, min(chunk, size), loads, *columns, designs.points.to_json())
 
 
 def _shard_size(

@@ -4,10 +4,12 @@ Merging is associative and indifferent to order: whichever way a sweep came abou
 """
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from torcharm.extras import extra
 from torcharm.sweeps.manifest import SHARDS, SUMMARY, Manifest
@@ -76,9 +78,11 @@ class Summary:
         """
         if len(self.shards) == self._kept:
             return
+        numbers = np.array(sorted(self.shards))
+        runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1)  # that follow each other
         about = {
             "manifest": self.manifest.digest,
-            "shards": [list(ends) for ends in _ranges_of(sorted(self.shards))],
+            "shards": [[int(run[0]), int(run[-1]) + 1] for run in runs if len(run)],
             "designs": self.designs,
             "feasible": self.feasible,
             "counts": self.counts,
@@ -121,13 +125,3 @@ def shard_files(folder: Path) -> Iterator[tuple[int, Path]]:
         number = shard_named(path)
         if number is not None:
             yield number, path
-
-
-def _ranges_of(numbers: Sequence[int]) -> Iterator[tuple[int, int]]:
-    """Runs of numbers that follow each other: the first of each, and the one after the last."""
-    first = None
-    for place, number in enumerate(numbers):
-        first = number if first is None else first
-        if place + 1 == len(numbers) or numbers[place + 1] != number + 1:
-            yield first, number + 1
-            first = None
