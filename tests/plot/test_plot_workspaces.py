@@ -118,7 +118,7 @@ class TestFigure:
         points = axes.collections[0].get_offsets()
         np.testing.assert_allclose(points, line.position[line.reached])
         (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-        assert right - left == pytest.approx(plot.workspaces.NARROWEST * (top - bottom))
+        assert right - left == pytest.approx(plot._common.NARROWEST * (top - bottom))
         assert f"interrupted: {len(line.code)} of 100 states" in axes.get_title()
         assert not recwarn.list
 

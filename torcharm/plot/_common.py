@@ -1,6 +1,6 @@
 """What the pictures share: styles, axes, and the choice of one design and of tasks on one shape."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from math import prod
 from typing import Any
@@ -44,6 +44,12 @@ OTHER_STYLES = (("#999999", 3.5), ("#CC79A7", 3.5), ("#0072B2", 3.5), ("#F0E442"
 PLAIN: dict[str, Any] = {"parse_math": False}
 """Of texts that hold names: dollar signs in them enclose no formula."""
 SMOOTHING = 8  # points drawn on each element, so that one of constant curvature is seen to be an arc
+ROOM = 0.06
+"""What is free around what panels show, of its largest extent."""
+NARROWEST = 0.5
+"""Of its longer side a panel's shorter one, however narrow what it shows is."""
+SMALLEST = 1e-3
+"""Extent of a panel [m]: of an arm that reaches one place, or none, there is the base alone."""
 LONGEST_ARROW = 0.3  # of the largest force, as a share of the centreline's length
 
 
@@ -110,6 +116,13 @@ def mark_inks(colour: str, filled: bool, marker: str = "o") -> dict[str, Any]:
     return {"marker": marker} | inks
 
 
+def verdict_marks(words: Any) -> Iterator[tuple[str, Any, dict[str, Any]]]:
+    """Of each verdict among words the word, where it is given, and how a scatter's marks of it look."""
+    for word, (colour, marker, filled) in VERDICT_STYLES.items():
+        if (own := words == word).any():
+            yield word, own, mark_inks(colour, filled, marker)
+
+
 def ranked_places(error: Array) -> NDArray[np.intp]:
     """The places of what is finite, from the least on."""
     known = np.flatnonzero(np.isfinite(error))
@@ -131,6 +144,19 @@ def merged_legend(figure: Any, panels: Iterable[Any], shorten: Callable[[str], s
     figure.legend(entries.values(), entries.keys(), fontsize="small", frameon=False, **how)
 
 
+def same_limits(panels: Sequence[Any]) -> float:
+    """One scale for all panels; how much higher than wide they are."""
+    boxes = torch.tensor([[*axes.dataLim.min, *axes.dataLim.max] for axes in panels])
+    low, high = boxes[:, :2].amin(0), boxes[:, 2:].amax(0)
+    longest = max((1 + 2 * ROOM) * float((high - low).max()), SMALLEST)
+    extent = (high - low + 2 * ROOM * (high - low).max()).clamp(min=NARROWEST * longest)
+    middle = (low + high) / 2
+    (left, bottom), (right, top) = (middle - extent / 2).tolist(), (middle + extent / 2).tolist()
+    for axes in panels:
+        axes.set(xlim=(left, right), ylim=(top, bottom) if axes.yaxis.get_inverted() else (bottom, top))
+    return float(extent[1] / extent[0])
+
+
 def label_powers(axis: Any, digits: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
     """Plain numbers along a logarithmic axis, at these multiples of powers of ten."""
     axis.set_major_locator(LogLocator(subs=digits))
@@ -138,10 +164,22 @@ def label_powers(axis: Any, digits: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def legend_below(axes: Any) -> None:
-    """The legend below the axes, where it covers nothing."""
-    below = 0.0 if axes.name == "3d" else -0.12
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, below), ncols=3, fontsize="small", frameon=False)
+def legend_below(axes: Any, ncols: int = 3, below: float = -0.12) -> None:
+    """The legend so far below the axes that it covers nothing; names in it are as they are."""
+    below = 0.0 if axes.name == "3d" else below
+    plain_legend(axes, loc="upper center", bbox_to_anchor=(0.5, below), ncols=ncols)
+
+
+def plain_legend(axes: Any, **how: Any) -> None:
+    """A legend whose texts hold names."""
+    for text in axes.legend(fontsize="small", frameon=False, **how).get_texts():
+        text.set(**PLAIN)
+
+
+def limits_around(points: Array, share: float, least: float = 1e-3) -> list[tuple[float, float]]:
+    """Of each column of points (P, D), from where to where an axis goes that leaves some room around them."""
+    room = np.maximum(share * np.ptp(points, 0), least)
+    return [(float(low), float(high)) for low, high in zip(points.min(0) - room, points.max(0) + room, strict=True)]
 
 
 def projection_of(task: Task) -> str:

@@ -10,7 +10,16 @@ from torch import Tensor
 
 from torcharm.attainability import Attainability
 from torcharm.inputs import three_digits
-from torcharm.plot._common import ARM_COLOURS, ARM_LINES, PLAIN, VERDICT_STYLES, Array, array, axes_or_new, label_powers
+from torcharm.plot._common import (
+    ARM_COLOURS,
+    ARM_LINES,
+    VERDICT_STYLES,
+    Array,
+    array,
+    axes_or_new,
+    label_powers,
+    plain_legend,
+)
 
 BINS = 24
 """Of the histograms of several arms, which share them."""
@@ -54,8 +63,7 @@ def unattainability_histogram(values: Mapping[str, Tensor], *, ax: Axes | None =
     highest = max(1, *(np.histogram(value, edges)[0].max() for value in finite.values()))
     axes.set(xlabel=f"unattainability [{unit}]", ylabel="number of tasks", ylim=(0, highest / (1 - headroom)))
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
-    for text in axes.legend(loc="upper right", fontsize="small", frameon=False, handlelength=3.5).get_texts():
-        text.set(**PLAIN)
+    plain_legend(axes, loc="upper right", handlelength=3.5)
     return axes
 
 

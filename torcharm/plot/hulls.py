@@ -23,6 +23,7 @@ from torcharm.plot._common import (
     Mask,
     array,
     axes_or_new,
+    limits_around,
     node_index,
     one_design,
     one_shape,
@@ -71,8 +72,7 @@ def hulls_along_arm(
     axes = axes_or_new(ax, "3d")
     _draw_hulls(axes, scene, colour)
     points = np.concatenate((scene.corners.reshape(-1, 2), scene.required.reshape(-1, 2)))
-    room = np.where(np.ptp(points, 0) > 0, 0.04 * np.ptp(points, 0), 1.0)
-    force, moment = np.stack((points.min(0) - room, points.max(0) + room)).T
+    force, moment = limits_around(points, 0.04)
     axes.set(xlim=(0.5, len(scene.corners) + 0.5), ylim=force, zlim=moment)  # matplotlib's own do not see polygons
     for axis, ticks in ((axes.xaxis, 10), (axes.yaxis, 4), (axes.zaxis, 6)):
         axis.set_major_locator(MaxNLocator(ticks, integer=axis is axes.xaxis))
@@ -113,12 +113,9 @@ def node_hull(
         axes.add_collection3d(Poly3DCollection(corners[hull_faces(corners)], **sides))
         axes.plot(*corners.T, ".", color=colour, markersize=1.5, label="pressures provide")  # all of a flat set
         _draw_required(axes, points, scene.inside[:, index])
-        whole = np.concatenate((corners, points))
-        low, high = whole.min(0), whole.max(0)
-        room = np.maximum(0.05 * (high - low), 1e-3)
-        limits = [tuple(ends) for ends in np.stack((low - room, high + room), -1)]
-        axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
-        axes.set(xlabel=scene.labels[0], ylabel=scene.labels[1], zlabel=scene.labels[2])
+        limits = limits_around(np.concatenate((corners, points)), 0.05)
+        for side, ends, label in zip("xyz", limits, scene.labels, strict=True):
+            axes.set(**{f"{side}lim": ends, f"{side}label": label})
         axes.set_box_aspect(None, zoom=0.82)
     axes.set_title(f"node {index + 1} of {task.nodes}")
     axes.legend(loc="best" if task.dimension == 2 else "upper left", fontsize="small")

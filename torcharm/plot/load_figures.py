@@ -79,7 +79,9 @@ def load_figure(
         raise ValueError("arms: must hold at least one arm, got none")
     shape = one_shape(task, [0])
     grid = load_grid(count=21, plane="xy" if task.dimension == 3 else None) if loads is None else loads
-    loaded = Task(shape.twists, grid, shape.base_pose, _one_load(shape), shape.wrench_at, shape.segment_nodes)
+    # beside the tip forces the weight and point loads of a task of one load in a batch
+    load = shape.load.with_tip(None)._map(lambda value: value.reshape(value.shape[1:]) if value.ndim else value)
+    loaded = Task(shape.twists, grid, shape.base_pose, load, shape.wrench_at, shape.segment_nodes)
     find = _errors if quantity == "tip error" else _factors
     with torch.no_grad():
         found = [find(one_design(name, arm, task), loaded) for name, arm in arms]
@@ -138,9 +140,3 @@ def _factors(arm: Arm, task: Task) -> _Map:
     factor = array(load_capacity(arm, task).factor)
     words = f"not excluded at this shape: {(factor >= 1).sum()} of {factor.size} forces"
     return _Map(factor, 1.0, words, np.zeros(factor.shape, dtype=np.bool_))
-
-
-def _one_load(task: Task) -> Any:
-    """The weight and point loads of a task of one load in a batch, without its tip load."""
-    load = task.load.with_tip(None)
-    return load._map(lambda value: value.reshape(value.shape[1:]) if value.ndim else value)

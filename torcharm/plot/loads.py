@@ -20,7 +20,7 @@ from torcharm.arm_series import ArmSeries
 from torcharm.attainability import evaluate
 from torcharm.inputs import TensorLike, as_floating, check_choice, check_count, shown
 from torcharm.load import ExternalLoad
-from torcharm.plot._common import VERDICT_STYLES, Array, array, axes_or_new, mark_inks
+from torcharm.plot._common import VERDICT_STYLES, Array, array, axes_or_new, verdict_marks
 from torcharm.statics.balance import segments_of
 from torcharm.task import WRENCH_AT, Task
 
@@ -211,11 +211,8 @@ def verdict_map(loads: TensorLike, verdict: Sequence[Any] | NDArray[Any], *, ax:
     for word in np.unique(words).tolist():
         check_choice("verdict", word, tuple(VERDICT_STYLES))
     axes = axes_or_new(ax)
-    for word, (colour, marker, filled) in VERDICT_STYLES.items():
-        own = words == word
-        if own.any():
-            inks = mark_inks(colour, filled, marker)
-            axes.scatter(x[own], y[own], 25, label=f"{word}: {own.sum()} of {own.size}", **inks)
+    for word, own, inks in verdict_marks(words):
+        axes.scatter(x[own], y[own], 25, label=f"{word}: {own.sum()} of {own.size}", **inks)
     _label(axes, labels)
     return axes
 

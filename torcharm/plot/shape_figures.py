@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import torch
 from matplotlib.figure import Figure
-from matplotlib.transforms import Bbox
 
 from torcharm.attainability.verdict import PoseTolerance, over_tolerance
 from torcharm.design.shape_planning import PlannedShape
@@ -24,6 +23,7 @@ from torcharm.plot._common import (
     one_design,
     projection_of,
     ranked_places,
+    same_limits,
 )
 from torcharm.plot._shapes import in_space, why_impossible
 from torcharm.plot.arms import (
@@ -190,12 +190,9 @@ def _share(figure: Figure, grid: Any) -> None:
     rows, columns = grid.shape
     height = PANEL
     if shown and shown[0].name != "3d":
-        whole = Bbox.union([axes.dataLim for axes in shown])
-        room = 0.06 * max(whole.width, whole.height)
-        height = (PANEL - MARGIN) * np.clip((whole.height + 2 * room) / (whole.width + 2 * room), 0.5, 1.6)
         for axes in shown:
             axes.set_aspect("equal", adjustable="box")
-            axes.set(xlim=(whole.x0 - room, whole.x1 + room), ylim=(whole.y0 - room, whole.y1 + room))
+        height = (PANEL - MARGIN) * min(same_limits(shown), 1.6)
     figure.set_size_inches(max(2, columns) * PANEL, rows * (height + 1.3) + 0.9)
     where: dict[str, Any] = {"loc": "outside lower center", "ncols": 4 if columns < 3 else 7}
     # how many and how large differs

@@ -16,13 +16,14 @@ from torcharm.inputs import three_digits
 from torcharm.plot._common import (
     ARM_COLOURS,
     PLAIN,
-    VERDICT_STYLES,
     Array,
     array,
     label_powers,
-    mark_inks,
+    legend_below,
+    limits_around,
     merged_legend,
     projection_of,
+    verdict_marks,
 )
 from torcharm.plot.hulls import SIDES, Scene, draw_node, make_scene
 from torcharm.plot.median_case import draw_median_case, is_lost, median_shape
@@ -70,8 +71,7 @@ def study_figure(
         if not lost[column]:
             scenes.append(make_scene(f"results[{column}]", arm, median_shape(task, found)))
         axes.set_title(f"{textwrap.fill(f'{name}: {_counts(found)}', 60)}{drawn}", fontsize="medium", **PLAIN)
-        below = -0.12 if flat else 0.0
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, below), ncols=2, fontsize="small", frameon=False)
+        legend_below(axes, 2)
         for panel, (node, sides) in zip([] if cells is None else cells[column], _views(found, task), strict=False):
             if lost[column]:
                 panel.set_axis_off()
@@ -93,9 +93,7 @@ def limit_views(views: Sequence[tuple[Axes, tuple[int, int]]], scenes: Sequence[
     size = len(scenes[0].labels)
     sets = np.concatenate([scene.corners.reshape(-1, size) for scene in scenes])
     required = np.concatenate([scene.required.reshape(-1, size) for scene in scenes])
-    ends = np.stack([*np.percentile(required, (2, 98), 0), sets.min(0), sets.max(0)])
-    room = np.maximum(0.06 * np.ptp(ends, 0), 1e-3)
-    limits = [tuple(pair) for pair in np.stack((ends.min(0) - room, ends.max(0) + room), -1)]
+    limits = limits_around(np.stack([*np.percentile(required, (2, 98), 0), sets.min(0), sets.max(0)]), 0.06)
     for panel, (x, y) in views:
         panel.set(xlim=limits[x], ylim=limits[y])
         panel.xaxis.set_major_locator(MaxNLocator(4 if size == 2 else 2))  # three panels are small
@@ -125,13 +123,10 @@ def _draw_errors(axes: Any, names: Sequence[str], evaluated: Sequence[Attainabil
         words = _words(found)
         spread = row + 0.22 * np.sin(2.4 * np.arange(len(value)))  # apart, so that marks of equal errors are seen
         place = np.clip(np.where(np.isfinite(value), value, most), LEAST, most)
-        for word, (colour, marker, filled) in VERDICT_STYLES.items():
-            chosen = words == word
-            if chosen.any():
-                label = word if word not in drawn else None
-                inks = mark_inks(colour, filled, marker)
-                axes.scatter(place[chosen], spread[chosen], 28, label=label, gid=word, **inks)
-                drawn.add(word)
+        for word, chosen, inks in verdict_marks(words):
+            label = word if word not in drawn else None
+            axes.scatter(place[chosen], spread[chosen], 28, label=label, gid=word, **inks)
+            drawn.add(word)
         middle = float(np.median(np.where(np.isnan(value), np.inf, value)))
         if not np.isfinite(middle):
             note = {"fontsize": "small", "va": "bottom", "ha": "left", "transform": axes.get_yaxis_transform()}
@@ -139,7 +134,7 @@ def _draw_errors(axes: Any, names: Sequence[str], evaluated: Sequence[Attainabil
             continue
         middle = max(middle, LEAST)
         axes.plot([middle] * 2, [row - 0.38, row + 0.38], color="black", linewidth=2)
-        tip = f" (tip: {three_digits(float(np.median(_off(found))))} mm)" if predicted else ""
+        tip = f" (tip: {_tip_off(found)} mm)" if predicted else ""
         side = "left" if middle < most / 4 else "right"
         axes.annotate(f" {middle:.3g}{tip} ", (middle, row - 0.4), fontsize="small", va="bottom", ha=side)
     if predicted:
@@ -185,10 +180,10 @@ def _over(found: Attainability) -> Array:
     return array(found.over_tolerance).ravel()
 
 
-def _off(found: Attainability) -> Array:
-    """The tip's error of each task [mm]."""
+def _tip_off(found: Attainability) -> str:
+    """The median of the tip's errors [mm]."""
     assert found.tip_error is not None
-    return 1e3 * array(found.tip_error).ravel()
+    return three_digits(1e3 * float(np.median(array(found.tip_error))))
 
 
 def _lacking(found: Attainability) -> Array:

@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from torcharm.design.scatter import SOURCE_WORDS
 from torcharm.design.tolerance_result import BuiltArms
 from torcharm.inputs import three_digits
-from torcharm.plot._common import ARM_COLOURS, ARM_LINES, PLAIN, array
+from torcharm.plot._common import ARM_COLOURS, ARM_LINES, PLAIN, array, label_powers, legend_below
 
 UNITS = {"radii": (1e3, "mm"), "length": (1e3, "mm"), "limits": (1.0, "kPa"), "force_offset": (1.0, "N")}
 """In which its size is shown; others in percent."""
@@ -20,6 +19,8 @@ FARTHEST = 99.5
 """Percentile of the tip errors at which the picture ends, and as far from the least at which it begins."""
 HIGHER = 4.0
 """By so much [%] stand marks of drawn arms above each other, which else would hide each other."""
+LEGEND = -0.16
+"""Where it is, below the axes, over their height."""
 THICKEST = 0.15
 """Of the height of a source's row: no bar is thicker."""
 LEAST = 0.1
@@ -44,7 +45,7 @@ def tolerance_figure(results: Sequence[tuple[str, BuiltArms]], title: str = "") 
     if not results or not any(bool(found.tip_error.isfinite().any()) for _, found in results):
         raise ValueError("results: must hold at least one arm with a finite tip error, got none")
     bars = 2 * sum(len(found.shares) for _, found in results)
-    figure = Figure(figsize=(11, max(4.6 + 0.25 * len(results), 2.2 + 0.18 * bars)), layout="constrained")
+    figure = Figure(figsize=(11, max(4.6 + 0.25 * len(results), 2.2 + 0.18 * bars)), layout="constrained", dpi=150)
     left, right = figure.subplots(1, 2, width_ratios=(1.1, 1.0))
     if title:
         figure.suptitle(title, fontsize="large", fontweight="bold", **PLAIN)
@@ -79,11 +80,9 @@ def _draw_curves(axes: Axes, results: Sequence[tuple[str, BuiltArms]]) -> None:
         axes.annotate(f"tolerance: {limit:g} mm", (limit, 100), fontsize="small", **place)
     low, high = min(lowest, *(one[0] for one in ends)), max(one[1] for one in ends)
     axes.set(xscale="log", xlim=(max(LEAST, min(low, *lines)) / 1.3, 1.3 * max(high, LEAST, *lines)), ylim=(0, 100))
-    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    label_powers(axes.xaxis)
     axes.set(xlabel="tip off by at most [mm]   (triangles: drawn arm, median)", ylabel="share of built arms [%]")
-    _put_legend(axes, 1)
+    legend_below(axes, 1, LEGEND)
 
 
 def _number(value: float) -> str:
@@ -118,17 +117,11 @@ def _draw_shares(axes: Axes, results: Sequence[tuple[str, BuiltArms]]) -> None:
                 if np.isfinite(width):
                     axes.annotate(f"{width:.0f}", (width, place), **text)
                 else:
-                    axes.annotate(_unknown(found, filled), (0, place), color=colour, **text)
+                    why = "no stable shape" if filled or not found.decisive else "too few samples"
+                    axes.annotate(f"not known: {why}", (0, place), color=colour, **text)
     axes.set_yticks(range(len(names)), [_with_size(name, results) for name in names])
     axes.set(ylim=(len(names) - 0.5, -0.5), xlim=(0, 108), xlabel="share in the variance of the tip's place [%]")
-    _put_legend(axes, 2)
-
-
-def _unknown(found: BuiltArms, by_gradients: bool) -> str:
-    """Why there is no share."""
-    if by_gradients or not found.decisive:
-        return "not known: no stable shape"
-    return "not known: too few samples"
+    legend_below(axes, 2, LEGEND)
 
 
 def _with_size(name: str, results: Sequence[tuple[str, BuiltArms]]) -> str:
@@ -140,10 +133,3 @@ def _with_size(name: str, results: Sequence[tuple[str, BuiltArms]]) -> str:
         return words
     scale, unit = UNITS.get(name, (100.0, "%"))
     return f"{words}\n{'±' if results[0][1].scatter.distribution == 'uniform' else 'σ '}{scale * size[0]:g} {unit}"
-
-
-def _put_legend(axes: Axes, ncols: int) -> None:
-    """Below the axes, with names as they are."""
-    how: dict[str, Any] = {"bbox_to_anchor": (0.5, -0.16), "ncols": ncols, "fontsize": "small", "frameon": False}
-    for text in axes.legend(loc="upper center", **how).get_texts():
-        text.set(**PLAIN)

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import torch
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, LogNorm, Normalize
@@ -12,8 +11,9 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from torcharm.geometry.alpha_shape import AlphaShape, alpha_shape
-from torcharm.inputs import check_choice, check_count, shown, three_digits
-from torcharm.plot._common import ATTAINABLE, PLAIN, UNATTAINABLE, Array, array, axes_or_new, merged_legend
+from torcharm.inputs import check_choice, check_count, shown
+from torcharm.plot._common import ATTAINABLE, PLAIN, UNATTAINABLE, Array, array, axes_or_new, merged_legend, same_limits
+from torcharm.study.words import region_size
 from torcharm.workspaces import STATES, Workspace
 from torcharm.workspaces.states import position_of
 
@@ -36,12 +36,8 @@ HIGHEST = 0.95
 the arm could grow by any factor."""
 TICKS = tuple(digit * 10.0**power for power in range(6) for digit in (1, 2, 5))
 """Of factors."""
-PANEL, ROOM = 4.6, 0.06
-"""Width of a panel [inch], and what is free around a region, of its largest extent."""
-NARROWEST = 0.5
-"""Of its longer side a panel's shorter one, however narrow what it shows is."""
-SMALLEST = 1e-3
-"""Extent of a panel [m]: of an arm that reaches one place, or none, there is the base alone."""
+PANEL = 4.6
+"""Width of a panel [inch]."""
 
 
 def workspace(
@@ -75,16 +71,17 @@ def workspace(
     """
     axes, seen, show = axes_or_new(ax), _plane(found, plane), _what(found, show)
     region, beyond = (_seen_shape(found, seen, which) for which in (found.reached, found.extrapolated))
-    _fill_beyond(axes, beyond)
-    if region.triangulation is not None and region.kept.any():
-        _fill(axes, region, _values(found, seen, show), show, highest)
-        _outline(axes, region, "-", "reached")
-    elif len(region.points):
-        _draw_points(axes, region.points, _values(found, seen, show), show, highest)
-    if bar and show != "reached" and axes.collections:
-        coloured = [one for one in axes.collections if one.get_gid() == show]
-        if coloured:
-            _bar(axes.figure, coloured[0], axes, show)
+    values, how = _values(found, seen, show), _one_colour(FLAT if region.kept.any() else ATTAINABLE)
+    if show != "reached":
+        norm = _scale(show, _top(values) if highest is None else highest)
+        values[np.isposinf(values)] = norm.vmax
+        how = {"cmap": COLOURS, "norm": norm, "gid": show}
+    _paint(axes, region, values, how, "-", "reached")
+    below = _one_colour(BEYOND) | {"zorder": 0.5}
+    _paint(axes, beyond, np.zeros(len(beyond.points)), below, "--", "excluded by range")
+    coloured = [one for one in axes.collections if one.get_gid() == show]
+    if bar and coloured:
+        _bar(axes.figure, coloured[0], axes, show)
     _mark_apart(axes, found, seen)
     base = array(position_of(found.base_pose))[list(seen)]
     axes.plot(*base, "s", color="#555555", markersize=8, label="base", zorder=5)
@@ -123,7 +120,8 @@ def workspace_figure(
     across = len(results) if columns is None else check_count("columns", columns, 1)
     planes = ("xy", "xz") if results[0][1].dimension == 3 else (None,)
     what = _what(results[0][1], show)
-    top = _common_top(results, planes, what) if highest is None else highest
+    tops = [_top(_values(found, _plane(found, plane), what)) for _, found in results for plane in planes]
+    top = max(tops) if highest is None else highest
     lines = [results[first : first + across] for first in range(0, len(results), across)]
     figure = Figure(layout="constrained", dpi=130)
     grid: Any = figure.subplots(len(lines) * len(planes), across, squeeze=False)
@@ -136,18 +134,12 @@ def workspace_figure(
             axes.get_legend().remove()
             axes.set_title("" if plane == "xz" else f"{name}\n{_words(found)}", fontsize="medium", **PLAIN)
     views = [grid[first :: len(planes)] for first in range(len(planes))]
-    heights = [_same_limits([axes for axes in view.ravel() if axes.axison]) for view in views]
+    heights = [same_limits([axes for axes in view.ravel() if axes.axison]) for view in views]
     figure.set_size_inches(PANEL * across + 1.4, PANEL * sum(heights) * len(lines) + 1.2 * len(grid))
     if what != "reached":
         _bar(figure, ScalarMappable(_scale(what, top), COLOURS), grid.ravel().tolist(), what)
     merged_legend(figure, grid.ravel(), lambda label: label.split(":")[0], loc="outside lower center", ncols=5)
     return figure
-
-
-def _common_top(results: Sequence[tuple[str, Workspace]], planes: Sequence[str | None], show: str) -> float:
-    """The end of the colours for all."""
-    tops = [_top(_values(found, _plane(found, plane), show)) for _, found in results for plane in planes]
-    return max(tops, default=1.0)
 
 
 def _plane(found: Workspace, plane: str | None) -> tuple[int, int]:
@@ -200,25 +192,22 @@ def _top(values: Array) -> float:
     return float(np.quantile(finite, HIGHEST)) if len(finite) else 1.0
 
 
-def _fill(axes: Any, region: AlphaShape, values: Array, show: str, highest: float | None) -> None:
-    """The region in colours of the values at its points."""
-    if show == "reached":
-        _fill_plain(axes, region, FLAT)
+def _one_colour(colour: str) -> dict[str, Any]:
+    return {"cmap": ListedColormap([colour])}
+
+
+def _paint(axes: Any, region: AlphaShape, values: Array, how: dict[str, Any], dashes: str, label: str) -> None:
+    """A region in the colours of values at its points, and its outline; without an area its points alone."""
+    if region.triangulation is None or not region.kept.any():  # as of an arm that moves along a line
+        if len(region.points):
+            axes.scatter(*region.points.T, 9, values, label=label, **how)
         return
     triangles = region.triangulation.simplices[region.kept]
-    norm = _scale(show, _top(values) if highest is None else highest)
-    known = values.copy()
-    known[np.isposinf(known)] = norm.vmax
-    shades = np.fmax.reduce(known[triangles], axis=1)
-    how: dict[str, Any] = {"cmap": COLOURS, "norm": norm, "gid": show, "rasterized": True}
-    axes.tripcolor(*region.points.T, triangles, facecolors=shades, **how)
-
-
-def _fill_plain(axes: Any, region: AlphaShape, colour: str) -> None:
-    """The region in one colour."""
-    triangles = region.triangulation.simplices[region.kept]
-    how: dict[str, Any] = {"cmap": ListedColormap([colour]), "rasterized": True}
-    axes.tripcolor(*region.points.T, triangles, facecolors=np.zeros(len(triangles)), **how)
+    shades = np.fmax.reduce(values[triangles], axis=1)
+    axes.tripcolor(*region.points.T, triangles, facecolors=shades, rasterized=True, **how)
+    for number, loop in enumerate(region.loops()):
+        look = {"color": ATTAINABLE, "linestyle": dashes, "linewidth": 1.3 if dashes == "-" else 0.9}
+        axes.plot(*loop.T, label=None if number else label, **look)
 
 
 def _scale(show: str, top: float | None) -> Normalize:
@@ -237,30 +226,6 @@ def _bar(figure: Any, colours: Any, axes: Any, show: str) -> None:
         bar.minorticks_off()
 
 
-def _fill_beyond(axes: Any, beyond: AlphaShape) -> None:
-    if beyond.triangulation is not None and beyond.kept.any():
-        _fill_plain(axes, beyond, BEYOND)
-        _outline(axes, beyond, "--", "excluded by range")
-    elif len(beyond.points):
-        axes.plot(*beyond.points.T, ".", color=BEYOND, markersize=3, label="excluded by range", zorder=0.5)
-
-
-def _draw_points(axes: Any, points: Array, values: Array, show: str, highest: float | None) -> None:
-    """The tips of a region without an area, as of an arm that moves along a line."""
-    how: dict[str, Any] = {"s": 9, "label": "reached"}
-    if show == "reached":
-        axes.scatter(*points.T, color=ATTAINABLE, **how)
-        return
-    norm = _scale(show, _top(values) if highest is None else highest)
-    axes.scatter(*points.T, c=values.clip(max=norm.vmax), cmap=COLOURS, norm=norm, gid=show, **how)
-
-
-def _outline(axes: Any, region: AlphaShape, dashes: str, label: str) -> None:
-    for number, loop in enumerate(region.loops()):
-        name = label if number == 0 else None
-        axes.plot(*loop.T, color=ATTAINABLE, linestyle=dashes, linewidth=1.3 if dashes == "-" else 0.9, label=name)
-
-
 def _mark_apart(axes: Any, found: Workspace, seen: tuple[int, int]) -> None:
     """Snapped and unstable states, each by a mark."""
     for word, (colour, marker) in APART.items():
@@ -273,19 +238,5 @@ def _mark_apart(axes: Any, found: Workspace, seen: tuple[int, int]) -> None:
 
 def _words(found: Workspace) -> str:
     """How large a region is."""
-    size = f"{three_digits(1e4 * found.size)} cm²" if found.dimension == 2 else f"{three_digits(1e3 * found.size)} dm³"
-    words = f"{size} reached" if bool(found.reached.any()) else "nothing reached in range"
+    words = f"{region_size(found)} reached" if bool(found.reached.any()) else "nothing reached in range"
     return f"{words}\n{found.interruption}" if found.interruption else words
-
-
-def _same_limits(panels: Sequence[Any]) -> float:
-    """One scale for all panels; how much higher than wide they are."""
-    boxes = torch.tensor([[*axes.dataLim.min, *axes.dataLim.max] for axes in panels])
-    low, high = boxes[:, :2].amin(0), boxes[:, 2:].amax(0)
-    longest = max((1 + 2 * ROOM) * float((high - low).max()), SMALLEST)
-    extent = (high - low + 2 * ROOM * (high - low).max()).clamp(min=NARROWEST * longest)
-    middle = (low + high) / 2
-    (left, bottom), (right, top) = (middle - extent / 2).tolist(), (middle + extent / 2).tolist()
-    for axes in panels:
-        axes.set(xlim=(left, right), ylim=(top, bottom) if axes.yaxis.get_inverted() else (bottom, top))
-    return float(extent[1] / extent[0])

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torcharm.attainability import PREDICTED, VERDICTS, evaluate
-from torcharm.plot._common import VERDICT_STYLES, array, mark_inks
+from torcharm.plot._common import array, verdict_marks
 from torcharm.plot.loads import HALO, attainable_load_map, load_grid, load_map
 from torcharm.plot.median_case import is_lost, median_case
 from torcharm.report.content import Evaluated, Panel
@@ -68,11 +68,9 @@ def _draw_loads(axes: Any, result: StudyResult, sides: tuple[int, int]) -> None:
     force = array(result.task.task.tip_load)
     force = np.broadcast_to(force, (*result.task.task.batch_shape, force.shape[-1])).reshape(result.loads, -1)
     words = np.asarray(result.verdicts or ["not excluded" if not why else "excluded" for why in result.reasons])
-    for word, (colour, marker, filled) in VERDICT_STYLES.items():
-        own = force[words == word]
-        if len(own):
-            label = f"{len(own)} {word}"
-            axes.scatter(*own.T[list(sides)], 16, label=label, path_effects=HALO, **mark_inks(colour, filled, marker))
+    for word, own, inks in verdict_marks(words):
+        label = f"{own.sum()} {word}"
+        axes.scatter(*force[own].T[list(sides)], 16, label=label, path_effects=HALO, **inks)
     put_legend_below(axes)
 
 
