@@ -1,7 +1,6 @@
 """What every command shares: help texts, widths, endings of outputs, progress bars and Ctrl-C."""
 
 import csv
-import io
 import os
 import re
 import subprocess
@@ -210,17 +209,6 @@ def interrupted(monkeypatch, capsys, *arguments):
     return output.out
 
 
-def test_plan_keeps_what_was_found_before_ctrl_c(monkeypatch, capsys, study_file):
-    second = STUDY[STUDY.index("[[plan]]") :].replace("shape 1", "shape 2")
-    study_file.write_text(STUDY + second, encoding="utf-8")
-    interrupt_the_second_call(monkeypatch, shape_planning, "plan_shape")
-    out = study_file.parent / "shapes.csv"
-    output = interrupted(monkeypatch, capsys, "plan", str(study_file), "--out", str(out))
-    assert "shape 1" in output
-    assert "shape 2" not in output
-    assert len(out.read_text(encoding="utf-8").splitlines()) == 11
-
-
 def test_search_keeps_what_was_found_before_ctrl_c(monkeypatch, capsys, study_file):
     from torcharm.pressure import search
 
@@ -230,29 +218,6 @@ def test_search_keeps_what_was_found_before_ctrl_c(monkeypatch, capsys, study_fi
     assert "Task reach" in output
     assert "Task hold" not in output
     assert len(out.read_text(encoding="utf-8").splitlines()) == 3
-
-
-def test_search_of_an_arm_that_is_refused_costs_no_other(monkeypatch, capsys, study_file):
-    from torcharm.pressure import search
-
-    whole = search.search_pressure
-
-    def refuse_bellows(arm, *rest, **options):
-        if len({type(model) for model in arm.actuators}) == 1:
-            raise ValueError("arm: is refused")
-        return whole(arm, *rest, **options)
-
-    monkeypatch.setattr(search, "search_pressure", refuse_bellows)
-    study_file.write_text(STUDY.replace("[[arm]]", '[[arm]]\nname = "b"\nkind = "bellows"\n\n[[arm]]', 1))
-    out = study_file.parent / "found.csv"
-    monkeypatch.setattr(sys, "argv", ["torcharm", "search", str(study_file), "--out", str(out)])
-    with pytest.raises(SystemExit) as caught:
-        cli.main()
-    assert caught.value.code == 2
-    assert without_notice(capsys.readouterr().err) == "torcharm: b: arm: is refused\n"
-    with out.open(encoding="utf-8") as file:
-        rows = [(row["arm"], row["task"]) for row in csv.DictReader(file)]
-    assert rows == [("antagonistic", "reach")] * 2 + [("antagonistic", "hold")]
 
 
 def test_who_waits_without_a_terminal_is_told_once(capsys):
@@ -301,37 +266,12 @@ def on_a_terminal(*arguments: object) -> str:
     return b"".join(parts).decode()
 
 
-class Terminal(io.StringIO):
-    """A terminal of which nothing but what is written to it is of interest."""
-
-    def isatty(self) -> bool:
-        return True
-
-
-def in_this_process(monkeypatch, *arguments: object) -> str:
-    """The same without a process and a terminal of its own."""
-    with monkeypatch.context() as patch:
-        patch.setenv("TERM", "xterm")
-        patch.setenv("COLUMNS", "100")
-        patch.setattr(sys, "stderr", Terminal())
-        patch.setattr(sys, "argv", ["torcharm", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        assert not ended.value.code
-        return sys.stderr.getvalue()
-
-
 def check_bar(shown: str, words: str) -> None:
     frames = re.split(r"[\r\n]+", re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", shown))
     frames = [frame for frame in frames if words in frame]
     assert frames
     assert "100%" in frames[-1]
     assert any("0%" in frame and "100%" not in frame for frame in frames)
-
-
-@pytest.mark.parametrize(("command", "words"), [("search", "hold"), ("plan", "planning"), ("optimise", "optimising")])
-def test_bars_end_at_100_percent(study_file, monkeypatch, command, words):
-    check_bar(in_this_process(monkeypatch, command, study_file), words)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="terminals are other ones there")

@@ -111,7 +111,7 @@ def _report(console: "Console", plan: "Study", results: Sequence["StudyResult"],
 
 def _legend(plan: "Study", results: Sequence["StudyResult"], sums: bool) -> Iterator[str]:
     """What the columns mean, in a line each."""
-    from torcharm.study.words import verdict_legend, worst_node_legend
+    from torcharm.study.words import NOT_EXCLUDED, verdict_legend, worst_node_legend
     from torcharm.wrench_sets.node_distances import counted
 
     found = results[0].attainability
@@ -119,7 +119,7 @@ def _legend(plan: "Study", results: Sequence["StudyResult"], sums: bool) -> Iter
         yield from verdict_legend(plan.settings, results)
         yield "tip off, turned, shape: medians over loads."
     else:
-        yield "not excluded: no node lacks a wrench, which is necessary but not sufficient."
+        yield NOT_EXCLUDED
     if found.node_miss is not None:
         yield worst_node_legend(plan.settings)
     if sums or found.prediction is None:

@@ -143,11 +143,22 @@ def fit(
     outputs.check(None, out, figure)
     from torcharm.characterise.alignment import by_depth
     from torcharm.characterise.doubts import warn_of_doubts
-    from torcharm.units import LENGTH
 
-    given = _Runs(instron or [], pressure or [], offset or [], find_offset)
-    given.check(table, out)
-    sheets = given.read(table, truncated=truncated)
+    given = _Given(
+        testers=instron or [],
+        logs=pressure or [],
+        table=table,
+        offsets=offset or [],
+        search=find_offset,
+        columns=columns,
+        log_columns=pressure_columns,
+        gauge_length=gauge_length,
+        positive=positive,
+        unit=unit,
+        truncated=truncated,
+    )
+    given.check(out)
+    sheets = given.sheets()
     of_runs = {"--actuators": actuators, "--smoothing": smoothing, "--offset": offset, "--find-offset": find_offset}
     of_runs |= {"--max-gap": max_gap, "--truncated": truncated or None}
     _check_needed(of_runs if table else {}, "a --table")
@@ -155,10 +166,8 @@ def fit(
     without = model in ("mckibben", "gridded") and find_offset is None
     _check_needed({"--degree": degree} if without else {}, f"--model {model}")
     degree = 3 if degree is None else degree
-    length = None if gauge_length is None else numbers("--gauge-length", gauge_length, [LENGTH])[0]
-    reading = _Reading(columns, pressure_columns, length, positive, unit, truncated=truncated)
     alignment = {"actuators": 1 if actuators is None else actuators, "smoothing": smoothing, "max_gap": max_gap}
-    recording = reading.table(table) if table else reading.runs(sheets, given, degree, alignment)
+    recording = given.recording(sheets, degree, alignment)
     recording = by_depth(recording) if vacuum else recording
     how = {"loss": loss, "monotonic": monotonic, "max_pressure": max_pressure, "bending_stiffness": bending}
     compared, found = _fitted(recording, model or ("best" if table else "polynomial"), degree, how)
@@ -175,42 +184,43 @@ def _check_needed(options: Mapping[str, object], where: str) -> None:
             raise ValueError(f"{name}: must be left out with {where}, for which it means nothing, got {shown(value)}")
 
 
-def _check_replaceable(out: Path) -> None:
-    """Raise a ValueError about a file that is there and is no force model: a study, say, is not to be lost."""
-    from torcharm.characterise.model_file import load_actuator
-
-    if not out.is_file() or not out.stat().st_size:
-        return
-    try:
-        load_actuator(out)
-    except ValueError:
-        raise ValueError(f"--out: {out}: is there and is no force model, must be another file") from None
-
-
 @dataclass(frozen=True)
-class _Runs:
-    """Files of runs, and what is said of their clocks."""
+class _Given:
+    """Files of runs or a table, and what is said of their clocks and of their layout."""
 
     testers: Sequence[Path]
     logs: Sequence[Path]
+    table: Path | None
     offsets: Sequence[float]
     search: float | None
+    columns: str | None
+    log_columns: str | None
+    gauge_length: str | None
+    positive: str | None
+    unit: str | None
+    truncated: bool
 
-    def check(self, table: Path | None, out: Path) -> None:
-        """Raise a ValueError unless the options fit each other."""
-        if table is not None and (self.testers or self.logs):
+    def check(self, out: Path) -> None:
+        """Raise a ValueError unless the options fit each other, and what is to be written costs no other file."""
+        from torcharm.characterise.model_file import load_actuator
+
+        if self.table is not None and (self.testers or self.logs):
             raise ValueError("--table: must stand without --instron and --pressure, got both")
-        if table is None and not self.testers:
+        if self.table is None and not self.testers:
             raise ValueError("--instron: is missing, must name a tester's file; or --table a table of forces")
         if self.logs and len(self.testers) != len(self.logs):
             raise ValueError(
                 f"--pressure: must be given once for each --instron, got {count(len(self.logs), 'log')} for "
                 f"{count(len(self.testers), 'run')}"
             )
-        for path in (*self.testers, *self.logs, table or out.parent):
+        for path in (*self.testers, *self.logs, self.table or out.parent):
             if path.resolve() == out.resolve():
                 raise ValueError(f"--out: {out}: is one of the recordings, must be another file")
-        _check_replaceable(out)
+        if out.is_file() and out.stat().st_size:
+            try:
+                load_actuator(out)
+            except ValueError:  # a study, say, is not to be lost
+                raise ValueError(f"--out: {out}: is there and is no force model, must be another file") from None
         if self.search is not None and self.offsets:
             raise ValueError("--find-offset: must not stand beside --offset, got both")
         if len(self.offsets) > 1 and len(self.offsets) != len(self.testers):
@@ -218,68 +228,48 @@ class _Runs:
                 f"--offset: must be given once, or once for each of {len(self.testers)} runs, got {len(self.offsets)}"
             )
 
-    def read(self, table: Path | None, *, truncated: bool) -> "list[tuple[Sheet, Sheet | None]]":
-        """Of each run the tester's file and the log's, if it is another one: damage is told before all else."""
+    def sheets(self) -> "list[Sheet]":
+        """All files as they are, the testers' before the logs': damage is told before all else."""
         from torcharm.characterise.delimited import check_damage, read_sheet
 
-        sheets = [read_sheet(path) for path in (*self.testers, *self.logs, *([table] if table else []))]
-        for sheet in sheets:
-            check_damage(sheet, truncated=truncated)
-        logs: list[Sheet | None] = [*sheets[len(self.testers) :]]
-        return list(zip(sheets, logs if self.logs else [None] * len(self.testers), strict=False))
+        found = [read_sheet(path) for path in (*self.testers, *self.logs, *([self.table] if self.table else []))]
+        for sheet in found:
+            check_damage(sheet, truncated=self.truncated)
+        return found
 
-    def each_offset(self) -> list[float | None]:
-        """Of each run the offset [ms], if one is said."""
-        offsets: list[float | None] = [*self.offsets] or [None]
-        return offsets * len(self.testers) if len(offsets) == 1 else offsets
-
-
-@dataclass(frozen=True)
-class _Reading:
-    """What is said of the files' layout."""
-
-    columns: str | None
-    log_columns: str | None
-    gauge_length: float | None
-    positive: str | None
-    unit: str | None
-    truncated: bool
-
-    def table(self, path: Path) -> "Recording":
-        """The samples of a data sheet's table."""
-        from torcharm.characterise.force_table import read_table
-
-        options: dict[str, Any] = {"columns": self.columns, "gauge_length": self.gauge_length}
-        return read_table(path, self.unit, positive=self.positive, **options)
-
-    def runs(
-        self, sheets: "list[tuple[Sheet, Sheet | None]]", given: _Runs, degree: int, options: dict[str, Any]
-    ) -> "Recording":
-        """The samples of all runs, pressures on the tester's clock."""
+    def recording(self, sheets: "Sequence[Sheet]", degree: int, options: dict[str, Any]) -> "Recording":
+        """The samples of the table, or of all runs, pressures on the tester's clock."""
         from torcharm.characterise.alignment import align, pool
+        from torcharm.characterise.force_table import read_table
         from torcharm.characterise.offset import estimate_offset
+        from torcharm.units import LENGTH
 
-        runs = []
-        for pair, shift in zip(sheets, given.each_offset(), strict=True):
-            tester, log = self.run(*pair)
-            if given.search is None:
+        given = self.gauge_length
+        length = None if given is None else numbers("--gauge-length", given, [LENGTH])[0]
+        if self.table is not None:
+            how: dict[str, Any] = {"columns": self.columns, "gauge_length": length}
+            return read_table(self.table, self.unit, positive=self.positive, **how)
+        runs, number = [], len(self.testers)
+        logs: Sequence[Sheet | None] = sheets[number:] or [None] * number
+        offsets = self.offsets if len(self.offsets) > 1 else [*self.offsets, None][:1] * number
+        for sheet, log_sheet, shift in zip(sheets[:number], logs, offsets, strict=True):
+            tester, log = self.run(sheet, log_sheet, length)
+            if self.search is None:
                 runs.append(align(tester, log, offset=shift, **options))
                 continue
-            search: dict[str, Any] = {"degree": degree, "search": 1e3 * given.search}
+            search: dict[str, Any] = {"degree": degree, "search": 1e3 * self.search}
             search |= {} if options["smoothing"] is None else {"smoothing": options["smoothing"]}
             found = estimate_offset(tester, log, **search)
             run = align(tester, log, offset=found.offset, **options)
             runs.append(replace(run, settings=(*run.settings, ("certainty of the offset", found.words))))
         return pool(runs)
 
-    def run(self, sheet: "Sheet", log: "Sheet | None") -> tuple["TesterRecord", "PressureRecord"]:
+    def run(self, sheet: "Sheet", log: "Sheet | None", length: float | None) -> tuple["TesterRecord", "PressureRecord"]:
         """What the tester and the logger wrote."""
         from torcharm.characterise.columns import example, has_column
         from torcharm.characterise.recordings import as_pressure_record, as_tester_record
 
-        tester = as_tester_record(
-            sheet, self.columns, self.gauge_length, positive=self.positive, truncated=self.truncated
-        )
+        tester = as_tester_record(sheet, self.columns, length, positive=self.positive, truncated=self.truncated)
         if log is not None:
             own = self.log(log)
             _compare_pressures(sheet, own)

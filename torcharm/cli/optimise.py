@@ -65,8 +65,8 @@ def _optimise(plan: "Study", checkpoints: Sequence[Path], work: Work) -> "list[t
 
     how = plan.optimisation
     scale, unit = (1e3, "mm") if how.objective.unit == "m" else (1.0, how.objective.unit)
-    options: dict[str, Any] = {"starts": how.starts, "seed": how.seed, "iterations": how.iterations}
-    options["tolerance"] = plan.settings.tolerance
+    further: dict[str, Any] = {"starts": how.starts, "seed": how.seed, "iterations": how.iterations}
+    further["tolerance"] = plan.settings.tolerance
 
     def optimised(arm: "NamedArm", checkpoint: Path | None, told: Told) -> "Iterator[tuple[NamedArm, OptimisedDesign]]":
         def callback(done: "Progress") -> None:
@@ -74,8 +74,8 @@ def _optimise(plan: "Study", checkpoints: Sequence[Path], work: Work) -> "list[t
             told(done.start, f"{arm.name}, best {best}")
 
         tasks = [named.task for named in plan.tasks_of(arm)]
-        further = {"checkpoint": checkpoint, "callback": callback}
-        result = optimise_design(arm.design, tasks, how.space, how.objective, **options | further)
+        own = {"checkpoint": checkpoint, "callback": callback}
+        result = optimise_design(arm.design, tasks, how.space, how.objective, **further | own)
         yield arm, result
         if result.stopped == "interrupted":
             raise KeyboardInterrupt
@@ -173,38 +173,27 @@ def _toml(study: Path, out: Path, plan: "Study", results: Found) -> str:
     return study_to_toml(plan, name, arms, {arm.name: result.status for arm, result in results})
 
 
+VALUES = (("radius", "mm", 0), ("angle", "deg", 1), ("length", "mm", 2), ("max_pressure", "kPa", 3))
+"""Of an actuator's values the name, the unit, and the row of `given_values`."""
+
+
 def best_rows(results: Found) -> Iterator[dict[str, Any]]:
-    """A row for each arm and actuator, given and best."""
+    """A row for each arm and actuator, given and best; with angles, which the plane has none of, if one is in space."""
     from torcharm.actuators import model_name
-
-    fields = _fields(results)
-    for arm, result in results:
-        for index, (given, best) in enumerate(_values(result, results)):
-            row = {"arm": arm.name, "actuator": index + 1, "model": model_name(result.best.actuators[index])}
-            for prefix, values in (("given_", given), ("", best)):
-                row |= {f"{prefix}{name}_{unit}": one for (name, unit, _), one in zip(fields, values, strict=True)}
-            yield row
-
-
-def _fields(results: Found) -> list[tuple[str, str, int]]:
-    """Of each field that is told its name, its unit and its row of `given_values`; angles if an arm is in space."""
-    fields = [("radius", "mm", 0), ("angle", "deg", 1), ("length", "mm", 2), ("max_pressure", "kPa", 3)]
-    return fields if any(result.best.dimension == 3 for _, result in results) else [fields[0], *fields[2:]]
-
-
-def _values(result: "OptimisedDesign", results: Found) -> Iterator[tuple[list[float | None], list[float | None]]]:
-    """For each actuator the fields that are told, given and best; in the plane the angle is None."""
     from torcharm.design.space import given_values
     from torcharm.study.results import DEG, MM
 
-    flat, scales = result.best.dimension == 2, {"mm": MM, "deg": DEG, "kPa": 1.0}
-    rows = [(row, scales[unit]) for _, unit, row in _fields(results)]
-
-    def told(values: list[float]) -> list[float | None]:
-        return [None if flat and row == 1 else scale * values[row] for row, scale in rows]
-
-    for given, best in zip(*(given_values(arm)[0].T.tolist() for arm in (result.given, result.best)), strict=True):
-        yield told(given), told(best)
+    in_space = any(result.best.dimension == 3 for _, result in results)
+    shown, scales = [one for one in VALUES if in_space or one[0] != "angle"], {"mm": MM, "deg": DEG, "kPa": 1.0}
+    for arm, result in results:
+        pairs = zip(*(given_values(one)[0].T.tolist() for one in (result.given, result.best)), strict=True)
+        for index, pair in enumerate(pairs):
+            row = {"arm": arm.name, "actuator": index + 1, "model": model_name(result.best.actuators[index])}
+            for prefix, own in zip(("given_", ""), pair, strict=True):
+                for name, unit, place in shown:
+                    none = name == "angle" and result.best.dimension == 2
+                    row[f"{prefix}{name}_{unit}"] = None if none else scales[unit] * own[place]
+            yield row
 
 
 def _errors(results: Found) -> list[Column]:
@@ -232,20 +221,16 @@ def _errors(results: Found) -> list[Column]:
 
 def design_columns(results: Found) -> list[Column]:
     """A row for each actuator: what it was and is."""
-    from torcharm.actuators import model_name
-
-    fields = _fields(results)
-    in_space = len(fields) > 3
-    rows = []
-    for arm, result in results:
-        for index, pair in enumerate(_values(result, results)):
-            cells = []
-            for old, new in zip(*pair, strict=True):
-                ends = [f"{one:.{1 - in_space}f}" for one in (old, new) if one is not None]
-                cells.append(" → ".join(ends) or "-")
-            model = model_name(result.best.actuators[index])
-            rows.append(("" if index else arm.name, f"{index + 1} {model}", *cells))
-    names, models, *numbers = zip(*rows, strict=True)
-    gap = "\n" if in_space else " "  # so that four columns fit
-    titles = [f"{name.replace('max_pressure', 'limit')}{gap}[{unit.replace('deg', '°')}]" for name, unit, _ in fields]
-    return [Column("arm", names, 20), Column("actuator", models, 16), *map(Column, titles, numbers)]
+    rows = list(best_rows(results))
+    in_space = "angle_deg" in rows[0]
+    names = [row["arm"] if row["actuator"] == 1 else "" for row in rows]
+    models = [f"{row['actuator']} {row['model']}" for row in rows]
+    columns = [Column("arm", names, 20), Column("actuator", models, 16)]
+    gap, digits = ("\n", 0) if in_space else (" ", 1)  # so that four columns fit
+    for name, unit, _ in VALUES:
+        if (own := f"{name}_{unit}") in rows[0]:
+            pairs = [[row[f"given_{own}"], row[own]] for row in rows]
+            cells = ["-" if None in pair else " → ".join(f"{one:.{digits}f}" for one in pair) for pair in pairs]
+            title = f"{name.replace('max_pressure', 'limit')}{gap}[{unit.replace('deg', '°')}]"
+            columns.append(Column(title, cells))
+    return columns

@@ -1,6 +1,5 @@
 """`torcharm plan`: shapes through the tip poses of a study."""
 
-import itertools
 import math
 import sys
 from collections.abc import Iterator, Sequence
@@ -93,9 +92,9 @@ def _find(read: "Study", work: Work) -> list[Found]:
     from torcharm.study import NamedTask, evaluate_arm
 
     def planned(arm: "NamedArm", wanted: "NamedPlan", _: Told) -> Iterator[Found]:
-        options: dict[str, Any] = {name: getattr(wanted, name) for name in ("nodes", "base_pose", "in_range")}
+        how: dict[str, Any] = {name: getattr(wanted, name) for name in ("nodes", "base_pose", "in_range")}
         try:
-            shape = plan_shape(arm.design, wanted.tip_pose, wanted.load, wanted.smoothness, **options)
+            shape = plan_shape(arm.design, wanted.tip_pose, wanted.load, wanted.smoothness, **how)
         except ValueError as error:  # costs this plan alone
             none = torch.full((wanted.nodes, 3 * arm.design.dimension - 3), math.nan)
             shape = PlannedShape(f"{REFUSED}{error}", none, math.nan, math.nan, None)
@@ -185,8 +184,8 @@ def _written(read: "Study", found: Sequence[Found], out: Path | None) -> Iterato
     if out is not None and out.suffix.lower() == ".toml":
         tasks = list(_tasks(read, found))
         if tasks:
-            text = "\n".join(task_to_toml(task) for task in tasks)
-            yield out, lambda path: path.write_text(text, encoding="utf-8"), f" ({count(len(tasks), 'task')})."
+            words = f" ({count(len(tasks), 'task')})."
+            yield out, lambda path: path.write_text("\n".join(map(task_to_toml, tasks)), encoding="utf-8"), words
     elif found:
         yield from outputs.rows(out, list(_rows(found)))
 
@@ -200,17 +199,15 @@ def _drawn(wanted: "NamedPlan", found: Sequence[Found]) -> "Figure":
 
 def _tasks(read: "Study", found: Sequence[Found]) -> "Iterator[NamedTask]":
     """The shapes found as tasks of their arms, by names that the study does not have yet."""
+    from torcharm.study.data import unused_name
+
     taken = {task.name for task in read.tasks}
     for one in found:
-        if one.result is None:
-            continue
-        alone = len(read.arms_of(one.task)) == 1
-        first = name = one.task.name if alone else f"{one.task.name}, {one.arm.name}"
-        numbers = itertools.count(2)
-        while name in taken:
-            name = f"{first} {next(numbers)}"
-        taken.add(name)
-        yield replace(one.result.task, name=name)
+        if one.result is not None:
+            alone = len(read.arms_of(one.task)) == 1
+            name = unused_name(one.task.name if alone else f"{one.task.name}, {one.arm.name}", taken)
+            taken.add(name)
+            yield replace(one.result.task, name=name)
 
 
 def _shape_columns(found: Sequence[Found]) -> Iterator[Column]:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from torcharm.pressure.search import PressureSearch
-    from torcharm.study import NamedArm, NamedTask, Settings, StudyResult
+    from torcharm.study import NamedArm, NamedTask, Settings, Study, StudyResult
 
 BLOCKS = {"multistart": 100, "scipy": 1}
 """Loads searched at once: what an interruption may lose."""
@@ -73,7 +73,7 @@ def search(
     found: list[tuple[NamedTask, list[StudyResult]]] = []
     with _Rows(out) as kept:
         for task in plan.tasks:
-            found.append((task, _search(plan.arms_of(task), task, plan.settings, how, kept, work)))
+            found.append((task, _search(plan, task, how, kept, work)))
             if found[-1][1]:
                 _report(*found[-1])
             if work.interrupted:
@@ -85,14 +85,7 @@ def search(
     work.finish(results)
 
 
-def _search(
-    arms: Sequence["NamedArm"],
-    task: "NamedTask",
-    settings: "Settings",
-    how: dict[str, Any],
-    kept: "_Rows",
-    work: Work,
-) -> list["StudyResult"]:
+def _search(plan: "Study", task: "NamedTask", how: dict[str, Any], kept: "_Rows", work: Work) -> list["StudyResult"]:
     """What is found of all arms on one task, some loads at a time; `how` has arguments of `search_pressure`."""
     from torcharm.pressure.search import search_pressure
     from torcharm.study.results import result_rows
@@ -102,13 +95,13 @@ def _search(
     def searched(arm: "NamedArm", task: "NamedTask", told: Told) -> "Iterator[StudyResult]":
         for done, first in enumerate(firsts, 1):
             part = task.task.part(slice(first, first + firsts.step))
-            found = _judged(arm, task, first, search_pressure(arm.design, part, **how), settings)
+            found = _judged(arm, task, first, search_pressure(arm.design, part, **how), plan.settings)
             kept.add(result_rows(found, first + 1))
             yield found
             told(done)
 
-    found = work.each(task.name, [(arm, task) for arm in arms], searched, len(firsts))
-    parts = ([one for one in found if one.arm is arm] for arm in arms)
+    found = work.each(task.name, [(arm, task) for arm in plan.arms_of(task)], searched, len(firsts))
+    parts = ([one for one in found if one.arm is arm] for arm in plan.arms_of(task))
     return [_whole(task, own) for own in parts if own]
 
 

@@ -204,14 +204,13 @@ def _columns(found: Sequence["BuiltStudy"]) -> Iterator[Column]:
 
 def _legend(plan: "Study", built: "BuiltArms") -> Iterator[str]:
     """What the columns mean, in a line each."""
-    import math
+    from torcharm.study.words import allowed
 
     kept = "found anew for each built arm" if built.compensated else "the drawn arm's, kept"
     size = "half widths" if built.scatter.distribution == "uniform" else "standard deviations"
     yield f"{count(built.wanted, 'built arm')}; tolerances are {size}; pressures are {kept}."
-    tip = plan.settings.tolerance.tip
-    near = "2 % of the drawn arm's length" if tip is None else f"{1e3 * tip:g} mm"
-    yield f"yield: tip and shape within {near}, turned within {math.degrees(built.tolerance.rotation):.3g}°;"
+    length = "the drawn arm's length"
+    yield f"yield: {allowed(plan.settings.tolerance, length)};"
     yield "in brackets its bounds with 95 % confidence. drawn: where loading from rest leads, median over loads."
     yield "what fails: pairs of a built arm and a load, by the tip's place, its turn or the shape's mean distance; some"
     yield "fail by several. Neither range nor margin counts against the yield."

@@ -76,8 +76,8 @@ class Work:
     ) -> list[Result]:
         """Do it for each pair of an arm and what it is to be done with, and return all results, with a bar.
 
-        A ValueError costs its pair alone. Ctrl-C, which work may also raise once it has given what it found until then,
-        ends all; only Ctrl-C while nothing is at work passes on.
+        A ValueError costs its pair alone. Ctrl-C ends all; work that takes it itself, and gives what it found until
+        then, raises it anew.
 
         Args:
             what: is done, beside the bar.

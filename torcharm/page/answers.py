@@ -17,13 +17,13 @@ from torcharm.equilibrium.problem import Problem
 from torcharm.equilibrium.stability import buckles_in_torsion
 from torcharm.geometry import rod
 from torcharm.geometry.alpha_shape import AlphaShape
-from torcharm.inputs import three_digits
 from torcharm.page.state import BEST, State, design_of, pressure_of, task_of
 from torcharm.plot._common import Array, array
 from torcharm.pressure.at_pressure import error_at_pressure
 from torcharm.pressure.search import LESS_COMPRESSION
 from torcharm.statics.balance import segments_of
 from torcharm.statics.external_load import HULL, task_wrench
+from torcharm.study.words import region_size
 from torcharm.task import Task
 from torcharm.workspaces import workspace
 from torcharm.wrench_sets.wrench_set import wrench_hulls
@@ -204,8 +204,7 @@ def swept(state: State) -> tuple[AlphaShape, str]:
     found = workspace(design_of(state), task.load, states=STATES, **how)
     if not bool(found.reached.any()):
         return found.region, "Nothing is reached under this load within what was characterised."
-    size = f"{three_digits(1e4 * found.size)} cm²" if found.dimension == 2 else f"{three_digits(1e3 * found.size)} dm³"
-    return found.region, f"The tip reaches {size} under this load, within what was characterised."
+    return found.region, f"The tip reaches {region_size(found)} under this load, within what was characterised."
 
 
 def same_reach(one: State, other: State) -> bool:

@@ -40,24 +40,21 @@ class Gizmo:
     def show(self, found: Answer) -> None:
         """Put it where what it drags is, unless it is being dragged."""
         with self._changing:
-            self._put(found)
-
-    def _put(self, found: Answer) -> None:
-        if self._what == NOTHING or self.dragging:
-            return
-        self._at = at = handles(found)
-        if self._handle is None:
-            self._handle = self._scene.add_transform_controls(
-                "/handle",
-                scale=SIZE * float(found.arm.neutral_length),
-                active_axes=(True, True, found.arm.dimension == 3),
-                disable_rotations=self._what == LOAD,
-                depth_test=False,
-            )
-            self._handle.on_update(self._dragged)
-        tip = self._what == TIP
-        self._handle.position = at.tip[:3, 3] if tip else at.load
-        self._handle.wxyz = self._rotation.from_matrix(at.tip[:3, :3] if tip else np.eye(3)).wxyz
+            if self._what == NOTHING or self.dragging:
+                return
+            self._at = at = handles(found)
+            if self._handle is None:
+                self._handle = self._scene.add_transform_controls(
+                    "/handle",
+                    scale=SIZE * float(found.arm.neutral_length),
+                    active_axes=(True, True, found.arm.dimension == 3),
+                    disable_rotations=self._what == LOAD,
+                    depth_test=False,
+                )
+                self._handle.on_update(self._dragged)
+            tip = self._what == TIP
+            self._handle.position = at.tip[:3, 3] if tip else at.load
+            self._handle.wxyz = self._rotation.from_matrix(at.tip[:3, :3] if tip else np.eye(3)).wxyz
 
     async def _dragged(self, event: Any) -> None:
         """Where the load's arrow starts is held while its head is dragged, though the arm moves meanwhile."""

@@ -5,6 +5,7 @@ from pathlib import Path
 from torcharm.files import atomic_write
 from torcharm.page.state import State, changed_task, design_of, opened, task_of, with_arm, with_task
 from torcharm.study import NamedArm, NamedTask, load_study, moved_files, study_to_toml, task_to_toml
+from torcharm.study.data import unused_name
 
 EXPLORED = ", explored"
 """What the name of a task ends in whose shape or load was changed."""
@@ -53,8 +54,4 @@ def load(state: State, out: Path) -> State:
 def _new_name(state: State) -> str:
     """Of the task, which no other has."""
     names, own = {task.name for task in state.study.tasks}, state.named_task.name
-    name = own if own.endswith(EXPLORED) else f"{own}{EXPLORED}"
-    number = 1
-    while (found := name if number == 1 else f"{name} {number}") in names:
-        number += 1
-    return found
+    return unused_name(own if own.endswith(EXPLORED) else f"{own}{EXPLORED}", names)

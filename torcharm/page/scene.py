@@ -112,10 +112,17 @@ class Handles:
     newtons: float
 
 
+def _centrelines(found: Answer) -> tuple[Centreline, Centreline]:
+    """Of the shape that is asked for and of the one that the arm takes, if one was found."""
+    wanted = centreline(found.arm, found.task.twists, found.task)
+    if found.twists is None:
+        return wanted, wanted
+    return wanted, centreline(found.arm, found.twists.to(found.task.twists), found.task)
+
+
 def draw(found: Answer) -> Scene:
     """All there is to see, by name."""
-    wanted = centreline(found.arm, found.task.twists, found.task)
-    at = wanted if found.twists is None else centreline(found.arm, found.twists.to(found.task.twists), found.task)
+    wanted, at = _centrelines(found)
     length = float(found.arm.neutral_length)
     parts = (
         _base(found.arm, at),
@@ -131,8 +138,7 @@ def draw(found: Answer) -> Scene:
 
 def handles(found: Answer) -> Handles:
     """Where the tip and the load are, to be dragged."""
-    wanted = centreline(found.arm, found.task.twists, found.task)
-    at = wanted if found.twists is None else centreline(found.arm, found.twists.to(found.task.twists), found.task)
+    wanted, at = _centrelines(found)
     newtons = newtons_per_metre(found.state)
     force = np.zeros(3)
     force[: found.arm.dimension] = found.state.tip[: found.arm.dimension]

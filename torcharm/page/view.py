@@ -1,6 +1,7 @@
 """The page of one browser: its controls, its scene and its words, kept as the newest answer is."""
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -100,13 +101,8 @@ class View:
     def _folder(self, path: tuple[str, ...], folders: dict[tuple[str, ...], Any]) -> Any:
         """The folder of some names, from the outermost on, which is made where there is none."""
         if path not in folders:
-            if len(path) > 1:
-                with self._folder(path[:-1], folders):
-                    folders[path] = self._client.gui.add_folder(path[-1])
-            elif path == ("Node",):  # beside the results that it belongs to
-                with self._tab:
-                    folders[path] = self._client.gui.add_folder(path[-1])
-            else:
+            within = self._folder(path[:-1], folders) if len(path) > 1 else nullcontext()
+            with self._tab if path == ("Node",) else within:  # beside the results that it belongs to
                 folders[path] = self._client.gui.add_folder(path[-1])
             self._roots += [folders[path]] if len(path) == 1 else []
         return folders[path]
@@ -162,13 +158,10 @@ class View:
             self._gizmo.take(choice.value)
 
         choice.on_update(chosen)
-        self._button(
-            "plan a shape", "Through this tip, one that the arm can hold: as torcharm plan.", self.session.plan
-        )
-
-        self._button(
-            "show the workspace", "Where the tip can be under this load, over all pressures.", self.session.sweep
-        )
+        hint = "Through this tip, one that the arm can hold: as torcharm plan."
+        self._button("plan a shape", hint, self.session.plan)
+        hint = "Where the tip can be under this load, over all pressures."
+        self._button("show the workspace", hint, self.session.sweep)
 
     def _add_buttons(self) -> None:
         self._button("fit the view", "So that all of the arm is seen.", self._fit)

@@ -11,10 +11,9 @@ from torcharm.report.content import Block, Evaluated, Panel, Section
 from torcharm.report.designs import design_csv, design_table
 from torcharm.report.figures import arm_panels, error_panels, hull_panels
 from torcharm.report.load_maps import load_map_panels
-from torcharm.study import Study, StudyResult, csv_text, result_rows, summarise
+from torcharm.study import Study, StudyResult, csv_text, result_rows, summarise, words
 from torcharm.study.advice import advice
 from torcharm.study.built import built_rows
-from torcharm.study.words import CHANGE, HELD_OUTSIDE, next_commands, verdict_legend, weighing_legend, worst_node_legend
 
 Panels = Callable[[Sequence[StudyResult], Evaluated], Iterable[Panel]]
 
@@ -43,19 +42,19 @@ def _legend(evaluated: Evaluated) -> Iterator[str]:
     """What the columns mean, as far as they are there."""
     settings = evaluated.study.settings
     if evaluated.predicted:
-        yield from verdict_legend(settings, evaluated.results)
+        yield from words.verdict_legend(settings, evaluated.results)
         yield "tip off, turned, shape off: errors of the predicted equilibrium, over the loads."
     else:
-        yield "not excluded: no node lacks a wrench, which is necessary but not sufficient."
+        yield words.NOT_EXCLUDED
     if any(summarise(result).worst_node is not None for result in evaluated.results):
-        yield worst_node_legend(settings)
+        yield words.worst_node_legend(settings)
     if evaluated.results[0].attainability.capacity_margin is not None:
         yield "least margin: from what loads require of nodes to the boundary of what pressures give; above 0 inside."
         if any(map(_held_outside, evaluated.results)):
-            yield f"{HELD_OUTSIDE}."
-    yield weighing_legend(settings)
+            yield f"{words.HELD_OUTSIDE}."
+    yield words.weighing_legend(settings)
     if any("change from the base" in reason for result in evaluated.results for reason in result.reasons):
-        yield f"{CHANGE}."
+        yield f"{words.CHANGE}."
 
 
 def _held_outside(result: StudyResult) -> bool:
@@ -73,7 +72,7 @@ def next_steps(evaluated: Evaluated) -> Section | None:
         found = evaluated.of_arm(arm)
         points = [(result.task.name * (len(found) > 1), said) for result in found for said in advice(result)]
         blocks += [Block(title=arm.name, points=points)] if points else []
-    commands = list(next_commands(evaluated.source, evaluated.results))
+    commands = list(words.next_commands(evaluated.source, evaluated.results))
     blocks += [Block(title="All designs", commands=commands)] if commands else []
     return Section("What to try next", blocks) if blocks else None
 
