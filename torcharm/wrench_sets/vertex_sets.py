@@ -25,7 +25,8 @@ from torcharm.wrench_sets.hull_distance import HullDistance
 from torcharm.wrench_sets.vertices import find_nearest_vertices
 
 HULLS = ("exact", "edges")
-DISTANCES = ("gjk", "qpth", "scipy")
+SOLVERS = ("qpth", "scipy")
+DISTANCES = ("gjk", *SOLVERS)
 EDGE_SAMPLES, CURVE_SAMPLES = 3, 9
 """Points on an edge of the pressure box, the paper's number, and on an actuator's curve, unless told."""
 MOST_EDGE_ACTUATORS = 12
@@ -66,10 +67,11 @@ def find_solver(distance: str | DistanceFunction) -> DistanceFunction:
     """The solver of that name, which loads when it is first asked for; a function is one already.
 
     Raises:
-        ValueError: qpth is asked for and not installed.
+        ValueError: no solver has that name, or qpth is asked for and not installed.
     """
     if not isinstance(distance, str):
         return distance
+    check_choice("distance", distance, SOLVERS)
     if distance == "scipy":
         from torcharm.wrench_sets.reference import nnls_distance
 
