@@ -129,6 +129,20 @@ def paper_scene(name, *, loads=2, nodes=10, together=True, grad=False):
     return Scene(arm.actuators, members, {key: leaf.clone().requires_grad_(grad) for key, leaf in leaves.items()})
 
 
+def attainable_scene(loads=6, spread=1.0):
+    """A bellows arm that holds two elements well inside its limits, by both metrics, under loads that are much alike.
+
+    Args:
+        loads: their number.
+        spread: by how much each component may differ from those of one load [N, N·m].
+    """
+    arm, twists = PAPER_ARMS["bellows"](), double([[0.57, 0.0, 1.25], [0.58, 0.0, -1.2]])
+    leaves = {name: getattr(arm, name).clone() for name in ("radii", "length", "max_pressure")}
+    leaves["twists"] = twists
+    leaves["tip_load"] = double([-11.0, 50.0, -1.0] + np.random.default_rng(0).uniform(-1, 1, (loads, 3)) * spread)
+    return Scene(arm.actuators, (0, 1, 2, 3), {key: leaf.requires_grad_() for key, leaf in leaves.items()})
+
+
 def random_scene(name, *, designs, tasks, nodes, seed=0, grad=False):
     """Designs about one of the paper's, each on every one of some random shapes with a load of its own.
 

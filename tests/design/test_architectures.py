@@ -93,7 +93,7 @@ def test_tasks_that_are_not_their_own_mirror_image_merge_nothing() -> None:
     for task in (
         ta.Task(MIRRORED.twists, MIRRORED_LOADS[0]),
         ta.Task(MIRRORED.twists, MIRRORED_LOADS, base_pose=(0.0, 0.0, -1.5)),
-        ta.Task(MIRRORED.twists, MIRRORED_LOADS, load=ta.ExternalLoad(points=[ta.PointLoad([0.0, -1.0, 0.0], at=0.5)])),
+        ta.Task(MIRRORED.twists, MIRRORED_LOADS, load=ta.ExternalLoad(points=[ta.PointLoad([1.0, 0.0, 0.0], at=0.5)])),
     ):
         assert not optimise_architectures(arm, task, objective=NEWTONS, starts=1, iterations=1).merged
 
@@ -130,7 +130,11 @@ THIRDS = (0.0, 2 * math.pi / 3, 4 * math.pi / 3)
         (bent_towards(*THIRDS, force=2.0, gravity=True), LENGTHS, 6),
         (bent_towards(*THIRDS[:2], force=2.0), LENGTHS, 2),
         (bent_towards(0.0, gravity=True), LENGTHS, 2),  # its own mirror image alone
-        (bent_towards(0.0, points=[ta.PointLoad([0.0, -1.0, 0.0, 0.0, 0.0, 0.0])]), LENGTHS, 1),
+        (bent_towards(0.0, points=[ta.PointLoad([1.0, -1.0, 0.0, 0.0, 0.0, 0.2])]), LENGTHS, 2),
+        (bent_towards(0.0, points=[ta.PointLoad([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])]), LENGTHS, 1),
+        (bent_towards(*THIRDS, points=[ta.PointLoad([0.0, 0.0, 0.0, 0.0, 0.1, 0.0])]), LENGTHS, 3),
+        (bent_towards(*THIRDS, points=[ta.PointLoad([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], frame="body")]), LENGTHS, 6),
+        (bent_towards(*THIRDS, points=[ta.PointLoad([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], frame="body")]), LENGTHS, 1),
         (bent_towards(0.4, gravity=True), LENGTHS, 1),
         (bent_towards(0.4, gravity=True), DesignSpace(free="angles"), 3),
         (bent_towards(0.4, gravity=True), DesignSpace(free="angles", tied="mirror"), 1),
@@ -145,6 +149,20 @@ def test_a_ring_has_as_many_images_as_its_tasks_allow(task: ta.Task, space: Desi
     assert found[0] == (0, 1, 2)
 
 
+class Magnet(ta.ExternalLoad):
+    """A load with a part of its own, of which nobody knows the image."""
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        return super().tensors() | {"field": torch.ones(3, dtype=torch.float64)}
+
+
+def test_under_a_load_of_an_unknown_kind_no_arrangement_is_anothers_image() -> None:
+    task = bent_towards(*THIRDS, force=2.0)
+    assert len(symmetries(RING, (ta.Bellows(),), (task,), LENGTHS)) == 6
+    unknown = ta.Task(task.twists, load=Magnet(task.tip_load))
+    assert symmetries(RING, (ta.Bellows(),), (unknown,), LENGTHS) == [(0, 1, 2)]
+
+
 def test_of_arrangements_that_are_images_of_each_other_one_is_tried() -> None:
     task = bent_towards(*THIRDS, force=2.0)
     found = optimise_architectures(RING, task, LENGTHS, NEWTONS, starts=1, iterations=1)
@@ -157,7 +175,8 @@ def test_of_arrangements_that_are_images_of_each_other_one_is_tried() -> None:
 def test_images_are_worth_the_same(order: tuple[int, ...]) -> None:
     """What merging rests on."""
     models = [ta.Bellows(), ta.McKibben(), ta.McKibben(force_scale=2.0)]
-    task = bent_towards(*THIRDS, force=2.0, gravity=True)
+    points = [ta.PointLoad([0.5, 0, 0, 0, 0, 0], at=0.6, frame="body"), ta.PointLoad([0, -1, 0, 0, 0, 0], mass=0.1)]
+    task = bent_towards(*THIRDS, force=2.0, gravity=True, points=points)
     arms = [
         ta.ArmDesign(offsets=RING.offsets, length=0.4, actuators=own, mass=0.2)
         for own in (models, [models[i] for i in order])

@@ -1,5 +1,7 @@
 """The engine's balance and Newton step, against plain statics in torch and dense matrices by differences."""
 
+from dataclasses import replace
+
 import balances
 import numpy as np
 import pytest
@@ -51,16 +53,29 @@ class Case:
         return np.stack(columns, -1)
 
 
-def spatial_case(index, middle, shear=None):
+LAW = ta.BendingFunction(lambda k, p: -(0.05 + p / 200) * (k + 0.2 * k**3), 50.0)
+"""Of what is sampled, such cubics are exact."""
+
+
+def with_law(arm):
+    """The same arm, whose actuators all bear moments by the law."""
+    models = [replace(model, bending_stiffness=LAW) for model in arm.actuators]
+    across = {"radii": arm.radii} if arm.dimension == 2 else {"offsets": arm.offsets}
+    return ta.ArmDesign(**across, length=arm.length, actuators=models, max_pressure=arm.max_pressure, mass=arm.mass)
+
+
+def spatial_case(index, middle, shear=None, law=False):
     arm, task = arm_and_task(SCENES[index])
+    arm = with_law(arm) if law else arm
     pressure = np.random.default_rng(index).uniform(0, 40, arm.actuator_count)
     return Case(arm, task.load, task.base_pose, list(task.segment_nodes), task.twists.numpy(), pressure, middle, shear)
 
 
-def planar_case(middle, shear=None, points=True):
+def planar_case(middle, shear=None, points=True, law=False):
     """Two segments with a bent link, gravity, and loads of each kind at the ends of elements and inside."""
     rng = np.random.default_rng(1)
     half = ta.ArmDesign(ta.antagonistic_arm().radii, 0.5, ta.antagonistic_arm().actuators, mass=0.4)
+    half = with_law(half) if law else half
     arm = ta.series([half, ta.RigidLink(pose=[0.05, 0.01, 0.3], mass=0.1), half])
     wrench = [0.5, 0.6, 0.07]
     loads = [
@@ -85,6 +100,8 @@ CASES = {
     "plane start, shear": (planar_case, False, 500.0),
     "plane middle, shear": (planar_case, True, 500.0),
     "plane, a tip load": (planar_case, False, None, False),
+    "plane, a law of bending": (planar_case, True, None, True, True),
+    "space, a law of bending": (spatial_case, 0, True, None, True),
 }
 
 

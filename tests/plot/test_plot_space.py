@@ -37,14 +37,20 @@ def labels(axes):
     return [line.get_label() for line in axes.lines if not line.get_label().startswith("_")]
 
 
-def test_tubes_have_their_kinds_diameters_and_places(axes):
-    arm, task = ring_arm(diameter=0.03), one_task()
+def test_tubes_have_their_kinds_diameters_and_places(axes, monkeypatch):
+    arm, task, tubes, draw = ring_arm(diameter=0.03), one_task(), [], axes.plot_surface
+
+    def kept(*corners, **style):
+        tubes.append(np.stack(corners, -1).reshape(-1, 3))
+        return draw(*corners, **style)
+
+    monkeypatch.setattr(axes, "plot_surface", kept)
     plot.arm_shape(arm, task, ax=axes)
-    tubes = [tube._faces.reshape(-1, 3) for tube in axes.collections[1:7]]  # after the base plate
     assert len(tubes) == 6
     assert {"bellows (3)", "mckibben (3)", "centreline", "tip load, 2.69 N"} <= set(labels(axes))
     for tube, (y, z) in zip(tubes, arm.offsets.tolist(), strict=True):
         rim = tube[np.abs(tube[:, 2]) < 1e-12]  # in the base's plane, whose x is the body's y, and z the body's z
+        assert len(rim) > 3
         assert np.allclose(np.hypot(rim[:, 0] - y, rim[:, 1] - z), 0.015)
 
 

@@ -1,7 +1,10 @@
 """Gradients of distances against central differences: every input, every metric, plane and space."""
 
+import numpy as np
+import oracle
 import pytest
 import torch
+from hull_cases import double, unchecked
 from torch import nn
 
 import torcharm as ta
@@ -187,3 +190,56 @@ def test_second_derivatives_are_refused_and_directional_ones_right(chunk_size):
         (gradient,) = torch.autograd.grad(answer(radii), radii, create_graph=True)
         with pytest.raises(RuntimeError, match="second derivatives"):
             torch.autograd.grad(gradient.sum(), radii)
+
+
+@pytest.mark.parametrize("turn", [0.0, 1e-13, 1e-9])
+@pytest.mark.parametrize("kind", ["exact", "edges"])
+def test_values_with_gradients_are_those_without_on_a_straight_arm(turn, kind):
+    arm = ta.antagonistic_arm()
+    tracked = ta.ArmDesign(arm.radii.clone().requires_grad_(), arm.length, arm.actuators)
+    for length in (0.37, 0.45, 0.5, 0.6):
+        task = ta.Task(ta.affine_curvature(turn, turn, length=length), ta.sample_loads(60))
+        plain, result = (
+            ta.evaluate(arm, task, ("absolute", "relative"), hull=kind),
+            ta.evaluate(tracked, task, ("absolute", "relative"), hull=kind),
+        )
+        torch.testing.assert_close(result.absolute.detach(), plain.absolute, rtol=1e-9, atol=1e-9)
+        torch.testing.assert_close(result.relative.detach(), plain.relative, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("turn", [0.0, 1e-9, 0.3])
+def test_values_with_gradients_are_those_without_beside_the_joint_of_parallel_faces(turn):
+    # Equal actuators make parallel faces, end to end; the points stand beside the joints, to within rounding or not.
+    linear = ta.PolynomialActuator(((0, 1, 0.937),), (-1.0, 1.0), (0.0, 10.0), 10.0)
+    arm = ta.ArmDesign([0.0513, 0.0513, 0.0513], 0.5, [linear] * 3)
+    twists = double([[0.5, 0.0, turn]])
+    joints = ta.reaction_wrench(arm, twists, double([[10.0, 0.0, 0.0], [10.0, 10.0, 0.0]]))  # (2, 1, 2)
+    along = (joints[1] - joints[0]) / (joints[1] - joints[0]).norm()
+    across = along.flip(-1) * double([1.0, -1.0])
+    aside = double([sign * 10.0**power for power in np.linspace(-14, -4, 101) for sign in (-1, 1)])[:, None, None, None]
+    away = double([-7.0, -0.3, 0.3, 7.0])[:, None, None, None, None]
+    required = (joints + aside * along + away * across).squeeze(-2).reshape(-1, 2)
+    # which load asks for it? one segment: the wrench is linear in the load
+    unit = double(np.array([oracle.required_wrenches(twists, load)[0, [0, 2]] for load in np.eye(3)]))
+    loads = required @ torch.linalg.pinv(unit)
+    plain = ta.evaluate(arm, ta.Task(twists, loads, wrench_at="start"), ("absolute",))
+    tracked = ta.evaluate(arm, ta.Task(twists, loads.clone().requires_grad_(), wrench_at="start"), ("absolute",))
+    assert (plain.absolute > 0).all()
+    torch.testing.assert_close(tracked.absolute.detach(), plain.absolute, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("length", [0.37, 0.45, 0.49])
+@unchecked()
+def test_gradients_on_a_straight_arm_are_those_of_central_differences(length):
+    models = [ta.Bellows(), ta.McKibben(), ta.McKibben(), ta.Bellows()]
+    radii = double([-0.07, -0.02, 0.015, 0.06])
+    task = ta.Task(ta.affine_curvature(0.0, 0.0, length=length, nodes=4), ta.sample_loads(20))
+
+    def total(limits):
+        return ta.evaluate(ta.ArmDesign(radii, 0.5, models, limits), task, ("absolute",)).absolute
+
+    limits, step = double([40.0, 80.0, 90.0, 45.0], grad=True), 1e-3
+    total(limits).sum().backward()
+    for index, shift in enumerate(step * torch.eye(4, dtype=torch.float64)):
+        found = (total(limits.detach() + shift) - total(limits.detach() - shift)).sum() / (2 * step)
+        assert limits.grad[index].item() == pytest.approx(found.item(), rel=1e-6, abs=1e-6)

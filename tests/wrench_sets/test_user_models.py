@@ -1,7 +1,13 @@
 """Force models that only torch knows: one design alone, and among hundreds whose curves follow from a few strains."""
 
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import oracle
 import pytest
 import torch
+from hull_cases import double
 
 import torcharm as ta
 from experiments.exactness.models import SmoothModel
@@ -93,3 +99,62 @@ def test_a_force_that_is_none_is_refused_by_the_actuators_name(force, said):
     with pytest.raises(ValueError, match=r"^actuators\[1\]") as error:
         ta.evaluate(ta.ArmDesign([-0.05, 0.05], 0.5, [ta.Bellows(), Wrong()]), task, ("absolute",))
     assert said in str(error.value)
+
+
+SHAPE = double([[0.48, 0.01, 0.7], [0.51, -0.01, -0.9], [0.5, 0.02, 0.2]])
+
+
+@dataclass(frozen=True)
+class Piston:
+    """An actuator that shares nothing with torcharm's own."""
+
+    area: float = 0.8
+    bending_stiffness: float = -0.1
+    max_pressure: float = 60.0
+    strain_range: tuple[float, float] = (-0.3, 0.3)
+    pressure_range: tuple[float, float] = (0.0, 60.0)
+
+    def force(self, strain, pressure):
+        return self.area * pressure * torch.exp(-strain) - 20 * strain
+
+
+@pytest.mark.parametrize("kind", ["exact", "edges"])
+def test_a_force_model_of_ones_own_mixes_with_the_librarys(kind):
+    twin = oracle.Actuator(lambda e, p: 0.8 * p * math.exp(-e) - 20 * e, -0.1, 60.0)
+    bellows = oracle.Actuator(oracle.bellows_force)
+    arm = ta.ArmDesign([-0.05, 0.01, 0.04], 0.5, [Piston(), ta.Bellows(), Piston()])
+    limits = (60.0, 50.0, 60.0)
+    expected_arm = oracle.Arm((-0.05, 0.01, 0.04), (0.5,) * 3, limits, (twin, bellows, twin))
+    twists, load = SHAPE, double([[-8.3, 3.1, 0.6]])
+    options = {"hull": "edges"} if kind == "edges" else {"distance": "scipy"}
+    task = ta.Task(twists, load, wrench_at="start")
+    result = ta.evaluate(arm, task, ("absolute", "relative"), samples=5, **options)
+    exact = ta.evaluate(arm, task, ("absolute", "relative"))
+    assert (exact.absolute_per_node <= result.absolute_per_node + 1e-10).all()
+    assert (exact.relative_per_node <= result.relative_per_node + 1e-10).all()
+    expected = oracle.node_distances(expected_arm, twists, load[0], kind=kind, samples=5)
+    np.testing.assert_allclose(result.absolute_per_node[0], expected.absolute.clip(min=0), rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(result.relative_per_node[0], expected.relative.clip(min=0), rtol=1e-9, atol=1e-10)
+    assert arm.max_pressure.tolist() == list(limits)
+
+
+def test_a_force_that_is_one_number_counts_everywhere():
+    class Constant(ta.Bellows):
+        def force(self, strain, pressure):
+            return torch.tensor(3.0)
+
+    spread = ta.PolynomialActuator(((0, 0, 3.0),), (-1.0, 1.0), (0.0, 50.0), 50.0, ta.Bellows().bending_stiffness)
+    task = ta.Task(ta.affine_curvature(0.0, 1.0, length=0.4, nodes=5), [1.0, -2.0, 0.1])
+    one, other = (
+        ta.evaluate(ta.ArmDesign([-0.05, 0.05], 0.42, [model] * 2), task, ("absolute", "relative"))
+        for model in (Constant(), spread)
+    )
+    assert one.absolute.item() == pytest.approx(other.absolute.item(), rel=1e-12)
+    assert one.relative.item() == pytest.approx(other.relative.item(), rel=1e-12)
+
+
+def test_nan_from_a_force_model_stays_nan():
+    arm = ta.ArmDesign([-0.05, 0.04], 0.5, [ta.Bellows(), Piston(area=math.nan)])
+    result = ta.evaluate(arm, ta.Task(SHAPE, ta.sample_loads(3)), ("absolute", "relative"))
+    assert result.absolute.isnan().all()
+    assert result.relative.isnan().all()

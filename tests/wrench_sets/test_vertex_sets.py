@@ -15,7 +15,7 @@ from oracle.spatial import SCENES, arm_and_task
 
 import torcharm as ta
 from torcharm.statics.cross_section import cross_sections
-from torcharm.wrench_sets.vertex_sets import edge_pressures, edge_vertices
+from torcharm.wrench_sets.vertex_sets import edge_pressures, edge_vertices, find_solver
 
 METRICS = ("absolute", "relative")
 needs_qpth = pytest.mark.skipif(importlib.util.find_spec("qpth") is None, reason="qpth is not installed")
@@ -299,6 +299,12 @@ def test_vertices_know_no_margin(distance):
 def test_an_unknown_distance_is_refused_with_those_there_are(distance):
     with pytest.raises(ValueError, match=r"^distance: .*gjk, qpth, scipy"):
         paper_scene("bellows").evaluate(distance=distance)
+
+
+@pytest.mark.parametrize("name", ["gjk", "nnls", "qpht"])
+def test_a_solver_that_there_is_not_is_refused_with_those_there_are(name):
+    with pytest.raises(ValueError, match=rf"^distance: must be one of qpth, scipy, got '{name}'"):
+        find_solver(name)
 
 
 def test_a_function_without_groups_is_for_edges_only():

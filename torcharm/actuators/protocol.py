@@ -36,20 +36,24 @@ PROBED_CURVATURES = (-10.0, -1.0, 0.0, 1.0, 10.0)
 class Actuator(Protocol):
     """A fluid-driven actuator: its axial force, and what is needed to trust it.
 
-    Any object with these five members is an actuator; nothing needs to be inherited or
+    Any object with the members listed in `MEMBERS` is an actuator; nothing needs to be inherited or
     registered. An object that stands in several places is evaluated once for all of them, and so are dataclasses of one
     class whose attributes are equal numbers, texts and tuples of these; tensors and parameters are never taken for
     one another, equal or not. Numbers may be tensors, and results are differentiable in them, in parameters
     of modules and in whatever else force and bending moments are computed from.
 
-    Two more members are optional, and let torcharm be exact where it would else be accurate. They count where they
-    were written for the force: a subclass that overrides `force` has none of its parent's, unless it writes its own.
-    `pressure_knots(strain)` returns pressures (k, *strain.shape) [kPa], in any order, at which the force has
-    a kink. `pressure_degree = 3` says that between them it is a polynomial in pressure of that degree:
-    up to 3 one cubic piece stands for the whole curve, and at degree 1 two samples. A text `name` is what tables and
-    legends call it, in place of its class. `characterised(strain, pressure)` says, by a mask, where within its ranges
-    the model was measured: what is found elsewhere is out of range. And `moulded = True` says that it is part of one
-    body with the others of its segment that say so: they have one length, which an optimiser changes for all of them.
+    All further members are optional:
+
+    - `pressure_knots(strain)` returns pressures (k, *strain.shape) [kPa], in any order, at which the force has a kink.
+    - `pressure_degree = 3` says that between its kinks the force is a polynomial in pressure of that degree:
+      up to 3 one cubic piece stands for the whole curve, and at degree 1 two samples. Knots and degree let torcharm be
+      exact where it would else be accurate, and count where they were written for the force: a subclass that overrides
+      `force` has none of its parent's, unless it writes its own.
+    - `characterised(strain, pressure)` says, by a mask, where within its ranges the model was measured: what is found
+      elsewhere is out of range.
+    - `moulded = True` says that it is part of one body with the others of its segment that say so: they have one
+      length, which an optimiser changes for all of them.
+    - `name`, a text, is what tables and legends call it, in place of its class.
 
     Example:
         >>> [isinstance(given, ta.Actuator) for given in (ta.Bellows(), ta.chamber(area=2e-4), "bellows")]
@@ -88,6 +92,7 @@ class Actuator(Protocol):
 
 
 MEMBERS = ("force", "bending_stiffness", "max_pressure", "strain_range", "pressure_range")
+"""All that a force model must have."""
 
 
 def model_name(actuator: Actuator) -> str:
@@ -102,7 +107,7 @@ def is_moulded(actuator: Actuator) -> bool:
 
 
 def check_actuator(name: str, actuator: object) -> None:
-    """Raise a ValueError unless the object has the five members of an actuator, with numbers in them."""
+    """Raise a ValueError unless the object has the `MEMBERS` of an actuator, with numbers in them."""
     missing = [member for member in MEMBERS if not hasattr(actuator, member)]
     if isinstance(actuator, type) or missing:
         what = "a class (an instance is needed)" if isinstance(actuator, type) else f"no {', '.join(missing)}"

@@ -1,6 +1,6 @@
 """Tables that cut nothing and break no word: columns that do not fit beside each other go into another one below."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -62,18 +62,23 @@ def _taken(columns: Sequence[Column]) -> int:
 
 def _print_one(console: "Console", columns: Sequence[Column]) -> None:
     from rich import box
+    from rich.padding import Padding
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
+    def cells(texts: Iterable[str]) -> list[Padding]:
+        """Each holds the gap before it itself: rich before 14.3 takes columns for wider by the table's own padding."""
+        return [Padding(Text(text), (0, 0, 0, (GAP - 1) * (index > 0))) for index, text in enumerate(texts)]
+
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=0)
     free, widths = console.width - _taken(columns), list[int]()
     for column in reversed(columns):  # names, which stand first, may well go on in another line
         least, most = column.widths()
         widths.insert(0, least + max(0, min(free, most - least)))
         free -= widths[0] - least
-    for column, width in zip(columns, widths, strict=True):
+    for column, width, title in zip(columns, widths, cells(column.title for column in columns), strict=True):
         justify = "left" if column.widest else "right"
-        table.add_column(Text(column.title), width=width, justify=justify, overflow="fold")  # type: ignore[arg-type]
+        table.add_column(title, width=width + title.left, justify=justify, overflow="fold")  # type: ignore[arg-type]
     for row in zip(*(column.cells for column in columns), strict=True):
-        table.add_row(*map(Text, row))
+        table.add_row(*cells(row))
     console.print(table)

@@ -143,11 +143,12 @@ def plan_shape(
     """
     problem, whole = _problem(arm, tip_pose, load, objective, nodes, base_pose, in_range)
     check_count("starts", starts, 1)
-    judge = Objective("unattainability", power=2, relative_weight=1.0, margin=False) if objective is None else objective
-    if isinstance(judge, Smoothness):
-        plans = [_smoothest(problem, judge, iterations)]
+    if objective is None:
+        objective = Objective("unattainability", power=2, relative_weight=1.0, margin=False)
+    if isinstance(objective, Smoothness):
+        plans = [_smoothest(problem, objective, iterations)]
     else:
-        plans = _best_held(problem, judge, whole, starts, seed, iterations)
+        plans = _best_held(problem, objective, whole, starts, seed, iterations)
     met = [plan for plan in plans if problem.violation(plan[0]) < TIP_TOLERANCE]
     like = segments_of(arm)[0][0].radii
     if not met:
@@ -156,7 +157,7 @@ def plan_shape(
     values = [float(cost(torch.from_numpy(unknowns))) for unknowns, cost in met]
     best = met[int(np.argmin(values))][0]
     twists = problem.twists(torch.from_numpy(best)).to(like)
-    options: Any = {"weights": judge.weights, "power": judge.power} if isinstance(judge, Objective) else {}
+    options: Any = {"weights": objective.weights, "power": objective.power} if isinstance(objective, Objective) else {}
     error = float(np.abs(problem.tip_miss(best)).max())
     return PlannedShape("found", twists, error, min(values), evaluate(arm, problem.task(twists, whole), **options))
 
@@ -233,28 +234,28 @@ def _norm(value: Tensor) -> Tensor:
     return (value.square().sum() + 1e-300).sqrt()
 
 
-def _smoothest(problem: TipProblem, judge: Smoothness, iterations: int) -> tuple[Array, Cost]:
+def _smoothest(problem: TipProblem, objective: Smoothness, iterations: int) -> tuple[Array, Cost]:
     """The smoothest shape.
 
     `a ‖l - l_ref‖` has a kink at l = l_ref, where its minimum sits if a is large. So first lengths are held there; and
     only if a step away from them pays, `‖J_lᵀ λ‖ > a` with λ the multipliers of the tip pose, are they let go.
     """
-    count, bends, reference = problem.count, problem.bends, judge.reference_length / LENGTH_UNIT
+    count, bends, reference = problem.count, problem.bends, objective.reference_length / LENGTH_UNIT
 
     def steps(z: Tensor) -> Tensor:
         return torch.cat([part.diff() for part in problem.curvatures(z)], -1)
 
     def cost(z: Tensor) -> Tensor:
-        return judge.length_weight * LENGTH_UNIT * _norm(z[:count] - reference) + _norm(steps(z))
+        return objective.length_weight * LENGTH_UNIT * _norm(z[:count] - reference) + _norm(steps(z))
 
-    start = problem.arc(np.full(len(problem.nodes), judge.reference_length))
+    start = problem.arc(np.full(len(problem.nodes), objective.reference_length))
     pinned = problem.minimise(lambda z: steps(z).square().sum(), problem.onto_tip(start, bends), iterations, bends)
     if problem.violation(pinned) < TIP_TOLERANCE:
         _, slope = value_and_slope(cost, pinned)
         jacobian = problem.tip_jacobian(pinned)
         multipliers, *_ = np.linalg.lstsq(jacobian[:, bends].T, -slope[bends], rcond=None)
         pull = float(np.linalg.norm(jacobian[:, :count].T @ multipliers))
-        if problem.strains is None and pull <= judge.length_weight * LENGTH_UNIT:
+        if problem.strains is None and pull <= objective.length_weight * LENGTH_UNIT:
             return pinned, cost
         start = pinned
         start[:count] -= 1e-3 * (jacobian[:, :count].T @ multipliers) / max(pull, 1e-300)
@@ -262,15 +263,15 @@ def _smoothest(problem: TipProblem, judge: Smoothness, iterations: int) -> tuple
 
 
 def _best_held(
-    problem: TipProblem, judge: Objective, load: ExternalLoad, starts: int, seed: int, iterations: int
+    problem: TipProblem, objective: Objective, load: ExternalLoad, starts: int, seed: int, iterations: int
 ) -> list[tuple[Array, Cost]]:
     """From each start the shape that the arm holds best."""
     like = segments_of(problem.arm)[0][0].radii
 
     def cost(z: Tensor) -> Tensor:
         shaped = problem.task(problem.twists(z).to(like), load)
-        values = task_values(judge, problem.arm, shaped, in_range=problem.strains is not None)
-        return judge.total(values).double()
+        values = task_values(objective, problem.arm, shaped, in_range=problem.strains is not None)
+        return objective.total(values).double()
 
     random = np.random.default_rng(seed)
     plans: list[tuple[Array, Cost]] = []

@@ -95,28 +95,37 @@ def _is_odd(model: Actuator) -> bool:
 
 
 def _rows(tasks: Sequence[Task], turn: Tensor | None = None) -> list[tuple[Any, ...]] | None:
-    """Every task as numbers, in units of SAME, or its image under a map; None if that is no task of this kind."""
+    """Every task as numbers, in units of SAME, or its image under a map; None if not all that loads it has an image."""
     found: list[tuple[Any, ...]] = []
     for task in tasks:
         map_ = torch.eye(3, dtype=torch.float64) if turn is None else turn
-        sign, base = torch.linalg.det(map_), task.base_pose.detach().double().cpu()
+        base = task.base_pose.detach().double().cpu()
         turned = (base if task.dimension == 3 else se3.from_plane(base))[:3, :3]
         world = turned @ map_ @ turned.T
         up = world.new_tensor((0.0, 1.0, 0.0))
-        if any(point.wrench is not None for point in task.load.points):
-            return None
         if task.load.gravity and float((world @ up - up).abs().max()) > SAME:
             return None
-        shape = _in_space(task.twists, task.dimension).expand(*task.batch_shape, task.nodes, 6)
-        load = _in_space(task.tip_load, task.dimension).expand(*task.batch_shape, 6)
-        shape = torch.cat((shape[..., :3] @ map_.T, sign * shape[..., 3:] @ map_.T), -1).flatten(-2)
-        load = torch.cat((load[..., :3] @ world.T, sign * load[..., 3:] @ world.T), -1)
-        weights = [point.mass.detach().double().cpu().expand(task.batch_shape) for point in task.load.points]
-        places = tuple((point.segment, point.at) for point in task.load.points)
+        points, batch = task.load.points, task.batch_shape
+        known = {"tip", *(f"points[{index}].{part}" for index in range(len(points)) for part in ("wrench", "mass"))}
+        if not task.load.tensors().keys() <= known:
+            return None
+        loads = [(task.tip_load, world)]
+        loads += [(p.wrench, world if p.frame == "world" else map_) for p in points if p.wrench is not None]
+        parts = [_image(task.twists, map_).expand(*batch, task.nodes, 6).flatten(-2)]
+        parts += [_image(wrench, own).expand(*batch, 6) for wrench, own in loads]
+        parts += [point.mass.detach().double().cpu().expand(batch).unsqueeze(-1) for point in points]
+        places = tuple((point.segment, point.at, point.frame, point.wrench is None) for point in points)
         about = (*task.base_pose.flatten().tolist(), task.wrench_at, task.nodes, task.load.gravity, places)
-        whole = torch.cat((shape, load, *(weight.unsqueeze(-1) for weight in weights)), -1)
+        whole = torch.cat(parts, -1)
         found += [(about, *row) for row in (whole.reshape(-1, whole.shape[-1]) / SAME).round().add(0.0).tolist()]
     return sorted(found)
+
+
+def _image(value: Tensor, turn: Tensor) -> Tensor:
+    """The image (..., 6) of twists or wrenches of the plane or of space."""
+    value = value.detach().double().cpu()
+    whole = value if value.shape[-1] == 6 else se3.vector_from_plane(value)
+    return torch.cat((whole[..., :3] @ turn.T, torch.linalg.det(turn) * whole[..., 3:] @ turn.T), -1)
 
 
 def _alike(some: list[tuple[Any, ...]] | None, others: list[tuple[Any, ...]] | None) -> bool:
@@ -127,9 +136,3 @@ def _alike(some: list[tuple[Any, ...]] | None, others: list[tuple[Any, ...]] | N
         one[0] == other[0] and all(abs(a - b) <= 1 for a, b in zip(one[1:], other[1:], strict=True))
         for one, other in zip(some, others, strict=True)
     )
-
-
-def _in_space(value: Tensor, dimension: int) -> Tensor:
-    """Twists or wrenches of six components."""
-    value = value.detach().double().cpu()
-    return value if dimension == 3 else se3.vector_from_plane(value)

@@ -40,7 +40,8 @@ def search_one_by_one(prepared: Prepared, starts: int, seed: int, method: str, p
         tail = targets.shape[prepared.twists.ndim - 2 :]
         targets = targets.expand(*prepared.batch, *tail).reshape(-1, *tail)
         weights = torch.from_numpy(prepared.flat(prepared.weights, 2))
-        for b in track(range(len(out.how)), "pressure search", disable=progress is False, transient=True):
+        pairs = range(len(out.how))
+        for b in pairs if progress is False else track(pairs, "pressure search", transient=True):
             _search(_Task(prepared, b, targets[b], weights[b]), places, method, out)
     return out
 

@@ -46,13 +46,15 @@ Callback = Callable[[SweepProgress], bool | None]
 @contextmanager
 def with_bar(shown: bool | None, callback: Callback | None) -> Iterator[Callback]:
     """A bar on the standard error, of None on a terminal alone; gives a callback that moves it on and calls another."""
+    if not (sys.stderr.isatty() if shown is None else shown):
+        yield callback or (lambda progress: None)
+        return
     from rich.console import Console
     from rich.progress import Progress, TextColumn
 
     columns = (*Progress.get_default_columns()[:3], TextColumn("{task.fields[words]}", markup=False))
-    hidden = not (sys.stderr.isatty() if shown is None else shown)
     console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=console.is_terminal, disable=hidden) as bar:
+    with Progress(*columns, console=console, transient=console.is_terminal) as bar:
         task = bar.add_task("sweeping", total=None, words="")
 
         def move(progress: SweepProgress) -> bool | None:

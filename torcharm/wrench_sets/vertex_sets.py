@@ -25,7 +25,6 @@ from torcharm.wrench_sets.hull_distance import HullDistance
 from torcharm.wrench_sets.vertices import find_nearest_vertices
 
 HULLS = ("exact", "edges")
-DISTANCES = ("gjk", "qpth", "scipy")
 EDGE_SAMPLES, CURVE_SAMPLES = 3, 9
 """Points on an edge of the pressure box, the paper's number, and on an actuator's curve, unless told."""
 MOST_EDGE_ACTUATORS = 12
@@ -34,6 +33,25 @@ MOST_EDGE_ACTUATORS = 12
 DistanceFunction = Callable[..., HullDistance]
 """What answers distances from points (*batch, D) to the convex hulls of vertices (*batch, V, D); for exact sets, given
 `groups=M`, to the sum of M hulls."""
+
+
+def _load_qpth() -> DistanceFunction:
+    from torcharm.wrench_sets.qp import qp_distance, require_qpth
+
+    require_qpth()
+    return qp_distance
+
+
+def _load_nnls() -> DistanceFunction:
+    from torcharm.wrench_sets.reference import nnls_distance
+
+    return nnls_distance
+
+
+SOLVERS: dict[str, Callable[[], DistanceFunction]] = {"qpth": _load_qpth, "scipy": _load_nnls}
+"""By name, what loads a solver of distances to vertices."""
+DISTANCES = ("gjk", *SOLVERS)
+"""All names of distances; the first is the engine's own."""
 
 
 def check_sets(
@@ -66,18 +84,12 @@ def find_solver(distance: str | DistanceFunction) -> DistanceFunction:
     """The solver of that name, which loads when it is first asked for; a function is one already.
 
     Raises:
-        ValueError: qpth is asked for and not installed.
+        ValueError: no solver has that name, or qpth is asked for and not installed.
     """
     if not isinstance(distance, str):
         return distance
-    if distance == "scipy":
-        from torcharm.wrench_sets.reference import nnls_distance
-
-        return nnls_distance
-    from torcharm.wrench_sets.qp import qp_distance, require_qpth
-
-    require_qpth()
-    return qp_distance
+    check_choice("distance", distance, SOLVERS)
+    return SOLVERS[distance]()
 
 
 @dataclass(frozen=True)

@@ -287,7 +287,7 @@ def _extreme(vertices: Tensor, pressure: Tensor) -> tuple[Tensor, Tensor]:
     corners = [_corners(points) for points in flat.detach().double().cpu().numpy()]
     most = max(len(own) for own in corners)
     index = torch.from_numpy(np.stack([np.pad(own, (0, most - len(own)), "edge") for own in corners]))
-    index = index.to(vertices.device).unsqueeze(-1)
+    index = index.to(vertices.device, torch.int64).unsqueeze(-1)  # all that gather of older torch takes
 
     def chosen(value: Tensor) -> Tensor:
         rows = value.flatten(0, 2).gather(1, index.expand(-1, -1, value.shape[-1]))
