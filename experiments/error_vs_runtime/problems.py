@@ -91,10 +91,11 @@ def reference(space: str, metric: str, designs: int = DESIGNS, tasks: int = TASK
     grid = design_task_grid(given.arm(), given.task)
     everything = slice(None)
     sections = grid.sections(0, everything, everything)
-    required = grid.required.minus_first() if relative else grid.required
-    found = find_nearest(sections, grid.required, (1.0, 1.0), relative=relative, signed=False, points=True)
+    required = grid.required(everything, everything, everything, everything)
+    found = find_nearest(sections, required, (1.0, 1.0), relative=relative, signed=False, points=True)
+    required = required - required[..., :1, :] if relative else required
     assert found.normal is not None
-    normal, wanted = found.normal[:, :, 0], required.whole()[:, :, 0]  # (B, P, N, D): a load a shape
+    normal, wanted = found.normal[:, :, 0], required[:, :, 0]  # (B, P, N, D): a load a shape
     support, extent = _support(sections, normal, relative=relative)
     ahead = ((normal * wanted).sum(-1) - support).clamp(min=0)
     lower = torch.where(found.distance[:, :, 0] > 0, ahead, torch.zeros_like(ahead))

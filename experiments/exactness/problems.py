@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from torch import Tensor
 
 import torcharm as ta
 from experiments.exactness.models import PAIRS
 from experiments.exactness.reference import Array, Sets, support
 from torcharm.statics.cross_section import CrossSections
-from torcharm.wrench_sets.design_task_grid import RequiredWrench
 
 FAMILIES = (
     "ordinary",
@@ -46,7 +46,7 @@ class Problems:
     place: Array
     sets: Sets
     sections: CrossSections
-    required: RequiredWrench
+    required: Tensor
     relative: bool
 
 
@@ -124,15 +124,15 @@ def _targets(sets: Sets, place: Array, generator: np.random.Generator) -> Array:
 def _for_the_library(
     family: str, names: tuple[str, ...], place: Array, sets: Sets, actuators: list[ta.Actuator]
 ) -> Problems:
-    """The same problems as cross-sections; what is required is written as masses, which differ by design."""
-    relative, D = sets.first is not None, sets.target.shape[-1]
+    """The same problems as cross-sections."""
+    relative = sets.first is not None
     strain, bending = torch.from_numpy(sets.strain)[:, None, None], torch.from_numpy(sets.bending)[:, None, None, :, 1:]
-    unit = torch.eye(D, dtype=torch.float64)[:, None, None]
+    required = torch.from_numpy(sets.target)[:, None, None, None]
     if relative:
         assert sets.first is not None
         strain = torch.cat((torch.from_numpy(sets.first)[:, None, None], strain), -2)
         bending = torch.cat((torch.zeros_like(bending), bending), -3)
-        unit = torch.cat((torch.zeros_like(unit), unit), -2)
+        required = torch.cat((torch.zeros_like(required), required), -2)
     sections = CrossSections(
         tuple(actuators),
         strain.contiguous(),
@@ -141,5 +141,4 @@ def _for_the_library(
         None,
         torch.from_numpy(sets.limit)[:, None, None],
     )
-    required = RequiredWrench(unit.new_zeros(1, 1, unit.shape[-2], D), unit.contiguous(), torch.from_numpy(sets.target))
     return Problems(family, names, place, sets, sections, required, relative)

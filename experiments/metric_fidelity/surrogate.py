@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 import torcharm as ta
+from torcharm.engine.questions import inverse
 from torcharm.pressure.pose_cost import pose_errors
 from torcharm.pressure.prepared import detached, prepare
 from torcharm.wrench_sets.qp import require_qpth
@@ -46,14 +47,14 @@ def _affine(arm: ta.ArmDesign, task: ta.Task) -> tuple[Tensor, Tensor]:
     prepared = detached(prepare(arm, task, None))
     problem, shape = prepared.problem, task.twists
     middle = replace(problem, pressure=0.5 * problem.pressure)
-    inverse = torch.from_numpy(middle.packed.inverse(prepared.shape, np.arange(problem.count)))
+    whole = torch.from_numpy(inverse(middle.packed, prepared.shape, np.arange(problem.count)))
     unloaded = replace(problem, pressure=torch.zeros_like(problem.pressure)).residual(shape)
     shares = torch.linspace(0, 1, SAMPLES, dtype=shape.dtype)
     one = torch.eye(arm.actuator_count, dtype=shape.dtype) * arm.max_pressure
     curves = ta.reaction_wrench(arm, shape, one.unsqueeze(1) * shares[:, None])  # (M, S, N, 2)
     curves = curves - ta.reaction_wrench(arm, shape, torch.zeros_like(arm.max_pressure))
     each = curves.flatten(2).flatten(0, 1).mT.expand(problem.count, -1, -1)
-    moves = -inverse @ torch.cat((unloaded.flatten(1).unsqueeze(-1), each), -1)
+    moves = -whole @ torch.cat((unloaded.flatten(1).unsqueeze(-1), each), -1)
 
     def errors(unknown: Tensor) -> Tensor:
         length, curvature = unknown.unbind(-1)

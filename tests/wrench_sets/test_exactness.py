@@ -90,7 +90,7 @@ def test_points_of_the_boundary_are_at_no_distance(dimension):
     normal = generator.normal(size=problems.sets.target.shape)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     point = problems.sets.target + support(problems.sets, normal)[1].astype(float)
-    problems.required.mass.copy_(torch.from_numpy(point))
+    problems.required[:, 0, 0, -1] = torch.from_numpy(point)
     _, value, _ = answers(problems)
     size = np.abs(point).sum(-1) + np.abs(support(problems.sets, -normal)[0]).astype(float)
     assert (value <= 1e-7 * size).all()

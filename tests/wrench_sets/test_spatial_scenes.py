@@ -49,12 +49,10 @@ def test_a_series_is_its_segments_each_with_what_the_rest_asks_of_it(metric):
 def distances_of(arm, twists, required, metric):
     """Distances (N,) of wrenches that are given, by one load a node that asks it of that node and the first."""
     from torcharm.statics.cross_section import cross_sections
-    from torcharm.wrench_sets.design_task_grid import RequiredWrench
     from torcharm.wrench_sets.distance import find_nearest
 
-    external = required[None, None]
-    wanted = RequiredWrench(external, external.new_zeros(0, 1, *external.shape[-2:]), external.new_zeros(1, 0))
     sections = cross_sections(arm.flatten()[:, None], twists[None])
+    wanted = required[None, None, None]
     found = find_nearest(sections, wanted, (1.0, 1.0), relative=metric == "relative", signed=False, points=False)
     return found.distance[0, 0, 0]
 

@@ -7,7 +7,6 @@ quality and provenance. Floats are written so that they read back exactly: a rou
 import re
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
-from os import PathLike
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
@@ -20,10 +19,8 @@ from torcharm.actuators.ready import Chamber, ElasticCore
 from torcharm.actuators.shipped import SHIPPED, model_of
 from torcharm.characterise.fit import FittedActuator
 from torcharm.characterise.toml_text import read_toml, toml_entry, toml_value
-from torcharm.files import atomic_write, read_file
+from torcharm.files import StrPath, atomic_write, read_file
 from torcharm.inputs import shown
-
-StrPath = str | PathLike[str]
 
 _HEAD, _END = "# A torcharm force model. Its last line is: # end", "# end"
 _OPEN_END = re.compile(r"=\s*[\w.+-]*\d$")

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torcharm.actuators.bending import Bending, Number
+from torcharm.actuators.deviation import added_force
 from torcharm.actuators.inspection import follows
 from torcharm.actuators.polynomial import PolynomialActuator
 from torcharm.inputs import HoldsTensors, TensorLike, as_floating, check_tensor, shown
@@ -68,9 +69,8 @@ class TensorPolynomial(HoldsTensors):
 
     def force(self, strain: Tensor, pressure: Tensor) -> Tensor:
         """Axial force [N]; strain and pressure [kPa] broadcast."""
-        total = strain.new_zeros(()).expand(torch.broadcast_shapes(strain.shape, pressure.shape))
-        for (i, j, _), c in zip(self.like.coefficients, self.coefficients.to(strain).unbind(), strict=True):
-            total = total + c * strain**i * pressure**j
+        powers = tuple((i, j) for i, j, _ in self.like.coefficients)
+        total = added_force(powers, self.coefficients.to(strain).unbind(), strain, pressure)
         return total * self.like.force_scale
 
 

@@ -15,7 +15,6 @@ import torch
 from torch import Tensor
 
 from torcharm.actuators.deviation import ForceDeviation
-from torcharm.actuators.inspection import same_model
 from torcharm.actuators.protocol import is_moulded
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import rebuilt, with_slices
@@ -23,6 +22,7 @@ from torcharm.characterise.fit import FittedActuator
 from torcharm.design.space import Arm, Array
 from torcharm.inputs import check_choice, check_flag, check_number, shown
 from torcharm.statics.balance import segments_of
+from torcharm.statics.cross_section import group_alike
 
 UNITS = {"radii": "m", "length": "m", "limits": "kPa", "force": "1", "force_offset": "N", "bending": "1"}
 """Of the parameters that a source moves, in the order of its name; parts of the model's value have the unit 1."""
@@ -291,24 +291,16 @@ def _mixed(items: Sequence[int], correlation: float) -> Tensor:
 
 def _model_sources(arm: Arm) -> list[Source]:
     """One for each fitted model of an arm."""
-    known: list[tuple[FittedActuator, list[int]]] = []
-    for index, model in enumerate(arm.actuators):
-        if isinstance(model, FittedActuator) and model.quality is not None:
-            for other, members in known:
-                if same_model(other, model):
-                    members.append(index)
-                    break
-            else:
-                known.append((model, [index]))
-    if not known:
-        raise ValueError("model_covariance: must be False for arms without a fitted model that knows its covariance")
     found = []
-    for model, members in known:
-        assert model.quality is not None
+    for model, members in group_alike(arm.actuators):
+        if not isinstance(model, FittedActuator) or model.quality is None:
+            continue
         scale = float(torch.as_tensor(model.force_scale).detach())
         value, vector = np.linalg.eigh(np.asarray(model.quality.covariance, dtype=np.float64))
         mix: Array = scale * vector * np.sqrt(value.clip(min=0))
         powers = tuple((i, j) for i, j, _ in model.coefficients)
         ones = torch.ones(len(powers), dtype=torch.float64)
         found.append(Source(MODEL, torch.from_numpy(mix), ones, False, powers, tuple(members)))
+    if not found:
+        raise ValueError("model_covariance: must be False for arms without a fitted model that knows its covariance")
     return found

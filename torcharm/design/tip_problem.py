@@ -11,7 +11,7 @@ from torch import Tensor
 from torcharm.design.space import Arm, Array
 from torcharm.geometry import rod, se3
 from torcharm.load import ExternalLoad
-from torcharm.statics.balance import segments_of
+from torcharm.statics.balance import link_ends, segments_of
 from torcharm.statics.external_load import HULL
 from torcharm.task import Task
 
@@ -57,8 +57,8 @@ class TipProblem:
     @property
     def links(self) -> list[Tensor | None]:
         """Poses of the links behind the segments."""
-        ends = [None if link is None else link.end(self.arm.dimension) for link in segments_of(self.arm)[1]]
-        return [None if end is None else end.detach().reshape(self.base.shape).to(self.base) for end in ends]
+        shape = self.base.shape
+        return [None if end is None else end.detach().reshape(shape).to(self.base) for end in link_ends(self.arm)]
 
     @property
     def neutral(self) -> Array:

@@ -13,6 +13,7 @@ from jaxtyping import Float64, Int64
 
 from torcharm.engine.arrays import Array, make
 from torcharm.engine.compilation import part
+from torcharm.engine.copies import copy_row
 from torcharm.engine.forces import (
     POLYNOMIAL,
     STRETCHED_FROM,
@@ -264,10 +265,9 @@ def write_difference(out, a, own, first):  # type: ignore[no-untyped-def]
             j += 1
     out.pieces[a], out.off[a] = pieces, own.off[a] + first.off[a]
     out.strain[a, 0], out.strain[a, 1] = own.strain[a, 0], first.strain[a, 0]
+    copy_row(out.lever[a], own.lever[a])
     for c in range(out.bending.shape[1]):
         out.bending[a, c] = own.bending[a, c] - first.bending[a, c]
-        out.lever[a, c] = own.lever[a, c]
-    out.lever[a, out.bending.shape[1]] = own.lever[a, out.bending.shape[1]]
 
 
 @part
@@ -275,10 +275,8 @@ def copy_curve(out, a, own):  # type: ignore[no-untyped-def]
     """Keep an actuator's curve."""
     out.pieces[a], out.edge[a, 0] = own.pieces[a], own.edge[a, 0]
     out.off[a], out.strain[a, 0] = own.off[a], own.strain[a, 0]
-    out.power[a, 0], out.power[a, 1] = own.power[a, 0], own.power[a, 1]
+    copy_row(out.power[a], own.power[a])
+    copy_row(out.bending[a], own.bending[a])
     for k in range(own.pieces[a]):
         out.edge[a, k + 1] = own.edge[a, k + 1]
-        for j in range(4):
-            out.control[a, k, j] = own.control[a, k, j]
-    for c in range(own.bending.shape[1]):
-        out.bending[a, c] = own.bending[a, c]
+        copy_row(out.control[a, k], own.control[a, k])

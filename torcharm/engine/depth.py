@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from torcharm.engine.arrays import Array
 from torcharm.engine.compilation import part
+from torcharm.engine.copies import copy_row
 from torcharm.engine.distance import TOUCHING, nearest_part
 from torcharm.engine.references import by_reference
 from torcharm.engine.sharpen import FAR
@@ -57,10 +58,8 @@ def depth_parts(D: int, ask: Any) -> tuple[Any, Any]:
     @part
     def add_corner(polytope, point, pressure):  # type: ignore[no-untyped-def]
         at = polytope.used[0]
-        for c in range(D):
-            polytope.corner[at, c] = point[c]
-        for a in range(len(pressure)):
-            polytope.pressure[at, a] = pressure[a]
+        copy_row(polytope.corner[at], point)
+        copy_row(polytope.pressure[at], pressure)
         polytope.used[0] = at + 1
 
     @part
@@ -120,9 +119,8 @@ def depth_parts(D: int, ask: Any) -> tuple[Any, Any]:
         kept = 0
         for f in range(last):
             if not polytope.seen[f]:
-                for i in range(D):
-                    polytope.face[kept, i] = polytope.face[f, i]
-                    polytope.normal[kept, i] = polytope.normal[f, i]
+                copy_row(polytope.face[kept], polytope.face[f])
+                copy_row(polytope.normal[kept], polytope.normal[f])
                 polytope.offset[kept] = polytope.offset[f]
                 polytope.seen[kept] = False
                 kept += 1
@@ -185,8 +183,7 @@ def depth_parts(D: int, ask: Any) -> tuple[Any, Any]:
         for s in range(D):
             simplex.weight[s] /= total
             simplex.normal[s] = polytope.normal[best, s]
-            for a in range(polytope.pressure.shape[1]):
-                simplex.pressure[s, a] = polytope.pressure[polytope.face[best, s], a]
+            copy_row(simplex.pressure[s], polytope.pressure[polytope.face[best, s]])
 
     @part
     def depth(curves, simplex, polytope, size):  # type: ignore[no-untyped-def]

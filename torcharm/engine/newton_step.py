@@ -19,6 +19,7 @@ import numpy as np
 
 from torcharm.engine.carried_load import add_load_at_end, add_load_inside, add_own_weight, clear_share
 from torcharm.engine.compilation import inlined_part, part
+from torcharm.engine.copies import copy_row
 from torcharm.engine.elements import write_lever, write_link, write_motion
 from torcharm.engine.sections import write_rates, write_section
 from torcharm.engine.stack import small_matrix, small_vector
@@ -39,8 +40,7 @@ def write_shape(arms, loads, room, b, twist, slopes):  # type: ignore[no-untyped
     Args:
         slopes: whether the slopes by pressure are wanted.
     """
-    for k in range(loads.base.shape[1]):
-        room.node[0, k] = loads.base[b, k]
+    copy_row(room.node[0], loads.base[b])
     room.sections.stiffness[0] = room.sections.stiffness[1] = 0.0
     for segment in range(len(arms.first_node) - 1):
         first, last = arms.first_node[segment], arms.first_node[segment + 1]
@@ -55,8 +55,7 @@ def write_shape(arms, loads, room, b, twist, slopes):  # type: ignore[no-untyped
             write_section(arms, room.drive, room.sections, b, segment, i, twist)
             if slopes:
                 write_rates(arms, room.drive, room.sections, b, segment, i, twist)
-        for k in range(room.end.shape[1]):
-            room.end[segment, k] = room.node[last, k]
+        copy_row(room.end[segment], room.node[last])
         write_link(arms, room.node, last, b, segment)
 
 

@@ -7,6 +7,7 @@ from jaxtyping import Float64
 
 from torcharm.engine.arrays import Array, make
 from torcharm.engine.compilation import kernel, part
+from torcharm.engine.copies import copy_row, copy_rows
 from torcharm.engine.curves import (
     Curves,
     Samples,
@@ -35,8 +36,6 @@ class Sections(NamedTuple):
     bending: Float64[Array, "B P N M D-1"]  # the moments of a pressure of 1 kPa
     constant: Float64[Array, "B P N D"]  # the wrench that no pressure changes
     samples: Samples  # curves of the models that the engine does not know
-    unit_weight: Float64[Array, "G P N D"]  # the wrench that 1 kg of each of G parts asks of a node
-    mass: Float64[Array, "B G"]  # of the parts [kg]
 
 
 @by_reference
@@ -78,10 +77,8 @@ def write_node(sections, room, b, h, i, relative):  # type: ignore[no-untyped-de
     own = room.own
     number = (b * sections.strain.shape[1] + h) * sections.strain.shape[2] + i
     for a in range(len(own.pieces)):
-        for c in range(sections.bending.shape[4]):
-            own.bending[a, c] = sections.bending[b, h, i, a, c]
-            own.lever[a, c] = sections.lever[b, a, c]
-        own.lever[a, sections.bending.shape[4]] = sections.lever[b, a, sections.bending.shape[4]]
+        copy_row(own.bending[a], sections.bending[b, h, i, a])
+        copy_row(own.lever[a], sections.lever[b, a])
         write_curve(own, a, sections.strain[b, h, i, a], sections.limit[b, a], sections.samples, number, not relative)
         if relative:
             if i == 0:
@@ -118,16 +115,9 @@ def aim(sections, required, room, b, h, l, i, relative):  # type: ignore[no-unty
     """Write the wrench asked of a node, less what no pressure changes; returns the sum of its components' sizes."""
     target, size = room.simplex.target, 0.0
     for c in range(len(target)):
-        target[c] = required[h, l, i, c]
+        target[c] = required[b, h, l, i, c] - sections.constant[b, h, i, c]
         if relative:
-            target[c] -= required[h, l, 0, c]
-        for g in range(sections.mass.shape[1]):
-            target[c] += sections.mass[b, g] * sections.unit_weight[g, h, i, c]
-            if relative:
-                target[c] -= sections.mass[b, g] * sections.unit_weight[g, h, 0, c]
-        target[c] -= sections.constant[b, h, i, c]
-        if relative:
-            target[c] += sections.constant[b, h, 0, c]
+            target[c] -= required[b, h, l, 0, c] - sections.constant[b, h, 0, c]
         size += abs(target[c])
     return size
 
@@ -137,11 +127,9 @@ def keep_answer(answers, simplex, at):  # type: ignore[no-untyped-def]
     """Write the normal, the weights and the pressures of an answer, if they are asked for."""
     b, h, l, i = at
     if len(answers.normal) > 0:
-        for c in range(len(simplex.normal)):
-            answers.normal[b, h, l, i, c] = simplex.normal[c]
-            answers.weight[b, h, l, i, c] = simplex.weight[c]
-            for a in range(len(simplex.fresh)):
-                answers.pressure[b, h, l, i, c, a] = simplex.pressure[c, a]
+        copy_row(answers.normal[b, h, l, i], simplex.normal)
+        copy_row(answers.weight[b, h, l, i], simplex.weight)
+        copy_rows(answers.pressure[b, h, l, i], simplex.pressure)
 
 
 @cache
@@ -168,17 +156,18 @@ def distance_kernel(dimension: int, signed: bool = False) -> Any:
 
     @kernel
     def distances(sections, required, relative, begin, end, room, answers):  # type: ignore[no-untyped-def]
-        """Of designs from `begin` to `end`; required wrenches (P, L, N, D)."""
+        """Of designs from `begin` to `end`; required wrenches (B, P, L, N, D)."""
         curves = room.change if relative else room.own
         simplex = room.simplex
         for b in range(begin, end):
-            for h in range(required.shape[0]):
-                for l in range(required.shape[1]):
-                    forget(room.start, l)
-                for i in range(required.shape[2]):
+            for h in range(required.shape[1]):
+                for l in range(required.shape[2]):
+                    for c in range(dimension):
+                        room.start[l, c] = 0.0
+                for i in range(required.shape[3]):
                     write_node(sections, room, b, h, i, relative)
                     extent = measure(curves, room.middle)
-                    for l in range(required.shape[1]):
+                    for l in range(required.shape[2]):
                         size = extent + aim(sections, required, room, b, h, l, i, relative)
                         begin_with(room, l)
                         if signed:
@@ -189,7 +178,7 @@ def distance_kernel(dimension: int, signed: bool = False) -> Any:
                                 sharpen(curves, simplex, BEYOND * max(gap, GAP * size) / distance)
                                 distance, gap = measure_again(curves, simplex, distance, gap, size)
                         if distance != 0.0:
-                            remember(room.start, l, simplex.normal)
+                            copy_row(room.start[l], simplex.normal)
                         answers.distance[b, h, l, i] = distance
                         answers.gap[b, h, l, i] = gap / size if size > 0.0 else gap
                         keep_answer(answers, simplex, (b, h, l, i))
@@ -197,20 +186,6 @@ def distance_kernel(dimension: int, signed: bool = False) -> Any:
                             answers.size[b, h, l, i] = size
 
     return distances
-
-
-@part
-def forget(start, l):  # type: ignore[no-untyped-def]
-    """No normal is known to begin with."""
-    for c in range(start.shape[1]):
-        start[l, c] = 0.0
-
-
-@part
-def remember(start, l, normal):  # type: ignore[no-untyped-def]
-    """The next node's normal is likely to be like this one's."""
-    for c in range(start.shape[1]):
-        start[l, c] = normal[c]
 
 
 @part

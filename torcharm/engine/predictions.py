@@ -101,8 +101,7 @@ def _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, be
     least, found = points.known[best, HALF_COST], False
     write_carried(problem, work, b, shape)  # Newton's steps below are at the same shape, and write the same
     for s in range(-1, starts):
-        for m in range(points.place.shape[1]):
-            fit.place[0, m] = points.place[best, m] if s < 0 else draws[first + s, m]
+        copy_row(fit.place[0], points.place[best] if s < 0 else draws[first + s])
         fit_wrenches(problem, work, fit, b, shape, steps, gain)
         at = HOLDS + 1
         copy_row(points.place[at], fit.place[0])

@@ -101,10 +101,10 @@ def lengths_positive(arms, b, twist):  # type: ignore[no-untyped-def]
 @part
 def copy_point(points, to, at):  # type: ignore[no-untyped-def]
     """Copy what one slot holds to another."""
+    copy_row(points.place[to], points.place[at])
+    copy_row(points.gradient[to], points.gradient[at])
+    copy_rows(points.curvature[to], points.curvature[at])
     for m in range(points.place.shape[1]):
-        points.place[to, m] = points.place[at, m]
-        points.gradient[to, m] = points.gradient[at, m]
-        copy_row(points.curvature[to, m], points.curvature[at, m])
         copy_rows(points.rates[to, m], points.rates[at, m])
     copy_rows(points.twists[to], points.twists[at])
     copy_row(points.known[to], points.known[at])

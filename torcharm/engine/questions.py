@@ -68,6 +68,32 @@ def answer(
     spread(len(given.rows) if question == SOLUTIONS else len(problem.limit), work)
 
 
+def find(problem: Problem, start: Array, tolerance: float) -> Found:
+    """The equilibria at the limits of pressure.
+
+    Args:
+        start: (B, N, K) twists of warm starts, or of none (0, N, K).
+        tolerance: of the load scale.
+    """
+    found = make(Found, sizes_of(problem.arms, B=len(problem.limit)))
+    answer(EQUILIBRIA, problem, tolerance, Given(start=start), found=found)
+    return found
+
+
+def solve(problem: Problem, twists: Array, index: Array, right: Array) -> None:
+    """Replace right-hand sides (b, X, N, C) by J⁻¹ times them, of arms at an index (b,), at all twists (B, N, K)."""
+    answer(SOLUTIONS, problem, 0.0, Given(twists=twists, rows=index, right=right))
+
+
+def inverse(problem: Problem, twists: Array, index: Array) -> Array:
+    """J⁻¹ (b, N·C, N·C) of the arms at an index (b,), at all twists (B, N, K)."""
+    nodes, columns = twists.shape[1], len(problem.arms.unknown)
+    size = nodes * columns
+    right = np.broadcast_to(np.eye(size), (len(index), size, size)).copy()
+    solve(problem, twists, index, right.reshape(len(index), size, nodes, columns))
+    return right.transpose(0, 2, 1)
+
+
 @kernel
 def _answer(question, problem, tolerance, given, first, last, work, fit, answers):  # type: ignore[no-untyped-def]
     """Answer a question for the arms from one to another, without the last."""

@@ -17,6 +17,7 @@ from jaxtyping import Float64
 
 from torcharm.engine.arrays import Array
 from torcharm.engine.compilation import kernel, part
+from torcharm.engine.copies import copy_row
 from torcharm.engine.distance import GAP, TOUCHING, curve_support, nearest_part
 from torcharm.engine.node_sets import aim, keep_answer, measure, write_node
 from torcharm.engine.references import by_reference
@@ -175,7 +176,7 @@ def ray_kernel(dimension: int) -> Any:
 
     @kernel
     def ends_of_rays(sections, start, direction, still, relative, least, begin, end, room, ray, ends):  # type: ignore[no-untyped-def]
-        """Of designs from `begin` to `end`; starts and directions (P, L, N, D), of which `still` are none.
+        """Of designs from `begin` to `end`; starts (B, P, L, N, D), directions (P, L, N, D), of which `still` are none.
 
         Args:
             least: whether of all nodes only the least exit is wanted: where a set holds the point of the least exit of
@@ -185,15 +186,14 @@ def ray_kernel(dimension: int) -> Any:
         simplex = room.simplex
         wanted = len(ends.normal) > 0
         for b in range(begin, end):
-            for h in range(start.shape[0]):
-                for i in range(start.shape[2]):
+            for h in range(start.shape[1]):
+                for i in range(start.shape[3]):
                     write_node(sections, room, b, h, i, relative)
                     extent = measure(curves, room.middle)
-                    for l in range(start.shape[1]):
+                    for l in range(start.shape[2]):
                         aim(sections, start, room, b, h, l, i, relative)
                         write_direction(ray, direction, h, l, i, relative)
-                        for c in range(dimension):
-                            ray.start[c] = simplex.target[c]
+                        copy_row(ray.start, simplex.target)
                         lowest = math.inf
                         for before in range(i if least else 0):
                             lowest = min(lowest, ends.factor[2 * b + 1, h, l, before])

@@ -104,8 +104,7 @@ def _load_places(problem, work, search, b, shape, pool, spread, start, tolerance
     lots = len(pool) // LOT
     for k in range(lots + len(spread)):
         q = _best_of(search.expected, k * LOT, (k + 1) * LOT) if k < lots else 0
-        for m in range(points.place.shape[1]):
-            points.place[AIM, m] = pool[q, m] if k < lots else spread[k - lots, m]
+        copy_row(points.place[AIM], pool[q] if k < lots else spread[k - lots])
         reach_and_keep(problem, work, search, b, AIM, LOADED + k, start, tolerance)
         if improves(work, LOADED + k, BEST):
             keep_point(work, search, BEST, LOADED + k)
@@ -129,8 +128,8 @@ def _begin(problem, work, search, fit, b, s, shape, pool, above):  # type: ignor
             copy_point(points, 0, best)
         return best
     q = _best_of(search.expected, 0, len(pool))
-    for m in range(points.place.shape[1]):
-        points.place[0, m] = fit.place[0, m] = pool[q, m]
+    copy_row(points.place[0], pool[q])
+    copy_row(fit.place[0], pool[q])
     write_carried(problem, work, b, shape)
     fit_wrenches(problem, work, fit, b, shape, FIT_STEPS, FIT_GAIN)
     copy_row(points.place[AIM], fit.place[0])

@@ -21,12 +21,13 @@ from torcharm.actuators.bending import (
     passive_moment,
     reference_pressure,
 )
-from torcharm.actuators.inspection import follows, same_model
+from torcharm.actuators.inspection import follows
 from torcharm.actuators.protocol import pressure_knots, sampled_of
 from torcharm.engine.arrays import Array
 from torcharm.engine.forces import SAMPLED, Models
 from torcharm.engine.references import by_reference
 from torcharm.inputs import plain_number
+from torcharm.statics.cross_section import group_alike
 
 ACCURACY = 1e-6
 """Of the largest force at a strain: steps of Newton's method on the model itself then gain six digits each."""
@@ -74,15 +75,12 @@ def tables_of(actuators: Sequence[Actuator], models: Models, highest: Array) -> 
     force, bent = np.full(len(actuators), -1), np.full(len(actuators), -1)
     grids: list[tuple[Array, Array, Array]] = []
     laws: list[Array] = []
-    known: list[int] = []
+    for model, members in group_alike(actuators):
+        if models.kind[members[0]] == SAMPLED:
+            most = float(max(highest[members]))
+            force[members] = len(grids)
+            grids.append(sampled_of(f"actuators[{members[0]}]", _grid, model, most))
     for a, model in enumerate(actuators):
-        if models.kind[a] == SAMPLED:
-            alike = [k for k in known if same_model(actuators[k], model)]
-            if not alike:
-                most = max(highest[k] for k, other in enumerate(actuators) if same_model(other, model))
-                grids.append(sampled_of(f"actuators[{a}]", _grid, model, float(most)))
-                known.append(a)
-            force[a] = force[alike[0]] if alike else len(grids) - 1
         if is_sampled(model):
             bent[a] = len(laws)
             laws.append(sampled_of(f"actuators[{a}].bending_stiffness", _law, model))

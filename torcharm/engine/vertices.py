@@ -5,28 +5,15 @@ vertices' products with the normal.
 """
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
 
-from torcharm.engine.arrays import Array
 from torcharm.engine.compilation import kernel, part
 from torcharm.engine.depth import signed_distance_part
 from torcharm.engine.distance import nearest_part
-from torcharm.engine.references import by_reference
+from torcharm.engine.node_sets import keep_answer
 from torcharm.engine.sharpen import leave_as_it_is
-
-
-@by_reference
-class VertexAnswers(NamedTuple):
-    """What is found, for B hulls with L points each."""
-
-    distance: Float64[Array, "B L"]  # negative inside if that was asked for
-    gap: Float64[Array, "B L"]  # by how much of the problem's size it may be too long
-    normal: Float64[Array, "B L D"]  # unit normals
-    weight: Float64[Array, "B L D"]  # of the vertices whose mix is nearest
-    vertex: Float64[Array, "B L D"]  # the numbers of these vertices
 
 
 @cache
@@ -76,15 +63,14 @@ def aim_at(vertices, point, simplex):  # type: ignore[no-untyped-def]
 @cache
 def vertex_kernel(dimension: int, signed: bool = False) -> Any:
     """The kernel for so many components, which measures from the outside or, signed, from both sides."""
-    D = dimension
-    ask = vertex_support(D)
-    nearest, signed_distance = nearest_part(D, ask), signed_distance_part(D, ask, leave_as_it_is)
+    ask = vertex_support(dimension)
+    nearest, signed_distance = nearest_part(dimension, ask), signed_distance_part(dimension, ask, leave_as_it_is)
 
     @kernel
     def vertex_distances(vertices, points, rounding, begin, end, simplex, polytope, answers):  # type: ignore[no-untyped-def]
         """Of hulls from `begin` to `end` of vertices (B, V, D), for points (B, L, D).
 
-        Distances below `rounding` of the coordinates' size are 0.
+        Distances below `rounding` of the coordinates' size are 0. Answers are those of B designs of one shape and node.
         """
         for b in range(begin, end):
             for l in range(points.shape[1]):
@@ -93,11 +79,8 @@ def vertex_kernel(dimension: int, signed: bool = False) -> Any:
                     distance, gap = signed_distance(vertices[b], simplex, polytope, size)
                 else:
                     distance, gap, _ = nearest(vertices[b], simplex, size)
-                answers.distance[b, l] = distance if abs(distance) > rounding * coordinates else 0.0
-                answers.gap[b, l] = gap / size if size > 0.0 else gap
-                for c in range(D):
-                    answers.normal[b, l, c] = simplex.normal[c]
-                    answers.weight[b, l, c] = simplex.weight[c]
-                    answers.vertex[b, l, c] = simplex.pressure[c, 0]
+                answers.distance[b, 0, l, 0] = distance if abs(distance) > rounding * coordinates else 0.0
+                answers.gap[b, 0, l, 0] = gap / size if size > 0.0 else gap
+                keep_answer(answers, simplex, (b, 0, l, 0))
 
     return vertex_distances

@@ -5,6 +5,7 @@ import torch
 
 from torcharm.engine.continuation import FAILED
 from torcharm.engine.path import Found
+from torcharm.engine.questions import solve
 from torcharm.equilibrium.problem import Problem
 from torcharm.geometry.rod import group_of
 
@@ -31,6 +32,6 @@ def corrected(problem: Problem, found: Found, tolerance: float) -> Found:
             break
         rows = rows[better[rows]]
         step = exact[rows][:, None]
-        packed.solve(twists, rows, step)
+        solve(packed, twists, rows, step)
         twists[np.ix_(rows, range(twists.shape[1]), columns)] -= step[:, 0]
     return found._replace(twists=best, residual=np.where(np.isinf(residual), np.nan, residual))

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torcharm.actuators import want_gradients
 from torcharm.engine.arms import numbers
+from torcharm.engine.questions import inverse
 from torcharm.equilibrium.problem import Problem
 from torcharm.statics.balance import segments_of
 
@@ -67,16 +68,16 @@ class _Implicit(torch.autograd.Function):
         answer, flat = torch.zeros_like(right), numbers(twists.reshape(problem.count, *twists.shape[-2:]))
         rows = np.flatnonzero((wanted & converged).reshape(-1).numpy())
         for index in np.split(rows, range(AT_ONCE, len(rows), AT_ONCE)):
-            inverse = torch.from_numpy(problem.packed.inverse(flat, index))
-            answer[index] = -(inverse.mT @ right[index].unsqueeze(-1)).squeeze(-1)
+            whole = torch.from_numpy(inverse(problem.packed, flat, index))
+            answer[index] = -(whole.mT @ right[index].unsqueeze(-1)).squeeze(-1)
             if not problem.packed.arms.tables.is_empty:
-                _refine(problem, twists, right, answer, index, inverse)
+                _refine(problem, twists, right, answer, index, whole)
         answer = answer.reshape(*gradient.shape[:-1], len(problem.unknown))
         lost = torch.where(wanted & ~converged, float("nan"), 0.0).to(answer)
         return answer + lost[..., None, None], None, None, None
 
 
-def _refine(problem: Problem, twists: Tensor, right: Tensor, answer: Tensor, index: Any, inverse: Tensor) -> None:
+def _refine(problem: Problem, twists: Tensor, right: Tensor, answer: Tensor, index: Any, whole: Tensor) -> None:
     """Correct answers of `Jᵀ x = -g` at an index by the slope of sampled models themselves, in place."""
     for _ in range(REFINEMENTS):
         with torch.enable_grad():
@@ -84,4 +85,4 @@ def _refine(problem: Problem, twists: Tensor, right: Tensor, answer: Tensor, ind
             residual = problem.residual(at)
             (product,) = torch.autograd.grad(residual, at, answer.reshape(residual.shape))
         product = product[..., problem.unknown].reshape(answer.shape)
-        answer[index] -= (inverse.mT @ (right + product)[index].unsqueeze(-1)).squeeze(-1)
+        answer[index] -= (whole.mT @ (right + product)[index].unsqueeze(-1)).squeeze(-1)

@@ -12,13 +12,11 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
-from torcharm.engine.arms import Arms, Loads, arms_of, flat, sizes_of
-from torcharm.engine.arrays import Array, make
+from torcharm.engine.arms import Arms, Loads, arms_of, flat
 from torcharm.engine.loads import loads_of
-from torcharm.engine.path import Found, Scale
+from torcharm.engine.path import Scale
 from torcharm.engine.pose_error import NO_GOAL
 from torcharm.engine.pressure_model import Problem as EngineProblem
-from torcharm.engine.questions import EQUILIBRIA, SOLUTIONS, Given, answer
 from torcharm.load import ExternalLoad
 from torcharm.statics.balance import balance_residual, unknown_columns
 
@@ -80,52 +78,13 @@ class Problem:
         )
 
     @cached_property
-    def packed(self) -> "Packed":
-        """The problems as the engine takes them."""
+    def packed(self) -> EngineProblem:
+        """The problems as the engine takes them, with pressures for limits, and without a goal."""
         pressure = flat(self.pressure, self.batch)
         highest = pressure.max(0) if self.count else np.zeros(self.arm.actuator_count)
         arms = arms_of(self.arm, self.batch, self.nodes, self.shear_stiffness, highest)
         loads = loads_of(self.arm, self.load, self.base_pose, self.batch, self.nodes, middle=self.wrench_at == "middle")
-        return Packed(arms, loads, _scale(arms, loads), pressure)
-
-
-@dataclass(frozen=True)
-class Packed:
-    """Problems as numbers: see the engine."""
-
-    arms: Arms
-    loads: Loads
-    scale: Scale
-    pressure: Array
-
-    def find(self, start: Array, tolerance: float) -> Found:
-        """The equilibria.
-
-        Args:
-            start: (B, N, K) twists of warm starts, or of none (0, N, K).
-            tolerance: of the load scale.
-        """
-        found = make(Found, sizes_of(self.arms, B=len(self.pressure)))
-        answer(EQUILIBRIA, self._asked, tolerance, Given(start=start), found=found)
-        return found
-
-    def inverse(self, twists: Array, index: Array) -> Array:
-        """J⁻¹ (b, N·C, N·C) of the problems at an index (b,), at all twists (B, N, K)."""
-        nodes, columns = twists.shape[1], len(self.arms.unknown)
-        size = nodes * columns
-        right = np.broadcast_to(np.eye(size), (len(index), size, size)).copy()
-        right = right.reshape(len(index), size, nodes, columns)
-        self.solve(twists, index, right)
-        return right.reshape(len(index), size, size).transpose(0, 2, 1)
-
-    def solve(self, twists: Array, index: Array, right: Array) -> None:
-        """Replace right-hand sides (b, X, N, C) by J⁻¹ times them, for the problems at an index (b,)."""
-        answer(SOLUTIONS, self._asked, 0.0, Given(twists=twists, rows=index, right=right))
-
-    @property
-    def _asked(self) -> EngineProblem:
-        """The problems as the engine takes them, without a goal."""
-        return EngineProblem(self.arms, self.loads, self.scale, NO_GOAL, self.pressure)
+        return EngineProblem(arms, loads, _scale(arms, loads), NO_GOAL, pressure)
 
 
 def _scale(arms: Arms, loads: Loads) -> Scale:

@@ -19,6 +19,7 @@ from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.engine.arms import flat
 from torcharm.engine.continuation import CONTINUED
+from torcharm.engine.questions import find
 from torcharm.equilibrium.correction import corrected
 from torcharm.equilibrium.gradient import with_gradients
 from torcharm.equilibrium.problem import Problem
@@ -43,8 +44,8 @@ from torcharm.inputs import (
     shown,
 )
 from torcharm.load import ExternalLoad, check_tip
-from torcharm.statics.balance import segments_of
-from torcharm.statics.external_load import required_wrench
+from torcharm.statics.balance import link_ends, segments_of
+from torcharm.statics.external_load import arm_wrench
 from torcharm.task import WRENCH_AT, WRENCH_PLACES, check_segments
 
 TOLERANCE = 1e-10
@@ -124,8 +125,7 @@ class Equilibrium(HoldsTensors):
     def poses(self) -> Tensor:
         """(*batch, N+1, 3) or (*batch, N+1, 4, 4) poses of the nodes and the tip [m, m, rad]."""
         problem = self._problem
-        links = [None if link is None else link.end(problem.arm.dimension) for link in segments_of(problem.arm)[1]]
-        links = [None if link is None else link.to(self.twists) for link in links]
+        links = [None if end is None else end.to(self.twists) for end in link_ends(problem.arm)]
         return rod.poses(self.twists, self.base_pose, segment_nodes=problem.nodes, links=links)
 
     @property
@@ -135,16 +135,8 @@ class Equilibrium(HoldsTensors):
         problem = self._problem
         if problem.arm.dimension == 2:
             raise ValueError("required_torsion: must be asked of an arm in space, got a planar one")
-        segments, links = segments_of(problem.arm)
-        required = required_wrench(
-            self.twists.to(problem.base_pose),
-            problem.load,
-            problem.base_pose,
-            wrench_at=problem.wrench_at,
-            segment_nodes=problem.nodes,
-            mass=[segment.mass for segment in segments],
-            links=links,
-        )
+        place, twists = problem.base_pose, self.twists.to(problem.base_pose)
+        required = arm_wrench(problem.arm, twists, problem.load, place, problem.wrench_at, problem.nodes)
         return required[..., 3].to(self.twists)
 
     @property
@@ -229,7 +221,7 @@ def solved(problem: Problem, start: Tensor | None = None, tolerance: float = TOL
     size = (sum(problem.nodes), 3 if problem.arm.dimension == 2 else 6)
     warm = np.zeros((0, *size)) if start is None else flat(start, problem.batch, 2)
     packed = problem.packed
-    found = packed.find(warm, tolerance)
+    found = find(packed, warm, tolerance)
     if not packed.arms.tables.is_empty:
         found = corrected(problem, found, tolerance)
     twists = torch.from_numpy(found.twists).reshape(*problem.batch, *size)

@@ -7,9 +7,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torcharm.arm_series import with_slices
 from torcharm.engine.continuation import FAILED
 from torcharm.engine.path import Found
-from torcharm.equilibrium.problem import Packed, Problem
+from torcharm.engine.pressure_model import Problem as EngineProblem
+from torcharm.engine.questions import inverse
+from torcharm.equilibrium.problem import Problem
 from torcharm.geometry.rod import actuator_lengths, strain
 from torcharm.inputs import plain_number
 from torcharm.statics.balance import segments_of, tilt_stiffness
@@ -19,7 +22,7 @@ EIGENVALUES_AT_ONCE = 4096
 """Matrices whose inverses are held at once: 30 MB of 30 by 30."""
 
 
-def stays(packed: Packed, found: Found) -> NDArray[np.bool_]:
+def stays(packed: EngineProblem, found: Found) -> NDArray[np.bool_]:
     """(B,) whether arms stay at their equilibria when disturbed: all eigenvalues of J have a negative real part.
 
     The number of positive pivots tells it where J is symmetric. It nearly is under dead forces: the bending law, and
@@ -37,19 +40,19 @@ def stays(packed: Packed, found: Found) -> NDArray[np.bool_]:
         unsure |= stable & (loads.wrench[..., dimension:] != 0).any((-2, -1))
     rows = np.flatnonzero(unsure & (found.reached != FAILED))
     for index in np.split(rows, range(EIGENVALUES_AT_ONCE, len(rows), EIGENVALUES_AT_ONCE)):
-        stable[index] = are_stable(packed.inverse(found.twists, index)) if len(index) else True
+        stable[index] = are_stable(inverse(packed, found.twists, index)) if len(index) else True
     return stable
 
 
-def are_stable(inverse: NDArray[np.float64]) -> NDArray[np.bool_]:
+def are_stable(inverses: NDArray[np.float64]) -> NDArray[np.bool_]:
     """(b,) whether all eigenvalues of J have a negative real part, by the inverses (b, n, n), whose signs are the same.
 
     They have if the symmetric part is negative definite, which is quicker to find; else the eigenvalues are asked for.
     """
-    _, failed = torch.linalg.cholesky_ex(torch.from_numpy(-(inverse + inverse.swapaxes(-1, -2))))
+    _, failed = torch.linalg.cholesky_ex(torch.from_numpy(-(inverses + inverses.swapaxes(-1, -2))))
     stable: NDArray[np.bool_] = (failed == 0).numpy()
     if not stable.all():
-        stable[~stable] = np.linalg.eigvals(inverse[~stable]).real.max(-1) < 0
+        stable[~stable] = np.linalg.eigvals(inverses[~stable]).real.max(-1) < 0
     return stable
 
 
@@ -65,12 +68,12 @@ def lengths_positive(problem: Problem, twists: Tensor) -> Tensor:
 def strain_excess(problem: Problem, twists: Tensor) -> tuple[Tensor, Tensor]:
     """The largest strain beyond its actuator's characterised range (*batch), and whether all strains and pressures
     lie within theirs."""
-    excess, first = twists.new_zeros(twists.shape[:-2]), 0
+    excess = twists.new_zeros(twists.shape[:-2])
     within = torch.ones_like(excess, dtype=torch.bool)
-    for segment, (own, beyond, _, _) in zip(segments_of(problem.arm)[0], beyond_range(problem, twists), strict=True):
+    segments = with_slices(segments_of(problem.arm)[0])
+    for (segment, place), (own, beyond, _, _) in zip(segments, beyond_range(problem, twists), strict=True):
         excess = torch.maximum(excess, beyond.clamp(min=0).amax((-1, -2)))
-        pressure = problem.pressure[..., first : first + segment.actuator_count]
-        first += segment.actuator_count
+        pressure = problem.pressure[..., place]
         ends = [[plain_number(model.pressure_range[end]) for model in segment.actuators] for end in (0, 1)]
         low, high = (pressure.new_tensor(end) for end in ends)
         within = within & (pressure >= low - RANGE_SLACK * low.abs()).all(-1)
@@ -104,10 +107,9 @@ def beyond_range(problem: Problem, twists: Tensor) -> Iterator[tuple[Tensor, Ten
 
 def buckles_in_torsion(problem: Problem, twists: Tensor) -> Tensor:
     """(*batch, N) where pushing actuators take all stiffness against torsion away: `Σ f_α ρ_α² l/l_α ≥ C`."""
-    found, first = [], 0
-    for segment, shape in zip(segments_of(problem.arm)[0], twists.split(problem.nodes, -2), strict=True):
-        pressure = problem.pressure[..., None, first : first + segment.actuator_count]
-        first += segment.actuator_count
+    found, segments = [], with_slices(segments_of(problem.arm)[0])
+    for (segment, place), shape in zip(segments, twists.split(problem.nodes, -2), strict=True):
+        pressure = problem.pressure[..., None, place]
         if segment.torsion_stiffness is None:
             found.append(torch.zeros_like(shape[..., 0], dtype=torch.bool))
             continue

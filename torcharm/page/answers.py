@@ -21,7 +21,7 @@ from torcharm.page.state import BEST, State, design_of, pressure_of, task_of
 from torcharm.plot._common import Array, array
 from torcharm.pressure.at_pressure import error_at_pressure
 from torcharm.pressure.search import LESS_COMPRESSION
-from torcharm.statics.balance import segments_of
+from torcharm.statics.balance import link_ends, segments_of
 from torcharm.statics.external_load import HULL, task_wrench
 from torcharm.study.words import region_size
 from torcharm.task import Task
@@ -218,7 +218,7 @@ def same_reach(one: State, other: State) -> bool:
 
 def _tip_of(arm: Arm, task: Task) -> Tensor:
     """Where a task's shape ends, links included."""
-    links = [None if link is None else link.end(arm.dimension).to(task.twists) for link in segments_of(arm)[1]]
+    links = [None if end is None else end.to(task.twists) for end in link_ends(arm)]
     return rod.poses(task.twists, task.base_pose, segment_nodes=task.segment_nodes, links=links)[-1]
 
 

@@ -10,13 +10,13 @@ by pressure of the cost's gradient, which is exact, are central differences alon
 
 from dataclasses import replace
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.equilibrium.gradient import with_gradients
+from torcharm.equilibrium.sensitivity import pressure_sensitivity
 from torcharm.equilibrium.stability import share_beyond_range
 from torcharm.pressure.errors import errors_at
 from torcharm.pressure.pose_cost import PoseCost
@@ -65,9 +65,10 @@ def beyond_range(arm: ArmDesign | ArmSeries, task: Task, twists: Tensor) -> Tens
 
 def _followed(prepared: Prepared, place: Tensor, twists: Tensor) -> Tensor:
     """Normalised pressures (*batch, M) at minima, as functions of what the problems depend on."""
-    count = place.shape[-1]
+    count, limit = place.shape[-1], prepared.problem.pressure
     ahead = STEP * torch.eye(count, dtype=place.dtype).reshape(count, *(1 for _ in prepared.batch), count)
-    along = _rates(detached(prepared), place, twists, ahead)
+    rate = pressure_sensitivity(detached(prepared).at(place), twists) * limit.detach()[..., None, None]
+    along = STEP * rate.movedim(-3, 0)
     ways = torch.tensor([1.0, -1.0], dtype=place.dtype).reshape(2, *(1 for _ in ahead.shape))
     at = (place + ways * ahead).requires_grad_()
     wide = replace(prepared, problem=replace(prepared.problem, batch=(2, count, *prepared.batch)))
@@ -81,18 +82,3 @@ def _followed(prepared: Prepared, place: Tensor, twists: Tensor) -> Tensor:
     inverse = torch.linalg.pinv(((curvature + curvature.mT) / 2).nan_to_num(), rtol=LEAST_CURVATURE, hermitian=True)
     moved = (inverse @ rise.unsqueeze(-1)).squeeze(-1)
     return place - moved + moved.detach()
-
-
-def _rates(plain: Prepared, place: Tensor, twists: Tensor, ahead: Tensor) -> Tensor:
-    """(M, *batch, N, K) how equilibria move with steps of pressures (M, 1, ..., M)."""
-    with torch.no_grad():
-        change = plain.at(place + ahead).residual(twists) - plain.at(place - ahead).residual(twists)
-    change = change.expand(len(ahead), *plain.batch, *change.shape[-2:]).reshape(
-        len(ahead), plain.problem.count, *change.shape[-2:]
-    )
-    right = np.ascontiguousarray(-0.5 * change.movedim(0, 1).numpy())
-    packed = replace(plain.problem.packed, pressure=plain.flat(plain.at(place).pressure, 1))
-    packed.solve(plain.flat(twists, 2), np.arange(plain.problem.count), right)
-    moved = torch.zeros(len(ahead), *twists.expand(*plain.batch, *twists.shape[-2:]).shape, dtype=twists.dtype)
-    moved[..., plain.problem.unknown] = plain.shaped(right).movedim(len(plain.batch), 0)
-    return moved

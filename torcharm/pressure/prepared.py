@@ -22,7 +22,7 @@ from torcharm.equilibrium.stability import lengths_positive, stays
 from torcharm.geometry import rod
 from torcharm.inputs import check_above_zero, shown
 from torcharm.pressure.pose_cost import PoseCost
-from torcharm.statics.balance import segments_of
+from torcharm.statics.balance import link_ends
 from torcharm.task import Task
 from torcharm.wrench_sets.design_task_grid import fitted
 
@@ -73,9 +73,8 @@ class Prepared:
 
     def poses(self, twists: Tensor) -> Tensor:
         """Poses (..., N+1, 3) or (..., N+1, 4, 4) of twists (..., N, K)."""
-        links = [None if link is None else link.end(self.dimension) for link in segments_of(self.problem.arm)[1]]
-        nodes = self.problem.nodes
-        return rod.poses(twists, self.problem.base_pose, segment_nodes=nodes, links=links)
+        problem = self.problem
+        return rod.poses(twists, problem.base_pose, segment_nodes=problem.nodes, links=link_ends(problem.arm))
 
     def flat(self, value: Tensor, data: int) -> Numbers:
         """A tensor (*#batch, ...) as numbers (B, ...), of so many dimensions of data."""
@@ -117,10 +116,9 @@ class Prepared:
     @cached_property
     def engine(self) -> EngineProblem:
         """The problems as the engine takes them."""
-        packed = self.problem.packed
         with torch.no_grad():
             goal = Goal(self.flat(self._goal(), 2), self.flat(self.weights[..., 1:, :], 2))
-        return EngineProblem(packed.arms, packed.loads, packed.scale, goal, packed.pressure)
+        return self.problem.packed._replace(goal=goal)
 
     def _goal(self) -> Tensor:
         """Poses wanted at the ends of the elements, as of `Goal`."""
@@ -199,4 +197,4 @@ def stays_at(prepared: Prepared, place: Numbers, twists: Numbers, known: Numbers
     these leave it open, eigenvalues tell."""
     nothing = np.zeros((len(known), 2))
     found = Found(twists, nothing[:, 0], np.where(known, CONTINUED, FAILED), nothing.astype(np.int64), nothing)
-    return stays(replace(prepared.problem.packed, pressure=place * prepared.engine.limit), found)
+    return stays(prepared.engine._replace(limit=place * prepared.engine.limit), found)

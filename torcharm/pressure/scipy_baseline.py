@@ -6,9 +6,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torcharm.engine.continuation import CONTINUED, FAILED, WARM
+from torcharm.engine.pose_error import NO_GOAL
 from torcharm.engine.pressure_model import Problem as EngineProblem
+from torcharm.engine.questions import find
 from torcharm.engine.searches import Searches
-from torcharm.equilibrium.problem import Packed
 from torcharm.equilibrium.solve import TOLERANCE
 from torcharm.equilibrium.stability import stays
 from torcharm.inputs import check_choice
@@ -51,17 +52,14 @@ class _Task:
 
     def __init__(self, prepared: Prepared, b: int, target: Tensor, weights: Tensor) -> None:
         self.prepared, self.b, self.target, self.weights = prepared, b, target, weights
-        self.whole: EngineProblem = prepared.engine
-        self.packed = _row(prepared.problem.packed, b)
-        self.limit = self.whole.limit[b]
+        self.packed = _row(prepared.engine, b)
+        self.limit = self.packed.limit[0]
         self.warm = np.zeros((0, *prepared.shape.shape[1:]))
 
     def solve(self, place: Numbers, warm: bool) -> tuple[float, Numbers, int]:
         """The cost at an equilibrium, its twists, and how it is reached; from the last one if warm."""
-        packed = Packed(
-            self.packed.arms, self.packed.loads, self.packed.scale, (np.clip(place, 0, 1) * self.limit)[None]
-        )
-        found = packed.find(self.warm if warm else self.warm[:0], TOLERANCE)
+        packed = self.packed._replace(limit=(np.clip(place, 0, 1) * self.limit)[None])
+        found = find(packed, self.warm if warm else self.warm[:0], TOLERANCE)
         if found.reached[0] == FAILED or not bool(stays(packed, found)[0]):
             return NOTHING, found.twists[0], FAILED
         error = pose_errors(self.prepared.poses(torch.from_numpy(found.twists[0])), self.target)
@@ -84,13 +82,13 @@ class _Task:
         return slope
 
 
-def _row(packed: Packed, b: int) -> Packed:
+def _row(packed: EngineProblem, b: int) -> EngineProblem:
     """One of the problems."""
     arms, loads, row = packed.arms, packed.loads, slice(b, b + 1)
     each = {name: getattr(arms, name)[row] for name in ("y", "z", "neutral", "torsion", "link")}
     load = {name: getattr(loads, name)[row] for name in ("base", "wrench", "offset", "weight")}
     scale = packed.scale._replace(**{name: value[row] for name, value in packed.scale._asdict().items()})
-    return Packed(arms._replace(**each), loads._replace(**load), scale, packed.pressure[row])
+    return EngineProblem(arms._replace(**each), loads._replace(**load), scale, NO_GOAL, packed.limit[row])
 
 
 def _search(task: _Task, places: Numbers, method: str, out: Searches) -> None:

@@ -47,12 +47,7 @@ class PressureSearch(Outcome):
 
     Attributes:
         pressure: (*batch, M) the best [kPa].
-        tip_error, tip_rotation_error: (*batch) distance [m] and turn [rad] of the tip from the task's; infinite, as all
-            errors are, where no equilibrium was found.
-        shape_error: (*batch) the weighted mean over the poses, `sqrt(Σ ω_i e_iᵀ K e_i / Σ ω_i)` [m].
-        cost: (*batch) `Σ ω_i e_iᵀ K e_i` [m²], what is minimised.
-        per_node: (*batch, N+1) `sqrt(e_iᵀ K e_i)` of each pose [m].
-        pose_errors: (*batch, N+1, 3 or 6) e_i [m, rad].
+        tip_error, tip_rotation_error, shape_error, cost, per_node, pose_errors: as of `PredictedError`, there.
         twists: (*batch, N, K) the equilibrium at this pressure [m, rad].
         optimality: (*batch) the largest entry of the cost's projected gradient, by normalised pressures [m²]. At a
             kink of a force model it does not vanish.
@@ -60,9 +55,7 @@ class PressureSearch(Outcome):
             to its end, and none led to a better one that continuation does not reach.
         continued: (*batch) whether continuation from zero load reaches it along one branch.
         stable: (*batch) whether the task is possible, and the arm stays there.
-        possible: (*batch) whether every length of the task's shape is above 0.
-        strain_excess: (*batch) largest strain beyond its actuator's characterised range, 0 if none is.
-        in_range: (*batch) whether every strain and pressure lies in the characterised range.
+        possible, strain_excess, in_range: as of `PredictedError`.
         start_cost: (*batch, S) what each start came to by itself, before it was given up or at its end; infinite where
             it failed, NaN where it was spared as others had agreed.
 

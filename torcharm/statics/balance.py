@@ -11,10 +11,10 @@ import torch
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries, RigidLink
+from torcharm.arm_series import ArmSeries, RigidLink, with_slices
 from torcharm.load import ExternalLoad
 from torcharm.statics.cross_section import CrossSections, cross_sections
-from torcharm.statics.external_load import required_wrench
+from torcharm.statics.external_load import arm_wrench
 
 RIGID = 1e30
 """Stiffness against torsion [N·m²] of a segment that does not twist in an arm that does: by it no load of this world
@@ -24,6 +24,11 @@ twists a segment by what rounding leaves of a number, and its products stay fini
 def segments_of(arm: ArmDesign | ArmSeries) -> tuple[tuple[ArmDesign, ...], tuple[RigidLink | None, ...]]:
     """The segments of an arm, and the link or None behind each."""
     return (arm.segments, arm.links) if isinstance(arm, ArmSeries) else ((arm,), (None,))
+
+
+def link_ends(arm: ArmDesign | ArmSeries) -> list[Tensor | None]:
+    """Poses of the ends of an arm's links in the frames of their starts."""
+    return [None if link is None else link.end(arm.dimension) for link in segments_of(arm)[1]]
 
 
 def unknown_columns(arm: ArmDesign | ArmSeries, shear_stiffness: float | None) -> tuple[int, ...]:
@@ -57,23 +62,13 @@ def balance_residual(
         wrench_at: "start" or "middle", as of `required_wrench`.
         shear_stiffness: k [N/m] of each actuator, for the reaction `-k Σ_α γ`; None is rigid.
     """
-    segments, links = segments_of(arm)
-    required = required_wrench(
-        twists,
-        load,
-        base_pose,
-        wrench_at=wrench_at,
-        segment_nodes=nodes,
-        mass=[segment.mass for segment in segments],
-        links=links,
-    )
+    required = arm_wrench(arm, twists, load, base_pose, wrench_at, nodes)
     columns = list(unknown_columns(arm, shear_stiffness))
-    parts, first = [], 0
-    shapes = twists.split(list(nodes), -2)
-    for segment, shape in zip(segments, shapes, strict=True):
-        own = pressure[..., None, first : first + segment.actuator_count]
-        first += segment.actuator_count
-        parts.append(segment_reaction(segment, shape, own, shear_stiffness)[..., columns])
+    shapes = zip(with_slices(segments_of(arm)[0]), twists.split(list(nodes), -2), strict=True)
+    parts = [
+        segment_reaction(segment, shape, pressure[..., None, own], shear_stiffness)[..., columns]
+        for (segment, own), shape in shapes
+    ]
     batch = torch.broadcast_shapes(*(part.shape[:-2] for part in parts))
     return torch.cat([part.expand(*batch, *part.shape[-2:]) for part in parts], -2) - required[..., columns]
 

@@ -79,6 +79,19 @@ class CrossSections:
         total = torch.cat((wrench[..., :1].expand(*moment.shape[:-1], 1), wrench[..., 1:] + moment), -1)
         return total if self.constant is None else total + self.constant
 
+    def for_many(self) -> "CrossSections":
+        """The same with a dimension (..., N, 1, M) added for several pressures a node."""
+        constant = None if self.constant is None else self.constant.unsqueeze(-2)
+        alike = {name: getattr(self, name).unsqueeze(-2) for name in ("strain", "limit")}
+        return replace(
+            self, **alike, lever=self.lever.unsqueeze(-3), bending=self.bending.unsqueeze(-3), constant=constant
+        )
+
+    def first(self) -> "CrossSections":
+        """The same of the first node (..., 1, M) alone."""
+        constant = None if self.constant is None else self.constant[..., :1, :]
+        return replace(self, strain=self.strain[..., :1, :], bending=self.bending[..., :1, :, :], constant=constant)
+
     def for_sets(self) -> "CrossSections":
         """The same, with offsets of forces in the constant wrench: sets know the forces of models, and that.
 
@@ -174,15 +187,15 @@ def actuator_force(actuators: tuple[Actuator, ...], own_strain: Tensor, pressure
         ValueError: a model has no force for tensors.
     """
     groups = group_alike(actuators)
-    parts = []
-    for model, members in groups:
-        own = (own_strain, pressure) if len(groups) == 1 else (own_strain[..., members], pressure[..., members])
-        parts.append(sampled_of(f"actuators[{_first(members)}].force", _force_of, model, *own))
+    parts, places = [], [_as_slice(members) for _, members in groups]
+    for (model, members), place in zip(groups, places, strict=True):
+        own = (own_strain, pressure) if len(groups) == 1 else (own_strain[..., place], pressure[..., place])
+        parts.append(sampled_of(f"actuators[{members[0]}].force", _force_of, model, *own))
     if len(groups) == 1:
         return parts[0]
     force = parts[0].new_empty(torch.broadcast_shapes(own_strain.shape, pressure.shape))
-    for (_, members), part in zip(groups, parts, strict=True):
-        force[..., members] = part
+    for place, part in zip(places, parts, strict=True):
+        force[..., place] = part
     return force
 
 
@@ -190,12 +203,8 @@ def _force_of(model: Actuator, strain: Tensor, pressure: Tensor) -> Tensor:
     return model.force(strain, pressure).expand(torch.broadcast_shapes(strain.shape, pressure.shape))
 
 
-def _first(members: slice | list[int]) -> int:
-    return int(members.start if isinstance(members, slice) else members[0])
-
-
-def group_alike(actuators: tuple[Actuator, ...]) -> list[tuple[Actuator, slice | list[int]]]:
-    """Each kind of model, and where it sits: as a slice, which costs no copy, if evenly spaced."""
+def group_alike(actuators: Sequence[Actuator]) -> list[tuple[Actuator, list[int]]]:
+    """Each kind of model, and where it sits."""
     groups: list[tuple[Actuator, list[int]]] = []
     for index, model in enumerate(actuators):
         for known, members in groups:
@@ -204,10 +213,11 @@ def group_alike(actuators: tuple[Actuator, ...]) -> list[tuple[Actuator, slice |
                 break
         else:
             groups.append((model, [index]))
-    return [(model, _as_slice(members)) for model, members in groups]
+    return groups
 
 
 def _as_slice(members: list[int]) -> slice | list[int]:
+    """The same places as a slice, which costs no copy, if they are evenly spaced."""
     step = members[1] - members[0] if len(members) > 1 else 1
     evenly = slice(members[0], members[-1] + 1, step)
     return evenly if list(range(members[-1] + 1))[evenly] == members else members

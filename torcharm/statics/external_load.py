@@ -91,26 +91,33 @@ def required_wrench(
     return -_in_node_frames(rod, parts)
 
 
+def arm_wrench(
+    arm: ArmDesign | ArmSeries,
+    twists: Tensor,
+    load: ExternalLoad,
+    base_pose: Tensor,
+    wrench_at: str,
+    segment_nodes: Sequence[int] | None,
+) -> Tensor:
+    """`required_wrench` with the masses and links of an arm."""
+    links = arm.links if isinstance(arm, ArmSeries) else None
+    mass = [segment.mass for segment in arm.segments] if isinstance(arm, ArmSeries) else [arm.mass]
+    options = {"wrench_at": wrench_at, "segment_nodes": segment_nodes}
+    return required_wrench(twists, load, base_pose, **options, mass=mass, links=links)  # type: ignore[arg-type]
+
+
 def task_wrench(arm: ArmDesign | ArmSeries, task: Task) -> Float[Tensor, "... N K"]:
     """`required_wrench` of a task for an arm: with the arm's masses and links, at the task's place.
 
     Raises:
         ValueError: the task's dimension or its segments are not the arm's.
     """
-    segments = arm.segments if isinstance(arm, ArmSeries) else (arm,)
+    segments = len(arm.segments) if isinstance(arm, ArmSeries) else 1
     if arm.dimension != task.dimension:
         raise ValueError(f"task: must be of the arm's dimension {arm.dimension}, got {task.dimension}")
-    if len(task.segment_nodes or (0,)) != len(segments):
-        raise ValueError(f"segment_nodes: must hold one number for each of {len(segments)} segments, got {shown(task)}")
-    return required_wrench(
-        task.twists,
-        task.load,
-        task.base_pose,
-        wrench_at=task.wrench_at,
-        segment_nodes=task.segment_nodes,
-        mass=[segment.mass for segment in segments],
-        links=arm.links if isinstance(arm, ArmSeries) else None,
-    )
+    if len(task.segment_nodes or (0,)) != segments:
+        raise ValueError(f"segment_nodes: must hold one number for each of {segments} segments, got {shown(task)}")
+    return arm_wrench(arm, task.twists, task.load, task.base_pose, task.wrench_at, task.segment_nodes)
 
 
 @dataclass(frozen=True)

@@ -189,7 +189,7 @@ def _prepared(arm: ArmDesign | ArmSeries, task: Task) -> tuple[ArmDesign | ArmSe
     weight = ExternalLoad(nothing, task.load.gravity)
     own = Task(task.twists, None, task.base_pose, weight, task.wrench_at, task.segment_nodes)
     grid = design_task_grid(arm, own)
-    direction = design_task_grid(without_link_masses(arm), task).required.external
+    direction = design_task_grid(without_link_masses(arm), task).external
     return arm, task, grid, direction
 
 
@@ -209,7 +209,7 @@ def held_factor(arm: ArmDesign | ArmSeries, task: Task) -> Tensor:
     _, _, grid, direction = _prepared(arm, task)
     whole, found = slice(None), torch.full(grid.sizes, torch.inf, dtype=grid.twists.dtype)
     for segment, nodes in enumerate(grid.nodes):
-        start = grid.required.part(whole, whole, whole, nodes)
+        start = grid.required(whole, whole, whole, nodes)
         sections, _ = possible_sections(grid.sections(segment, whole, whole))
         own = direction[..., nodes, :]
         ends = find_ends(sections, start, own, relative=False, points=any_sampled(sections), least=True)
@@ -294,7 +294,7 @@ def _segment(
         again: whether a graph is built when it is needed instead of kept.
     """
     designs, shapes, loads = place
-    start = grid.required.part(designs, shapes, loads, grid.nodes[segment])
+    start = grid.required(designs, shapes, loads, grid.nodes[segment])
 
     def prepare() -> tuple[CrossSections, Tensor, Tensor]:
         sections = grid.sections(segment, designs, shapes)

@@ -22,39 +22,6 @@ Arm = ArmDesign | ArmSeries
 
 
 @dataclass(frozen=True, eq=False)
-class RequiredWrench:
-    """What loads ask of the nodes: `external + Σ_s mass_s unit_weight_s`, as designs may weigh differently.
-
-    Attributes:
-        external: (P, L, N, C) hull wrenches of L loads on P shapes, in the nodes' frames [N, N·m].
-        unit_weight: (S, P, N, C) the same of 1 kg of each of S segments; S is 0 without gravity or mass.
-        mass: (B, S) of the B designs' segments [kg].
-    """
-
-    external: Tensor
-    unit_weight: Tensor
-    mass: Tensor
-
-    def whole(self) -> Tensor:
-        """The wrenches (B, P, L, N, C) themselves."""
-        found = self.external
-        for s, unit in enumerate(self.unit_weight):
-            found = found + self.mass[:, s].view(-1, 1, 1, 1, 1) * unit.unsqueeze(-3)
-        return found.expand(len(self.mass), *self.external.shape)
-
-    def minus_first(self) -> "RequiredWrench":
-        """The differences from the first node."""
-        external, weight = self.external, self.unit_weight
-        return RequiredWrench(external - external[..., :1, :], weight - weight[..., :1, :], self.mass)
-
-    def part(self, designs: slice, shapes: slice, loads: slice, nodes: slice = slice(None)) -> "RequiredWrench":
-        """Of some designs, shapes, loads and nodes."""
-        return RequiredWrench(
-            self.external[shapes, loads, nodes], self.unit_weight[:, shapes, nodes], self.mass[designs]
-        )
-
-
-@dataclass(frozen=True, eq=False)
 class DesignTaskGrid:
     """B designs × P shapes × L loads a shape.
 
@@ -65,7 +32,9 @@ class DesignTaskGrid:
         segments: the designs' segments, each with B designs; one of an arm that is not in series.
         nodes: of each segment, its part of the nodes.
         twists: (P, N, 3 or 6).
-        required: of all nodes.
+        external: (P, L, N, C) hull wrenches that loads ask of the nodes, in their frames [N, N·m].
+        unit_weight: (S, P, N, C) the same of 1 kg of each of S segments; S is 0 without gravity or mass.
+        mass: (B, S) of the designs' segments [kg].
         design_batch, shape_batch, load_batch: what was flattened.
         task_axes: for each task dimension, its place among shape and load dimensions.
     """
@@ -73,7 +42,9 @@ class DesignTaskGrid:
     segments: tuple[ArmDesign, ...]
     nodes: tuple[slice, ...]
     twists: Tensor
-    required: RequiredWrench
+    external: Tensor
+    unit_weight: Tensor
+    mass: Tensor
     design_batch: tuple[int, ...]
     shape_batch: tuple[int, ...]
     load_batch: tuple[int, ...]
@@ -88,6 +59,13 @@ class DesignTaskGrid:
         """The cross-sections (B, P) of some designs of a segment on some shapes."""
         arm = self.segments[segment]
         return cross_sections(arm[designs, None], self.twists[shapes, self.nodes[segment]]).for_sets()
+
+    def required(self, designs: slice, shapes: slice, loads: slice, nodes: slice) -> Tensor:
+        """(B, P, L, N, C) what some nodes require of some designs, under loads and their own weight."""
+        found, mass = self.external[shapes, loads, nodes], self.mass[designs]
+        for own, unit in zip(mass.unbind(-1), self.unit_weight[:, shapes, nodes], strict=True):
+            found = found + own.view(-1, 1, 1, 1, 1) * unit.unsqueeze(-3)
+        return found.expand(len(mass), *found.shape[-4:])
 
     def unflatten(self, value: Tensor) -> Tensor:
         """(B, P, L, ...) as (*design batch, *task batch, ...)."""
@@ -156,7 +134,7 @@ def design_task_grid(arm: Arm, task: Task) -> DesignTaskGrid:
         segments,
         nodes,
         twists.permute(*order, count, count + 1).reshape(-1, *task.twists.shape[-2:]),
-        _required(arm, task, segments, batch, order, prod(shape_batch), prod(load_batch)),
+        *_required(arm, task, segments, batch, order, prod(shape_batch), prod(load_batch)),
         tuple(arm.batch_shape),
         shape_batch,
         load_batch,
@@ -166,8 +144,8 @@ def design_task_grid(arm: Arm, task: Task) -> DesignTaskGrid:
 
 def _required(
     arm: Arm, task: Task, segments: tuple[ArmDesign, ...], batch: tuple[int, ...], order: list[int], P: int, L: int
-) -> RequiredWrench:
-    """What the task's loads ask for, and what a kilogram of each segment would."""
+) -> tuple[Tensor, Tensor, Tensor]:
+    """What the task's loads ask for, what a kilogram of each segment would, and the masses (B, S) [kg]."""
     columns = HULL[task.twists.shape[-1]]
     links = arm.links if isinstance(arm, ArmSeries) else None
     options: dict[str, Any] = {"wrench_at": task.wrench_at, "segment_nodes": task.segment_nodes}
@@ -178,15 +156,15 @@ def _required(
         return wrench.permute(*order, count, count + 1).reshape(P, L, *wrench.shape[-2:])[:, :loads]
 
     external = flat(required_wrench(task.twists, task.load, task.base_pose, links=links, **options), L)
-    mass = _masses(segments)
+    mass = torch.stack([segment.mass for segment in segments], -1)
     if not task.load.gravity or not (mass.requires_grad or bool((mass != 0).any())):
-        return RequiredWrench(external, external.new_zeros(0, P, *external.shape[-2:]), mass[:, :0])
+        return external, external.new_zeros(0, P, *external.shape[-2:]), mass[:, :0]
     bare, units = ExternalLoad(gravity=True), []
     weightless = None if links is None else without_link_masses(arm).links  # type: ignore[union-attr]
     for index in range(len(segments)):
         own = [1.0 if index == other else 0.0 for other in range(len(segments))]
         units.append(required_wrench(task.twists, bare, task.base_pose, mass=own, links=weightless, **options))
-    return RequiredWrench(external, torch.stack([flat(unit, 1)[:, 0] for unit in units]), mass)
+    return external, torch.stack([flat(unit, 1)[:, 0] for unit in units]), mass
 
 
 def without_link_masses(arm: Arm) -> Arm:
@@ -194,11 +172,6 @@ def without_link_masses(arm: Arm) -> Arm:
     if isinstance(arm, ArmDesign):
         return arm
     return ArmSeries(arm.segments, tuple(link and link.without_mass() for link in arm.links))
-
-
-def _masses(segments: tuple[ArmDesign, ...]) -> Tensor:
-    """(B, S) of the segments [kg]."""
-    return torch.stack([segment.mass for segment in segments], -1)
 
 
 def _check_links(links: Sequence[RigidLink | None]) -> None:

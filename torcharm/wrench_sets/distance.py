@@ -21,7 +21,6 @@ from torcharm.engine.node_sets import Answers, Sections, distance_kernel, make_r
 from torcharm.engine.threads import spread
 from torcharm.statics.cross_section import CrossSections, actuator_force, group_alike
 from torcharm.wrench_sets.curves import Curves, as_samples, sample_curves
-from torcharm.wrench_sets.design_task_grid import RequiredWrench
 
 CERTIFIED = 1e-8
 """The gap, as a part of a problem's size, up to which a distance counts as known: what rounding leaves in bad cases."""
@@ -63,7 +62,7 @@ class NearestPoints:
 @torch.no_grad()
 def find_nearest(
     sections: CrossSections,
-    required: RequiredWrench,
+    required: Tensor,
     scale: tuple[float, float],
     *,
     relative: bool,
@@ -75,17 +74,16 @@ def find_nearest(
 
     Args:
         sections: of B designs on P shapes, (B, P) in all.
-        required: what is asked of them.
+        required: (B, P, L, N, C) what is asked of them [N, N·m].
         scale: factors on force and moment.
         relative: whether of differences from the first node.
         signed: whether inside counts as negative.
         points: whether to tell normals, weights and pressures.
         samples: as of `sampled`, if they are known.
     """
-    shape = (*sections.strain.shape[:2], required.external.shape[1], sections.strain.shape[2])
-    models, data = engine_sections(sections, required, scale, samples)
-    components, actuators = data.lever.shape[-1], data.lever.shape[-2]
-    wanted = numbers(required.external) * components_scale(scale, components)
+    shape, components, actuators = required.shape[:-1], required.shape[-1], sections.strain.shape[-1]
+    models, data = engine_sections(sections, scale, samples)
+    wanted = numbers(required) * components_scale(scale, components)
     sizes = dict(zip("BPLNDM", (*shape, components, actuators), strict=True)) if points else {}
     answers = make(Answers, sizes, distance=np.empty(shape), gap=np.empty(shape))
     kernel = distance_kernel(components, signed)
@@ -101,11 +99,11 @@ def find_nearest(
 
 
 def engine_sections(
-    sections: CrossSections, required: RequiredWrench, scale: tuple[float, float], samples: Samples | None = None
+    sections: CrossSections, scale: tuple[float, float], samples: Samples | None = None
 ) -> tuple[Models, Sections]:
-    """The force models, and sections (B, P) with their weights, as the engine takes them."""
+    """The force models, and sections (B, P), as the engine takes them."""
     designs, shapes, nodes, actuators = sections.strain.shape
-    components = required.external.shape[-1]
+    components = sections.lever.shape[-1]
     factors = components_scale(scale, components)
     models = models_of(sections.actuators)
     constant = sections.constant
@@ -117,8 +115,6 @@ def engine_sections(
         numbers(sections.bending.expand(designs, shapes, nodes, actuators, components - 1)) * scale[1],
         numbers(constant.expand(designs, shapes, nodes, components)) * factors,
         sampled(sections) if samples is None else samples,
-        numbers(required.unit_weight) * factors,
-        numbers(required.mass),
     )
 
 
@@ -133,8 +129,7 @@ def sampled(sections: CrossSections) -> Samples:
     kind = models_of(sections.actuators).kind
     found: list[Curves | None] = [None] * len(kind)
     limit = sections.limit.expand_as(sections.strain)
-    for model, members in group_alike(sections.actuators) if (kind == SAMPLED).any() else ():
-        own = list(range(len(kind)))[members] if isinstance(members, slice) else members
+    for model, own in group_alike(sections.actuators) if (kind == SAMPLED).any() else ():
         if kind[own[0]] != SAMPLED:
             continue
         strains, limits = (x[..., own].movedim(-1, 0).flatten() for x in (sections.strain, limit))
@@ -149,7 +144,7 @@ def sampled(sections: CrossSections) -> Samples:
 
 def evaluate_distance(
     sections: CrossSections,
-    required: RequiredWrench,
+    required: Tensor,
     scale: tuple[float, float],
     nearest: NearestPoints,
     *,
@@ -170,7 +165,7 @@ def evaluate_distance(
 
 def beyond_planes(
     sections: CrossSections,
-    required: RequiredWrench,
+    required: Tensor,
     normal: Tensor,
     weight: Tensor,
     held: Tensor,
@@ -186,10 +181,10 @@ def beyond_planes(
     """
     bending, constant = sections.bending, sections.constant
     if relative:
-        required, bending = required.minus_first(), bending - bending[..., :1, :, :]
+        required, bending = required - required[..., :1, :], bending - bending[..., :1, :, :]
         constant = None if constant is None else constant - constant[..., :1, :]
     force, pressure = _mixed(sections, weight, held, relative=relative)
-    distance = (normal * required.whole()).sum(-1)
+    distance = (normal * required).sum(-1)
     for c, own in enumerate(normal.unbind(-1)):
         provided = (force * sections.lever[..., c].unsqueeze(-3)).sum(-1)
         if c > 0:

@@ -10,7 +10,7 @@ from torch.utils.checkpoint import checkpoint
 
 from torcharm.actuators import want_gradients
 from torcharm.statics.cross_section import CrossSections, characterised_range, cross_sections
-from torcharm.wrench_sets.design_task_grid import DesignTaskGrid, RequiredWrench, map_chunks
+from torcharm.wrench_sets.design_task_grid import DesignTaskGrid, map_chunks
 from torcharm.wrench_sets.distance import NearestPoints, evaluate_distance, find_nearest, sampled
 from torcharm.wrench_sets.once import once
 from torcharm.wrench_sets.rounding import without_rounding
@@ -104,7 +104,7 @@ def node_distances(grid: DesignTaskGrid, options: SetOptions, chunk_size: int | 
 
 def default_chunk(grid: DesignTaskGrid, vertices: VertexSets | None = None) -> int:
     """(design, shape, load) triples worked on at once."""
-    components = grid.required.external.shape[-1]
+    components = grid.external.shape[-1]
     actuators = max(segment.actuator_count for segment in grid.segments)
     if vertices is not None:
         numbers = vertices.count(actuators) * max(actuators, components) * grid.twists.shape[-2]
@@ -122,7 +122,7 @@ def _segment(
         keep: whether nearest points are kept for it, in place of being found again.
     """
     designs, shapes, _ = place
-    required = grid.required.part(*place, grid.nodes[segment])
+    required = grid.required(*place, grid.nodes[segment])
     arm, twists = grid.segments[segment][designs, None], grid.twists[shapes, grid.nodes[segment]]
 
     def prepare() -> tuple[CrossSections, Tensor, Tensor]:
@@ -155,7 +155,7 @@ def _segment(
         if not again:
             *both, excess = replay()
         elif options.vertices is None and not any_sampled(sections) and not want_gradients(arm.actuators, arm.radii):
-            inputs = (*arm.tensors(), twists, required.external, required.unit_weight, required.mass)
+            inputs = (*arm.tensors(), twists, required)
             with torch.no_grad():
                 pairs = [(one.distance, one.certified) for one in kept] or _measured(sections, required, options)
             plain = (*(value for value, _ in pairs), *(flag for _, flag in pairs), excess)
@@ -168,9 +168,8 @@ def _segment(
         (without_rounding(value, sections, required, options.scale, relative=metric == "relative"), flag)
         for metric, (value, flag) in zip(options.metrics, found, strict=True)
     ]
-    loads_here = required.external.shape[1]
-    shape = (*excess.shape, loads_here)
-    none = excess.new_zeros(*shape, 0, required.external.shape[-2])
+    shape = required.shape[:3]
+    none = excess.new_zeros(*shape, 0, required.shape[3])
     distance = once(torch.stack([value for value, _ in found], -2)) if found else none
     converged = torch.stack([flag for _, flag in found], -2) if found else none.bool()
     return distance, converged, excess.unsqueeze(-1).expand(shape), lost.unsqueeze(-1).expand(shape)
@@ -198,7 +197,7 @@ class Replayed(torch.autograd.Function):
 
 @torch.no_grad()
 def _nearest(
-    sections: CrossSections, required: RequiredWrench, options: SetOptions, *, points: bool = True
+    sections: CrossSections, required: Tensor, options: SetOptions, *, points: bool = True
 ) -> list[NearestPoints]:
     """What the engine finds for each metric, of the sets themselves or of their vertices."""
     vertices, scale, signed = options.vertices, options.scale, options.signed
@@ -217,7 +216,7 @@ def _held(options: SetOptions, sections: CrossSections, nearest: NearestPoints) 
     return nearest if options.vertices is None else options.vertices.tied_to_limits(nearest, sections)
 
 
-def _measured(sections: CrossSections, required: RequiredWrench, options: SetOptions) -> list[tuple[Tensor, Tensor]]:
+def _measured(sections: CrossSections, required: Tensor, options: SetOptions) -> list[tuple[Tensor, Tensor]]:
     """Distances (b, p, l, N) of each metric, and whether they converged; solvers that keep a graph keep it."""
     vertices, scale = options.vertices, options.scale
     if vertices is not None and not vertices.by_engine:
@@ -242,8 +241,8 @@ def any_sampled(sections: CrossSections) -> bool:
 
 def wants_gradient(grid: DesignTaskGrid, segment: int) -> bool:
     """Whether anything that distances depend on asks for its gradient."""
-    arm, required = grid.segments[segment], grid.required
-    inputs = (*arm.tensors(), grid.twists, required.external, required.unit_weight, required.mass)
+    arm = grid.segments[segment]
+    inputs = (*arm.tensors(), grid.twists, grid.external, grid.unit_weight, grid.mass)
     wanted = any(value.requires_grad for value in inputs)
     return torch.is_grad_enabled() and (wanted or want_gradients(arm.actuators, arm.radii))
 

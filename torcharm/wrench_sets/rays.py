@@ -19,7 +19,6 @@ from torcharm.engine.node_sets import make_room
 from torcharm.engine.ray import Ends, Ray, ray_kernel
 from torcharm.engine.threads import spread
 from torcharm.statics.cross_section import CrossSections
-from torcharm.wrench_sets.design_task_grid import RequiredWrench
 from torcharm.wrench_sets.distance import CERTIFIED, beyond_planes, engine_sections
 from torcharm.wrench_sets.once import once
 
@@ -52,7 +51,7 @@ class RayEnds:
 @torch.no_grad()
 def find_ends(
     sections: CrossSections,
-    start: RequiredWrench,
+    start: Tensor,
     direction: Tensor,
     *,
     relative: bool,
@@ -63,19 +62,19 @@ def find_ends(
 
     Args:
         sections: of B designs on P shapes, (B, P) in all.
-        start: the wrenches at t = 0.
+        start: (B, P, L, N, C) the wrenches at t = 0.
         direction: (P, L, N, C) what the wrenches change by as t grows by 1.
         relative: whether all are differences from the first node.
         points: whether to tell normals, weights and pressures.
         least: whether only the least exit of all nodes matters, which is quicker: entries are infinite then, and exits
             may be that are not the least.
     """
-    models, data = engine_sections(sections, start, (1.0, 1.0))
-    components, actuators = data.lever.shape[-1], data.lever.shape[-2]
-    begin, change = numbers(start.external), numbers(direction)
-    designs = len(data.limit)
-    shape = (2 * designs, *change.shape[:3])
-    sizes = dict(zip("BPLNDM", (designs, *shape[1:], components, actuators), strict=True)) if points else {}
+    models, data = engine_sections(sections, (1.0, 1.0))
+    begin, change = numbers(start), numbers(direction)
+    designs, *rest, components = begin.shape
+    shape = (2 * designs, *rest)
+    actuators = data.lever.shape[-2]
+    sizes = dict(zip("BPLNDM", (designs, *rest, components, actuators), strict=True)) if points else {}
     ends = make(Ends, sizes, factor=np.empty(shape), slack=np.empty(shape), gap=np.empty(shape))
     kernel, still = ray_kernel(components), _still(change, relative)
 
@@ -90,16 +89,16 @@ def find_ends(
 
 
 def meet_points(
-    sections: CrossSections, start: RequiredWrench, direction: Tensor, *, relative: bool
+    sections: CrossSections, start: Tensor, direction: Tensor, *, relative: bool
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Entries and exits (B, P, L, N) of rays where no actuator is driven, so that each set is one point; and slacks.
 
     A point is met to within what an equilibrium is solved to, as passive arms are looked at where they are at rest.
     """
-    point, asked = sections.reaction(torch.zeros_like(sections.limit)).unsqueeze(-3), start.whole()
-    size = point.norm(dim=-1) + asked.norm(dim=-1) + direction.norm(dim=-1)
+    point = sections.reaction(torch.zeros_like(sections.limit)).unsqueeze(-3)
+    size = point.norm(dim=-1) + start.norm(dim=-1) + direction.norm(dim=-1)
     still = torch.from_numpy(_still(numbers(direction), relative)).to(size.device)
-    way, change = point - asked, direction
+    way, change = point - start, direction
     if relative:
         way, change = way - way[..., :1, :], change - change[..., :1, :]
     length = torch.where(still, 1.0, change.norm(dim=-1))
@@ -118,7 +117,7 @@ def _still(direction: np.ndarray, relative: bool) -> np.ndarray:  # type: ignore
 
 
 def evaluate_ends(
-    sections: CrossSections, start: RequiredWrench, direction: Tensor, ends: RayEnds, *, relative: bool
+    sections: CrossSections, start: Tensor, direction: Tensor, ends: RayEnds, *, relative: bool
 ) -> Tensor:
     """The factors (B, 2, P, L, N) as functions of what sections, starts and directions depend on, where finite."""
     assert ends.normal is not None

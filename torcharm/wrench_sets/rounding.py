@@ -4,7 +4,6 @@ import torch
 from torch import Tensor
 
 from torcharm.statics.cross_section import CrossSections, actuator_force
-from torcharm.wrench_sets.design_task_grid import RequiredWrench
 
 ROUNDING_ULPS = 16
 """Distances of so many roundings of the largest wrench of their node are 0."""
@@ -15,7 +14,7 @@ SUSPECT_ULPS = 2**20
 def without_rounding(
     distance: Tensor,
     sections: CrossSections,
-    required: RequiredWrench,
+    required: Tensor,
     scale: tuple[float, float],
     *,
     relative: bool,
@@ -26,14 +25,11 @@ def without_rounding(
     from the first node, the wrenches at both nodes count, not their difference.
     """
     with torch.no_grad():
-        eps, asked = torch.finfo(distance.dtype).eps, required.external
-        largest = 1 + (asked.abs().amax() if asked.numel() else 0.0)
-        for segment, unit in enumerate(required.unit_weight):
-            largest = largest + (required.mass[:, segment].amax() * unit.abs().amax() if unit.numel() else 0.0)
+        eps, largest = torch.finfo(distance.dtype).eps, 1 + (required.abs().amax() if required.numel() else 0.0)
         doubtful = (distance > 0) & (distance <= SUSPECT_ULPS * eps * max(scale) * largest)
         if not bool(doubtful.any()):
             return distance
-        wrench = torch.maximum(_norm(required.whole(), scale), _provided(sections, scale).unsqueeze(-2))
+        wrench = torch.maximum(_norm(required, scale), _provided(sections, scale).unsqueeze(-2))
         if relative:
             wrench = torch.maximum(wrench, wrench[..., :1])
         nothing = doubtful & (distance <= ROUNDING_ULPS * eps * wrench)

@@ -19,7 +19,6 @@ from torcharm.arm_series import ArmSeries
 from torcharm.inputs import check_choice, check_count
 from torcharm.statics.balance import segments_of
 from torcharm.statics.cross_section import CrossSections, actuator_force
-from torcharm.wrench_sets.design_task_grid import RequiredWrench
 from torcharm.wrench_sets.distance import NearestPoints
 from torcharm.wrench_sets.hull_distance import HullDistance
 from torcharm.wrench_sets.vertices import find_nearest_vertices
@@ -123,25 +122,22 @@ class VertexSets:
 
     @torch.no_grad()
     def find_nearest(
-        self, sections: CrossSections, required: RequiredWrench, scale: tuple[float, float], *, relative: bool
+        self, sections: CrossSections, required: Tensor, scale: tuple[float, float], *, relative: bool
     ) -> NearestPoints:
         """Where required wrenches stand to hulls of edges, as the engine finds it.
 
         Args:
             sections: of B designs on P shapes, (B, P) in all.
-            required: what is asked of them.
+            required: (B, P, L, N, C) what is asked of them [N, N·m].
             scale: factors on force and moment.
             relative: whether of differences from the first node.
         """
-        wanted = required.minus_first() if relative else required
-        point, vertices = _scaled(
-            scale, wanted.whole().transpose(2, 3), edge_vertices(sections, self.samples, relative=relative)
-        )
-        batch = point.shape[:3]  # (B, P, N)
+        wanted = required - required[..., :1, :] if relative else required
+        vertices = edge_vertices(sections, self.samples, relative=relative)
+        point, vertices = _scaled(scale, wanted.transpose(2, 3), vertices)
         found = find_nearest_vertices(point.flatten(0, 2), vertices.flatten(0, 2))
         distance, certified, normal, weight, vertex = (
-            part.unflatten(0, batch).transpose(2, 3)
-            for part in (found.distance, found.certified, found.normal, found.weight, found.vertex)
+            part.unflatten(0, point.shape[:3]).transpose(2, 3) for part in found
         )
         grades = torch.from_numpy(edge_pressures(len(sections.actuators), self.samples)).to(point)
         limit = sections.limit.unsqueeze(-2).unsqueeze(-2)  # (B, 1, 1, 1, 1, M)
@@ -156,11 +152,11 @@ class VertexSets:
         return replace(nearest, pressure=share * limit)
 
     def solve(
-        self, sections: CrossSections, required: RequiredWrench, scale: tuple[float, float], *, relative: bool
+        self, sections: CrossSections, required: Tensor, scale: tuple[float, float], *, relative: bool
     ) -> tuple[Tensor, Tensor]:
         """Distances (B, P, L, N) by the solver, and whether they converged; arguments as of `find_nearest`."""
         assert self.solver is not None
-        wanted = (required.minus_first() if relative else required).whole()
+        wanted = required - required[..., :1, :] if relative else required
         if self.hull == "edges":
             vertices = edge_vertices(sections, self.samples, relative=relative)
             point, vertices = _scaled(scale, wanted, vertices)
@@ -170,7 +166,8 @@ class VertexSets:
                 constant = sections.constant.unsqueeze(2)
                 constant = constant - constant[..., :1, :] if relative else constant
                 wanted = wanted - constant
-            curves = curve_vertices(sections, self.samples, relative=relative)
+            grades = torch.linspace(0, 1, self.samples, dtype=wanted.dtype, device=wanted.device).unsqueeze(-1)
+            curves = curve_points(sections, grades, relative=relative).transpose(-3, -2)  # (B, P, N, M, S, C)
             point, vertices = _scaled(scale, wanted, curves.flatten(-3, -2))
             found = self.solver(point, vertices.unsqueeze(2), groups=len(sections.actuators))
         return found.value, found.converged
@@ -199,25 +196,21 @@ def edge_pressures(actuators: int, samples: int) -> np.ndarray:  # type: ignore[
 def edge_vertices(sections: CrossSections, samples: int, *, relative: bool) -> Tensor:
     """The wrenches (..., N, V, C) that pressures on the edges of the pressure box provide; V as of `edge_pressures`."""
     grades = torch.from_numpy(edge_pressures(len(sections.actuators), samples)).to(sections.strain)
-    constant = sections.constant
-    # every node's cross-section once more for each of the pressures
-    spread = replace(
-        sections,
-        strain=sections.strain.unsqueeze(-2),
-        lever=sections.lever.unsqueeze(-3),
-        bending=sections.bending.unsqueeze(-3),
-        constant=None if constant is None else constant.unsqueeze(-2),
-    )
-    wrench = spread.reaction(grades * sections.limit.unsqueeze(-2))
-    return wrench - wrench[..., :1, :, :] if relative else wrench
+    return reactions(sections, grades * sections.limit.unsqueeze(-2), relative=relative)
 
 
-def curve_vertices(sections: CrossSections, samples: int, *, relative: bool) -> Tensor:
-    """Each actuator's wrenches (..., N, M, S, C) at S evenly spaced pressures, without the constant wrench."""
-    grades = torch.linspace(0, 1, samples, dtype=sections.strain.dtype, device=sections.strain.device)
-    pressure = grades.unsqueeze(-1) * sections.limit.unsqueeze(-2)  # (..., 1, S, M)
-    force = actuator_force(sections.actuators, sections.strain.unsqueeze(-2), pressure)
-    moment = pressure.unsqueeze(-1) * sections.bending.unsqueeze(-3)
-    wrench = force.unsqueeze(-1) * sections.lever.unsqueeze(-3)
-    wrench = torch.cat((wrench[..., :1], wrench[..., 1:] + moment), -1).transpose(-3, -2)
-    return wrench - wrench[..., :1, :, :, :] if relative else wrench
+def reactions(sections: CrossSections, pressure: Tensor, *, relative: bool) -> Tensor:
+    """The wrenches (..., N, V, C) that V pressures (..., N or 1, V, M) [kPa] a node provide, or their differences."""
+    wrench = sections.for_many().reaction(pressure)
+    return wrench - sections.first().for_many().reaction(pressure) if relative else wrench
+
+
+def curve_points(sections: CrossSections, share: Tensor, *, relative: bool) -> Tensor:
+    """Each actuator's wrenches (..., N, S, M, C) at S parts (..., N or 1, S, M) of its limit, without the constant one;
+    or their differences."""
+    own, first, pressure = sections.for_many(), sections.first().for_many(), share * sections.limit.unsqueeze(-2)
+    force, bending = actuator_force(sections.actuators, own.strain, pressure), own.bending
+    if relative:
+        force, bending = force - actuator_force(sections.actuators, first.strain, pressure), bending - first.bending
+    curve = force.unsqueeze(-1) * own.lever
+    return torch.cat((curve[..., :1], curve[..., 1:] + pressure.unsqueeze(-1) * bending), -1)

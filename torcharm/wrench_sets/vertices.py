@@ -1,6 +1,5 @@
 """Distances from points to hulls of vertices: found by the engine, evaluated once more by torch for gradients."""
 
-from dataclasses import dataclass
 from math import prod
 
 import numpy as np
@@ -10,9 +9,10 @@ from torch import Tensor
 
 from torcharm.engine.arrays import make
 from torcharm.engine.depth import Polytope, sizes_of_set
+from torcharm.engine.node_sets import Answers
 from torcharm.engine.simplex import Simplex
 from torcharm.engine.threads import spread
-from torcharm.engine.vertices import VertexAnswers, vertex_kernel
+from torcharm.engine.vertices import vertex_kernel
 from torcharm.inputs import broadcast_shapes, check_flag, check_tensor, shown
 from torcharm.wrench_sets.distance import CERTIFIED
 from torcharm.wrench_sets.hull_distance import ROUNDINGS, power_of_two
@@ -22,30 +22,16 @@ DIMENSIONS = (2, 3)
 """Components that the engine is written for."""
 
 
-@dataclass(frozen=True, eq=False)
-class NearestVertices:
-    """Where L points each stand to B hulls; without a graph, and NaN where a number is not finite.
-
-    Attributes:
-        distance: (B, L), 0 inside or, signed, negative.
-        certified: (B, L) whether the distance is known to rounding.
-        normal: (B, L, D) unit normals.
-        weight: (B, L, D) of the vertices whose mix is nearest.
-        vertex: (B, L, D) which vertices these are.
-    """
-
-    distance: Tensor
-    certified: Tensor
-    normal: Tensor
-    weight: Tensor
-    vertex: Tensor
-
-
 @torch.no_grad()
-def find_nearest_vertices(point: Tensor, vertices: Tensor, *, signed: bool = False) -> NearestVertices:
+def find_nearest_vertices(point: Tensor, vertices: Tensor, *, signed: bool = False) -> tuple[Tensor, ...]:
     """Ask the engine for distances from points (B, L, D) to the hulls of vertices (B, V, D), in float64 on the CPU.
 
     A distance below 16 roundings of the coordinates' size is 0; roundings are those of the points' dtype.
+
+    Returns:
+        Without a graph, and NaN where a number is not finite: distances (B, L), 0 inside or, signed, negative; whether
+        they are known to rounding (B, L); unit normals (B, L, D); and of the vertices whose mix is nearest the weights
+        (B, L, D), and which these are (B, L, D).
     """
     dimension, eps = point.shape[-1], torch.finfo(point.dtype).eps
     points, corners = point.double().cpu(), vertices.double().cpu()
@@ -54,8 +40,8 @@ def find_nearest_vertices(point: Tensor, vertices: Tensor, *, signed: bool = Fal
     points, corners = points.nan_to_num(0.0, 0.0, 0.0), corners.nan_to_num(0.0, 0.0, 0.0)
     unit = power_of_two(torch.maximum(points.abs().amax((1, 2)), corners.abs().amax((1, 2))))
     contiguous = [np.ascontiguousarray((x / unit.view(-1, 1, 1)).numpy()) for x in (points, corners)]
-    sizes = sizes_of_set(1, dimension) | dict(zip("BL", points.shape, strict=False))
-    answers = make(VertexAnswers, sizes)
+    sizes = sizes_of_set(1, dimension)
+    answers = make(Answers, sizes | {"B": points.shape[0], "L": points.shape[1], "P": 1, "N": 1})
     kernel = vertex_kernel(dimension, signed)
 
     def work(first: int, last: int) -> None:
@@ -63,17 +49,11 @@ def find_nearest_vertices(point: Tensor, vertices: Tensor, *, signed: bool = Fal
         kernel(contiguous[1], contiguous[0], ROUNDINGS * eps, first, last, simplex, polytope, answers)
 
     spread(len(points), work)
-    distance, gap, normal, weight, vertex = (torch.from_numpy(part) for part in answers)
+    distance, gap, normal, weight, vertex, _ = (torch.from_numpy(part[:, 0, :, 0]) for part in answers)
     distance = torch.where(finite, distance * unit.unsqueeze(-1), torch.nan)
     normal = torch.where(finite.unsqueeze(-1), normal, torch.nan)
-    certified = (gap <= CERTIFIED) & finite
-    return NearestVertices(
-        distance.to(point),
-        certified.to(point.device),
-        normal.to(point),
-        weight.to(point),
-        vertex.long().to(point.device),
-    )
+    found = distance.to(point), ((gap <= CERTIFIED) & finite).to(point.device), normal.to(point), weight.to(point)
+    return *found, vertex.squeeze(-1).long().to(point.device)
 
 
 def distance_to_hull(
@@ -126,12 +106,12 @@ def _distance(point: Tensor, vertices: Tensor, *, signed: bool) -> Tensor:
     """Distances (B, L) of points (B, L, D) from hulls of vertices (B, V, D)."""
     if not point.numel():
         return point.sum(-1)
-    nearest = find_nearest_vertices(point, vertices, signed=signed)
+    found, _, normal, weight, vertex = find_nearest_vertices(point, vertices, signed=signed)
     if not (torch.is_grad_enabled() and (point.requires_grad or vertices.requires_grad)):
-        return nearest.distance
+        return found
     count, dimension = len(vertices), vertices.shape[-1]
-    places = nearest.vertex.reshape(count, -1, 1).expand(-1, -1, dimension)
-    corner = vertices.gather(1, places).unflatten(1, nearest.vertex.shape[1:])
-    away = (nearest.weight.unsqueeze(-1) * (point.unsqueeze(-2) - corner)).sum(-2)
-    distance = (nearest.normal * away).sum(-1)
-    return torch.where(nearest.distance == 0, torch.zeros_like(distance), distance)
+    places = vertex.reshape(count, -1, 1).expand(-1, -1, dimension)
+    corner = vertices.gather(1, places).unflatten(1, vertex.shape[1:])
+    away = (weight.unsqueeze(-1) * (point.unsqueeze(-2) - corner)).sum(-2)
+    distance = (normal * away).sum(-1)
+    return torch.where(found == 0, torch.zeros_like(distance), distance)

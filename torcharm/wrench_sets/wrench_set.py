@@ -5,7 +5,7 @@ so every direction yields one point of its boundary, with the pressures that pro
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -18,9 +18,9 @@ from torcharm.arm_series import ArmSeries
 from torcharm.geometry.rod import check_segment_nodes
 from torcharm.inputs import HoldsTensors, check_tensor, shown
 from torcharm.statics.balance import segments_of
-from torcharm.statics.cross_section import CrossSections, actuator_force, cross_sections
+from torcharm.statics.cross_section import CrossSections, cross_sections
 from torcharm.wrench_sets.design_task_grid import flat_segments
-from torcharm.wrench_sets.vertex_sets import EDGE_SAMPLES, check_sets, edge_pressures, edge_vertices
+from torcharm.wrench_sets.vertex_sets import EDGE_SAMPLES, check_sets, curve_points, edge_pressures, reactions
 
 CURVE_POINTS = 17
 """Points on an actuator's curve unless told, besides its kinks: between them it is off by 1e-5 of its reach."""
@@ -145,10 +145,10 @@ def _segment(sections: CrossSections, relative: bool, hull: str, samples: int | 
     """Vertices (B, P, N, V, C) and pressures (B, P, N, V, M) of the nodes of one segment."""
     planar = sections.lever.shape[-1] == 2
     if hull == "edges":
-        vertices = edge_vertices(sections, samples or EDGE_SAMPLES, relative=relative)
         table = torch.from_numpy(edge_pressures(len(sections.actuators), samples or EDGE_SAMPLES)).to(sections.strain)
-        pressure = (table * sections.limit.unsqueeze(-2)).expand(*vertices.shape[:-1], -1)
-        return _extreme(vertices, pressure)
+        pressure = table * sections.limit.unsqueeze(-2)
+        vertices = reactions(sections, pressure, relative=relative)
+        return _extreme(vertices, pressure.expand(*vertices.shape[:-1], -1))
     with torch.no_grad():
         share = _furthest_shares(sections, relative, samples)
     pressure = share * sections.limit.unsqueeze(-2)
@@ -156,48 +156,12 @@ def _segment(sections: CrossSections, relative: bool, hull: str, samples: int | 
     return (vertices, pressure) if planar else _extreme(vertices, pressure)
 
 
-def reactions(sections: CrossSections, pressure: Tensor, *, relative: bool) -> Tensor:
-    """The wrenches (..., N, V, C) that V pressures (..., N, V, M) [kPa] a node provide, or their differences."""
-    own = _for_many(sections)
-    wrench = own.reaction(pressure)
-    if not relative:
-        return wrench
-    constant = own.constant
-    first = replace(
-        own,
-        strain=own.strain[..., :1, :, :],
-        bending=own.bending[..., :1, :, :, :],
-        constant=None if constant is None else constant[..., :1, :, :],
-    )
-    return wrench - first.reaction(pressure)
-
-
-def _for_many(sections: CrossSections) -> CrossSections:
-    """The same sections with a dimension added for several pressures a node."""
-    constant = sections.constant
-    return replace(
-        sections,
-        strain=sections.strain.unsqueeze(-2),
-        lever=sections.lever.unsqueeze(-3),
-        bending=sections.bending.unsqueeze(-3),
-        constant=None if constant is None else constant.unsqueeze(-2),
-        limit=sections.limit.unsqueeze(-2),
-    )
-
-
 def _furthest_shares(sections: CrossSections, relative: bool, samples: int | None) -> Tensor:
     """Normalised pressures (B, P, N, V, M) at which the curves reach furthest, along directions that show the set."""
     share = _candidates(sections, relative, samples)  # (B, P, N, S, M)
-    own, pressure = _for_many(sections), share * sections.limit.unsqueeze(-2)
-    force, bending = actuator_force(sections.actuators, own.strain.expand_as(pressure), pressure), own.bending
-    if relative:
-        first = own.strain[..., :1, :, :].expand_as(pressure)
-        force = force - actuator_force(sections.actuators, first, pressure)
-        bending = bending - bending[..., :1, :, :, :]
-    curve = force.unsqueeze(-1) * own.lever  # (B, P, N, S, M, C)
-    curve = torch.cat((curve[..., :1], curve[..., 1:] + pressure.unsqueeze(-1) * bending), -1)
+    curve = curve_points(sections, share, relative=relative)  # (B, P, N, S, M, C)
     planar = curve.shape[-1] == 2
-    directions = _planar_directions(_sides(share, force, curve)) if planar else _spatial_directions(curve)
+    directions = _planar_directions(_sides(share, curve)) if planar else _spatial_directions(curve)
     chosen = [(directions @ curve[..., a, :].mT).max(-1).indices for a in range(curve.shape[-2])]
     return torch.stack([share[..., a].gather(-1, index) for a, index in enumerate(chosen)], -1)
 
@@ -220,12 +184,13 @@ def _candidates(sections: CrossSections, relative: bool, samples: int | None) ->
     return torch.cat([_repeated(row, most) for row in rows], -1)
 
 
-def _sides(share: Tensor, force: Tensor, curve: Tensor) -> Tensor:
+def _sides(share: Tensor, curve: Tensor) -> Tensor:
     """Chords (..., 2 S, M, 2) of planar curves (..., S, M, 2), with all sides of their hulls among them.
 
     Of the hull of a graph of forces over shares, the side that begins at a sample goes to where, of those with a higher
     share, the slope is largest, or least.
     """
+    force = curve[..., 0]
     ahead = share.unsqueeze(-3) - share.unsqueeze(-2)  # (..., S, S, M), to the second from the first
     slope = (force.unsqueeze(-3) - force.unsqueeze(-2)) / torch.where(ahead > 0, ahead, 1.0)
     ends = (
