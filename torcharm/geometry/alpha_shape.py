@@ -91,7 +91,7 @@ def alpha_shape(points: Array, radius: float) -> AlphaShape:
     except (QhullError, ValueError):  # too few points, or all on a line
         nothing = np.zeros((0, size))
         return AlphaShape(points, radius, nothing.astype(np.intp), nothing, np.zeros(0, dtype=np.bool_), None)
-    kept = _circumradius(points[whole.simplices]) <= radius
+    kept = _circumradius(whole) <= radius
     beside = (whole.neighbors >= 0) & kept[whole.neighbors]
     simplex, corner = np.nonzero(kept[:, None] & ~beside)
     others = np.array([[k for k in range(size + 1) if k != own] for own in range(size + 1)])
@@ -105,19 +105,23 @@ def alpha_shape(points: Array, radius: float) -> AlphaShape:
     return AlphaShape(points, radius, facets, normals, kept, whole)
 
 
-def _circumradius(corners: Array) -> Array:
-    """(T,) of simplices (T, D+1, D); infinite where one is flat."""
-    edges = corners[:, 1:] - corners[:, :1]
-    square = (edges**2).sum(-1)
-    scale = np.sqrt(square.max(-1))
-    flat = np.abs(np.linalg.det(edges)) <= FLAT * scale ** corners.shape[2]
-    edges[flat] = np.eye(corners.shape[2])
-    centre = np.linalg.solve(2 * edges, square[..., None])[..., 0]
-    return np.where(flat, np.inf, np.linalg.norm(centre, axis=-1))
+def _circumradius(whole: Any) -> Array:
+    """(T,) of Delaunay's simplices; infinite where one is flat.
+
+    Of the plane n·x + m z + o = 0 through their corners on the paraboloid z = s |x|² + t to which Qhull lifts them, the
+    points below are the circle's (sphere's): its centre is -n / (2 m s), and |centre|² - radius² is (m t + o) / (m s).
+    """
+    normal, rise, offset = whole.equations[:, :-2], whole.equations[:, -2], whole.equations[:, -1]
+    steep = np.abs(rise) > FLAT
+    rise = np.where(steep, rise, 1.0)
+    scale = rise * whole.paraboloid_scale
+    centre = normal / (-2 * scale[:, None])
+    square = (centre**2).sum(1) - (rise * whole.paraboloid_shift + offset) / scale
+    return np.where(steep, np.sqrt(np.maximum(square, 0.0)), np.inf)
 
 
-FLAT = 1e-9
-"""Area (volume) of a simplex over a power of its longest edge, below which rounding decides where its circle lies."""
+FLAT = 1e-12
+"""Slope of a simplex's plane against upright, below which rounding decides where its circle lies."""
 
 
 def _normals(corners: Array) -> Array:

@@ -36,16 +36,39 @@ Array = NDArray[np.float64]
 Callback = Callable[[int, int], object]
 """Is told how many states are known, and of how many; returns True to stop."""
 
-SPREAD = 0.2
-"""Of the states, over the whole box of pressures."""
+
+@dataclass(frozen=True)
+class _Schedule:
+    """How states are shared out, in the plane or in space.
+
+    Attributes:
+        spread: of the states, over the whole box of pressures.
+        stages: in which boundaries are followed: how many of the states are known by its end, and how close together
+            attempts are that promise little, in parts of the resolution.
+        inside: of the states, among those reached after the first stage: what a region lacks inside is no boundary.
+        rounds: in which a region grows at most, of a stage.
+        least: of a region's points: with fewer attempts a round is not worth its triangulation, but in the last stage.
+        finer: times the distance within which states have their neighbours is the resolution: so much denser states
+            become. In space most go to the boundary.
+        unseen: of the arm's length: no resolution is finer, and no gain looked for smaller.
+    """
+
+    spread: float
+    stages: tuple[tuple[float, float], ...]
+    inside: float
+    rounds: int
+    least: float
+    finer: float
+    unseen: float
+
+
+SCHEDULES = {
+    2: _Schedule(0.2, ((0.6, 1.0), (1.0, 0.2)), 0.1, 6, 0.0, 0.4, 5e-4),
+    3: _Schedule(0.12, ((0.65, 1.0), (0.85, 0.3), (1.0, 0.1)), 0.05, 12, 0.025, 0.9, 1e-3),
+}
+"""By an arm's dimension."""
 MIXED = 0.07
 """Of the states, between those of them that are reached, of which the box may hold few."""
-STAGES = {2: ((0.6, 1.0), (1.0, 0.2)), 3: ((0.65, 1.0), (0.85, 0.3), (1.0, 0.1))}
-"""In which boundaries are followed, in the plane and in space: how many of the states are known by its end, and how
-close together attempts are that promise little, in parts of the resolution."""
-INSIDE = {2: 0.1, 3: 0.05}
-"""Of the states, in the plane and in space, among those reached after the first stage: what a region lacks inside is no
-boundary."""
 REPEATS, AGAIN = 2, (0.1, 0.2)
 """How often, while states are left, boundaries are followed again from states spread inside: how many of all; and how
 close together, as in a stage. A region that range limits grows from them where no state of its boundary leads on."""
@@ -56,19 +79,14 @@ OVERHANG = 0.25
 which most of a workspace is bounded."""
 AT_ONCE = 2000
 """States solved between two looks at the clock: at most a second's work in space."""
-ROUNDS = {2: 6, 3: 12}
-"""In which a region of the plane, or of space, grows at most of a stage."""
 FURTHER = 3
 """Pushes of a round, one from where the other got to: as many resolutions at most."""
 FEW = 1e-2
 """Of the states: a region does not grow by fewer, they are left to the next stage."""
 TYPICAL = 0.99
 """Of the states have as many neighbours as a simplex has corners within the resolution."""
-FINER = {2: 0.4, 3: 1.1}
-"""Times the distance within which they do: so much denser states become. In space most go to the boundary."""
-UNSEEN, SMALL = 5e-4, 4e-3
-"""Of the arm's length: no resolution is finer, and no gain looked for smaller; a round whose largest gain is smaller is
-a region's last of its stage."""
+SMALL = 4e-3
+"""Of the arm's length: a round whose largest gain is smaller is a region's last of its stage."""
 
 
 class _Stopped(Exception):
@@ -95,10 +113,10 @@ def workspace(
     a snap, those where it would not stay, and those whose strains or pressures leave the characterised range are told
     apart, and are no part of it.
 
-    A fifth of the states is spread over the box, its corners, edges and faces, and a tenth among those that are
-    reached. Others follow the boundary: where a first-order model promises that pressures take the tip beyond the
-    region reached, that is tried; as pressures mostly outnumber coordinates, the boundary is not the image of the
-    box's. What is left is spread among those reached.
+    A fifth of the states (in space an eighth) is spread over the box, its corners, edges and faces, and some among
+    those that are reached. Others follow the boundary: where a first-order model promises that pressures take the tip
+    beyond the region reached, that is tried; as pressures mostly outnumber coordinates, the boundary is not the image
+    of the box's. What is left is spread among those reached.
 
     Each state knows the largest factor by which its payload could grow if its shape were kept and every node had
     pressures of its own: see `load_capacity`. It is at least 1, as the state itself shows.
@@ -132,14 +150,14 @@ def workspace(
     check_count("states", states, 100)
     check_count("seed", seed, 0)
     run = _Run(scene, states, check_above_zero("resolution", resolution), callback)
-    stopped = "finished"
+    stopped, schedule = "finished", run.schedule
     try:
-        run.spread(int(SPREAD * states), seed)
+        run.spread(int(schedule.spread * states), seed)
         run.resolve(EXCLUDED)
-        run.mix(int((SPREAD + MIXED) * states), seed)
-        for stage, (share, spacing) in enumerate(STAGES[scene.arm.dimension]):
+        run.mix(int((schedule.spread + MIXED) * states), seed)
+        for stage, (share, spacing) in enumerate(schedule.stages):
             if stage == 1:
-                run.mix(run.count + int(INSIDE[scene.arm.dimension] * states), seed + 1)
+                run.mix(run.count + int(schedule.inside * states), seed + 1)
                 if scene.arm.dimension == 3:  # in the plane the first resolution is fine enough
                     run.resolve(REACHED)
             run.follow_boundaries(spacing, int(share * states))
@@ -167,6 +185,7 @@ class _Run:
 
     def __post_init__(self) -> None:
         self.slopes = KnownSlopes(self.scene)
+        self.schedule = SCHEDULES[self.scene.arm.dimension]
 
     @property
     def count(self) -> int:
@@ -218,22 +237,26 @@ class _Run:
             (IN_RANGE, self.resolutions[0], ((REACHED,), *_range_of_places(self.scene), True)),
             (1.0, self.resolutions[1], ((REACHED, EXCLUDED), 0 * one, one, False)),
         ):
-            frontier = Frontier(self.slopes, resolution, spacing * resolution, UNSEEN * length, *region)
-            self._push(frontier, self.count + int(share * (end - self.count)), SMALL * length)
+            least = self.schedule.unseen * length
+            frontier = Frontier(self.slopes, resolution, spacing * resolution, least, *region)
+            self._push(frontier, self.count + int(share * (end - self.count)), SMALL * length, end < self.wanted)
 
-    def _push(self, frontier: Frontier, end: int, small: float) -> None:
-        """Solve states beyond one boundary, up to so many in all, while gains are not small [m]."""
+    def _push(self, frontier: Frontier, end: int, small: float, hasty: bool) -> None:
+        """Solve states beyond one boundary, up to so many in all, while gains are not small [m] and, where a stage is
+        yet to come, attempts not few."""
         states = joined(self.batches)
-        for _ in range(ROUNDS[self.scene.arm.dimension]):
+        for _ in range(self.schedule.rounds):
             if end - self.count < FEW * self.wanted:
                 break
             push = frontier.push(states, (end - self.count) // 2)
             most = push.gain.max(initial=0.0)
-            for _ in range(FURTHER):
+            few = len(push) < self.schedule.least * len(frontier.own(states))
+            for further in range(FURTHER):
+                if further:
+                    push = frontier.push_on(states, push, (end - self.count) // 2)
                 self.add(push.place)
                 states = joined(self.batches)
-                push = frontier.push_on(states, push, (end - self.count) // 2)
-            if most < small:
+            if most < small or (hasty and few):
                 break
 
     def result(self, stopped: str) -> Workspace:
@@ -242,7 +265,7 @@ class _Run:
             self.batches.append(solve_states(self.scene, np.zeros((0, self.scene.arm.actuator_count))))
         states, resolutions = joined(self.batches), self.resolutions or (0.0, 0.0)
         if stopped != "finished":  # those chosen were for more states than there are
-            spread = int(SPREAD * self.wanted)
+            spread = int(self.schedule.spread * self.wanted)
             near, far = (self.given or _resolution(states, self.scene, worst, spread) for worst in (REACHED, EXCLUDED))
             resolutions = max(near, resolutions[0]), max(far, resolutions[1])
         return Workspace.of(self.scene, states, resolutions, stopped, self.wanted)
@@ -256,7 +279,8 @@ def _resolution(states: Batch, scene: Problem, worst: int, spread: int | None = 
     """
     from scipy.spatial import cKDTree
 
-    least, position = UNSEEN * float(scene.arm.neutral_length), states.position
+    schedule, position = SCHEDULES[scene.arm.dimension], states.position
+    least = schedule.unseen * float(scene.arm.neutral_length)
     counted = states.code.numpy() <= worst
     asked = position[:spread][counted[:spread]]
     position = np.unique(position[counted], axis=0)
@@ -264,7 +288,7 @@ def _resolution(states: Batch, scene: Problem, worst: int, spread: int | None = 
     if len(position) <= corners or not len(asked):
         return least
     away = cKDTree(position).query(np.unique(asked, axis=0), corners + 1)[0][:, -1]
-    denser = FINER[corners - 1] if spread is None else 1.0
+    denser = schedule.finer if spread is None else 1.0
     return float(max(denser * np.quantile(away, TYPICAL), least))
 
 

@@ -6,14 +6,14 @@ region in range, within the range of strains. A step that promises nothing shows
 what can be reached, to first order; it costs no equilibrium. Ends and edges too thin for facets are tried as well.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from torcharm.engine.box_steps import box_steps
 from torcharm.geometry.alpha_shape import AlphaShape, Indices, alpha_shape
-from torcharm.workspaces.states import Batch, KnownSlopes, Slopes
+from torcharm.workspaces.states import EXCLUDED, Batch, KnownSlopes, Slopes
 
 Array = NDArray[np.float64]
 
@@ -25,6 +25,10 @@ snap."""
 LONGEST_STEP = 0.25
 """Of a normalised pressure: as far as the slopes may tell, at the first attempt. Of many pressures that do the same, a
 step may change all, and little comes of what it promises."""
+LONGEST_IN_RANGE = 0.1
+"""The same where strains must stay in their range: long steps leave it, as slopes tell where it ends."""
+CORRECTED = 0.5
+"""Of that, at an attempt that corrects one which did not gain."""
 MARGIN = 1e-3
 """Of the width of a range of strains, kept free: what slopes do not tell of steps of a resolution."""
 DAMPING = 1e-2
@@ -43,17 +47,23 @@ class Pushes:
     Attributes:
         place: (b, M) normalised pressures.
         normal: (b, D) out of the region.
+        goal: (b, D) where they would like to get [m].
         height: (b,) where along it the boundary is, as far as is known [m].
         gain: (b,) how far beyond that they should come [m].
     """
 
     place: Array
     normal: Array
+    goal: Array
     height: Array
     gain: Array
 
     def __len__(self) -> int:
         return len(self.place)
+
+    def at(self, index: Indices) -> "Pushes":
+        """Some of them."""
+        return Pushes(*(getattr(self, own.name)[index] for own in fields(Pushes)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +96,10 @@ class Frontier:
         """A step that promises less is not worth a state [m]."""
         return max(LEAST_GAIN * self.spacing, self.least)
 
+    def own(self, states: Batch) -> Indices:
+        """Those of all states that make the region."""
+        return np.flatnonzero(np.isin(states.code.numpy(), self.codes))
+
     def push(self, states: Batch, most: int) -> Pushes:
         """Attempts from the corners of the boundary's facets; none where none promises a gain.
 
@@ -93,8 +107,7 @@ class Frontier:
             states: all that are known.
             most: so many at most, those that promise most.
         """
-        index = np.flatnonzero(np.isin(states.code.numpy(), self.codes))
-        position = states.position
+        index, position = self.own(states), states.position
         shape = alpha_shape(position[index], self.resolution)
         spike, away = ways_out_of_spikes(shape)
         facets = index[np.concatenate((shape.facets, np.tile(spike[:, None], (1, position.shape[1]))))]
@@ -119,25 +132,31 @@ class Frontier:
             self.tries[keys[facet]] = TRIES
         for facet in still[chosen]:
             self.tries[keys[facet]] = self.tries.get(keys[facet], 0) + 1
-        return Pushes(place[best][chosen], normal[chosen], height[chosen], gain[chosen])
+        return Pushes(place[best][chosen], normal[chosen], goal[chosen], height[chosen], gain[chosen])
 
     def push_on(self, states: Batch, last: Pushes, most: int) -> Pushes:
-        """Further attempts from where the last ones got to, the last of the states."""
+        """Further attempts from where the last ones got to, the last of the states: onwards from those that gained,
+        and of the others once more to the same goal, which lies closer now and within limits told better."""
         index = np.arange(len(states) - len(last), len(states))
-        position = states.position[index]
-        height = (position * last.normal).sum(1)
-        gained = np.isin(states.code.numpy()[index], self.codes) & (height - last.height > self.least_gain)
-        index, position, height, normal = index[gained], position[gained], height[gained], last.normal[gained]
-        place, promised = self._attempts(states, index, position + self.resolution * normal, np.ones((len(index), 1)))
+        code = states.code.numpy()[index]
+        known = np.flatnonzero(code <= EXCLUDED)
+        index, code, last = index[known], code[known], last.at(known)
+        position, normal = states.position[index], last.normal
+        height = (position * normal).sum(1)
+        gained = np.isin(code, self.codes) & (height - last.height > self.least_gain)
+        height = np.where(gained, height, last.height)
+        goal = np.where(gained[:, None], position + self.resolution * normal, last.goal)
+        place, promised = self._attempts(states, index, goal, np.where(gained, 1.0, CORRECTED)[:, None])
         gain = (promised * normal).sum(1) - height
         chosen = self._worthwhile(promised, gain, most)
-        return Pushes(place[chosen], normal[chosen], height[chosen], gain[chosen])
+        return Pushes(place[chosen], normal[chosen], goal[chosen], height[chosen], gain[chosen])
 
     def _attempts(self, states: Batch, source: Indices, goal: Array, part: Array) -> tuple[Array, Array]:
         """(b, M) normalised pressures that should take tips from states to goals (b, D), and where slopes see them
         end (b, D)."""
         slopes, start, place = self.slopes.of(states, source), states.position[source], states.place.numpy()[source]
-        step = self._steps(place, slopes, goal - start, LONGEST_STEP * part)
+        longest = LONGEST_IN_RANGE if self.in_range else LONGEST_STEP
+        step = self._steps(place, slopes, goal - start, longest * part)
         return (place + step).clip(self.low, self.high), start + (slopes.tip @ step[..., None])[..., 0]
 
     def _worthwhile(self, promised: Array, gain: Array, most: int) -> Indices:
