@@ -2,8 +2,10 @@
 
 import numpy as np
 
+import torcharm as ta
 from torcharm.geometry.alpha_shape import alpha_shape
-from torcharm.workspaces.frontier import ways_out_of_spikes
+from torcharm.workspaces.frontier import Frontier, ways_out_of_spikes
+from torcharm.workspaces.states import EXCLUDED, REACHED, KnownSlopes, joined, solve_states
 
 
 def strip(height):
@@ -35,3 +37,23 @@ def test_the_corner_of_a_square_leads_along_its_diagonal_and_its_sides_do_not():
 def test_no_region_has_no_way_out():
     found, way = ways_out_of_spikes(alpha_shape(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]), 0.1))
     assert len(found) == len(way) == 0
+
+
+def test_attempts_that_left_the_range_are_corrected_from_where_they_landed():
+    arm = ta.antagonistic_arm()
+    scene = ta.solve_equilibrium(arm, 0.0, ta.ExternalLoad(gravity=True), 5)._problem
+    places = np.random.default_rng(0).random((150, arm.actuator_count))
+    states = solve_states(scene, places)
+    one = np.ones(arm.actuator_count)
+    frontier = Frontier(KnownSlopes(scene), 0.02, 0.01, 1e-4, (REACHED,), 0 * one, one, True)
+    push = frontier.push(states, 100)
+    tried = solve_states(scene, push.place)
+    missed = tried.code.numpy() == EXCLUDED
+    states = joined((states, tried))
+    again = frontier.push_on(states, push, 100)
+    corrected = [any((goal == own).all() for own in push.goal[missed]) for goal in again.goal]
+    landed = solve_states(scene, again.place[corrected])
+    gained = (landed.position * again.normal[corrected]).sum(1) > again.height[corrected]
+    assert missed.sum() > 5
+    assert sum(corrected) > 5
+    assert ((landed.code.numpy() == REACHED) & gained).mean() > 0.5
