@@ -56,3 +56,12 @@ def test_gaps_wider_than_twice_alpha_part():
     points = np.concatenate((grid(5, 5), grid(5, 5) + np.array([0.1, 0.0])))
     assert alpha_shape(points, 0.02).size == pytest.approx(2 * 0.04**2)
     assert alpha_shape(points, 0.2).size == pytest.approx(0.14 * 0.04)
+
+
+@pytest.mark.parametrize("size", [2, 3])
+def test_a_grid_of_points_has_no_holes_where_its_simplices_are_flat(size):
+    shape = alpha_shape(grid(*[5] * size, step=0.1), 0.1)
+    assert shape.size == pytest.approx(0.4**size)
+    corners = shape.points[shape.facets]
+    within_a_side = np.ptp(corners, axis=1) < 1e-12
+    assert (within_a_side & (np.isclose(corners[:, 0], 0.0) | np.isclose(corners[:, 0], 0.4))).any(1).all()

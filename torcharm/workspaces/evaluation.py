@@ -63,8 +63,16 @@ class _Schedule:
 
 
 SCHEDULES = {
-    2: _Schedule(0.2, ((0.6, 1.0), (1.0, 0.2)), 0.1, 6, 0.0, 0.4, 5e-4),
-    3: _Schedule(0.12, ((0.65, 1.0), (0.85, 0.3), (1.0, 0.1)), 0.05, 12, 0.025, 0.9, 1e-3),
+    2: _Schedule(spread=0.2, stages=((0.6, 1.0), (1.0, 0.2)), inside=0.1, rounds=6, least=0.0, finer=0.4, unseen=5e-4),
+    3: _Schedule(
+        spread=0.12,
+        stages=((0.65, 1.0), (0.85, 0.3), (1.0, 0.1)),
+        inside=0.05,
+        rounds=12,
+        least=0.025,
+        finer=0.9,
+        unseen=1e-3,
+    ),
 }
 """By an arm's dimension."""
 MIXED = 0.07
