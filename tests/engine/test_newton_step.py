@@ -11,8 +11,8 @@ from oracle.spatial import SCENES, arm_and_task
 import torcharm as ta
 from torcharm.engine.arms import arms_of, sizes_of
 from torcharm.engine.arrays import make
+from torcharm.engine.balance import Balance
 from torcharm.engine.loads import loads_of
-from torcharm.engine.room import Room
 from torcharm.statics.cross_section import reaction_wrench
 from torcharm.statics.external_load import required_wrench
 
@@ -29,14 +29,14 @@ class Case:
         self.twists, self.pressure = np.array(twists)[None], np.array(pressure)[None]
         self.arms = arms_of(arm, (1,), nodes, shear)
         self.loads = loads_of(arm, load, base, (1,), nodes, middle=middle)
-        self.room = make(Room, sizes_of(self.arms))
+        self.scratch = make(Balance, sizes_of(self.arms))
         self.shape = (sum(nodes), len(self.arms.unknown))
 
     def balance(self, twists=None, pressure=None, factor=1.0):
         residual, pivots = np.zeros((1, *self.shape)), np.zeros((1, 2), dtype=np.int64)
         pressure = self.pressure if pressure is None else pressure
         twists = self.twists if twists is None else twists
-        balances.balances(self.arms, self.loads, pressure, twists, factor, self.room, residual, pivots)
+        balances.balances(self.arms, self.loads, pressure, twists, factor, self.scratch, residual, pivots)
         return residual[0], pivots[0]
 
     def slope(self, factor=1.0):
@@ -138,7 +138,7 @@ def test_solutions_are_those_of_the_dense_matrix_by_differences(name):
     slope = case.slope()
     right = np.random.default_rng(0).normal(size=(1, 4, *case.shape))
     found = right.copy()
-    balances.solutions(case.arms, case.loads, case.pressure, case.twists, np.array([0]), case.room, found)
+    balances.solutions(case.arms, case.loads, case.pressure, case.twists, np.array([0]), case.scratch, found)
     for one, given in zip(found[0], right[0], strict=True):
         theirs = np.linalg.solve(slope, given.ravel())
         np.testing.assert_allclose(one.ravel(), theirs, rtol=0, atol=3e-8 * np.abs(theirs).max())
@@ -149,7 +149,7 @@ def test_slopes_by_pressure_and_load_are_those_by_differences(name):
     case = case_of(name)
     count = case.pressure.shape[1]
     by_pressure, by_load = np.zeros((1, count, *case.shape)), np.zeros((1, *case.shape))
-    given = case.arms, case.loads, case.pressure, case.twists, 0.7, case.room
+    given = case.arms, case.loads, case.pressure, case.twists, 0.7, case.scratch
     balances.rates(*given, by_pressure, by_load)
     for a in range(count):
         ends = []
@@ -189,6 +189,6 @@ def test_a_direction_without_stiffness_takes_no_step():
     _, pivots = case.balance()
     assert pivots.tolist() == [0, 3]
     right = np.ones((1, 1, *case.shape))
-    balances.solutions(case.arms, case.loads, case.pressure, case.twists, np.array([0]), case.room, right)
+    balances.solutions(case.arms, case.loads, case.pressure, case.twists, np.array([0]), case.scratch, right)
     assert (right[0, 0, :, 1] == 0).all()
     assert np.isfinite(right).all()

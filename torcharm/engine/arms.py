@@ -72,7 +72,7 @@ class Loads(NamedTuple):
 
 
 def sizes_of(arms: Arms, **more: int) -> dict[str, int]:
-    """What the names in shapes of room for one of these arms stand for, and more of them."""
+    """What the names in shapes of scratch for one of these arms stand for, and more of them."""
     tables = arms.tables
     _, powers, strain_powers = arms.models.table.shape
     return {

@@ -21,17 +21,17 @@ def make(kind: type[T], sizes: Mapping[str, int], **given: Any) -> T:
         sizes: the numbers that the names in shapes stand for; {} if nothing is asked for, as if all were 0.
         given: fields that are there already.
     """
-    rooms = _rooms(kind, tuple(sizes.items()), tuple(given))  # type: ignore[arg-type]  # a class can be hashed
-    return kind(**given, **{name: room() for name, room in rooms})
+    makers = _makers(kind, tuple(sizes.items()), tuple(given))  # type: ignore[arg-type]  # a class can be hashed
+    return kind(**given, **{name: make_one() for name, make_one in makers})
 
 
 @lru_cache(maxsize=256)
-def _rooms(kind: Any, sizes: Sizes, given: tuple[str, ...]) -> list[tuple[str, Callable[[], Any]]]:
+def _makers(kind: Any, sizes: Sizes, given: tuple[str, ...]) -> list[tuple[str, Callable[[], Any]]]:
     """What makes each field that is not given."""
-    return [(name, _room(one, sizes)) for name, one in kind.__annotations__.items() if name not in given]
+    return [(name, _maker(one, sizes)) for name, one in kind.__annotations__.items() if name not in given]
 
 
-def _room(annotation: Any, sizes: Sizes) -> Callable[[], Any]:
+def _maker(annotation: Any, sizes: Sizes) -> Callable[[], Any]:
     if hasattr(annotation, "_fields"):
         return partial(make, annotation, dict(sizes))
     numbers = dict(sizes) or Counter()

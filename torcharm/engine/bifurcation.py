@@ -32,14 +32,14 @@ FOUND = 1e-3
 
 @by_reference
 class Saddle(NamedTuple):
-    """Room for one bifurcation: the saddle and two equilibria beside."""
+    """Scratch of one bifurcation: the saddle and two equilibria beside."""
 
-    place: Float64[Array, "3 M"]  # normalised pressures
+    normalised: Float64[Array, "3 M"]  # normalised pressures
     twists: Float64[Array, "3 N K"]
     factor: Float64[Array, "3"]  # load factors
     measure: Float64[Array, "N C"]  # of x, the sum of its products with the unknowns; a unit vector
     way: Float64[Array, "M"]  # unit vector along which pressures change
-    shift: Float64[Array, "M N C"]  # change of the unknowns by the place, at x held
+    shift: Float64[Array, "M N C"]  # change of the unknowns by the normalised pressures, at x held
     normal: Float64[Array, "M"]  # unit normal of the boundary; pressures along it make the arm give way further
     change: Float64[Array, "2 N C"]  # Newton's step, and the change by the load factor
     by_way: Float64[Array, "N C"]  # the change of the unknowns along the way
@@ -48,23 +48,23 @@ class Saddle(NamedTuple):
 
 @part
 def write_changes(problem, work, saddle, b, k):  # type: ignore[no-untyped-def]
-    """Write Newton's step and the changes by load factor and place at one of the three equilibria."""
-    arms, loads, room = problem.arms, problem.loads, work.room
-    for m in range(saddle.place.shape[1]):
-        work.pressure[b, m] = saddle.place[k, m] * problem.limit[b, m]
-    set_pressure(arms, room.drive, work.pressure, b, 1.0)
-    write_shape(arms, loads, room, b, saddle.twists[k], True)
-    write_balance(arms, loads, room, b, saddle.twists[k], saddle.factor[k], 0.0, 0.0)
+    """Write Newton's step and the changes by load factor and pressures at one of the three equilibria."""
+    arms, loads, balance = problem.arms, problem.loads, work.balance
+    for m in range(saddle.normalised.shape[1]):
+        work.pressure[b, m] = saddle.normalised[k, m] * problem.limit[b, m]
+    set_pressure(arms, balance.drive, work.pressure, b, 1.0)
+    write_shape(arms, loads, balance, b, saddle.twists[k], True)
+    write_balance(arms, loads, balance, b, saddle.twists[k], saddle.factor[k], 0.0, 0.0)
     for i in range(saddle.change.shape[1]):
         for c in range(saddle.change.shape[2]):
-            saddle.change[0, i, c] = -room.residual[i, c]
-            saddle.change[1, i, c] = -room.carried[i, c]
-            for m in range(saddle.place.shape[1]):
-                work.change[1 + m, i, c] = -room.sections.rate[i, c, m] * problem.limit[b, m]
+            saddle.change[0, i, c] = -balance.residual[i, c]
+            saddle.change[1, i, c] = -balance.carried[i, c]
+            for m in range(saddle.normalised.shape[1]):
+                work.change[1 + m, i, c] = -balance.sections.rate[i, c, m] * problem.limit[b, m]
     for x in range(2):
-        solve(arms, loads, room, saddle.change[x])
-    for m in range(saddle.place.shape[1]):
-        solve(arms, loads, room, work.change[1 + m])
+        solve(arms, loads, balance, saddle.change[x])
+    for m in range(saddle.normalised.shape[1]):
+        solve(arms, loads, balance, work.change[1 + m])
 
 
 @part
@@ -89,7 +89,7 @@ def _move(arms, saddle, k, factor, change):  # type: ignore[no-untyped-def]
 def _advance(problem, work, saddle, b, beside):  # type: ignore[no-untyped-def]
     """One Newton step to the saddle, or with the first evaluation to the equilibria beside; returns its size."""
     arms, aside = problem.arms, ASIDE / problem.scale.length[b]
-    count, slope, change = saddle.place.shape[1], saddle.slope, saddle.change
+    count, slope, change = saddle.normalised.shape[1], saddle.slope, saddle.change
     for k in range(2 if beside else 0, -1, -1):  # the saddle itself comes last, and its changes are kept
         write_changes(problem, work, saddle, b, k)
         for i in range(change.shape[1]):
@@ -104,7 +104,7 @@ def _advance(problem, work, saddle, b, beside):  # type: ignore[no-untyped-def]
         _move(arms, saddle, k, 1.0, change[0])
         _move(arms, saddle, k, back, saddle.by_way)
         for m in range(count):
-            saddle.place[k, m] += saddle.way[m] * back
+            saddle.normalised[k, m] += saddle.way[m] * back
     x, s, move_x, move_s, size = slope[0, 0], slope[0, 1], 0.0, 0.0, math.inf
     if beside:
         xx, sx = (slope[1, 0] - x) / aside, (slope[1, 1] - s) / aside
@@ -121,7 +121,7 @@ def _advance(problem, work, saddle, b, beside):  # type: ignore[no-untyped-def]
     _move(arms, saddle, 0, x * move_x + s * move_s, saddle.by_way)
     saddle.factor[0] += move_s
     for m in range(count):
-        saddle.place[0, m] += saddle.way[m] * (x * move_x + s * move_s)
+        saddle.normalised[0, m] += saddle.way[m] * (x * move_x + s * move_s)
     for k in range(1, 3):
         copy_rows(saddle.twists[k], saddle.twists[0])
         saddle.factor[k] = saddle.factor[0]
@@ -131,13 +131,13 @@ def _advance(problem, work, saddle, b, beside):  # type: ignore[no-untyped-def]
             _move(arms, saddle, k, ASIDE, change[1])
         _move(arms, saddle, k, along, saddle.by_way)
         for m in range(count):
-            saddle.place[k, m] = saddle.place[0, m] + saddle.way[m] * along
+            saddle.normalised[k, m] = saddle.normalised[0, m] + saddle.way[m] * along
     return size
 
 
 @part
 def find_saddle(problem, work, saddle, b, steps):  # type: ignore[no-untyped-def]
-    """Newton's method to the saddle from the first place, twists and load factor; whether it is found.
+    """Newton's method to the saddle from the first pressures, twists and load factor; whether it is found.
 
     Args:
         steps: of Newton's method, at most.
@@ -148,20 +148,20 @@ def find_saddle(problem, work, saddle, b, steps):  # type: ignore[no-untyped-def
         if step > 0 and not size > FOUND:
             break
     length, along, sound = 0.0, 0.0, 0.0
-    for m in range(saddle.place.shape[1]):
+    for m in range(saddle.normalised.shape[1]):
         length += saddle.normal[m] * saddle.normal[m]
         along += saddle.normal[m] * saddle.way[m]
-        sound += saddle.place[0, m]
+        sound += saddle.normalised[0, m]
     length = math.sqrt(length)
     for i in range(saddle.by_way.shape[0]):
         for c in range(saddle.by_way.shape[1]):
             gone = 0.0
-            for m in range(saddle.place.shape[1]):
+            for m in range(saddle.normalised.shape[1]):
                 gone += saddle.way[m] * saddle.shift[m, i, c]
-            for m in range(saddle.place.shape[1]):
+            for m in range(saddle.normalised.shape[1]):
                 saddle.shift[m, i, c] -= gone * saddle.normal[m] / along
                 sound += saddle.shift[m, i, c]
-    for m in range(saddle.place.shape[1]):
+    for m in range(saddle.normalised.shape[1]):
         saddle.normal[m] /= length
         sound += saddle.normal[m]
     return math.isfinite(sound) and size < FOUND and 0.0 < saddle.factor[0] < 1.0

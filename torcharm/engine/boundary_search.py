@@ -1,9 +1,9 @@
 """Search along the boundary of what load continuation reaches, where a descent led over it.
 
 The best pressure on the branch of the descent is on the boundary then, or near. A descent along its tangent, set back
-on it, is the next place; all are evaluated at equilibria nearby. What comes of it is loaded from zero, a little away
-from the boundary, where continuation can be followed. Where that leads elsewhere still, another boundary is in between,
-and the search goes on along that.
+on it, leads to the next pressures; all are evaluated at equilibria nearby. What comes of it is loaded from zero, a
+little away from the boundary, where continuation can be followed. Where that leads elsewhere still, another boundary is
+in between, and the search goes on along that.
 """
 
 import math
@@ -24,7 +24,7 @@ from torcharm.engine.pressure_model import (
     distance_of,
     evaluate_point,
 )
-from torcharm.engine.search_room import (
+from torcharm.engine.search_state import (
     AIM,
     BEST,
     CURRENT,
@@ -50,7 +50,7 @@ WORTH = 1e-4
 HALVINGS = 4
 """Of the way between two points on either side of a boundary, from which Newton's method does not find it."""
 NEWTON_STEPS, AGAIN_STEPS = 12, 6
-"""To the boundary; and from there to another place on it."""
+"""To the boundary; and from there to other pressures on it."""
 STIFF = 300.0
 """Of the wall in a descent along a boundary, over the largest curvature: across it a descent goes a 300th of the way,
 and is set back. The stiffer it is, the shorter are the first steps along it."""
@@ -67,15 +67,15 @@ back."""
 
 
 @part
-def _write_way(search, place):  # type: ignore[no-untyped-def]
+def _write_way(search, pressure):  # type: ignore[no-untyped-def]
     """Write the way away from the boundary, along bounds of the box."""
     length = 0.0
-    for m in range(len(place)):
+    for m in range(len(pressure)):
         n = search.edge_normal[m]
-        inner = n if (place[m] > 0.0 or n > 0.0) and (place[m] < 1.0 or n < 0.0) else 0.0
+        inner = n if (pressure[m] > 0.0 or n > 0.0) and (pressure[m] < 1.0 or n < 0.0) else 0.0
         search.way[m] = inner
         length += inner * inner
-    for m in range(len(place)):
+    for m in range(len(pressure)):
         search.way[m] /= max(math.sqrt(length), 1e-9)
 
 
@@ -86,7 +86,7 @@ def _keep_boundary(search, forwards):  # type: ignore[no-untyped-def]
     for m in range(len(forwards)):
         side += saddle.normal[m] * forwards[m]
     for m in range(len(forwards)):
-        search.edge_place[m] = saddle.place[0, m]
+        search.edge_pressure[m] = saddle.normalised[0, m]
         search.edge_normal[m] = -saddle.normal[m] if side < 0.0 else saddle.normal[m]
         copy_rows(search.edge_shift[m], saddle.shift[m])
     copy_rows(search.edge_twists, saddle.twists[0])
@@ -116,17 +116,17 @@ def _find_boundary(problem, work, search, b, at, sign):  # type: ignore[no-untyp
             saddle.measure[i, c] /= max(math.sqrt(square), 1e-300)
     copy_rows(saddle.twists[0], search.quick[at])
     saddle.factor[0] = search.factor[at]
-    copy_row(saddle.place[0], points.place[at])
+    copy_row(saddle.normalised[0], points.normalised[at])
     write_changes(problem, work, saddle, b, 0)
     length = 0.0
-    for m in range(points.place.shape[1]):
+    for m in range(points.normalised.shape[1]):
         search.edge_normal[m] = times_measure(saddle, work.change[1 + m])
         length += search.edge_normal[m] ** 2
     if not math.isfinite(length) or length == 0.0:
         return False
-    for m in range(points.place.shape[1]):
+    for m in range(points.normalised.shape[1]):
         search.edge_normal[m] /= sign * math.sqrt(length)
-    _write_way(search, points.place[at])
+    _write_way(search, points.normalised[at])
     copy_row(saddle.way, search.way)
     if not find_saddle(problem, work, saddle, b, NEWTON_STEPS):
         return False
@@ -136,7 +136,7 @@ def _find_boundary(problem, work, search, b, at, sign):  # type: ignore[no-untyp
 
 @part
 def _between(problem, work, search, b, start, tolerance):  # type: ignore[no-untyped-def]
-    """Write the boundary between the near point and where the current point's place leads; whether it is found.
+    """Write the boundary between the near point and where the current point's pressures lead; whether it is found.
 
     Newton's method is tried from both; then the way between them is halved. The current point becomes the near one
     if the boundary is found from there.
@@ -151,8 +151,8 @@ def _between(problem, work, search, b, start, tolerance):  # type: ignore[no-unt
         if (nearer or k == 0) and _find_boundary(problem, work, search, b, NEAR, 1.0):
             copy_point(points, CURRENT, NEAR)
             return True
-        for m in range(points.place.shape[1]):
-            points.place[AIM, m] = 0.5 * (points.place[NEAR, m] + points.place[ENDED, m])
+        for m in range(points.normalised.shape[1]):
+            points.normalised[AIM, m] = 0.5 * (points.normalised[NEAR, m] + points.normalised[ENDED, m])
         if reach_and_keep(problem, work, search, b, AIM, TRIED, start, tolerance) == FAILED:
             return False
         if improves(work, TRIED, BEST):
@@ -164,13 +164,13 @@ def _between(problem, work, search, b, start, tolerance):  # type: ignore[no-unt
 
 @part
 def _write_trial(work, search, margin):  # type: ignore[no-untyped-def]
-    """Write the place of a trial, a margin along the way from the boundary, in the box."""
-    place = work.points.place[AIM]
-    for m in range(len(place)):
-        place[m] = min(max(search.edge_place[m], 0.0), 1.0)
-    _write_way(search, place)
-    for m in range(len(place)):
-        place[m] = min(max(place[m] + margin * search.way[m], 0.0), 1.0)
+    """Write the pressures of a trial, a margin along the way from the boundary, in the box."""
+    pressure = work.points.normalised[AIM]
+    for m in range(len(pressure)):
+        pressure[m] = min(max(search.edge_pressure[m], 0.0), 1.0)
+    _write_way(search, pressure)
+    for m in range(len(pressure)):
+        pressure[m] = min(max(pressure[m] + margin * search.way[m], 0.0), 1.0)
 
 
 @part
@@ -180,34 +180,34 @@ def _descend_along(problem, work, search, b):  # type: ignore[no-untyped-def]
     copy_point(points, 0, CURRENT)
     stiffness = math.sqrt(STIFF * largest_curvature(points.curvature[0]))
     work.wall_at[0] = stiffness * MARGINS[0]
-    for m in range(points.place.shape[1]):
+    for m in range(points.normalised.shape[1]):
         work.wall[m] = stiffness * search.edge_normal[m]
-        work.wall_at[0] += work.wall[m] * search.edge_place[m]
+        work.wall_at[0] += work.wall[m] * search.edge_pressure[m]
     add_wall(work, 0)
     along, _ = descend(problem, work, b, 0, 1, False, math.inf, SLIDE_STEPS)
     work.wall_at[0] = 0.0
-    for m in range(points.place.shape[1]):
+    for m in range(points.normalised.shape[1]):
         work.wall[m] = 0.0
     return along
 
 
 @part
 def _set_back(problem, work, search, b, along, part_of_it):  # type: ignore[no-untyped-def]
-    """Go part of the way to a slot's place, set back on the boundary: write what is next to it on the branch as the
+    """Go part of the way to a slot's pressures, set back on the boundary: write what is next to it on the branch as the
     point of a trial, whether there is any. The boundary is not yet kept."""
-    points, saddle, count = work.points, search.saddle, work.points.place.shape[1]
-    _write_way(search, points.place[along])
+    points, saddle, count = work.points, search.saddle, work.points.normalised.shape[1]
+    _write_way(search, points.normalised[along])
     steep = across = 0.0
     for m in range(count):
         saddle.way[m] = search.way[m]
         steep += search.edge_normal[m] * search.way[m]
-        across += search.edge_normal[m] * part_of_it * (points.place[along, m] - search.edge_place[m])
+        across += search.edge_normal[m] * part_of_it * (points.normalised[along, m] - search.edge_pressure[m])
     copy_rows(saddle.twists[0], search.edge_twists)
     saddle.factor[0] = search.edge_factor[0]
     for m in range(count):
-        move = part_of_it * (points.place[along, m] - search.edge_place[m])
+        move = part_of_it * (points.normalised[along, m] - search.edge_pressure[m])
         move -= saddle.way[m] * across / max(steep, STEEP)
-        saddle.place[0, m] = search.edge_place[m] + move
+        saddle.normalised[0, m] = search.edge_pressure[m] + move
         for i in range(saddle.measure.shape[0]):
             for c in range(saddle.measure.shape[1]):
                 saddle.twists[0, i, problem.arms.unknown[c]] += search.edge_shift[m, i, c] * move
@@ -216,9 +216,9 @@ def _set_back(problem, work, search, b, along, part_of_it):  # type: ignore[no-u
     begun = along if part_of_it == 1.0 else CURRENT
     copy_rows(work.path.trial, points.twists[begun])
     for m in range(count):
-        place = min(max(saddle.place[0, m], 0.0), 1.0) + MARGINS[0] * search.way[m]
-        points.place[TRIED, m] = min(max(place, 0.0), 1.0)
-        move = points.place[TRIED, m] - points.place[begun, m]
+        pressure = min(max(saddle.normalised[0, m], 0.0), 1.0) + MARGINS[0] * search.way[m]
+        points.normalised[TRIED, m] = min(max(pressure, 0.0), 1.0)
+        move = points.normalised[TRIED, m] - points.normalised[begun, m]
         for i in range(saddle.measure.shape[0]):
             for c in range(saddle.measure.shape[1]):
                 work.path.trial[i, problem.arms.unknown[c]] += points.rates[begun, m, i, c] * move
@@ -290,7 +290,7 @@ def follow_boundary(problem, work, search, b, at, start, tolerance):  # type: ig
             if distance_of(problem, work, b, CURRENT, TRIED) > SAME_BRANCH:
                 continue
             inwards = 0.0
-            for m in range(points.place.shape[1]):
+            for m in range(points.normalised.shape[1]):
                 inwards += points.gradient[TRIED, m] * search.edge_normal[m]
             return better and inwards < 0.0 and release(problem, work, search, b, TRIED, start, tolerance)
     return False

@@ -14,12 +14,12 @@ LEAST_SHIFT = 1e-12
 FIRST_SHIFT = 1e-3
 """The same where the model is not convex on what may move; ten times as much until it is."""
 INWARD = 1e-12
-"""Of the steepest slope at the place: what is less is rounding, and frees no variable from its bound."""
+"""Of the steepest slope at the point: what is less is rounding, and frees no variable from its bound."""
 
 
 @by_reference
 class BoxStep(NamedTuple):
-    """Room for steps of M variables."""
+    """Scratch of steps of M variables."""
 
     step: Float64[Array, "M"]
     held: Float64[Array, "M"]  # 1 where a variable is held at its bound, else 0
@@ -30,11 +30,11 @@ class BoxStep(NamedTuple):
 
 
 @part
-def optimality(gradient, place):  # type: ignore[no-untyped-def]
+def optimality(gradient, point):  # type: ignore[no-untyped-def]
     """How far a step down a gradient gets within the box: 0 at a first-order optimum."""
     most = 0.0
-    for m in range(len(place)):
-        most = max(most, abs(place[m] - min(max(place[m] - gradient[m], 0.0), 1.0)))
+    for m in range(len(point)):
+        most = max(most, abs(point[m] - min(max(point[m] - gradient[m], 0.0), 1.0)))
     return most
 
 
@@ -92,7 +92,7 @@ def _write_slope(box, gradient):  # type: ignore[no-untyped-def]
 
 
 @part
-def write_box_step(box, gradient, curvature, extra, use_extra, place, damping):  # type: ignore[no-untyped-def]
+def write_box_step(box, gradient, curvature, extra, use_extra, point, damping):  # type: ignore[no-untyped-def]
     """Write the step that minimises `g·s + ½ s·(H + d 1) s` within the box; returns the decrease that it promises.
 
     The primal active-set method (Nocedal and Wright, *Numerical Optimization*, 2006, ch. 16): the minimum on the free
@@ -102,14 +102,14 @@ def write_box_step(box, gradient, curvature, extra, use_extra, place, damping): 
     Args:
         gradient: (M,) g.
         curvature, extra: (M, M) H, and what is added to it if `use_extra`.
-        place: (M,) in the box.
+        point: (M,) in the box.
         damping: d.
     """
-    count, scale = len(place), largest_curvature(curvature)
+    count, scale = len(point), largest_curvature(curvature)
     shift, steepest = damping + LEAST_SHIFT * scale, 0.0
     for m in range(count):
         box.step[m] = 0.0
-        box.held[m] = (place[m] <= 0.0 and gradient[m] >= 0.0) or (place[m] >= 1.0 and gradient[m] <= 0.0)
+        box.held[m] = (point[m] <= 0.0 and gradient[m] >= 0.0) or (point[m] >= 1.0 and gradient[m] <= 0.0)
         steepest = max(steepest, abs(gradient[m]))
     for _ in range(40):  # the shift is beyond any curvature then
         for m in range(count):
@@ -132,21 +132,21 @@ def write_box_step(box, gradient, curvature, extra, use_extra, place, damping): 
         for m in range(count):
             if box.held[m]:
                 continue
-            room = 1.0 - place[m] - box.step[m] if box.right[m] > 0.0 else place[m] + box.step[m]
-            if abs(box.right[m]) * length > room:
-                length, blocking = max(room, 0.0) / abs(box.right[m]), m
+            free = 1.0 - point[m] - box.step[m] if box.right[m] > 0.0 else point[m] + box.step[m]
+            if abs(box.right[m]) * length > free:
+                length, blocking = max(free, 0.0) / abs(box.right[m]), m
         for m in range(count):
             if not box.held[m]:
                 box.step[m] += length * box.right[m]
         if blocking >= 0:
             box.held[blocking] = 1.0
-            box.step[blocking] = 1.0 - place[blocking] if box.right[blocking] > 0.0 else -place[blocking]
+            box.step[blocking] = 1.0 - point[blocking] if box.right[blocking] > 0.0 else -point[blocking]
             continue
         _write_slope(box, gradient)
         freed, most = -1, INWARD * steepest
         for m in range(count):
             if box.held[m]:
-                inward = -box.slope[m] if place[m] + box.step[m] <= 0.0 else box.slope[m]
+                inward = -box.slope[m] if point[m] + box.step[m] <= 0.0 else box.slope[m]
                 if inward > most:
                     freed, most = m, inward
         if freed < 0:

@@ -26,7 +26,7 @@ class Share(NamedTuple):
 
 @by_reference
 class Spot(NamedTuple):
-    """Room for where a load sits."""
+    """Scratch of where a load sits."""
 
     pose: Float64[Array, "2 P"]  # of the load, and of the middle of what its element carries of it
     move: Float64[Array, "2 K C"]  # motions of these by the element's unknowns
@@ -173,48 +173,48 @@ def _slide_of(arms, slide, move, m, place, sign):  # type: ignore[no-untyped-def
 
 
 @part
-def add_load_inside(arms, loads, room, b, q, i, twist, part_of_arc, scale):  # type: ignore[no-untyped-def]
+def add_load_inside(arms, loads, balance, b, q, i, twist, part_of_arc, scale):  # type: ignore[no-untyped-def]
     """Add a load inside of element i to what lies before the element, and to what its own section carries.
 
     At "middle" its section carries the share φ that lies before the load, from the middle of that share: as a wrench
     about the origin, φ of the load at the place `p - p_{φ/2} + p_frame`.
     """
-    spot, fraction = room.spot, loads.fraction[q]
+    spot, fraction = balance.spot, loads.fraction[q]
     dimension = len(spot.place)
     first = spot.pose.shape[1] - dimension
     _clear_motion(arms, spot)
     for m in range(2 if loads.middle else 1):
         share = fraction * part_of_arc if m == 0 else 0.5 * fraction * part_of_arc
-        write_motion(arms, room.node, i, spot.pose, m, spot.move, m, twist, share)
+        write_motion(arms, balance.node, i, spot.pose, m, spot.move, m, twist, share)
         _slide_of(arms, spot.slide, spot.move, m, spot.pose[m, first:], 1.0 - 2.0 * m)
         if m == 0:
             _take_load(arms, loads, spot, b, q, spot.pose, m)
             for c in range(len(arms.unknown)):
                 for d in range(spot.turn.shape[0]):
                     spot.turn[d, c] = spot.move[m, dimension + d, c]
-            _add(arms, spot, room.beyond, scale, 1.0)
+            _add(arms, spot, balance.beyond, scale, 1.0)
     if not loads.middle:
-        _add(arms, spot, room.section, scale, 1.0)
+        _add(arms, spot, balance.section, scale, 1.0)
         return
-    _slide_of(arms, spot.slide, room.half_move, i, room.frame[i, first:], 1.0)
+    _slide_of(arms, spot.slide, balance.half_move, i, balance.frame[i, first:], 1.0)
     for d in range(dimension):
-        spot.place[d] += room.frame[i, first + d] - spot.pose[1, first + d]
-    _add(arms, spot, room.section, scale, fraction)
+        spot.place[d] += balance.frame[i, first + d] - spot.pose[1, first + d]
+    _add(arms, spot, balance.section, scale, fraction)
 
 
 @part
-def add_own_weight(arms, loads, room, b, segment, i, twist, part_of_arc, scale):  # type: ignore[no-untyped-def]
+def add_own_weight(arms, loads, balance, b, segment, i, twist, part_of_arc, scale):  # type: ignore[no-untyped-def]
     """Add an element's weight at its centroid, of which its section carries all, or at "middle" the outer half."""
-    spot = room.spot
+    spot = balance.spot
     for k in range(3):
         spot.load[0, k] = spot.load[1, k] = 0.0
     spot.load[0, 1], spot.follows[0] = -loads.weight[b, segment], False
     _clear_motion(arms, spot)
-    write_centroid(arms, room.node, i, spot.place, spot.slide, twist, part_of_arc)
-    _add(arms, spot, room.beyond, scale, 1.0)
+    write_centroid(arms, balance.node, i, spot.place, spot.slide, twist, part_of_arc)
+    _add(arms, spot, balance.beyond, scale, 1.0)
     if not loads.middle:
-        _add(arms, spot, room.section, scale, 1.0)
+        _add(arms, spot, balance.section, scale, 1.0)
         return
-    write_centroid(arms, room.frame, i, spot.place, spot.slide, twist, 0.5 * part_of_arc)
-    _slide_of(arms, spot.slide, room.half_move, i, spot.place, 1.0)
-    _add(arms, spot, room.section, scale, 0.5)
+    write_centroid(arms, balance.frame, i, spot.place, spot.slide, twist, 0.5 * part_of_arc)
+    _slide_of(arms, spot.slide, balance.half_move, i, spot.place, 1.0)
+    _add(arms, spot, balance.section, scale, 0.5)

@@ -18,7 +18,7 @@ SOURCES = ("inputs", "geometry", "actuators", "arm", "arm_series", "load", "stat
 def kernel(function: F) -> F:
     """Compiled at the first call, and kept on disk. It holds no references to arrays, which saves half of the time.
 
-    So it cannot make arrays: room to work in is an argument.
+    So it cannot make arrays: scratch to work in is an argument.
     """
     return _compiled(function, "KernelCompiler", cache=True, _nrt=False)
 
@@ -102,7 +102,7 @@ def folder_of_code() -> str | None:
 def version_of_sources() -> str:
     """Of the sources that code is made of: the engine's, and those of all that it imports."""
     digest, package = sha256(), Path(__file__).parents[1]
-    for room in SOURCES:
-        for path in sorted([*package.glob(f"{room}.py"), *package.glob(f"{room}/*.py")]):
+    for name in SOURCES:
+        for path in sorted([*package.glob(f"{name}.py"), *package.glob(f"{name}/*.py")]):
             digest.update(path.read_bytes())
     return digest.hexdigest()[:16]

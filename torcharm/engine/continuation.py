@@ -61,7 +61,7 @@ CONTINUED, SNAPPED, WARM, FAILED = range(4)
 
 
 @part
-def write_step(arms, loads, room, path, b, factor, linear_shift, angular_shift):  # type: ignore[no-untyped-def]
+def write_step(arms, loads, balance, path, b, factor, linear_shift, angular_shift):  # type: ignore[no-untyped-def]
     """Write the residual and Newton's step at the trial, with a shift on the diagonal of J.
 
     Args:
@@ -69,30 +69,30 @@ def write_step(arms, loads, room, path, b, factor, linear_shift, angular_shift):
         linear_shift, angular_shift: as of `write_balance`.
     """
     if path.loaded[0]:
-        write_shape(arms, loads, room, b, path.trial, False)
-        write_balance(arms, loads, room, b, path.trial, factor, linear_shift, angular_shift)
+        write_shape(arms, loads, balance, b, path.trial, False)
+        write_balance(arms, loads, balance, b, path.trial, factor, linear_shift, angular_shift)
     else:
-        room.pivots[0] = room.pivots[1] = 0
-        room.sections.stiffness[0] = room.sections.stiffness[1] = 0.0
+        balance.pivots[0] = balance.pivots[1] = 0
+        balance.sections.stiffness[0] = balance.sections.stiffness[1] = 0.0
         for segment in range(len(arms.first_node) - 1):
             i = arms.first_node[segment]
-            write_section(arms, room.drive, room.sections, b, segment, i, path.trial)
-            copy_row(room.residual[i], room.sections.reaction[i])
-            factor_section(arms, room, i, linear_shift, angular_shift)
+            write_section(arms, balance.drive, balance.sections, b, segment, i, path.trial)
+            copy_row(balance.residual[i], balance.sections.reaction[i])
+            factor_section(arms, balance, i, linear_shift, angular_shift)
     for segment in range(len(arms.first_node) - 1):
         first, last = elements_under_way(arms, path, segment)
         for i in range(first, last):
             for c in range(len(arms.unknown)):
-                path.newton[i, c] = -room.residual[i, c]
-    _solve(arms, loads, room, path, path.newton)
+                path.newton[i, c] = -balance.residual[i, c]
+    _solve(arms, loads, balance, path, path.newton)
 
 
 @part
-def _solve(arms, loads, room, path, change):  # type: ignore[no-untyped-def]
+def _solve(arms, loads, balance, path, change):  # type: ignore[no-untyped-def]
     if path.loaded[0]:
-        solve(arms, loads, room, change)
+        solve(arms, loads, balance, change)
         return
-    matrix, columns = room.factor, len(arms.unknown)
+    matrix, columns = balance.factor, len(arms.unknown)
     for segment in range(len(arms.first_node) - 1):
         i = arms.first_node[segment]
         for c in range(columns):
@@ -105,35 +105,35 @@ def _solve(arms, loads, room, path, change):  # type: ignore[no-untyped-def]
 
 
 @part
-def write_tangent(arms, loads, room, path, pressures, b):  # type: ignore[no-untyped-def]
+def write_tangent(arms, loads, balance, path, pressures, b):  # type: ignore[no-untyped-def]
     """Write the change of the unknowns by the factor on the load, or without load on the pressure."""
     for segment in range(len(arms.first_node) - 1):
         first, last = elements_under_way(arms, path, segment)
         if not path.loaded[0]:
-            write_rates(arms, room.drive, room.sections, b, segment, first, path.trial)
+            write_rates(arms, balance.drive, balance.sections, b, segment, first, path.trial)
         for i in range(first, last):
             for c in range(len(arms.unknown)):
                 rate = 0.0
                 if path.loaded[0]:
-                    rate = room.carried[i, c]
+                    rate = balance.carried[i, c]
                 else:
                     for a in range(arms.first_actuator[segment], arms.first_actuator[segment + 1]):
-                        rate += room.sections.rate[i, c, a] * pressures[b, a]
+                        rate += balance.sections.rate[i, c, a] * pressures[b, a]
                 path.ahead[i, c] = -rate
-    _solve(arms, loads, room, path, path.ahead)
+    _solve(arms, loads, balance, path, path.ahead)
 
 
 @part
-def _branch(loads, room):  # type: ignore[no-untyped-def]
+def _branch(loads, balance):  # type: ignore[no-untyped-def]
     """What stays the same along a branch: the number of unstable directions, or whether it is odd if loads follow."""
     for q in range(len(loads.follows)):
         if loads.follows[q]:
-            return room.pivots[0] % 2
-    return room.pivots[0]
+            return balance.pivots[0] % 2
+    return balance.pivots[0]
 
 
 @part
-def follow(arms, loads, scale, pressures, room, path, b, tolerance):  # type: ignore[no-untyped-def]
+def follow(arms, loads, scale, pressures, balance, path, b, tolerance):  # type: ignore[no-untyped-def]
     """Follow the branch of the trial from nothing to all of the load, or of the pressure; returns whether it arrives.
 
     The trial takes the last equilibrium on the branch. With load, the pressures must be set.
@@ -145,8 +145,8 @@ def follow(arms, loads, scale, pressures, room, path, b, tolerance):  # type: ig
     copy_rows(path.base, path.trial)
     for _ in range(MOST_EVALUATIONS):
         if not loaded:
-            set_pressure(arms, room.drive, pressures, b, aim)
-        write_step(arms, loads, room, path, b, aim, 0.0, 0.0)
+            set_pressure(arms, balance.drive, pressures, b, aim)
+        write_step(arms, loads, balance, path, b, aim, 0.0, 0.0)
         size = move_size(arms, scale, path, b, path.newton)
         if corrections == 0:
             first_size = size
@@ -154,17 +154,17 @@ def follow(arms, loads, scale, pressures, room, path, b, tolerance):  # type: ig
             ratio = size / max(first_size, 1e-300)
         there = size <= ease * SMALL_MOVE
         if aim >= 1.0:
-            there = imbalance(arms, scale, room, path, b) <= tolerance
+            there = imbalance(arms, scale, balance, path, b) <= tolerance
         if not there:
             moved += size
         trusted = ratio < CONTRACTION or moved < ease * SMALL_MOVE
-        same = not started or _branch(loads, room) == branch
+        same = not started or _branch(loads, balance) == branch
         if there and trusted and same and math.isfinite(size):
             if aim >= 1.0:
                 return True
             move(arms, path, 1.0)
             copy_rows(path.base, path.trial)
-            write_tangent(arms, loads, room, path, pressures, b)
+            write_tangent(arms, loads, balance, path, pressures, b)
             taken, started_before = aim - at if started else step, started
             half = 0.5 / max(taken, 1e-12)
             for i in range(path.tangent.shape[0]):
@@ -172,7 +172,7 @@ def follow(arms, loads, scale, pressures, room, path, b, tolerance):  # type: ig
                     new = path.ahead[i, c]
                     path.bend[i, c] = (new - path.tangent[i, c]) * half if started else 0.0
                     path.tangent[i, c] = new
-            at, branch, started = aim, _branch(loads, room), True
+            at, branch, started = aim, _branch(loads, balance), True
             stretch = min(max((ease * AIMED_MOVE / max(first_size, 1e-12)) ** (1 / 3), 0.3), 4.0)
             step = taken * stretch if started_before else taken
             speed = move_size(arms, scale, path, b, path.ahead)
@@ -207,7 +207,7 @@ def follow(arms, loads, scale, pressures, room, path, b, tolerance):  # type: ig
 
 
 @part
-def come_to_rest(arms, loads, scale, room, path, b, damping, tolerance):  # type: ignore[no-untyped-def]
+def come_to_rest(arms, loads, scale, balance, path, b, damping, tolerance):  # type: ignore[no-untyped-def]
     """Follow the trial by pseudo-transient continuation under all of the load; returns whether it comes to rest.
 
     The pressures must be set. A step is held to half of a move of size 1.
@@ -215,15 +215,15 @@ def come_to_rest(arms, loads, scale, room, path, b, damping, tolerance):  # type
     amount, last, linear, angular, turned_back = damping, math.inf, 0.0, 0.0, True
     factor = 1.0 if path.loaded[0] else 0.0
     for _ in range(2 * TRANSIENT_STEPS):
-        write_step(arms, loads, room, path, b, factor, amount * linear, amount * angular)
-        miss = imbalance(arms, scale, room, path, b)
+        write_step(arms, loads, balance, path, b, factor, amount * linear, amount * angular)
+        miss = imbalance(arms, scale, balance, path, b)
         if miss <= tolerance:
             return True
         size = move_size(arms, scale, path, b, path.newton)
         if not (math.isfinite(miss) and math.isfinite(size)):
             return False
         first, uphill = linear == 0.0, miss > UPHILL * last
-        linear, angular = own_stiffness(arms, room, path)
+        linear, angular = own_stiffness(arms, balance, path)
         if first or (uphill and not turned_back):  # the same step again, with more damping
             amount, turned_back = amount * (1.0 if first else 10.0), not first
             continue
@@ -233,7 +233,7 @@ def come_to_rest(arms, loads, scale, room, path, b, damping, tolerance):  # type
 
 
 @part
-def _begin(arms, room, path, pressures, b):  # type: ignore[no-untyped-def]
+def _begin(arms, balance, path, pressures, b):  # type: ignore[no-untyped-def]
     """Begin with straight segments of their mean neutral lengths, without pressure or load."""
     for segment in range(len(arms.first_node) - 1):
         first, total = arms.first_node[segment], 0.0
@@ -242,7 +242,7 @@ def _begin(arms, room, path, pressures, b):  # type: ignore[no-untyped-def]
         for a in range(arms.first_actuator[segment], arms.first_actuator[segment + 1]):
             total += arms.neutral[b, a]
         path.trial[first, 0] = total / (arms.first_actuator[segment + 1] - arms.first_actuator[segment])
-    set_pressure(arms, room.drive, pressures, b, 0.0)
+    set_pressure(arms, balance.drive, pressures, b, 0.0)
     path.loaded[0] = False
 
 
@@ -257,7 +257,7 @@ def _take_load(arms, path):  # type: ignore[no-untyped-def]
 
 
 @part
-def find_equilibrium(arms, loads, scale, pressures, start, room, path, b, tolerance):  # type: ignore[no-untyped-def]
+def find_equilibrium(arms, loads, scale, pressures, start, balance, path, b, tolerance):  # type: ignore[no-untyped-def]
     """Write the equilibrium of arm b as the trial; returns how it was reached.
 
     A warm start goes first, then rest without pressure, then the pressure, then the load. What cannot be followed comes
@@ -269,21 +269,21 @@ def find_equilibrium(arms, loads, scale, pressures, start, room, path, b, tolera
     along, arrived = True, False
     for stage in range(0 if len(start) else 1, 4):
         if stage == 0:
-            set_pressure(arms, room.drive, pressures, b, 1.0)
+            set_pressure(arms, balance.drive, pressures, b, 1.0)
             copy_rows(path.trial, start[b])
             path.loaded[0] = True
         elif stage == 1:
-            _begin(arms, room, path, pressures, b)
+            _begin(arms, balance, path, pressures, b)
         else:
-            arrived = follow(arms, loads, scale, pressures, room, path, b, tolerance)
+            arrived = follow(arms, loads, scale, pressures, balance, path, b, tolerance)
             along = along and arrived
         if stage == 2:
-            set_pressure(arms, room.drive, pressures, b, 1.0)
+            set_pressure(arms, balance.drive, pressures, b, 1.0)
         if stage == 3 and not arrived and path.stays[0]:
             break
         if stage < 2 or not arrived:
             damping = WARM_DAMPING if stage == 0 else TRANSIENT_DAMPING
-            arrived = come_to_rest(arms, loads, scale, room, path, b, damping, tolerance)
+            arrived = come_to_rest(arms, loads, scale, balance, path, b, damping, tolerance)
         if stage == 0 and arrived:
             return WARM
         if stage == 1:
@@ -296,7 +296,7 @@ def find_equilibrium(arms, loads, scale, pressures, start, room, path, b, tolera
 
 
 @part
-def find_equilibria(arms, loads, scale, pressures, start, tolerance, first, last, room, path, found):  # type: ignore[no-untyped-def]
+def find_equilibria(arms, loads, scale, pressures, start, tolerance, first, last, balance, path, found):  # type: ignore[no-untyped-def]
     """Find the equilibria of the arms from one to another, without the last.
 
     Args:
@@ -306,10 +306,10 @@ def find_equilibria(arms, loads, scale, pressures, start, tolerance, first, last
         found: is written.
     """
     for b in range(first, last):
-        found.reached[b] = find_equilibrium(arms, loads, scale, pressures, start, room, path, b, tolerance)
+        found.reached[b] = find_equilibrium(arms, loads, scale, pressures, start, balance, path, b, tolerance)
         if found.reached[b] != CONTINUED:  # else it was the last evaluation
-            write_step(arms, loads, room, path, b, 1.0, 0.0, 0.0)
-        found.residual[b] = imbalance(arms, scale, room, path, b)
-        found.pivots[b, 0], found.pivots[b, 1] = room.pivots[0], room.pivots[1]
-        found.scale[b, 0], found.scale[b, 1] = scales(scale, room, b)
+            write_step(arms, loads, balance, path, b, 1.0, 0.0, 0.0)
+        found.residual[b] = imbalance(arms, scale, balance, path, b)
+        found.pivots[b, 0], found.pivots[b, 1] = balance.pivots[0], balance.pivots[1]
+        found.scale[b, 0], found.scale[b, 1] = scales(scale, balance, b)
         copy_rows(found.twists[b], path.trial)

@@ -54,7 +54,7 @@ class Curves(NamedTuple):
     power: Float64[Array, "M 2"]  # k of `f(0) + c p^(1 + k)` in one piece, 0 of others; the slope at the limit [N/kPa]
     strain: Float64[Array, "M 2"]  # the actuators' strains, here and, of differences, at the first node
     terms: Int64[Array, "1"]  # 1, or 2 for differences
-    row: Float64[Array, "J"]  # room for a polynomial
+    row: Float64[Array, "J"]  # scratch of a polynomial
     models: Models  # whose forces they are
 
 
@@ -71,7 +71,7 @@ class Samples(NamedTuple):
 
 
 def make_curves(models: Models, dimension: int, pieces: int, terms: int = 1) -> Curves:
-    """Room for the curves of one node, or, of two terms, for differences of curves."""
+    """Scratch of the curves of one node, or, of two terms, for differences of curves."""
     sizes = {"M": len(models.kind), "D": dimension, "K": pieces, "J": max(4, models.table.shape[1])}
     return make(Curves, sizes, terms=np.array([terms]), models=models)
 

@@ -35,7 +35,7 @@ NEVER = 1e300
 
 @by_reference
 class Polytope(NamedTuple):
-    """A polytope with V corners, and room to work in."""
+    """A polytope with V corners, and scratch to work in."""
 
     corner: Float64[Array, "V D"]  # seen from w
     pressure: Float64[Array, "V M"]
@@ -47,7 +47,7 @@ class Polytope(NamedTuple):
 
 
 def sizes_of_set(actuators: int, dimension: int) -> dict[str, int]:
-    """What the names in shapes of room for one set stand for."""
+    """What the names in shapes of scratch for one set stand for."""
     return {"M": actuators, "D": dimension, "V": CORNERS[dimension]}
 
 

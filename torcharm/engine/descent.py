@@ -59,18 +59,27 @@ started, as there was no equilibrium."""
 
 
 @part
+def mean_error(problem, work, b, at):  # type: ignore[no-untyped-def]
+    """The mean error of a slot over the arm's length."""
+    weight = 0.0
+    for i in range(problem.goal.weight.shape[1]):
+        weight += problem.goal.weight[b, i, 0]
+    return math.sqrt(2.0 * work.points.known[at, HALF_COST] / max(weight, 1e-300)) / problem.scale.length[b]
+
+
+@part
 def error_slope(problem, work, b, at):  # type: ignore[no-untyped-def]
     """The largest slope of the error [m] by a normalised pressure of those that the box leaves free; 0 of no error."""
     points = work.points
     error = math.sqrt(2.0 * points.known[at, HALF_COST])
     if error <= FLOOR * problem.scale.length[b]:
         return 0.0
-    return optimality(points.gradient[at], points.place[at]) / error
+    return optimality(points.gradient[at], points.normalised[at]) / error
 
 
 @part
 def _aim(problem, work, b, here, there):  # type: ignore[no-untyped-def]
-    """Write the place of a step and the twists that it leads to along the tangent; returns its part that is taken."""
+    """Write the pressures of a step, and where it leads along the tangent; returns the part of it that is taken."""
     points, path, step = work.points, work.path, work.box.step
     for i in range(work.change.shape[1]):
         for c in range(work.change.shape[2]):
@@ -86,7 +95,7 @@ def _aim(problem, work, b, here, there):  # type: ignore[no-untyped-def]
             path.trial[i, problem.arms.unknown[c]] += short * work.change[0, i, c]
     for m in range(len(step)):
         step[m] *= short
-        points.place[there, m] = min(max(points.place[here, m] + step[m], 0.0), 1.0)
+        points.normalised[there, m] = min(max(points.normalised[here, m] + step[m], 0.0), 1.0)
     return short
 
 
@@ -106,7 +115,7 @@ def _foretold(work, here, there):  # type: ignore[no-untyped-def]
 
 @part
 def _update_secant(work, here, there):  # type: ignore[no-untyped-def]
-    """Change the estimate so that the model at the new place would have foretold the old gradient."""
+    """Change the estimate so that the model at the new pressures would have foretold the old gradient."""
     points, step, extra, missed = work.points, work.box.step, work.extra, work.missed
     count = len(step)
     now = wanted_along = 0.0
@@ -162,7 +171,13 @@ def descend(problem, work, b, here, there, free, best, steps):  # type: ignore[n
     for _ in range(steps):
         scale, value = largest_curvature(points.curvature[here]), points.known[here, HALF_COST]
         promised = write_box_step(
-            box, points.gradient[here], points.curvature[here], work.extra, augmented, points.place[here], damping
+            box,
+            points.gradient[here],
+            points.curvature[here],
+            work.extra,
+            augmented,
+            points.normalised[here],
+            damping,
         )
         ended = RUNNING
         if error_slope(problem, work, b, here) <= OPTIMAL * problem.scale.length[b]:

@@ -6,7 +6,7 @@ from torcharm.engine.sections import set_pressure
 
 
 @part
-def solve_rows(arms, loads, pressures, twists, rows, first, last, room, right):  # type: ignore[no-untyped-def]
+def solve_rows(arms, loads, pressures, twists, rows, first, last, balance, right):  # type: ignore[no-untyped-def]
     """Replace right-hand sides by J⁻¹ times them, under all of the load.
 
     Args:
@@ -18,8 +18,8 @@ def solve_rows(arms, loads, pressures, twists, rows, first, last, room, right): 
     """
     for at in range(first, last):
         b = rows[at]
-        set_pressure(arms, room.drive, pressures, b, 1.0)
-        write_shape(arms, loads, room, b, twists[b], False)
-        write_balance(arms, loads, room, b, twists[b], 1.0, 0.0, 0.0)
+        set_pressure(arms, balance.drive, pressures, b, 1.0)
+        write_shape(arms, loads, balance, b, twists[b], False)
+        write_balance(arms, loads, balance, b, twists[b], 1.0, 0.0, 0.0)
         for x in range(right.shape[1]):
-            solve(arms, loads, room, right[at, x])
+            solve(arms, loads, balance, right[at, x])

@@ -34,29 +34,29 @@ SPACE_SIZE, SPACE_COLUMNS, SPACE_ROW = 6, 3, 3
 
 
 @part
-def write_shape(arms, loads, room, b, twist, slopes):  # type: ignore[no-untyped-def]
+def write_shape(arms, loads, balance, b, twist, slopes):  # type: ignore[no-untyped-def]
     """Write poses and motions, and the sections' reactions at their pressures, for twists (N, K).
 
     Args:
         slopes: whether the slopes by pressure are wanted.
     """
-    copy_row(room.node[0], loads.base[b])
-    room.sections.stiffness[0] = room.sections.stiffness[1] = 0.0
+    copy_row(balance.node[0], loads.base[b])
+    balance.sections.stiffness[0] = balance.sections.stiffness[1] = 0.0
     for segment in range(len(arms.first_node) - 1):
         first, last = arms.first_node[segment], arms.first_node[segment + 1]
         share = 1.0 / (last - first)
         for i in range(first, last):
-            write_motion(arms, room.node, i, room.node, i + 1, room.move, i, twist, share)
+            write_motion(arms, balance.node, i, balance.node, i + 1, balance.move, i, twist, share)
             if loads.middle:
-                write_motion(arms, room.node, i, room.frame, i, room.half_move, i, twist, 0.5 * share)
-                write_lever(arms, room.frame, i, room.lever, i)
+                write_motion(arms, balance.node, i, balance.frame, i, balance.half_move, i, twist, 0.5 * share)
+                write_lever(arms, balance.frame, i, balance.lever, i)
             else:
-                write_lever(arms, room.node, i, room.lever, i)
-            write_section(arms, room.drive, room.sections, b, segment, i, twist)
+                write_lever(arms, balance.node, i, balance.lever, i)
+            write_section(arms, balance.drive, balance.sections, b, segment, i, twist)
             if slopes:
-                write_rates(arms, room.drive, room.sections, b, segment, i, twist)
-        copy_row(room.end[segment], room.node[last])
-        write_link(arms, room.node, last, b, segment)
+                write_rates(arms, balance.drive, balance.sections, b, segment, i, twist)
+        copy_row(balance.end[segment], balance.node[last])
+        write_link(arms, balance.node, last, b, segment)
 
 
 @part
@@ -69,7 +69,7 @@ def first_loaded_row(arms, loads):  # type: ignore[no-untyped-def]
 
 
 @part
-def write_balance(arms, loads, room, b, twist, factor, linear_shift, angular_shift):  # type: ignore[no-untyped-def]
+def write_balance(arms, loads, balance, b, twist, factor, linear_shift, angular_shift):  # type: ignore[no-untyped-def]
     """Write the residual, and factor its slope J less a shift on its diagonal, where `write_shape` was before.
 
     Args:
@@ -79,19 +79,19 @@ def write_balance(arms, loads, room, b, twist, factor, linear_shift, angular_shi
     """
     shifts, first_row, columns = (linear_shift, angular_shift), first_loaded_row(arms, loads), len(arms.unknown)
     if first_row == PLANE_ROW and columns == PLANE_COLUMNS:
-        _sweep(arms, loads, room, b, twist, factor, shifts, PLANE_SIZE, PLANE_COLUMNS, PLANE_ROW)
+        _sweep(arms, loads, balance, b, twist, factor, shifts, PLANE_SIZE, PLANE_COLUMNS, PLANE_ROW)
     elif first_row == SPACE_ROW and columns == SPACE_COLUMNS:
-        _sweep(arms, loads, room, b, twist, factor, shifts, SPACE_SIZE, SPACE_COLUMNS, SPACE_ROW)
+        _sweep(arms, loads, balance, b, twist, factor, shifts, SPACE_SIZE, SPACE_COLUMNS, SPACE_ROW)
     else:
-        _sweep(arms, loads, room, b, twist, factor, shifts, arms.size, columns, first_row)
+        _sweep(arms, loads, balance, b, twist, factor, shifts, arms.size, columns, first_row)
 
 
 @inlined_part
-def _sweep(arms, loads, room, b, twist, factor, shifts, size, columns, first_row):  # type: ignore[no-untyped-def]
+def _sweep(arms, loads, balance, b, twist, factor, shifts, size, columns, first_row):  # type: ignore[no-untyped-def]
     """As `write_balance`, of twists of so many numbers, of which so many are unknown; S is 0 before its first row."""
-    beyond = room.beyond
+    beyond = balance.beyond
     wrench, spread = small_vector(), small_matrix()  # W at full load, and S
-    room.pivots[0] = room.pivots[1] = 0
+    balance.pivots[0] = balance.pivots[1] = 0
     for r in range(size):
         wrench[r] = 0.0
         for c in range(size):
@@ -104,36 +104,36 @@ def _sweep(arms, loads, room, b, twist, factor, shifts, size, columns, first_row
             while q >= 0 and loads.element[q] == i and loads.fraction[q] >= 1.0:
                 clear_share(beyond)
                 if loads.before_link[q] and i == last - 1:
-                    add_load_at_end(arms, loads, room.spot, beyond, b, q, room.end, segment, factor)
+                    add_load_at_end(arms, loads, balance.spot, beyond, b, q, balance.end, segment, factor)
                 else:
-                    add_load_at_end(arms, loads, room.spot, beyond, b, q, room.node, i + 1, factor)
+                    add_load_at_end(arms, loads, balance.spot, beyond, b, q, balance.node, i + 1, factor)
                 _take_share(beyond, wrench, spread, size)
                 q -= 1
             inside = weighs or (q >= 0 and loads.element[q] == i)
             if inside:
                 clear_share(beyond)
-                clear_share(room.section)
+                clear_share(balance.section)
             if weighs:
-                add_own_weight(arms, loads, room, b, segment, i, twist, share, factor)
+                add_own_weight(arms, loads, balance, b, segment, i, twist, share, factor)
             while q >= 0 and loads.element[q] == i:
-                add_load_inside(arms, loads, room, b, q, i, twist, share, factor)
+                add_load_inside(arms, loads, balance, b, q, i, twist, share, factor)
                 q -= 1
             turned, matrix, pull = small_matrix(), small_matrix(), small_matrix()
-            _write_residual(room, i, wrench, turned, factor, inside, size, columns)
-            _write_slopes(room, i, spread, turned, matrix, pull, first_row, loads.middle, inside, size, columns)
+            _write_residual(balance, i, wrench, turned, factor, inside, size, columns)
+            _write_slopes(balance, i, spread, turned, matrix, pull, first_row, loads.middle, inside, size, columns)
             for c in range(columns):
                 matrix[c, c] -= shifts[0] if arms.unknown[c] < first_angular(arms) else shifts[1]
-            _factor(room.pivots, matrix, columns)
+            _factor(balance.pivots, matrix, columns)
             feed = small_matrix()
-            _write_feed(room, i, turned, matrix, feed, first_row, size, columns)
+            _write_feed(balance, i, turned, matrix, feed, first_row, size, columns)
             _eliminate(spread, pull, feed, first_row, size, columns)
             for c in range(columns):
                 for e in range(columns):
-                    room.factor[i, c, e] = matrix[c, e]
+                    balance.factor[i, c, e] = matrix[c, e]
                 for k in range(size):
-                    room.feed[i, c, k] = feed[c, k]
+                    balance.feed[i, c, k] = feed[c, k]
                 for r in range(first_row, size):
-                    room.pull[i, r, c] = pull[r, c]
+                    balance.pull[i, r, c] = pull[r, c]
             if inside:
                 _take_share(beyond, wrench, spread, size)
 
@@ -145,17 +145,17 @@ def first_angular(arms):  # type: ignore[no-untyped-def]
 
 
 @part
-def factor_section(arms, room, i, linear_shift, angular_shift):  # type: ignore[no-untyped-def]
+def factor_section(arms, balance, i, linear_shift, angular_shift):  # type: ignore[no-untyped-def]
     """Factor the slope of one section's reaction, less a shift on its diagonal: all there is of J without load."""
     columns, matrix = len(arms.unknown), small_matrix()
     for c in range(columns):
         for e in range(columns):
-            matrix[c, e] = room.sections.slope[i, c, e]
+            matrix[c, e] = balance.sections.slope[i, c, e]
         matrix[c, c] -= linear_shift if arms.unknown[c] < first_angular(arms) else angular_shift
-    _factor(room.pivots, matrix, columns)
+    _factor(balance.pivots, matrix, columns)
     for c in range(columns):
         for e in range(columns):
-            room.factor[i, c, e] = matrix[c, e]
+            balance.factor[i, c, e] = matrix[c, e]
 
 
 @inlined_part
@@ -168,19 +168,19 @@ def _take_share(share, wrench, spread, size):  # type: ignore[no-untyped-def]
 
 
 @inlined_part
-def _write_residual(room, i, wrench, turned, factor, inside, size, columns):  # type: ignore[no-untyped-def]
+def _write_residual(balance, i, wrench, turned, factor, inside, size, columns):  # type: ignore[no-untyped-def]
     """Write what a section carries, its residual, and K of the wrench that it carries in `turned`."""
     total = small_vector()
     for r in range(size):
         total[r] = wrench[r]
         if inside:
-            total[r] += room.section.wrench[r]
+            total[r] += balance.section.wrench[r]
     for c in range(columns):
         carried = 0.0
         for r in range(size):
-            carried += room.lever[i, r, c] * total[r]
-        room.carried[i, c] = carried
-        room.residual[i, c] = room.sections.reaction[i, c] + factor * carried
+            carried += balance.lever[i, r, c] * total[r]
+        balance.carried[i, c] = carried
+        balance.residual[i, c] = balance.sections.reaction[i, c] + factor * carried
     if size == 3:
         turned[0, 0] = turned[0, 1] = turned[1, 0] = turned[1, 1] = turned[2, 2] = 0.0
         turned[0, 2], turned[1, 2] = factor * total[1], -factor * total[0]
@@ -202,39 +202,39 @@ def _write_residual(room, i, wrench, turned, factor, inside, size, columns):  # 
 
 
 @inlined_part
-def _write_slopes(room, i, spread, turned, matrix, pull, first_row, middle, inside, size, columns):  # type: ignore[no-untyped-def]
+def _write_slopes(balance, i, spread, turned, matrix, pull, first_row, middle, inside, size, columns):  # type: ignore[no-untyped-def]
     """Write L in `matrix`, in `pull` how the element's own unknowns change the wrench before it; S joins `turned`."""
     for r in range(first_row, size):
         for c in range(columns):
             total = 0.0
             for k in range(size):
-                total += spread[r, k] * room.move[i, k, c]
+                total += spread[r, k] * balance.move[i, k, c]
             pull[r, c] = total
     for e in range(columns):
         for c in range(columns):
-            total = room.sections.slope[i, e, c]
+            total = balance.sections.slope[i, e, c]
             for r in range(first_row, size):
-                total += room.lever[i, r, e] * pull[r, c]
+                total += balance.lever[i, r, e] * pull[r, c]
             matrix[e, c] = total
     if middle:
         for r in range(size):
             for c in range(columns):
                 total = 0.0
                 for k in range(size):
-                    total += turned[r, k] * room.half_move[i, k, c]
+                    total += turned[r, k] * balance.half_move[i, k, c]
                 for e in range(columns):
-                    matrix[e, c] += room.lever[i, r, e] * total
+                    matrix[e, c] += balance.lever[i, r, e] * total
     for r in range(first_row, size):
         for k in range(size):
             turned[r, k] += spread[r, k]
     if inside:
         for r in range(size):
             for k in range(size):
-                turned[r, k] += room.section.by_start[r, k]
+                turned[r, k] += balance.section.by_start[r, k]
             for c in range(columns):
                 for e in range(columns):
-                    matrix[e, c] += room.lever[i, r, e] * room.section.by_own[r, c]
-                pull[r, c] += room.beyond.by_own[r, c]
+                    matrix[e, c] += balance.lever[i, r, e] * balance.section.by_own[r, c]
+                pull[r, c] += balance.beyond.by_own[r, c]
 
 
 @inlined_part
@@ -259,13 +259,13 @@ def _factor(pivots, matrix, columns):  # type: ignore[no-untyped-def]
 
 
 @inlined_part
-def _write_feed(room, i, turned, matrix, feed, first_row, size, columns):  # type: ignore[no-untyped-def]
+def _write_feed(balance, i, turned, matrix, feed, first_row, size, columns):  # type: ignore[no-untyped-def]
     """Write `L⁻¹ G` in `feed`."""
     for c in range(columns):
         for k in range(size):
             total = 0.0
             for r in range(size):
-                total += room.lever[i, r, c] * turned[r, k]
+                total += balance.lever[i, r, c] * turned[r, k]
             for e in range(c):
                 total -= matrix[c, e] * feed[e, k]
             feed[c, k] = total
@@ -289,19 +289,19 @@ def _eliminate(spread, pull, feed, first_row, size, columns):  # type: ignore[no
 
 
 @part
-def solve(arms, loads, room, change):  # type: ignore[no-untyped-def]
+def solve(arms, loads, balance, change):  # type: ignore[no-untyped-def]
     """Replace a right-hand side (N, C) by `J⁻¹` times it; J as factored by `write_balance`."""
     first_row, columns = first_loaded_row(arms, loads), len(arms.unknown)
     if first_row == PLANE_ROW and columns == PLANE_COLUMNS:
-        _solve_sweep(room, change, PLANE_SIZE, PLANE_COLUMNS, PLANE_ROW)
+        _solve_sweep(balance, change, PLANE_SIZE, PLANE_COLUMNS, PLANE_ROW)
     elif first_row == SPACE_ROW and columns == SPACE_COLUMNS:
-        _solve_sweep(room, change, SPACE_SIZE, SPACE_COLUMNS, SPACE_ROW)
+        _solve_sweep(balance, change, SPACE_SIZE, SPACE_COLUMNS, SPACE_ROW)
     else:
-        _solve_sweep(room, change, arms.size, columns, first_row)
+        _solve_sweep(balance, change, arms.size, columns, first_row)
 
 
 @inlined_part
-def _solve_sweep(room, change, size, columns, first_row):  # type: ignore[no-untyped-def]
+def _solve_sweep(balance, change, size, columns, first_row):  # type: ignore[no-untyped-def]
     """As `solve`; sizes as of `_sweep`."""
     nodes, own, total = change.shape[0], small_vector(), small_vector()
     for r in range(size):
@@ -310,28 +310,28 @@ def _solve_sweep(room, change, size, columns, first_row):  # type: ignore[no-unt
         for c in range(columns):
             right = change[i, c]
             for r in range(first_row, size):
-                right -= room.lever[i, r, c] * total[r]
+                right -= balance.lever[i, r, c] * total[r]
             for e in range(c):
-                right -= room.factor[i, c, e] * own[e]
+                right -= balance.factor[i, c, e] * own[e]
             own[c] = right
         for c in range(columns - 1, -1, -1):
             right = own[c]
             for e in range(c + 1, columns):
-                right -= room.factor[i, c, e] * own[e]
-            own[c] = right * room.factor[i, c, c]
+                right -= balance.factor[i, c, e] * own[e]
+            own[c] = right * balance.factor[i, c, c]
             change[i, c] = own[c]
             for r in range(first_row, size):
-                total[r] += room.pull[i, r, c] * own[c]
+                total[r] += balance.pull[i, r, c] * own[c]
     for r in range(size):
         total[r] = 0.0
     for i in range(nodes):
         for c in range(columns):
             right = change[i, c]
             for k in range(size):
-                right -= room.feed[i, c, k] * total[k]
+                right -= balance.feed[i, c, k] * total[k]
             own[c] = change[i, c] = right
         for k in range(size):
             moved = total[k]
             for c in range(columns):
-                moved += room.move[i, k, c] * own[c]
+                moved += balance.move[i, k, c] * own[c]
             total[k] = moved

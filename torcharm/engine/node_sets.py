@@ -39,8 +39,8 @@ class Sections(NamedTuple):
 
 
 @by_reference
-class Room(NamedTuple):
-    """Room to work in, for one thread."""
+class Scratch(NamedTuple):
+    """Scratch to work in, for one thread."""
 
     own: Curves  # of a node
     first: Curves  # of the first node
@@ -63,18 +63,18 @@ class Answers(NamedTuple):
     size: Float64[Array, "B P L N"]  # of the problem, the most that the numbers in it can add up to
 
 
-def make_room(models: Models, dimension: int, loads: int, samples: Samples) -> Room:
-    """Room for sets of wrenches of so many components."""
+def make_scratch(models: Models, dimension: int, loads: int, samples: Samples) -> Scratch:
+    """Scratch for sets of wrenches of so many components."""
     pieces, sizes = most_pieces(samples), sizes_of_set(len(models.kind), dimension)
     own, first = (make_curves(models, dimension, pieces) for _ in range(2))
     change = make_curves(models, dimension, 2 * pieces, terms=2)
-    return make(Room, sizes | {"L": loads}, own=own, first=first, change=change)
+    return make(Scratch, sizes | {"L": loads}, own=own, first=first, change=change)
 
 
 @part
-def write_node(sections, room, b, h, i, relative):  # type: ignore[no-untyped-def]
+def write_node(sections, scratch, b, h, i, relative):  # type: ignore[no-untyped-def]
     """Write the curves of node i of shape h of design b, less those of the first node if `relative`."""
-    own = room.own
+    own = scratch.own
     number = (b * sections.strain.shape[1] + h) * sections.strain.shape[2] + i
     for a in range(len(own.pieces)):
         copy_row(own.bending[a], sections.bending[b, h, i, a])
@@ -82,9 +82,9 @@ def write_node(sections, room, b, h, i, relative):  # type: ignore[no-untyped-de
         write_curve(own, a, sections.strain[b, h, i, a], sections.limit[b, a], sections.samples, number, not relative)
         if relative:
             if i == 0:
-                copy_curve(room.first, a, own)
-            write_difference(room.change, a, own, room.first)
-            room.change.side[a] = sides(room.change, a)
+                copy_curve(scratch.first, a, own)
+            write_difference(scratch.change, a, own, scratch.first)
+            scratch.change.side[a] = sides(scratch.change, a)
         else:
             own.side[a] = sides(own, a)
 
@@ -111,9 +111,9 @@ def measure(curves, middle):  # type: ignore[no-untyped-def]
 
 
 @part
-def aim(sections, required, room, b, h, l, i, relative):  # type: ignore[no-untyped-def]
+def aim(sections, required, scratch, b, h, l, i, relative):  # type: ignore[no-untyped-def]
     """Write the wrench asked of a node, less what no pressure changes; returns the sum of its components' sizes."""
-    target, size = room.simplex.target, 0.0
+    target, size = scratch.simplex.target, 0.0
     for c in range(len(target)):
         target[c] = required[b, h, l, i, c] - sections.constant[b, h, i, c]
         if relative:
@@ -155,30 +155,30 @@ def distance_kernel(dimension: int, signed: bool = False) -> Any:
         return (ahead, gap) if abs(ahead - distance) <= gap + GAP * size else (distance, gap)
 
     @kernel
-    def distances(sections, required, relative, begin, end, room, answers):  # type: ignore[no-untyped-def]
+    def distances(sections, required, relative, begin, end, scratch, answers):  # type: ignore[no-untyped-def]
         """Of designs from `begin` to `end`; required wrenches (B, P, L, N, D)."""
-        curves = room.change if relative else room.own
-        simplex = room.simplex
+        curves = scratch.change if relative else scratch.own
+        simplex = scratch.simplex
         for b in range(begin, end):
             for h in range(required.shape[1]):
                 for l in range(required.shape[2]):
                     for c in range(dimension):
-                        room.start[l, c] = 0.0
+                        scratch.start[l, c] = 0.0
                 for i in range(required.shape[3]):
-                    write_node(sections, room, b, h, i, relative)
-                    extent = measure(curves, room.middle)
+                    write_node(sections, scratch, b, h, i, relative)
+                    extent = measure(curves, scratch.middle)
                     for l in range(required.shape[2]):
-                        size = extent + aim(sections, required, room, b, h, l, i, relative)
-                        begin_with(room, l)
+                        size = extent + aim(sections, required, scratch, b, h, l, i, relative)
+                        begin_with(scratch, l)
                         if signed:
-                            distance, gap = signed_distance(curves, simplex, room.polytope, size)
+                            distance, gap = signed_distance(curves, simplex, scratch.polytope, size)
                         else:
                             distance, gap, _ = nearest(curves, simplex, size)
                             if distance > 0.0 and (len(answers.normal) > 0 or gap > GAP * size):
                                 sharpen(curves, simplex, BEYOND * max(gap, GAP * size) / distance)
                                 distance, gap = measure_again(curves, simplex, distance, gap, size)
                         if distance != 0.0:
-                            copy_row(room.start[l], simplex.normal)
+                            copy_row(scratch.start[l], simplex.normal)
                         answers.distance[b, h, l, i] = distance
                         answers.gap[b, h, l, i] = gap / size if size > 0.0 else gap
                         keep_answer(answers, simplex, (b, h, l, i))
@@ -189,10 +189,10 @@ def distance_kernel(dimension: int, signed: bool = False) -> Any:
 
 
 @part
-def begin_with(room, l):  # type: ignore[no-untyped-def]
+def begin_with(scratch, l):  # type: ignore[no-untyped-def]
     """Write a direction to begin with: the last node's normal, or else that from the set's middle."""
-    known, simplex = False, room.simplex
+    known, simplex = False, scratch.simplex
     for c in range(len(simplex.normal)):
-        known = known or room.start[l, c] != 0.0
+        known = known or scratch.start[l, c] != 0.0
     for c in range(len(simplex.normal)):
-        simplex.normal[c] = room.start[l, c] if known else simplex.target[c] - room.middle[c]
+        simplex.normal[c] = scratch.start[l, c] if known else simplex.target[c] - scratch.middle[c]

@@ -30,7 +30,7 @@ class Scale(NamedTuple):
 
 @by_reference
 class Path(NamedTuple):
-    """Room for one path."""
+    """Scratch of one path."""
 
     trial: Float64[Array, "N K"]  # twists of an attempt
     base: Float64[Array, "N K"]  # and of the last equilibrium
@@ -64,22 +64,22 @@ def elements_under_way(arms, path, segment):  # type: ignore[no-untyped-def]
 
 
 @part
-def scales(scale, room, b):  # type: ignore[no-untyped-def]
+def scales(scale, balance, b):  # type: ignore[no-untyped-def]
     """By what imbalances of forces and of moments are measured."""
-    force = max(scale.load[b], STIFF_STRAIN * room.sections.stiffness[0])
-    return force, max(scale.load[b] * scale.length[b], STIFF_STRAIN * room.sections.stiffness[1])
+    force = max(scale.load[b], STIFF_STRAIN * balance.sections.stiffness[0])
+    return force, max(scale.load[b] * scale.length[b], STIFF_STRAIN * balance.sections.stiffness[1])
 
 
 @part
-def imbalance(arms, scale, room, path, b):  # type: ignore[no-untyped-def]
+def imbalance(arms, scale, balance, path, b):  # type: ignore[no-untyped-def]
     """The largest residual: of forces over the load scale, of moments over that times the length. NaN if one is."""
     most = 0.0
-    force_scale, moment_scale = scales(scale, room, b)
+    force_scale, moment_scale = scales(scale, balance, b)
     for segment in range(len(arms.first_node) - 1):
         first, last = elements_under_way(arms, path, segment)
         for i in range(first, last):
             for c in range(len(arms.unknown)):
-                size = abs(room.residual[i, c])
+                size = abs(balance.residual[i, c])
                 size /= force_scale if arms.unknown[c] < first_angular(arms) else moment_scale
                 if not size <= most:  # takes a NaN, and keeps it
                     most = size
@@ -123,14 +123,14 @@ def move(arms, path, factor):  # type: ignore[no-untyped-def]
 
 
 @part
-def own_stiffness(arms, room, path):  # type: ignore[no-untyped-def]
+def own_stiffness(arms, balance, path):  # type: ignore[no-untyped-def]
     """The largest slopes of sections' reactions by their own unknowns, of linear and of angular components."""
     linear = angular = 1e-9
     for segment in range(len(arms.first_node) - 1):
         first, last = elements_under_way(arms, path, segment)
         for i in range(first, last):
             for c in range(len(arms.unknown)):
-                size = abs(room.sections.slope[i, c, c])
+                size = abs(balance.sections.slope[i, c, c])
                 if arms.unknown[c] < first_angular(arms):
                     linear = max(linear, size)
                 elif size < STIFFEST:

@@ -39,18 +39,18 @@ NO_GOAL = Goal(np.zeros((0, 0, 0)), np.zeros((0, 0, 0)))
 
 @by_reference
 class Errors(NamedTuple):
-    """Room for the errors of one arm."""
+    """Scratch of the errors of one arm."""
 
     value: Float64[Array, "1+M N K"]  # the errors, times the roots of their weights, and their changes in M directions
     motion: Float64[Array, "K"]  # of one node
 
 
 @part
-def write_errors(arms, goal, room, b, twist, change, directions, errors):  # type: ignore[no-untyped-def]
+def write_errors(arms, goal, balance, b, twist, change, directions, errors):  # type: ignore[no-untyped-def]
     """Write the errors as the first of the changes corrects them, and what the others change.
 
     Args:
-        room: in which `write_shape` was before.
+        balance: in which `write_shape` was before.
         twist: (N, K), with which the shape was written.
         change: (1 + X, N, C) of the unknowns.
         directions: X, or fewer.
@@ -66,12 +66,12 @@ def write_errors(arms, goal, room, b, twist, change, directions, errors):  # typ
             for i in range(first, last):
                 for c in range(len(arms.unknown)):
                     for k in range(size):
-                        motion[k] += room.move[i, k, c] * change[x, i, c]
+                        motion[k] += balance.move[i, k, c] * change[x, i, c]
                 if planar:
                     turn += twist[i, 2] / (last - first)
-                    _planar_error(goal, room, b, i, turn, x, errors)
+                    _planar_error(goal, balance, b, i, turn, x, errors)
                 else:
-                    _spatial_error(goal, room, b, i, x, errors)
+                    _spatial_error(goal, balance, b, i, x, errors)
     for i in range(value.shape[1]):
         for e in range(size):
             root = math.sqrt(goal.weight[b, i, e])
@@ -81,9 +81,9 @@ def write_errors(arms, goal, room, b, twist, change, directions, errors):  # typ
 
 
 @part
-def _planar_error(goal, room, b, i, turn, x, errors):  # type: ignore[no-untyped-def]
+def _planar_error(goal, balance, b, i, turn, x, errors):  # type: ignore[no-untyped-def]
     """Write the change of an error by a motion; the first change is added to the error itself."""
-    c, s, p_x, p_y = room.node[i + 1, 0], room.node[i + 1, 1], room.node[i + 1, 2], room.node[i + 1, 3]
+    c, s, p_x, p_y = balance.node[i + 1, 0], balance.node[i + 1, 1], balance.node[i + 1, 2], balance.node[i + 1, 3]
     gap_x, gap_y, w = goal.pose[b, i, 0] - p_x, goal.pose[b, i, 1] - p_y, errors.motion[2]
     e_x, e_y = c * gap_x + s * gap_y, c * gap_y - s * gap_x
     d_x, d_y = errors.motion[0] - w * p_y, errors.motion[1] + w * p_x
@@ -104,9 +104,9 @@ def _back(pose, i, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @part
-def _spatial_error(goal, room, b, i, x, errors):  # type: ignore[no-untyped-def]
+def _spatial_error(goal, balance, b, i, x, errors):  # type: ignore[no-untyped-def]
     """The same in space."""
-    node, motion, value = room.node, errors.motion, errors.value
+    node, motion, value = balance.node, errors.motion, errors.value
     p_x, p_y, p_z = node[i + 1, 9], node[i + 1, 10], node[i + 1, 11]
     e_x, e_y, e_z = _back(node, i + 1, goal.pose[b, i, 9] - p_x, goal.pose[b, i, 10] - p_y, goal.pose[b, i, 11] - p_z)
     f_x, f_y, f_z = rotation_error(goal, node, b, i)

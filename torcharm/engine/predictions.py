@@ -14,7 +14,17 @@ from torcharm.engine.arrays import Array
 from torcharm.engine.compilation import part
 from torcharm.engine.continuation import CONTINUED
 from torcharm.engine.copies import copy_row, copy_rows
-from torcharm.engine.descent import CLOSE, FLOOR, NO_START, RUNNING, STABILITY_ENDS, STEPS, descend, error_slope
+from torcharm.engine.descent import (
+    CLOSE,
+    FLOOR,
+    NO_START,
+    RUNNING,
+    STABILITY_ENDS,
+    STEPS,
+    descend,
+    error_slope,
+    mean_error,
+)
 from torcharm.engine.path import move_size
 from torcharm.engine.pressure_model import (
     EVALUATIONS,
@@ -24,7 +34,7 @@ from torcharm.engine.pressure_model import (
     distance_of,
     evaluate_point,
     reach,
-    take_place,
+    take_pressure,
     write_newton,
     write_point,
 )
@@ -52,7 +62,7 @@ SAME_SHAPE = 1e-2
 class Predictions(NamedTuple):
     """What B descents found."""
 
-    place: Float64[Array, "B M"]  # normalised pressures
+    normalised: Float64[Array, "B M"]  # normalised pressures
     twists: Float64[Array, "B N K"]  # of the equilibria
     half_cost: Float64[Array, "B"]  # [m²], infinite where there is no equilibrium
     slope: Float64[Array, "B"]  # the largest slope of the error by a pressure [m]
@@ -77,8 +87,8 @@ def _start(problem, work, b, shape, draws):  # type: ignore[no-untyped-def]
     for screened in SCREENED:
         while tried < screened:
             at = min(tried + 1, 1)
-            for m in range(points.place.shape[1]):
-                points.place[at, m] = 0.5 if tried < 0 else draws[tried, m]
+            for m in range(points.normalised.shape[1]):
+                points.normalised[at, m] = 0.5 if tried < 0 else draws[tried, m]
             copy_rows(work.path.trial, shape)
             evaluate_point(problem, work, b, at, CLOSE, EVALUATIONS)
             if at == 1 and _better(points, 1, 0):
@@ -101,32 +111,23 @@ def _holding(problem, work, fit, b, shape, draws, first, starts, steps, gain, be
     least, found = points.known[best, HALF_COST], False
     write_carried(problem, work, b, shape)  # Newton's steps below are at the same shape, and write the same
     for s in range(-1, starts):
-        copy_row(fit.place[0], points.place[best] if s < 0 else draws[first + s])
+        copy_row(fit.normalised[0], points.normalised[best] if s < 0 else draws[first + s])
         fit_wrenches(problem, work, fit, b, shape, steps, gain)
         at = HOLDS + 1
-        copy_row(points.place[at], fit.place[0])
+        copy_row(points.normalised[at], fit.normalised[0])
         copy_rows(path.trial, shape)
-        take_place(problem, work, b, at)
+        take_pressure(problem, work, b, at)
         write_newton(problem, work, b)
         write_point(problem, work, b, at, move_size(problem.arms, problem.scale, path, b, work.change[0]))
         if points.known[at, STABLE] > 0.0 and points.known[at, HALF_COST] < least:
             least, found = points.known[at, HALF_COST], True
-            copy_row(points.place[HOLDS], points.place[at])
-            if _mean_error(problem, work, b, at) <= FLOOR:  # it is held: nothing can do better
+            copy_row(points.normalised[HOLDS], points.normalised[at])
+            if mean_error(problem, work, b, at) <= FLOOR:  # it is held: nothing can do better
                 break
     if found:
         copy_rows(path.trial, shape)
         evaluate_point(problem, work, b, HOLDS, CLOSE, EVALUATIONS)
     return found
-
-
-@part
-def _mean_error(problem, work, b, at):  # type: ignore[no-untyped-def]
-    """The mean error of a slot over the arm's length."""
-    weight = 0.0
-    for i in range(problem.goal.weight.shape[1]):
-        weight += problem.goal.weight[b, i, 0]
-    return math.sqrt(2.0 * work.points.known[at, HALF_COST] / max(weight, 1e-300)) / problem.scale.length[b]
 
 
 @part
@@ -151,13 +152,13 @@ def _predict(problem, work, fit, b, shape, draws):  # type: ignore[no-untyped-de
     free = not points.known[START, STABLE] > 0.0
     found = _holding(problem, work, fit, b, shape, draws, 0, FITS, FIT_STEPS, FIT_GAIN, START)
     first, other = START, HOLDS
-    if found and _mean_error(problem, work, b, HOLDS) < ALMOST_HOLDS:
+    if found and mean_error(problem, work, b, HOLDS) < ALMOST_HOLDS:
         first, other = HOLDS, START
     ended = _descend(problem, work, b, first, free, ended)
     unsure = ended in (RUNNING, STABILITY_ENDS)
     if (first == HOLDS and unsure) or (found and _better(points, other, BEST)):
         ended = _descend(problem, work, b, other, free, ended)
-    if FLOOR < _mean_error(problem, work, b, BEST) < ALMOST_HOLDS and _holding(
+    if FLOOR < mean_error(problem, work, b, BEST) < ALMOST_HOLDS and _holding(
         problem, work, fit, b, shape, draws, FITS, PATIENT_FITS, PATIENT_STEPS, PATIENT_GAIN, BEST
     ):
         ended = _descend(problem, work, b, HOLDS, free, ended)
@@ -178,7 +179,7 @@ def predict_all(problem, shape, draws, start, tolerance, first, last, work, fit,
     work.path.stays[0] = True
     for b in range(first, last):
         ended = _predict(problem, work, fit, b, shape[b], draws)
-        copy_row(out.place[b], points.place[BEST])
+        copy_row(out.normalised[b], points.normalised[BEST])
         copy_rows(out.twists[b], points.twists[BEST])
         out.half_cost[b], out.stable[b] = points.known[BEST, HALF_COST], points.known[BEST, STABLE]
         out.ended[b], out.slope[b], out.reached[b] = ended, math.inf, False

@@ -12,6 +12,7 @@ from jaxtyping import Float64
 
 from torcharm.engine.arms import Arms, Loads
 from torcharm.engine.arrays import Array
+from torcharm.engine.balance import Balance
 from torcharm.engine.box_step import BoxStep
 from torcharm.engine.compilation import part
 from torcharm.engine.continuation import FAILED, find_equilibrium
@@ -20,7 +21,6 @@ from torcharm.engine.newton_step import first_angular, solve, write_balance, wri
 from torcharm.engine.path import Path, Scale, move_size
 from torcharm.engine.pose_error import Errors, Goal, write_errors
 from torcharm.engine.references import by_reference
-from torcharm.engine.room import Room
 from torcharm.engine.sections import set_pressure, write_rates
 
 LARGE_MOVE = 1.0
@@ -52,9 +52,9 @@ class Problem(NamedTuple):
 class Points(NamedTuple):
     """Normalised pressures of one arm, with the equilibria and the models of half the cost there; a slot for each."""
 
-    place: Float64[Array, "slots M"]  # normalised pressures
+    normalised: Float64[Array, "slots M"]  # normalised pressures
     twists: Float64[Array, "slots N K"]
-    rates: Float64[Array, "slots M N C"]  # of the unknowns by the place
+    rates: Float64[Array, "slots M N C"]  # of the unknowns by the normalised pressures
     known: Float64[Array, "slots 3"]  # HALF_COST, LAST_MOVE and STABLE
     gradient: Float64[Array, "slots M"]  # [m²]
     curvature: Float64[Array, "slots M M"]  # Gauss and Newton's [m²]
@@ -62,9 +62,9 @@ class Points(NamedTuple):
 
 @by_reference
 class Work(NamedTuple):
-    """Room for one thread."""
+    """Scratch of one thread."""
 
-    room: Room
+    balance: Balance
     path: Path
     errors: Errors
     box: BoxStep
@@ -77,7 +77,7 @@ class Work(NamedTuple):
     wall: Float64[Array, "M"]
     wall_at: Float64[Array, "1"]
     extra: Float64[Array, "M M"]  # what is added to a curvature
-    missed: Float64[Array, "M"]  # room
+    missed: Float64[Array, "M"]  # scratch
     pressure: Float64[Array, "B M"]  # [kPa] at which arms are evaluated, for all threads; each uses its arms' rows
 
 
@@ -101,39 +101,39 @@ def lengths_positive(arms, b, twist):  # type: ignore[no-untyped-def]
 @part
 def copy_point(points, to, at):  # type: ignore[no-untyped-def]
     """Copy what one slot holds to another."""
-    copy_row(points.place[to], points.place[at])
+    copy_row(points.normalised[to], points.normalised[at])
     copy_row(points.gradient[to], points.gradient[at])
     copy_rows(points.curvature[to], points.curvature[at])
-    for m in range(points.place.shape[1]):
+    for m in range(points.normalised.shape[1]):
         copy_rows(points.rates[to, m], points.rates[at, m])
     copy_rows(points.twists[to], points.twists[at])
     copy_row(points.known[to], points.known[at])
 
 
 @part
-def take_place(problem, work, b, at):  # type: ignore[no-untyped-def]
-    """Set the pressures of a slot's place."""
+def take_pressure(problem, work, b, at):  # type: ignore[no-untyped-def]
+    """Set the pressures [kPa] of a slot."""
     for m in range(problem.limit.shape[1]):
-        work.pressure[b, m] = work.points.place[at, m] * problem.limit[b, m]
-    set_pressure(problem.arms, work.room.drive, work.pressure, b, 1.0)
+        work.pressure[b, m] = work.points.normalised[at, m] * problem.limit[b, m]
+    set_pressure(problem.arms, work.balance.drive, work.pressure, b, 1.0)
     work.path.loaded[0] = True
 
 
 @part
 def write_newton(problem, work, b):  # type: ignore[no-untyped-def]
     """Write Newton's step at the path's trial as its first change; returns the norm of the imbalance [N]."""
-    arms, loads, room, path = problem.arms, problem.loads, work.room, work.path
-    write_shape(arms, loads, room, b, path.trial, False)
-    write_balance(arms, loads, room, b, path.trial, 1.0, 0.0, 0.0)
+    arms, loads, balance, path = problem.arms, problem.loads, work.balance, work.path
+    write_shape(arms, loads, balance, b, path.trial, False)
+    write_balance(arms, loads, balance, b, path.trial, 1.0, 0.0, 0.0)
     total, reach = 0.0, problem.scale.reach[b] + 1e-3 * problem.scale.length[b]
-    for i in range(room.residual.shape[0]):
-        for c in range(room.residual.shape[1]):
-            one = room.residual[i, c]
+    for i in range(balance.residual.shape[0]):
+        for c in range(balance.residual.shape[1]):
+            one = balance.residual[i, c]
             work.change[0, i, c] = -one
             if arms.unknown[c] >= first_angular(arms):
                 one /= reach
             total += one * one
-    solve(arms, loads, room, work.change[0])
+    solve(arms, loads, balance, work.change[0])
     return math.sqrt(total)
 
 
@@ -177,22 +177,22 @@ def approach(problem, work, b, close, evaluations):  # type: ignore[no-untyped-d
 @part
 def write_point(problem, work, b, at, size):  # type: ignore[no-untyped-def]
     """Write the model of a slot at the path's trial, of which Newton's step of that size is known."""
-    arms, room, path, points = problem.arms, work.room, work.path, work.points
-    count, nodes, columns = points.place.shape[1], work.change.shape[1], work.change.shape[2]
+    arms, balance, path, points = problem.arms, work.balance, work.path, work.points
+    count, nodes, columns = points.normalised.shape[1], work.change.shape[1], work.change.shape[2]
     for segment in range(len(arms.first_node) - 1):
         for i in range(arms.first_node[segment], arms.first_node[segment + 1]):
-            write_rates(arms, room.drive, room.sections, b, segment, i, path.trial)
+            write_rates(arms, balance.drive, balance.sections, b, segment, i, path.trial)
     for m in range(count):
         for i in range(nodes):
             for c in range(columns):
-                work.change[1 + m, i, c] = -room.sections.rate[i, c, m] * problem.limit[b, m]
-        solve(arms, problem.loads, room, work.change[1 + m])
+                work.change[1 + m, i, c] = -balance.sections.rate[i, c, m] * problem.limit[b, m]
+        solve(arms, problem.loads, balance, work.change[1 + m])
         copy_rows(points.rates[at, m], work.change[1 + m])
     copy_rows(points.twists[at], path.trial)
     for i in range(nodes):
         for c in range(columns):
             points.twists[at, i, arms.unknown[c]] += work.change[0, i, c]
-    write_errors(arms, problem.goal, room, b, path.trial, work.change, count, work.errors)
+    write_errors(arms, problem.goal, balance, b, path.trial, work.change, count, work.errors)
     value = work.errors.value
     for m in range(count + 1):
         for k in range(m + 1):
@@ -206,7 +206,7 @@ def write_point(problem, work, b, at, size):  # type: ignore[no-untyped-def]
                 points.gradient[at, m - 1] = total
             else:
                 points.curvature[at, m - 1, k - 1] = points.curvature[at, k - 1, m - 1] = total
-    stable = room.pivots[0] == 0 and room.pivots[1] == 0 and lengths_positive(arms, b, points.twists[at])
+    stable = balance.pivots[0] == 0 and balance.pivots[1] == 0 and lengths_positive(arms, b, points.twists[at])
     points.known[at, LAST_MOVE], points.known[at, STABLE] = size, stable
 
 
@@ -215,7 +215,7 @@ def add_wall(work, at):  # type: ignore[no-untyped-def]
     """Add the square of the distance from the wall to the model of a slot."""
     points, off = work.points, -work.wall_at[0]
     for m in range(len(work.wall)):
-        off += work.wall[m] * points.place[at, m]
+        off += work.wall[m] * points.normalised[at, m]
     points.known[at, HALF_COST] += 0.5 * off * off
     for m in range(len(work.wall)):
         points.gradient[at, m] += off * work.wall[m]
@@ -225,11 +225,11 @@ def add_wall(work, at):  # type: ignore[no-untyped-def]
 
 @part
 def expected_cost(problem, work, b, at, shape):  # type: ignore[no-untyped-def]
-    """Half the cost at the place of a slot after one Newton step from a shape (N, K); infinite if it is no number."""
-    take_place(problem, work, b, at)
+    """Half the cost at a slot's pressures after one Newton step from a shape (N, K); infinite if it is no number."""
+    take_pressure(problem, work, b, at)
     copy_rows(work.path.trial, shape)
     write_newton(problem, work, b)
-    write_errors(problem.arms, problem.goal, work.room, b, shape, work.change, 0, work.errors)
+    write_errors(problem.arms, problem.goal, work.balance, b, shape, work.change, 0, work.errors)
     total, value = 0.0, work.errors.value
     for i in range(value.shape[1]):
         for e in range(value.shape[2]):
@@ -239,8 +239,8 @@ def expected_cost(problem, work, b, at, shape):  # type: ignore[no-untyped-def]
 
 @part
 def evaluate_point(problem, work, b, at, close, evaluations):  # type: ignore[no-untyped-def]
-    """Write the model of a slot at its place, at the equilibrium near the path's trial; whether that is found."""
-    take_place(problem, work, b, at)
+    """Write the model of a slot at its pressures, at the equilibrium near the path's trial; whether that is found."""
+    take_pressure(problem, work, b, at)
     size = approach(problem, work, b, close, evaluations)
     if not math.isfinite(size):
         work.points.known[at, HALF_COST], work.points.known[at, STABLE] = math.inf, 0.0
@@ -255,7 +255,7 @@ def load_from_zero(problem, work, b, start, tolerance):  # type: ignore[no-untyp
     """Write as the path's trial where continuation from zero load leads at the pressures; returns how, as
     `find_equilibrium`."""
     arms, loads, scale = problem.arms, problem.loads, problem.scale
-    return find_equilibrium(arms, loads, scale, work.pressure, start, work.room, work.path, b, tolerance)
+    return find_equilibrium(arms, loads, scale, work.pressure, start, work.balance, work.path, b, tolerance)
 
 
 @part
@@ -271,15 +271,15 @@ def distance_of(problem, work, b, at, to):  # type: ignore[no-untyped-def]
 
 @part
 def reach(problem, work, b, at, to, start, tolerance):  # type: ignore[no-untyped-def]
-    """Write the point of slot `to` at the place of another, at the equilibrium that continuation from zero load
+    """Write the point of slot `to` at the pressures of another, at the equilibrium that continuation from zero load
     reaches.
 
     Returns how it is reached, as `find_equilibrium`; FAILED where the arm does not stay there.
     """
     points = work.points
-    copy_row(points.place[to], points.place[at])
+    copy_row(points.normalised[to], points.normalised[at])
     points.known[to, HALF_COST], points.known[to, STABLE] = math.inf, 0.0
-    take_place(problem, work, b, to)
+    take_pressure(problem, work, b, to)
     how = load_from_zero(problem, work, b, start, tolerance)
     if how == FAILED:
         return FAILED

@@ -30,7 +30,7 @@ class Given(NamedTuple):
     """What is given beside the arms; a question takes some of it."""
 
     twists: Float64[Array, "B N K"] = np.zeros((0, 0, 0))  # shapes
-    places: Float64[Array, "S M"] = np.zeros((0, 0))  # normalised pressures to begin with
+    starts: Float64[Array, "S M"] = np.zeros((0, 0))  # normalised pressures to begin with
     start: Float64[Array, "B N K"] = np.zeros((0, 0, 0))  # twists of warm starts, or of none (0, N, K)
     rows: Int64[Array, "b"] = np.zeros(0, dtype=np.int64)  # which arms
     right: Float64[Array, "b X N C"] = np.zeros((0, 0, 0, 0))  # right-hand sides for each, which solutions replace
@@ -62,8 +62,8 @@ def answer(
     answers, sizes = make(Answers, {}, **written), sizes_of(problem.arms, slots=slots)
 
     def work(first: int, last: int) -> None:
-        room, fit = make(Work, sizes, pressure=pressure), make(Fit, sizes, weight=given.weight)
-        _answer(question, problem, tolerance, given, first, last, room, fit, answers)
+        work, fit = make(Work, sizes, pressure=pressure), make(Fit, sizes, weight=given.weight)
+        _answer(question, problem, tolerance, given, first, last, work, fit, answers)
 
     spread(len(given.rows) if question == SOLUTIONS else len(problem.limit), work)
 
@@ -99,12 +99,12 @@ def _answer(question, problem, tolerance, given, first, last, work, fit, answers
     """Answer a question for the arms from one to another, without the last."""
     arms, loads, scale, limit = problem.arms, problem.loads, problem.scale, problem.limit
     if question == EQUILIBRIA:
-        room, path = work.room, work.path
-        find_equilibria(arms, loads, scale, limit, given.start, tolerance, first, last, room, path, answers.found)
+        balance, path = work.balance, work.path
+        find_equilibria(arms, loads, scale, limit, given.start, tolerance, first, last, balance, path, answers.found)
     elif question == SOLUTIONS:
-        solve_rows(arms, loads, limit, given.twists, given.rows, first, last, work.room, given.right)
+        solve_rows(arms, loads, limit, given.twists, given.rows, first, last, work.balance, given.right)
     elif question == FITS:
-        fit_all(problem, given.twists, given.places, first, last, work, fit, answers.fits)
+        fit_all(problem, given.twists, given.starts, first, last, work, fit, answers.fits)
     else:
-        places, start = given.places, given.start
-        predict_all(problem, given.twists, places, start, tolerance, first, last, work, fit, answers.predictions)
+        starts, start = given.starts, given.start
+        predict_all(problem, given.twists, starts, start, tolerance, first, last, work, fit, answers.predictions)

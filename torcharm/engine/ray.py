@@ -36,7 +36,7 @@ FOUND, MISSED, UNBOUNDED = 0, 1, 2
 
 @by_reference
 class Ray(NamedTuple):
-    """Room for one ray."""
+    """Scratch for one ray."""
 
     start: Float64[Array, "D"]
     direction: Float64[Array, "D"]
@@ -175,23 +175,23 @@ def ray_kernel(dimension: int) -> Any:
         return distance == 0.0
 
     @kernel
-    def ends_of_rays(sections, start, direction, still, relative, least, begin, end, room, ray, ends):  # type: ignore[no-untyped-def]
+    def ends_of_rays(sections, start, direction, still, relative, least, begin, end, scratch, ray, ends):  # type: ignore[no-untyped-def]
         """Of designs from `begin` to `end`; starts (B, P, L, N, D), directions (P, L, N, D), of which `still` are none.
 
         Args:
             least: whether of all nodes only the least exit is wanted: where a set holds the point of the least exit of
                 the nodes before, its own is left infinite, and no entry is looked for.
         """
-        curves = room.change if relative else room.own
-        simplex = room.simplex
+        curves = scratch.change if relative else scratch.own
+        simplex = scratch.simplex
         wanted = len(ends.normal) > 0
         for b in range(begin, end):
             for h in range(start.shape[1]):
                 for i in range(start.shape[3]):
-                    write_node(sections, room, b, h, i, relative)
-                    extent = measure(curves, room.middle)
+                    write_node(sections, scratch, b, h, i, relative)
+                    extent = measure(curves, scratch.middle)
                     for l in range(start.shape[2]):
-                        aim(sections, start, room, b, h, l, i, relative)
+                        aim(sections, start, scratch, b, h, l, i, relative)
                         write_direction(ray, direction, h, l, i, relative)
                         copy_row(ray.start, simplex.target)
                         lowest = math.inf

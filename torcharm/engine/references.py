@@ -1,8 +1,8 @@
 """Named tuples of arrays, which compiled functions take by reference.
 
-Of its own, numba hands each number of each array of a tuple to each function that is called, some thousand for the room
-of a search: most of the time of compilation. Here a tuple is a pointer to where its arrays are described, once for a
-call from Python. Descriptions never change while kernels run, so they are read once and kept in registers.
+Of its own, numba hands each number of each array of a tuple to each function that is called, some thousand for the
+scratch of a search: most of the time of compilation. Here a tuple is a pointer to where its arrays are described, once
+for a call from Python. Descriptions never change while kernels run, so they are read once and kept in registers.
 """
 
 from hashlib import sha256

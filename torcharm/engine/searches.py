@@ -18,7 +18,7 @@ from torcharm.engine.box_step import optimality
 from torcharm.engine.compilation import kernel, part
 from torcharm.engine.continuation import FAILED
 from torcharm.engine.copies import copy_row, copy_rows
-from torcharm.engine.descent import CLOSE, OPTIMUM, RUNNING, STABILITY_ENDS, STEPS, descend
+from torcharm.engine.descent import CLOSE, OPTIMUM, RUNNING, STABILITY_ENDS, STEPS, descend, mean_error
 from torcharm.engine.pressure_model import (
     EVALUATIONS,
     HALF_COST,
@@ -29,7 +29,7 @@ from torcharm.engine.pressure_model import (
     expected_cost,
 )
 from torcharm.engine.references import by_reference
-from torcharm.engine.search_room import (
+from torcharm.engine.search_state import (
     AIM,
     BEST,
     ENDED,
@@ -46,20 +46,20 @@ from torcharm.engine.search_room import (
 from torcharm.engine.wrench_fit import FIT_GAIN, FIT_STEPS, fit_wrenches, write_carried
 
 LOT = 4
-"""Places of which the arm is loaded at one: that of the least expected cost."""
-AGREE, AGREES, AGREES_AT_KINK = 4, 2, 1
+"""Pressures of which the arm is loaded at one: that of the least expected cost."""
+AGREE, AGREES, AGREES_AT_KINK = 6, 2, 1
 """What descents must count together that end where others have, before the rest is spared; what one counts, and one
 that is held up there, as at a kink of a force model: from elsewhere there may be a way on."""
+NEEDS_NO_AGREEMENT = 5e-4
+"""Mean error over the arm's length below which one descent is enough: no other minimum can be better by more."""
 NOWHERE, AGREED, AGREED_AT_KINK, ELSEWHERE, BEST_UNDER_WAY, BEST_ENDED = range(6)
 """What came of a descent: no equilibrium; an end that is known, at an optimum or not; one that is no better; the best
 that is known, but where the arm moves on, or is about to lose its stability; or the best, at its end."""
-SAME_PLACE = 1e-4
-"""Difference of two places that counts as none: the costs of minima differ by a 1e-8th then."""
 
 FAR_BELOW = 0.5
 """Of the best cost: a lost end below that is worth loading the arm around it."""
 NEARBY, NEARER, CLOSER = 0.02, 0.75, 40
-"""How far around it, in normalised pressures, by which factor each place is nearer than the last, and how many places
+"""How far around it, in normalised pressures, by which factor each try is nearer than the last, and how many
 are tried between the best of these and the end."""
 HALFWAY = 0.5
 """Part of the way from the best to the end that is tried first; each failure makes it shorter by that factor."""
@@ -69,20 +69,20 @@ HALFWAY = 0.5
 class Searches(NamedTuple):
     """What B searches found."""
 
-    place: Float64[Array, "B M"]  # normalised pressures
+    normalised: Float64[Array, "B M"]  # normalised pressures
     twists: Float64[Array, "B N K"]  # the equilibria there
     half_cost: Float64[Array, "B"]  # [m²], infinite where none was found
     how: Int64[Array, "B"]  # they are reached, as of `find_equilibrium`
-    at_end: Bool[Array, "B"]  # whether a descent ended there, and none to a better one that continuation does not reach
+    at_end: Bool[Array, "B"]  # whether descents agree on it, and none led to a better one that is not reached
     optimality: Float64[Array, "B"]  # the largest entry of the cost's projected gradient [m²]
     start_cost: Float64[Array, "B starts"]  # what each came to [m²]; infinite where it failed, NaN where it was spared
 
 
 @part
 def _write_expected(problem, work, search, b, shape, pool):  # type: ignore[no-untyped-def]
-    """Write the expected costs of all places of a pool."""
+    """Write the expected costs of all pressures of a pool."""
     for q in range(len(pool)):
-        copy_row(work.points.place[AIM], pool[q])
+        copy_row(work.points.normalised[AIM], pool[q])
         search.expected[q] = expected_cost(problem, work, b, AIM, shape)
 
 
@@ -97,14 +97,14 @@ def _best_of(values, first, last):  # type: ignore[no-untyped-def]
 
 
 @part
-def _load_places(problem, work, search, b, shape, pool, spread, start, tolerance):  # type: ignore[no-untyped-def]
-    """Load the arm at the most promising place of each lot of the pool, and at those that are spread over the box."""
+def _load_many(problem, work, search, b, shape, pool, spread, start, tolerance):  # type: ignore[no-untyped-def]
+    """Load the arm at the most promising pressures of each lot of the pool, and at those spread over the box."""
     points = work.points
     _write_expected(problem, work, search, b, shape, pool)
     lots = len(pool) // LOT
     for k in range(lots + len(spread)):
         q = _best_of(search.expected, k * LOT, (k + 1) * LOT) if k < lots else 0
-        copy_row(points.place[AIM], pool[q] if k < lots else spread[k - lots])
+        copy_row(points.normalised[AIM], pool[q] if k < lots else spread[k - lots])
         reach_and_keep(problem, work, search, b, AIM, LOADED + k, start, tolerance)
         if improves(work, LOADED + k, BEST):
             keep_point(work, search, BEST, LOADED + k)
@@ -115,7 +115,7 @@ def _begin(problem, work, search, fit, b, s, shape, pool, above):  # type: ignor
     """Write the first slot: the start of descent s. Returns the slot of the point that was loaded; or -1.
 
     The first is at the shape itself, with the pressures of the pool that are best there to first order, or those near
-    them that come closest to holding it: the best point that was loaded stands for it. Then come the places at which
+    them that come closest to holding it: the best point that was loaded stands for it. Then come the pressures at which
     the arm was loaded, from the best on.
     """
     points = work.points
@@ -128,24 +128,16 @@ def _begin(problem, work, search, fit, b, s, shape, pool, above):  # type: ignor
             copy_point(points, 0, best)
         return best
     q = _best_of(search.expected, 0, len(pool))
-    copy_row(points.place[0], pool[q])
-    copy_row(fit.place[0], pool[q])
+    copy_row(points.normalised[0], pool[q])
+    copy_row(fit.normalised[0], pool[q])
     write_carried(problem, work, b, shape)
     fit_wrenches(problem, work, fit, b, shape, FIT_STEPS, FIT_GAIN)
-    copy_row(points.place[AIM], fit.place[0])
+    copy_row(points.normalised[AIM], fit.normalised[0])
     if expected_cost(problem, work, b, AIM, shape) < search.expected[q]:
-        copy_row(points.place[0], points.place[AIM])
+        copy_row(points.normalised[0], points.normalised[AIM])
     copy_rows(work.path.trial, shape)
     found = evaluate_point(problem, work, b, 0, CLOSE, EVALUATIONS) and points.known[0, STABLE] > 0.0
     return BEST if found else -1
-
-
-@part
-def _same_place(points, a, b):  # type: ignore[no-untyped-def]
-    gap = 0.0
-    for m in range(points.place.shape[1]):
-        gap = max(gap, abs(points.place[a, m] - points.place[b, m]))
-    return gap < SAME_PLACE
 
 
 @part
@@ -160,7 +152,7 @@ def _descend_and_load(problem, work, search, b, begun, at_end, start, tolerance)
     end, ended = descend(problem, work, b, 0, 1, False, points.known[BEST, HALF_COST], STEPS)
     if not math.isfinite(points.known[end, HALF_COST]):
         return NOWHERE, math.inf
-    if at_end and _same_place(points, end, BEST) and distance_of(problem, work, b, end, BEST) <= SAME_SHAPE:
+    if at_end and distance_of(problem, work, b, end, BEST) <= SAME_SHAPE:
         return AGREED if ended == OPTIMUM else AGREED_AT_KINK, points.known[BEST, HALF_COST]
     how = reach_and_keep(problem, work, search, b, end, ENDED, start, tolerance)
     same = how != FAILED and distance_of(problem, work, b, end, ENDED) <= SAME_SHAPE
@@ -179,11 +171,12 @@ def _descend_and_load(problem, work, search, b, begun, at_end, start, tolerance)
 
 @part
 def _multistart(problem, work, search, fit, b, shape, pool, spread, start, tolerance):  # type: ignore[no-untyped-def]
-    """Descend from all starts, and confirm the ends; whether the best point is one."""
+    """Descend from all starts, and confirm the ends; whether the best point is one, and whether enough agree on it."""
     points, at_end, agreed, above = work.points, False, 0, -1.0
-    _load_places(problem, work, search, b, shape, pool, spread, start, tolerance)
+    enough = min(AGREE, AGREES * (len(search.start_cost) - 1))  # who asks for few descents has few that can agree
+    _load_many(problem, work, search, b, shape, pool, spread, start, tolerance)
     for s in range(len(search.start_cost)):
-        if agreed >= AGREE:
+        if s > 0 and agreed >= enough:
             break
         search.start_cost[s] = math.inf
         begun = _begin(problem, work, search, fit, b, s, shape, pool, above)
@@ -196,7 +189,7 @@ def _multistart(problem, work, search, fit, b, shape, pool, spread, start, toler
         agreed += AGREES * (came == AGREED) + AGREES_AT_KINK * (came == AGREED_AT_KINK)
         if came >= BEST_UNDER_WAY:  # none has agreed with this one yet
             at_end, agreed = came == BEST_ENDED, 0
-    return at_end
+    return at_end, agreed >= enough
 
 
 @part
@@ -206,12 +199,12 @@ def _try_other_ends(problem, work, search, b, at_end, start, tolerance):  # type
     Minima lie in corners of the box, and the way from one to the next is often uphill. Returns whether the best point
     is the end of a descent.
     """
-    points, count = work.points, work.points.place.shape[1]
+    points, count = work.points, work.points.normalised.shape[1]
     for _ in range(count):
         points.known[NEAR, HALF_COST] = math.inf
         for other in range(count):
-            copy_row(points.place[AIM], points.place[BEST])
-            points.place[AIM, other] = 1.0 if points.place[BEST, other] < 0.5 else 0.0
+            copy_row(points.normalised[AIM], points.normalised[BEST])
+            points.normalised[AIM, other] = 1.0 if points.normalised[BEST, other] < 0.5 else 0.0
             reach_and_keep(problem, work, search, b, AIM, TRIED, start, tolerance)
             if points.known[TRIED, HALF_COST] < points.known[NEAR, HALF_COST]:
                 keep_point(work, search, NEAR, TRIED)
@@ -230,19 +223,19 @@ def _try_other_ends(problem, work, search, b, at_end, start, tolerance):  # type
 
 @part
 def _load_nearby(problem, work, search, b, j, pool, start, tolerance):  # type: ignore[no-untyped-def]
-    """Load the arm at places ever closer around a lost end, and between it and the best of them: beside it the arm may
+    """Load the arm ever closer around a lost end, and between it and the best of them: beside it the arm may
     be led there."""
     points, reach_out, found, step = work.points, NEARBY, False, HALFWAY
     for q in range(len(pool) + CLOSER):
         around = q < len(pool)
         reach_out *= NEARER
         for m in range(pool.shape[1]):
-            place = points.place[j, m]
+            pressure = points.normalised[j, m]
             if around:
-                place += reach_out * (2.0 * pool[q, m] - 1.0)
+                pressure += reach_out * (2.0 * pool[q, m] - 1.0)
             else:
-                place = points.place[BEST, m] + step * (place - points.place[BEST, m])
-            points.place[AIM, m] = min(max(place, 0.0), 1.0)
+                pressure = points.normalised[BEST, m] + step * (pressure - points.normalised[BEST, m])
+            points.normalised[AIM, m] = min(max(pressure, 0.0), 1.0)
         if not around and not found:
             break
         reach_and_keep(problem, work, search, b, AIM, TRIED, start, tolerance)
@@ -255,14 +248,15 @@ def _load_nearby(problem, work, search, b, j, pool, start, tolerance):  # type: 
 
 @part
 def _search(problem, work, search, fit, b, shape, pool, spread, rounds, start, tolerance):  # type: ignore[no-untyped-def]
-    """Write the best point; whether it is the end of a descent, and none led to a better one."""
+    """Write the best point; whether it is the end of a descent on which others agree, and none led to a better one."""
     points = work.points
     for s in range(len(search.start_cost)):
         search.start_cost[s] = math.nan
     for j in range(FIRST_LOST, FIRST_LOST + LOST):
         points.known[j, HALF_COST] = math.inf
     points.known[BEST, HALF_COST] = math.inf
-    at_end = _multistart(problem, work, search, fit, b, shape, pool, spread, start, tolerance)
+    at_end, agreed = _multistart(problem, work, search, fit, b, shape, pool, spread, start, tolerance)
+    agreed_on = points.known[BEST, HALF_COST]
     if math.isfinite(points.known[BEST, HALF_COST]):
         at_end = _try_other_ends(problem, work, search, b, at_end, start, tolerance)
     work.path.stays[0] = False
@@ -282,7 +276,9 @@ def _search(problem, work, search, fit, b, shape, pool, spread, rounds, start, t
         before = points.known[BEST, HALF_COST]
         _load_nearby(problem, work, search, b, first_lost, pool, start, tolerance)
         at_end = at_end and not points.known[BEST, HALF_COST] < before
-    return at_end and not lost < (1.0 - WORTH) * points.known[BEST, HALF_COST]
+    agreed = agreed and not points.known[BEST, HALF_COST] < (1.0 - WORTH) * agreed_on
+    sure = agreed or mean_error(problem, work, b, BEST) <= NEEDS_NO_AGREEMENT
+    return at_end and sure and not lost < (1.0 - WORTH) * points.known[BEST, HALF_COST]
 
 
 @kernel
@@ -304,11 +300,11 @@ def search_all(problem, shape, pool, spread, rounds, start, tolerance, first, la
             out.at_end[b] = _search(problem, work, search, fit, b, shape[b], pool, spread, rounds, start, tolerance)
             if math.isfinite(points.known[BEST, HALF_COST]):
                 break
-        copy_row(out.place[b], points.place[BEST])
+        copy_row(out.normalised[b], points.normalised[BEST])
         copy_rows(out.twists[b], points.twists[BEST])
         out.half_cost[b], out.how[b], out.optimality[b] = points.known[BEST, HALF_COST], search.how[BEST], math.nan
         if math.isfinite(out.half_cost[b]):
-            out.optimality[b] = 2.0 * optimality(points.gradient[BEST], points.place[BEST])
+            out.optimality[b] = 2.0 * optimality(points.gradient[BEST], points.normalised[BEST])
         else:
             out.how[b] = FAILED
         copy_row(out.start_cost[b], search.start_cost)

@@ -13,7 +13,7 @@ from torcharm.engine.references import by_reference
 
 @by_reference
 class Simplex(NamedTuple):
-    """A point, the simplex of the set's points nearest to it, and room to work in."""
+    """A point, the simplex of the set's points nearest to it, and scratch to work in."""
 
     target: Float64[Array, "D"]  # the point w
     normal: Float64[Array, "D"]  # a direction to begin with; then the unit normal from the set to the point

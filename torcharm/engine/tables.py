@@ -127,8 +127,8 @@ def _grid(model: Actuator, highest: float) -> tuple[Array, Array, Array]:
 
 def _halved(axis: Array, excess: Array) -> Array:
     """An axis with the cells halved whose error is beyond its limit, the worst of them if there is no room for all."""
-    room = max(MOST_CELLS + 1 - len(axis), 0)
-    worst = np.argsort(-excess, kind="stable")[:room]
+    free = max(MOST_CELLS + 1 - len(axis), 0)
+    worst = np.argsort(-excess, kind="stable")[:free]
     worst = worst[excess[worst] > 1.0]
     return np.sort(np.concatenate((axis, 0.5 * (axis[worst] + axis[worst + 1]))))
 

@@ -36,11 +36,11 @@ Sethna)."""
 
 @by_reference
 class Fit(NamedTuple):
-    """Room for one fit."""
+    """Scratch of one fit."""
 
-    place: Float64[Array, "2 M"]  # normalised pressures: where the fit is, and a place that is tried
+    normalised: Float64[Array, "2 M"]  # normalised pressures: where the fit is, and what is tried
     miss: Float64[Array, "2 N C"]  # weighted residuals there
-    rates: Float64[Array, "M N C"]  # of the first by the place
+    rates: Float64[Array, "M N C"]  # of the first by the normalised pressures
     gradient: Float64[Array, "M"]  # of half the squared distance
     normal: Float64[Array, "M M"]  # its matrix of the normal equations
     nothing: Float64[Array, "M M"]  # zeros
@@ -49,17 +49,17 @@ class Fit(NamedTuple):
 
 @part
 def _evaluate(problem, work, fit, b, twist, at):  # type: ignore[no-untyped-def]
-    """Write the residual of a place; returns the squared distance. `write_carried` was before."""
-    arms, room = problem.arms, work.room
+    """Write the residual at one of two pressures; returns the squared distance. `write_carried` was before."""
+    arms, balance = problem.arms, work.balance
     for m in range(problem.limit.shape[1]):
-        work.pressure[b, m] = fit.place[at, m] * problem.limit[b, m]
-    set_pressure(arms, room.drive, work.pressure, b, 1.0)
+        work.pressure[b, m] = fit.normalised[at, m] * problem.limit[b, m]
+    set_pressure(arms, balance.drive, work.pressure, b, 1.0)
     total = 0.0
     for segment in range(len(arms.first_node) - 1):
         for i in range(arms.first_node[segment], arms.first_node[segment + 1]):
-            write_section(arms, room.drive, room.sections, b, segment, i, twist)
+            write_section(arms, balance.drive, balance.sections, b, segment, i, twist)
             for c in range(len(arms.unknown)):
-                one = fit.weight[c] * (room.sections.reaction[i, c] + room.carried[i, c])
+                one = fit.weight[c] * (balance.sections.reaction[i, c] + balance.carried[i, c])
                 fit.miss[at, i, c] = one
                 total += one * one
     return total
@@ -67,11 +67,11 @@ def _evaluate(problem, work, fit, b, twist, at):  # type: ignore[no-untyped-def]
 
 @part
 def _write_normal(problem, work, fit, b, twist):  # type: ignore[no-untyped-def]
-    """Write the slopes of the residual at the first place, which was evaluated last, and the normal equations."""
-    arms, sections = problem.arms, work.room.sections
+    """Write the slopes of the residual at the first pressures, which was evaluated last, and the normal equations."""
+    arms, sections = problem.arms, work.balance.sections
     for segment in range(len(arms.first_node) - 1):
         for i in range(arms.first_node[segment], arms.first_node[segment + 1]):
-            write_rates(arms, work.room.drive, sections, b, segment, i, twist)
+            write_rates(arms, work.balance.drive, sections, b, segment, i, twist)
             for m in range(len(fit.gradient)):
                 for c in range(len(arms.unknown)):
                     fit.rates[m, i, c] = fit.weight[c] * sections.rate[i, c, m] * problem.limit[b, m]
@@ -91,11 +91,11 @@ def _write_normal(problem, work, fit, b, twist):  # type: ignore[no-untyped-def]
 
 @part
 def _bend(problem, work, fit, b, twist):  # type: ignore[no-untyped-def]
-    """Write as the second place where the step leads, bent."""
+    """Write as the second pressures where the step leads, bent."""
     box = work.box
     count = len(box.step)
     for m in range(count):
-        fit.place[1, m] = fit.place[0, m] + LOOK_AHEAD * box.step[m]
+        fit.normalised[1, m] = fit.normalised[0, m] + LOOK_AHEAD * box.step[m]
     _evaluate(problem, work, fit, b, twist, 1)
     for m in range(count):
         box.held[m], total = box.step[m] == 0.0, 0.0
@@ -114,10 +114,10 @@ def _bend(problem, work, fit, b, twist):  # type: ignore[no-untyped-def]
             length += box.step[m] ** 2
     bends = side <= BEND * BEND * length and length > 0.0
     for m in range(count):
-        ahead = fit.place[0, m] + box.step[m]
+        ahead = fit.normalised[0, m] + box.step[m]
         if bends:
             ahead -= box.right[m]
-        fit.place[1, m] = min(max(ahead, 0.0), 1.0)
+        fit.normalised[1, m] = min(max(ahead, 0.0), 1.0)
 
 
 @part
@@ -125,28 +125,30 @@ def write_carried(problem, work, b, twist):  # type: ignore[no-untyped-def]
     """Write what the sections of a shape (N, K) carry, once for all fits at it."""
     for m in range(problem.limit.shape[1]):
         work.pressure[b, m] = 0.0
-    set_pressure(problem.arms, work.room.drive, work.pressure, b, 1.0)
-    write_shape(problem.arms, problem.loads, work.room, b, twist, False)
-    write_balance(problem.arms, problem.loads, work.room, b, twist, 1.0, 0.0, 0.0)
+    set_pressure(problem.arms, work.balance.drive, work.pressure, b, 1.0)
+    write_shape(problem.arms, problem.loads, work.balance, b, twist, False)
+    write_balance(problem.arms, problem.loads, work.balance, b, twist, 1.0, 0.0, 0.0)
 
 
 @part
 def fit_wrenches(problem, work, fit, b, twist, steps, gain):  # type: ignore[no-untyped-def]
-    """Minimise the squared distance from the first place on, where `write_carried` was before.
+    """Minimise the squared distance from the first pressures on, where `write_carried` was before.
 
     Args:
         steps: at most so many.
         gain: a step that promises no more of the squared distance is the last.
 
     Returns:
-        The squared distance at the first place, and whether the descent came to its end.
+        The squared distance at the first pressures, and whether the descent came to its end.
     """
     value = _evaluate(problem, work, fit, b, twist, 0)
     _write_normal(problem, work, fit, b, twist)
     damping = START_DAMPING
     for _ in range(steps):
         scale = largest_curvature(fit.normal)
-        promised = write_box_step(work.box, fit.gradient, fit.normal, fit.nothing, False, fit.place[0], damping * scale)
+        promised = write_box_step(
+            work.box, fit.gradient, fit.normal, fit.nothing, False, fit.normalised[0], damping * scale
+        )
         if not math.isfinite(value):
             return value, False
         if 2.0 * promised <= gain * value + NOTHING or damping > MOST_DAMPING:
@@ -155,7 +157,7 @@ def fit_wrenches(problem, work, fit, b, twist, steps, gain):  # type: ignore[no-
         tried = _evaluate(problem, work, fit, b, twist, 1)
         if tried < value:
             value = tried
-            copy_row(fit.place[0], fit.place[1])
+            copy_row(fit.normalised[0], fit.normalised[1])
             copy_rows(fit.miss[0], fit.miss[1])
             _write_normal(problem, work, fit, b, twist)
             damping = max(0.1 * damping, LEAST_DAMPING)
@@ -168,7 +170,7 @@ def fit_wrenches(problem, work, fit, b, twist, steps, gain):  # type: ignore[no-
 class FitAnswers(NamedTuple):
     """Fits of B arms."""
 
-    place: Float64[Array, "B M"]  # normalised pressures
+    normalised: Float64[Array, "B M"]  # normalised pressures
     square: Float64[Array, "B"]  # squared distances
     miss: Float64[Array, "B N C"]  # weighted residuals
     optimality: Float64[Array, "B"]  # the largest entry of the projected gradient of half the squared distance
@@ -188,12 +190,12 @@ def fit_all(problem, shape, starts, first, last, work, fit, out):  # type: ignor
         write_carried(problem, work, b, shape[b])
         out.square[b] = math.inf
         for s in range(len(starts)):
-            copy_row(fit.place[0], starts[s])
+            copy_row(fit.normalised[0], starts[s])
             value, done = fit_wrenches(problem, work, fit, b, shape[b], STEPS, GAIN)
             if value < out.square[b]:
                 _evaluate(problem, work, fit, b, shape[b], 0)
                 out.square[b], out.done[b] = value, done
                 _write_normal(problem, work, fit, b, shape[b])
-                out.optimality[b] = optimality(fit.gradient, fit.place[0])
-                copy_row(out.place[b], fit.place[0])
+                out.optimality[b] = optimality(fit.gradient, fit.normalised[0])
+                copy_row(out.normalised[b], fit.normalised[0])
                 copy_rows(out.miss[b], fit.miss[0])

@@ -65,18 +65,18 @@ def outcome(kind: type[Told], prepared: Prepared, errors: Errors, **found: Tenso
     return kind(**{name: prepared.given_back(value) for name, value in columns.items()})
 
 
-def errors_at(prepared: Prepared, place: Tensor, twists: Tensor, known: Tensor, stable: Tensor) -> Errors:
+def errors_at(prepared: Prepared, normalised: Tensor, twists: Tensor, known: Tensor, stable: Tensor) -> Errors:
     """The errors at equilibria that were found.
 
     Args:
         prepared: the problems, with their graphs.
-        place: (*batch, M) normalised pressures.
+        normalised: (*batch, M) normalised pressures.
         twists: (*batch, N, K) the equilibria there.
         known: (*batch) which are minima; the gradients of the others are NaN, unless nothing depends on them.
         stable: (*batch) which are stable equilibria; the errors of the others are infinite.
     """
     limit = prepared.problem.pressure
-    pressure = torch.where(place >= 1, limit, place * limit.detach())  # what is at a limit moves with it
+    pressure = torch.where(normalised >= 1, limit, normalised * limit.detach())  # what is at a limit moves with it
     reached = with_gradients(replace(prepared.problem, pressure=pressure), twists, known)
     return errors_of(prepared, pressure, reached, known, stable)
 

@@ -50,9 +50,9 @@ def followed_pressure(prepared: Prepared, found: PredictedError) -> Tensor:
     """The pressures (*batch, M) [kPa] of a prediction of these problems, with the gradients of the minimum's."""
     limit = prepared.problem.pressure
     with torch.no_grad():
-        place = torch.where(limit > 0, found.pressure.to(limit) / limit.clamp(min=1e-300), 0.0).clamp(0, 1)
-    followed = _followed(prepared, place, found.twists.detach().to(limit))
-    return torch.where(place >= 1, limit, followed * limit.detach())
+        normalised = torch.where(limit > 0, found.pressure.to(limit) / limit.clamp(min=1e-300), 0.0).clamp(0, 1)
+    followed = _followed(prepared, normalised, found.twists.detach().to(limit))
+    return torch.where(normalised >= 1, limit, followed * limit.detach())
 
 
 def beyond_range(arm: ArmDesign | ArmSeries, task: Task, twists: Tensor) -> Tensor:
@@ -63,22 +63,22 @@ def beyond_range(arm: ArmDesign | ArmSeries, task: Task, twists: Tensor) -> Tens
     return prepared.given_back(found.expand(prepared.batch))
 
 
-def _followed(prepared: Prepared, place: Tensor, twists: Tensor) -> Tensor:
+def _followed(prepared: Prepared, normalised: Tensor, twists: Tensor) -> Tensor:
     """Normalised pressures (*batch, M) at minima, as functions of what the problems depend on."""
-    count, limit = place.shape[-1], prepared.problem.pressure
-    ahead = STEP * torch.eye(count, dtype=place.dtype).reshape(count, *(1 for _ in prepared.batch), count)
-    rate = pressure_sensitivity(detached(prepared).at(place), twists) * limit.detach()[..., None, None]
+    count, limit = normalised.shape[-1], prepared.problem.pressure
+    ahead = STEP * torch.eye(count, dtype=normalised.dtype).reshape(count, *(1 for _ in prepared.batch), count)
+    rate = pressure_sensitivity(detached(prepared).at(normalised), twists) * limit.detach()[..., None, None]
     along = STEP * rate.movedim(-3, 0)
-    ways = torch.tensor([1.0, -1.0], dtype=place.dtype).reshape(2, *(1 for _ in ahead.shape))
-    at = (place + ways * ahead).requires_grad_()
+    ways = torch.tensor([1.0, -1.0], dtype=normalised.dtype).reshape(2, *(1 for _ in ahead.shape))
+    at = (normalised + ways * ahead).requires_grad_()
     wide = replace(prepared, problem=replace(prepared.problem, batch=(2, count, *prepared.batch)))
     every = torch.ones(wide.batch, dtype=torch.bool)
     cost = errors_at(wide, at, twists + ways.unsqueeze(-1) * along, every, every).cost
     (slope,) = torch.autograd.grad(cost.sum(), at, retain_graph=True)
-    free = (place > STEP) & (place < 1 - STEP)
+    free = (normalised > STEP) & (normalised < 1 - STEP)
     curvature = ((slope[0] - slope[1]) / (2 * STEP)).movedim(0, -2) * (free.unsqueeze(-1) & free.unsqueeze(-2))
     rise = ((cost[0] - cost[1]) / (2 * STEP)).movedim(0, -1)
     # NaN only where no equilibrium is known; gradients end there, and pinv refuses a batch with one
     inverse = torch.linalg.pinv(((curvature + curvature.mT) / 2).nan_to_num(), rtol=LEAST_CURVATURE, hermitian=True)
     moved = (inverse @ rise.unsqueeze(-1)).squeeze(-1)
-    return place - moved + moved.detach()
+    return normalised - moved + moved.detach()

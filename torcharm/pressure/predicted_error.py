@@ -142,11 +142,11 @@ def prediction(
     prepared = prepare(arm, task, pose_cost)
     plain = detached(prepared)
     found = _found(plain)
-    place, twists = plain.shaped(found.place), plain.shaped(found.twists)
-    stable = plain.shaped(stays_at(plain, found.place, found.twists, found.stable)) & prepared.possible
+    normalised, twists = plain.shaped(found.normalised), plain.shaped(found.twists)
+    stable = plain.shaped(stays_at(plain, found.normalised, found.twists, found.stable)) & prepared.possible
     converged = plain.shaped(found.ended == OPTIMUM) & stable
     at_minimum = plain.shaped(np.isin(found.ended, MINIMA)) & stable
-    errors = errors_at(prepared, place, twists, stable if held else converged, stable)
+    errors = errors_at(prepared, normalised, twists, stable if held else converged, stable)
     return outcome(
         PredictedError,
         prepared,
@@ -165,6 +165,6 @@ def _found(prepared: Prepared) -> Predictions:
     sizes = sizes_of(problem.arms, B=len(problem.limit))
     sobol = torch.quasirandom.SobolEngine(sizes["M"]).draw(1 + SCREENED[-1], dtype=torch.float64)
     out = make(Predictions, sizes)
-    given = Given(twists=prepared.start, places=sobol[1:].numpy(), weight=prepared.wrench_weights)
+    given = Given(twists=prepared.start, starts=sobol[1:].numpy(), weight=prepared.wrench_weights)
     answer(PREDICTIONS, problem, TOLERANCE, given, predictions=out)
     return out

@@ -84,9 +84,9 @@ class Prepared:
         """Numbers (B, ...) as a tensor (*batch, ...)."""
         return torch.from_numpy(value).reshape((*self.batch, *value.shape[1:]))
 
-    def at(self, place: Tensor) -> Problem:
+    def at(self, normalised: Tensor) -> Problem:
         """The problems at normalised pressures (*batch, M)."""
-        return replace(self.problem, pressure=place * self.problem.pressure)
+        return replace(self.problem, pressure=normalised * self.problem.pressure)
 
     def given_back(self, value: Tensor) -> Tensor:
         """A result in the dtype and on the device of what was given."""
@@ -192,9 +192,9 @@ def _mapped(
     return ArmSeries(tuple(segment._map(change) for segment in arm.segments), links)
 
 
-def stays_at(prepared: Prepared, place: Numbers, twists: Numbers, known: Numbers) -> Numbers:
+def stays_at(prepared: Prepared, normalised: Numbers, twists: Numbers, known: Numbers) -> Numbers:
     """(B,) which equilibria at normalised pressures (B, M) are stable, of those (B,) of which pivots say so: where
     these leave it open, eigenvalues tell."""
     nothing = np.zeros((len(known), 2))
     found = Found(twists, nothing[:, 0], np.where(known, CONTINUED, FAILED), nothing.astype(np.int64), nothing)
-    return stays(prepared.engine._replace(limit=place * prepared.engine.limit), found)
+    return stays(prepared.engine._replace(limit=normalised * prepared.engine.limit), found)

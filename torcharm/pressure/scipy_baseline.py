@@ -35,7 +35,7 @@ def search_one_by_one(prepared: Prepared, starts: int, seed: int, method: str, p
 
     check_choice("scipy_method", method, SCIPY_METHODS)
     out = nothing_found(prepared, starts)
-    places = spread_points(starts, prepared.engine.limit.shape[1], seed)
+    points = spread_points(starts, prepared.engine.limit.shape[1], seed)
     with torch.no_grad():
         targets = prepared.poses(prepared.twists)
         tail = targets.shape[prepared.twists.ndim - 2 :]
@@ -43,7 +43,7 @@ def search_one_by_one(prepared: Prepared, starts: int, seed: int, method: str, p
         weights = torch.from_numpy(prepared.flat(prepared.weights, 2))
         pairs = range(len(out.how))
         for b in pairs if progress is False else track(pairs, "pressure search", transient=True):
-            _search(_Task(prepared, b, targets[b], weights[b]), places, method, out)
+            _search(_Task(prepared, b, targets[b], weights[b]), points, method, out)
     return out
 
 
@@ -56,28 +56,28 @@ class _Task:
         self.limit = self.packed.limit[0]
         self.warm = np.zeros((0, *prepared.shape.shape[1:]))
 
-    def solve(self, place: Numbers, warm: bool) -> tuple[float, Numbers, int]:
+    def solve(self, normalised: Numbers, warm: bool) -> tuple[float, Numbers, int]:
         """The cost at an equilibrium, its twists, and how it is reached; from the last one if warm."""
-        packed = self.packed._replace(limit=(np.clip(place, 0, 1) * self.limit)[None])
+        packed = self.packed._replace(limit=(np.clip(normalised, 0, 1) * self.limit)[None])
         found = find(packed, self.warm if warm else self.warm[:0], TOLERANCE)
         if found.reached[0] == FAILED or not bool(stays(packed, found)[0]):
             return NOTHING, found.twists[0], FAILED
         error = pose_errors(self.prepared.poses(torch.from_numpy(found.twists[0])), self.target)
         return float((self.weights * error.square()).sum()), found.twists[0], int(found.reached[0])
 
-    def cost(self, place: Numbers) -> float:
+    def cost(self, normalised: Numbers) -> float:
         """The cost, warm-started by the last equilibrium."""
-        value, twists, how = self.solve(place, warm=True)
+        value, twists, how = self.solve(normalised, warm=True)
         if how != FAILED:
             self.warm = twists[None]
         return value
 
-    def slope(self, place: Numbers) -> Numbers:
+    def slope(self, normalised: Numbers) -> Numbers:
         """The cost's slope by normalised pressures, by differences within the box."""
-        slope = np.zeros_like(place)
-        for m in range(len(place)):
-            high, low = place.copy(), place.copy()
-            high[m], low[m] = min(place[m] + STEP, 1.0), max(place[m] - STEP, 0.0)
+        slope = np.zeros_like(normalised)
+        for m in range(len(normalised)):
+            high, low = normalised.copy(), normalised.copy()
+            high[m], low[m] = min(normalised[m] + STEP, 1.0), max(normalised[m] - STEP, 0.0)
             slope[m] = (self.cost(high) - self.cost(low)) / (high[m] - low[m])
         return slope
 
@@ -91,23 +91,23 @@ def _row(packed: EngineProblem, b: int) -> EngineProblem:
     return EngineProblem(arms._replace(**each), loads._replace(**load), scale, NO_GOAL, packed.limit[row])
 
 
-def _search(task: _Task, places: Numbers, method: str, out: Searches) -> None:
+def _search(task: _Task, points: Numbers, method: str, out: Searches) -> None:
     """Write what is found for one task."""
     from scipy.optimize import minimize
 
     b, best = task.b, np.inf
-    for s, start in enumerate(places):
+    for s, start in enumerate(points):
         task.warm = task.warm[:0]
         answer = minimize(task.cost, start, method=method, bounds=[(0.0, 1.0)] * len(start))
-        place = np.clip(answer.x, 0.0, 1.0)
-        value, twists, how = task.solve(place, warm=False)
+        normalised = np.clip(answer.x, 0.0, 1.0)
+        value, twists, how = task.solve(normalised, warm=False)
         out.start_cost[b, s] = value if how != FAILED else np.inf
         if how == FAILED or value >= best:
             continue
         best, same = value, abs(value - float(answer.fun)) <= SAME_COST * (1.0 + value)
-        out.place[b], out.twists[b], out.half_cost[b] = place, twists, 0.5 * value
+        out.normalised[b], out.twists[b], out.half_cost[b] = normalised, twists, 0.5 * value
         out.how[b], out.at_end[b] = how, bool(answer.success) and same and how in (CONTINUED, WARM)
     if np.isfinite(best):
         task.warm = out.twists[b][None]
-        slope, place = task.slope(out.place[b]), out.place[b]
-        out.optimality[b] = np.abs(place - np.clip(place - slope, 0.0, 1.0)).max()
+        slope, normalised = task.slope(out.normalised[b]), out.normalised[b]
+        out.optimality[b] = np.abs(normalised - np.clip(normalised - slope, 0.0, 1.0)).max()

@@ -15,7 +15,7 @@ from torcharm.engine.arms import sizes_of
 from torcharm.engine.arrays import make
 from torcharm.engine.continuation import CONTINUED, FAILED
 from torcharm.engine.pressure_model import Work
-from torcharm.engine.search_room import LOADED, Search
+from torcharm.engine.search_state import LOADED, Search
 from torcharm.engine.searches import LOT, Searches, search_all
 from torcharm.engine.threads import spread
 from torcharm.engine.wrench_fit import Fit
@@ -29,12 +29,13 @@ from torcharm.pressure.starts import nothing_found, spread_points
 from torcharm.task import Task, for_each_task
 
 METHODS = ("multistart", "scipy")
-STARTS = {"multistart": 8, "scipy": 1}
+STARTS = {"multistart": 12, "scipy": 1}
 ROUNDS = 4
 """Ends of descents that continuation does not reach, from which a search goes on along a boundary."""
 WORDS = ("converged", "not converged", "snapped", "not found", "impossible")
 """What may be said of a search. Not converged: an equilibrium that is reached, but the descent did not come to its end,
-or leads on to where continuation does not follow: the pressure then is next to a jump. Snapped: the arm gets there by a
+or leads on to where continuation does not follow: the pressure then is next to a jump; or too few descents agree, so
+that others might come closer. Snapped: the arm gets there by a
 snap, not along one branch from zero load. Not found: no start led to a stable equilibrium. Impossible:
 the task's shape leaves an actuator no length."""
 LESS_COMPRESSION = "a lower load, a stiffer arm, or antagonists that push and pull against each other"
@@ -52,7 +53,8 @@ class PressureSearch(Outcome):
         optimality: (*batch) the largest entry of the cost's projected gradient, by normalised pressures [m²]. At a
             kink of a force model it does not vanish.
         converged: (*batch) whether it is a stable equilibrium along one branch from zero load, the descent to it came
-            to its end, and none led to a better one that continuation does not reach.
+            to its end, others agree (or its mean error is below a 2,000th of the arm's length), and none led to a
+            better one that continuation does not reach.
         continued: (*batch) whether continuation from zero load reaches it along one branch.
         stable: (*batch) whether the task is possible, and the arm stays there.
         possible, strain_excess, in_range: as of `PredictedError`.
@@ -71,8 +73,8 @@ class PressureSearch(Outcome):
     DOUBTS: ClassVar[Mapping[str, str]] = {
         "snapped": "the arm gets there by a snap, so that it may end elsewhere: try to raise the pressures before the "
         f"load, {LESS_COMPRESSION}",
-        "not converged": "a stable shape that loading reaches, next to a jump to another: more starts may find a "
-        f"better pressure; else try {LESS_COMPRESSION}",
+        "not converged": "a stable shape that loading reaches, but next to a jump to another, or few descents agree on "
+        f"it: more starts may find a better pressure; else try {LESS_COMPRESSION}",
         "not found": f"no start led to a stable equilibrium: try more starts, {LESS_COMPRESSION}",
     }
     """Why a task is left undecided, by the status, and what to try."""
@@ -144,16 +146,17 @@ def search_pressure(
     under the task's load. The cost is not convex: both methods find local minima, the best of several starts. The shape
     returned is the one that continuation from zero load reaches (see `solve_equilibrium`).
 
-    "multistart" descends by Levenberg and Marquardt's steps in the box, along stable equilibria: from the task's
-    shape, and from pressures that are promising to first order there or spread over the box, until three descents
-    agree (five at a kink of a force model), and then from where one pressure of the best is at its other end; one that
-    will not come below the best that is known is given up. Ends are confirmed by continuation. Under compression it
-    may lead elsewhere: an arm buckles to one side or to the other, and the best pressures often lie where that is
-    decided. There the cost jumps. The boundary is found
-    by Newton's method, as where the equilibria on the way bifurcate, and the search goes on along it; where that stays
-    far above what a descent promised, the arm is loaded at places around its end. It is not
-    `converged`. "scipy" is the paper's baseline, one equilibrium at a time: `scipy.optimize.minimize` with finite
-    differences, from the middle of the box and, for more starts, from points spread over it.
+    "multistart" descends by Levenberg and Marquardt's steps in the box, along stable equilibria: from the task's shape,
+    and from pressures that are promising to first order there or spread over the box, until four descents (or all of
+    fewer starts) end in the same shape, seven at a kink of a force model; and then from where one pressure of the best
+    is at its other end. One that will not come below the best that is known is given up. Where fewer agree, the answer
+    is not `converged`, unless its mean error is below a 2,000th of the arm's length: more starts may find a better one.
+    Ends are confirmed by continuation. Under compression it may lead elsewhere: an arm buckles to one side or to the
+    other, and the best pressures often lie where that is decided. There the cost jumps. The boundary is found by
+    Newton's method, as where the equilibria on the way bifurcate, and the search goes on along it; where that stays far
+    above what a descent promised, the arm is loaded at pressures around its end. It is not `converged`. "scipy" is the
+    paper's baseline, one equilibrium at a time: `scipy.optimize.minimize` with finite differences, from the middle of
+    the box and, for more starts, from points spread over it.
 
     Differentiable as `predict_error` is, by the envelope theorem; where the search is not converged, gradients are
     NaN, unless nothing depends on them.
@@ -162,7 +165,7 @@ def search_pressure(
         arm: designs, of any batch shape; or segments in series.
         task: tasks, of any batch shape; every design meets every task. Or a list of such.
         method: "multistart" or "scipy".
-        starts: S, the number of descents at most, before those from other ends; None takes 8 (multistart) or 1 (scipy).
+        starts: S, descents at most, before those from other ends; None takes 12 (multistart) or 1 (scipy).
         rounds: searches along boundaries at most (multistart).
         pose_cost: what is minimised; None is `PoseCost()`.
         shear_stiffness: as for `solve_equilibrium`.
@@ -211,11 +214,11 @@ def search_pressure(
 
 def _result(prepared: Prepared, plain: Prepared, found: Searches) -> PressureSearch:
     """What is said of what was found."""
-    place, twists = plain.shaped(found.place), plain.shaped(found.twists)
-    stable = plain.shaped(stays_at(plain, found.place, found.twists, found.how != FAILED)) & prepared.possible
+    normalised, twists = plain.shaped(found.normalised), plain.shaped(found.twists)
+    stable = plain.shaped(stays_at(plain, found.normalised, found.twists, found.how != FAILED)) & prepared.possible
     continued = plain.shaped(found.how == CONTINUED) & stable
     converged = plain.shaped(found.at_end) & continued
-    errors = errors_at(prepared, place, twists, converged, stable)
+    errors = errors_at(prepared, normalised, twists, converged, stable)
     return outcome(
         PressureSearch,
         prepared,
@@ -235,17 +238,17 @@ def _found(prepared: Prepared, starts: int, rounds: int, seed: int) -> Searches:
     half = starts // 2
     pool = torch.rand(LOT * (half + 2), size, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
     pool = (1.2 * pool - 0.1).clamp(0, 1)  # the bounds are where optima like to be
-    places = spread_points(max(half, 2), size, seed)
-    places[1:] = np.clip(1.6 * places[1:] - 0.3, 0.0, 1.0)
-    places[1] = 0.0  # no pressure at all
+    spread_out = spread_points(max(half, 2), size, seed)
+    spread_out[1:] = np.clip(1.6 * spread_out[1:] - 0.3, 0.0, 1.0)
+    spread_out[1] = 0.0  # no pressure at all
     start, pressure = np.zeros((0, *shape.shape[1:])), np.zeros_like(problem.limit)
-    slots = LOADED + len(pool) // LOT + len(places)
+    slots = LOADED + len(pool) // LOT + len(spread_out)
     sizes = sizes_of(problem.arms, slots=slots, starts=starts, pool=len(pool))
 
     def work(first: int, last: int) -> None:
-        room, search = make(Work, sizes, pressure=pressure), make(Search, sizes)
+        work, search = make(Work, sizes, pressure=pressure), make(Search, sizes)
         fit, draws = make(Fit, sizes, weight=prepared.wrench_weights), pool.numpy()
-        search_all(problem, shape, draws, places, rounds, start, TOLERANCE, first, last, room, search, fit, out)
+        search_all(problem, shape, draws, spread_out, rounds, start, TOLERANCE, first, last, work, search, fit, out)
 
     spread(len(shape), work)
     return out

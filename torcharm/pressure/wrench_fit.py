@@ -88,7 +88,7 @@ def fit_pressure(
     force, moment = pair.double().sqrt().tolist()
     found = _fitted(prepared, force, moment, spread_points(starts, arm.actuator_count, seed))
     columns = (
-        prepared.shaped(found.place) * prepared.problem.pressure,
+        prepared.shaped(found.normalised) * prepared.problem.pressure,
         prepared.shaped(np.sqrt(found.square)),
         prepared.shaped(np.linalg.norm(found.miss, axis=-1)),
         prepared.shaped(found.optimality),
@@ -108,5 +108,5 @@ def _fitted(prepared: Prepared, force: float, moment: float, starts: NDArray[np.
         ]
     )
     fits = make(FitAnswers, sizes_of(problem.arms, B=len(problem.limit)))
-    answer(FITS, problem, 0.0, Given(twists=shape, places=starts, weight=weight), fits=fits)
+    answer(FITS, problem, 0.0, Given(twists=shape, starts=starts, weight=weight), fits=fits)
     return fits

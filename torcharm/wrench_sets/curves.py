@@ -262,12 +262,12 @@ def _excess(model: Actuator, strain: Tensor, pieces: Tensor, allowed: _Allowed) 
 
 def _refined(grades: Grades, excess: list[float]) -> Grades:
     """With those pieces cut that are off, the worst first: errors of cubics fall with length to the fourth."""
-    room = MOST_PIECES - len(excess)
+    left = MOST_PIECES - len(excess)
     counts = [1] * len(excess)
     for k in sorted(range(len(excess)), key=lambda k: -excess[k]):
         if excess[k] > 1:
-            counts[k] += min(PARTS - 1, max(1, math.ceil(excess[k] ** 0.25) - 1), room)
-            room -= counts[k] - 1
+            counts[k] += min(PARTS - 1, max(1, math.ceil(excess[k] ** 0.25) - 1), left)
+            left -= counts[k] - 1
     finer, k = [], 0
     for row in grades:
         places = row[:1]

@@ -17,7 +17,7 @@ from torcharm.engine.arms import numbers
 from torcharm.engine.arrays import make
 from torcharm.engine.curves import Samples
 from torcharm.engine.forces import SAMPLED, Models, models_of
-from torcharm.engine.node_sets import Answers, Sections, distance_kernel, make_room
+from torcharm.engine.node_sets import Answers, Sections, distance_kernel, make_scratch
 from torcharm.engine.threads import spread
 from torcharm.statics.cross_section import CrossSections, actuator_force, group_alike
 from torcharm.wrench_sets.curves import Curves, as_samples, sample_curves
@@ -89,8 +89,8 @@ def find_nearest(
     kernel = distance_kernel(components, signed)
 
     def work(first: int, last: int) -> None:
-        room = make_room(models, components, shape[2], data.samples)
-        kernel(data, wanted, relative, first, last, room, answers)
+        scratch = make_scratch(models, components, shape[2], data.samples)
+        kernel(data, wanted, relative, first, last, scratch, answers)
 
     spread(shape[0], work)
     found = [torch.from_numpy(part).to(sections.strain) for part in answers]

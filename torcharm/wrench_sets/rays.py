@@ -15,7 +15,7 @@ from torch import Tensor
 from torcharm.engine.arms import numbers
 from torcharm.engine.arrays import make
 from torcharm.engine.distance import TOUCHING
-from torcharm.engine.node_sets import make_room
+from torcharm.engine.node_sets import make_scratch
 from torcharm.engine.ray import Ends, Ray, ray_kernel
 from torcharm.engine.threads import spread
 from torcharm.statics.cross_section import CrossSections
@@ -79,8 +79,8 @@ def find_ends(
     kernel, still = ray_kernel(components), _still(change, relative)
 
     def work(first: int, last: int) -> None:
-        room, ray = make_room(models, components, change.shape[1], data.samples), make(Ray, {"D": components})
-        kernel(data, begin, change, still, relative, least, first, last, room, ray, ends)
+        scratch, ray = make_scratch(models, components, change.shape[1], data.samples), make(Ray, {"D": components})
+        kernel(data, begin, change, still, relative, least, first, last, scratch, ray, ends)
 
     spread(designs, work)
     found = [torch.from_numpy(part).to(sections.strain).unflatten(0, (-1, 2)) for part in ends if part.size or points]

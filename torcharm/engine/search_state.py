@@ -14,14 +14,14 @@ from torcharm.engine.references import by_reference
 
 BEST, CURRENT, ENDED, TRIED, AIM, NEAR, FIRST_LOST = 2, 3, 4, 5, 6, 7, 8
 """Slots: the best point that is reached from zero load; where a search along a boundary is; what is reached at the end
-of a descent; a trial; places of trials; one that is reached on the near side of a boundary; and the first of LOST
+of a descent; a trial; pressures of trials; one that is reached on the near side of a boundary; and the first of LOST
 ends of descents, behind which as many hold where these began. The first two slots are those of descents."""
 SAME_BRANCH = 0.1
-"""Difference of two shapes, as of `move_size`, of equilibria of one branch at places that are near: other branches are
-further away."""
+"""Difference of two shapes, as of `move_size`, of equilibria of one branch at pressures that are near: other branches
+are further away."""
 SAME_END = 0.02
-"""Difference of the places of two lost ends that counts as none: kinks of force models hold descents up here and
-there."""
+"""Difference of the normalised pressures of two lost ends that counts as none: kinks of force models hold descents up
+here and there."""
 LOST = 6
 """Ends of descents that are kept, as load continuation leads elsewhere there."""
 LOADED = FIRST_LOST + 2 * LOST
@@ -30,7 +30,7 @@ LOADED = FIRST_LOST + 2 * LOST
 
 @by_reference
 class Search(NamedTuple):
-    """Room for one search."""
+    """Scratch of one search."""
 
     # of points that were reached: the equilibrium on the way at which the arm gave way most, its change by the load
     # factor, and that factor; and how they were reached, as of `find_equilibrium`
@@ -39,10 +39,10 @@ class Search(NamedTuple):
     factor: Float64[Array, "slots"]
     how: Int64[Array, "slots"]
     start_cost: Float64[Array, "starts"]  # what each start came to [m²]; NaN where it was not needed
-    expected: Float64[Array, "pool"]  # half the costs of places, after a Newton step from the shape
+    expected: Float64[Array, "pool"]  # half the costs of pressures, after a Newton step from the shape
     saddle: Saddle
     # the boundary that was found, as of `Saddle`
-    edge_place: Float64[Array, "M"]
+    edge_pressure: Float64[Array, "M"]
     edge_twists: Float64[Array, "N K"]
     edge_factor: Float64[Array, "1"]
     edge_normal: Float64[Array, "M"]
@@ -83,8 +83,8 @@ def keep_lost(problem, work, search, b, at, begun):  # type: ignore[no-untyped-d
     points, worst = work.points, FIRST_LOST
     for j in range(FIRST_LOST, FIRST_LOST + LOST):
         gap = 0.0
-        for m in range(points.place.shape[1]):
-            gap = max(gap, abs(points.place[j, m] - points.place[at, m]))
+        for m in range(points.normalised.shape[1]):
+            gap = max(gap, abs(points.normalised[j, m] - points.normalised[at, m]))
         known = gap < SAME_END and points.known[j, HALF_COST] < math.inf
         if known and distance_of(problem, work, b, at, j) <= SAME_BRANCH:
             return True

@@ -1,4 +1,4 @@
-"""Room to work on the balance of one arm."""
+"""What Newton's step knows of the balance of one arm."""
 
 from typing import NamedTuple
 
@@ -11,8 +11,8 @@ from torcharm.engine.sections import Drive, Sections
 
 
 @by_reference
-class Room(NamedTuple):
-    """Room to work in, for one thread: what belongs to one arm."""
+class Balance(NamedTuple):
+    """Poses, sections, residual and factors of one arm, written anew for each: one a thread."""
 
     drive: Drive
     sections: Sections
