@@ -41,7 +41,7 @@ class _Writer:
             yield from _comment(model.__doc__ or "")
             yield f"{mark}{brackets}{path}{brackets.translate({91: 93})}"
         inner: list[str] = []
-        for key, field in model.model_fields.items():
+        for key, field in sorted(model.model_fields.items(), key=lambda item: not _is_required(item[1])):
             new = [one for one in _models(field) if one not in self._known]
             if new:
                 inner += self._tables(new, key, field, path, used)
@@ -65,7 +65,7 @@ def _entry(key: str, field: FieldInfo, mark: str, instead: bool) -> Iterator[str
         instead: whether a table serves instead, so that all examples are alternatives.
     """
     examples = list(field.examples or ())
-    if field.is_required() or any(isinstance(part, Needed) for part in field.metadata):
+    if _is_required(field):
         default, values = "Required.", [] if instead else examples[:1]
         others = examples[len(values) :]
     elif field.default is None:
@@ -78,6 +78,10 @@ def _entry(key: str, field: FieldInfo, mark: str, instead: bool) -> Iterator[str
     yield from _comment(f"{words}{default}")
     yield from (f"{mark}{key} = {toml_value(value)}" for value in values)
     yield from (f"#{key} = {toml_value(value)}" for value in others)
+
+
+def _is_required(field: FieldInfo) -> bool:
+    return field.is_required() or any(isinstance(part, Needed) for part in field.metadata)
 
 
 def _comment(text: str) -> list[str]:
