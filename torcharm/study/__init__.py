@@ -24,7 +24,6 @@ from torcharm.study.results import (
     RESULT_FORMATS as RESULT_FORMATS,
     StudyResult as StudyResult,
     Summary as Summary,
-    check_format as check_format,
     csv_text as csv_text,
     evaluate_arm as evaluate_arm,
     evaluate_study as evaluate_study,
