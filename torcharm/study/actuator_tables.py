@@ -94,7 +94,7 @@ def _wrong_powers(term: list[float]) -> str | None:
     return None if wrong is None else f"powers must be whole numbers from 0 to {HIGHEST_DEGREE}, got {wrong:g}"
 
 
-_Term = Annotated[list[float], entries("power of strain", "power of pressure", "coefficient"), checked(_wrong_powers)]
+_Term = Annotated[list[float], entries(("power of strain", "power of pressure", "coefficient")), checked(_wrong_powers)]
 
 
 class PolynomialTable(ShippedActuator):

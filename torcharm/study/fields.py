@@ -58,40 +58,27 @@ class Check(BeforeValidator):
     allowed: Sequence[str] = ()
 
 
-def one_of(allowed: Sequence[str]) -> Check:
-    """One of the words allowed."""
-
-    def check(value: Any) -> Any:
-        if not isinstance(value, str) or value not in allowed:
-            raise refuse(f"must be one of {', '.join(allowed)}, got {shown_value(value)}{hint(value, allowed)}")
-        return value
-
-    words = f"one of {', '.join(allowed)}" if len(allowed) > 1 else f'the word "{allowed[0]}"'
-    return Check(check, words=words, allowed=allowed)
-
-
-def entries(*names: str, other: Sequence[str] = ()) -> Check:
-    """A list with an entry for each name, or for each of some other names."""
-    forms = [list(names)] + ([list(other)] if len(other) not in (0, len(names)) else [])
-
-    def check(value: Any) -> Any:
-        if not isinstance(value, list) or len(value) not in [len(form) for form in forms]:
-            words = " or ".join(f"a list of {len(form)}, [{', '.join(form)}]," for form in forms)
-            raise refuse(f"must be {words} got {shown_value(value)}")
-        return value
-
-    return Check(check, words=f"a list [{', '.join(names)}]")
-
-
-def must_be(what: str, good: Callable[[Any], object]) -> Check:
-    """A value that passes a test, and in words what it must be."""
+def must_be(what: str, good: Callable[[Any], object], allowed: Sequence[str] = ()) -> Check:
+    """A value that passes a test, and in words what it must be; it may be of some words."""
 
     def check(value: Any) -> Any:
         if not good(value):
-            raise refuse(f"must be {what}, got {shown_value(value)}")
+            raise refuse(f"must be {what}, got {shown_value(value)}{hint(value, allowed)}")
         return value
 
-    return Check(check, words=what)
+    return Check(check, words=what, allowed=allowed)
+
+
+def one_of(allowed: Sequence[str]) -> Check:
+    """One of the words allowed."""
+    words = f"one of {', '.join(allowed)}" if len(allowed) > 1 else f'the word "{allowed[0]}"'
+    return must_be(words, lambda value: isinstance(value, str) and value in allowed, allowed)
+
+
+def entries(*forms: Sequence[str]) -> Check:
+    """A list with an entry for each name of one of some forms."""
+    what = ", or ".join(f"a list of {len(form)}, [{', '.join(form)}]" for form in forms)
+    return must_be(what, lambda value: isinstance(value, list) and len(value) in map(len, forms))
 
 
 def filled(what: str) -> Check:
@@ -236,7 +223,7 @@ def _words(kind: Any, metadata: Sequence[Any]) -> str:
 
 
 _TYPES = {float: "a number", int: "a whole number", bool: "true or false", str: "a text in quotes"}
-_BOUNDS = {"gt": "above {gt:g}", "ge": "at least {ge:g}", "lt": "below {lt}", "le": "at most {le}"}
+_BOUNDS = {"gt": "above {gt:g}", "ge": "at least {ge:g}", "lt": "below {lt:.15g}", "le": "at most {le:.15g}"}
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -248,7 +235,7 @@ Name = Annotated[
         lambda value: isinstance(value, str) and value.strip() and value.isprintable(),
     ),
 ]
-ENDS = entries("lowest", "highest")
+ENDS = entries(("lowest", "highest"))
 ORDERED = checked(lambda ends: None if ends[0] < ends[1] else f"must be [lowest, highest], got {shown_value(ends)}")
 Range = Annotated[list[float], ENDS, ORDERED]
 

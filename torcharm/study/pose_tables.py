@@ -23,7 +23,7 @@ class PoseTable(Table):
     stands_alone: ClassVar[bool] = False
     position: Position = Field(examples=[["100 mm", "-300 mm", "50 mm"]])
     """Its place in the world."""
-    direction: Annotated[list[float], entries("x", "y", "z")] = Field(examples=[[0.5, -1.0, 0.2]])
+    direction: Annotated[list[float], entries("xyz")] = Field(examples=[[0.5, -1.0, 0.2]])
     """Where the arm's centreline points there, in the world: a vector of any length."""
     turn: Angle = Field(default=0.0, examples=["30 deg"])
     """Angle about that direction. At 0 a tip is turned as an arm has it that bends in one plane from its base, and a
@@ -37,8 +37,8 @@ def _form(value: Any) -> str:
 
 
 _Matrix = Annotated[
-    list[Annotated[list[float], entries("x axis", "y axis", "z axis", "position")]],
-    entries("row 1", "row 2", "row 3", "row 4"),
+    list[Annotated[list[float], entries(("x axis", "y axis", "z axis", "position"))]],
+    entries(("row 1", "row 2", "row 3", "row 4")),
     checked(lambda rows: question_about_pose([row[3] for row in rows[:3]])),
 ]
 

@@ -79,7 +79,7 @@ class EvaluateTable(Table):
     """Points on each edge or curve, for hull = "edges" or a distance other than "gjk"."""
     distance: Annotated[str, one_of(DISTANCES)] = Field(default=Settings.distance, examples=["scipy"])
     """How distances are solved: "gjk" is exact, "qpth" a differentiable QP layer, "scipy" slow."""
-    weights: Annotated[list[Positive], entries("k_f", "k_m")] = Field(
+    weights: Annotated[list[Positive], entries(("k_f", "k_m"))] = Field(
         default=list(Settings.weights), examples=[[1.0, 100.0]]
     )
     """Weights k_f [1/N²] and k_m [1/(N·m)²] of a distance, sqrt(k_f f² + k_m m²)."""

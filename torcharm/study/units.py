@@ -2,7 +2,6 @@
 
 import difflib
 import re
-from collections.abc import Sequence
 from typing import Annotated, Any
 
 from pydantic import Field
@@ -30,19 +29,6 @@ def _near_unit(unit: str, units: dict[str, float]) -> str:
     alike = {unit.lower(): unit for unit in units}
     near = difflib.get_close_matches(unit.lower(), alike, 1)
     return f"; did you mean {alike[near[0]]}?" if near else ""
-
-
-def numbers_in(text: str, units: Sequence[dict[str, float]]) -> list[float]:
-    """Numbers with commas between them, each with one of its own units behind it or in the first of them.
-
-    Raises:
-        ValueError: they are not as many as there are units, or one is no number or has another unit.
-    """
-    parts = text.split(",")
-    if len(parts) != len(units):
-        many = f"{len(units)} numbers with commas between them" if len(units) > 1 else "one number"
-        raise ValueError(f"must be {many}, got {text}")
-    return [float(parsed(part.strip(), own)) for part, own in zip(parts, units, strict=True)]
 
 
 def in_unit(units: dict[str, float]) -> Check:
@@ -90,7 +76,7 @@ def each_in(*forms: dict[str, dict[str, float]]) -> Any:
     own = [", ".join(dict.fromkeys(next(iter(units)) for units in form.values())) for form in forms]
     words = f"a list {', or '.join(lists)} of numbers [{own[0]}] or texts with a unit"
     # What is written last is checked first: the number of entries, then each entry's unit
-    return Annotated[list[float], Check(check, words=words), entries(*forms[0], other=[*forms[-1]])]
+    return Annotated[list[float], Check(check, words=words), entries(*map(list, forms))]
 
 
 WRENCHES = {
