@@ -29,10 +29,10 @@ from torcharm.study.results import (
     evaluate_study as evaluate_study,
     result_rows as result_rows,
     summarise as summarise,
+    workspace_rows as workspace_rows,
     write_results as write_results,
     write_rows as write_rows,
 )
-from torcharm.study.workspaces import workspace_rows as workspace_rows
 from torcharm.study.writing import (
     arm_to_toml as arm_to_toml,
     moved_files as moved_files,

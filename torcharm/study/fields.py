@@ -59,7 +59,7 @@ class Check(BeforeValidator):
 
 
 def must_be(what: str, good: Callable[[Any], object], allowed: Sequence[str] = ()) -> Check:
-    """A value that passes a test, and in words what it must be; it may be of some words."""
+    """A value that passes a test, and in words what it must be; the word that was meant is told, if one is near."""
 
     def check(value: Any) -> Any:
         if not good(value):

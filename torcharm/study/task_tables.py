@@ -241,11 +241,10 @@ class LoadedTable(WeighedTable):
                 units = 'A text with a unit, such as "48 cm" or "30 deg", is understood'
                 raise ValueError(f"{self.shape_key}: {question} {units}")
         columns, nodes = segments[0].shape[-1], [len(twists) for twists in segments]
-        base = read_base(self.base_pose, columns, SHAPE_IS)
         task = Task(
             torch.cat(segments),
             self._tip_loads(columns),
-            base,
+            read_base(self.base_pose, columns, SHAPE_IS),
             self.load(None, columns, len(nodes), SHAPE_IS),
             self.wrench_at,
             nodes if len(nodes) > 1 else None,
