@@ -146,12 +146,6 @@ def test_one_failing_output_costs_no_other(folder, monkeypatch, capsys):
     assert sorted(path.name for path in folder.iterdir()) == ["f.png", "log.txt", "run.csv", "study.toml"]
 
 
-def test_a_search_that_cannot_save_on_the_way_saves_at_the_end(folder, monkeypatch):
-    no_room(monkeypatch, folder, times=1)
-    assert not command(monkeypatch, "search", "study.toml", "--starts", 1, "--out", "o.csv")
-    assert len((folder / "o.csv").read_text().splitlines()) == 5
-
-
 def test_an_interrupted_search_leaves_what_it_found(folder, monkeypatch, capsys):
     from torcharm.pressure import search
 

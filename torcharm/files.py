@@ -62,31 +62,25 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
             to_disk(target.parent, os.O_RDONLY)
 
 
+class _Untouched(Exception):
+    """Ends a trial that writes nothing."""
+
+
 def check_writable(path: StrPath, name: str = "") -> None:
     """Raise a ValueError, on a field or option of a name, if `atomic_write` could not write `path`; leaves no trace."""
     prefix = f"{name}: {path}" if name else f"{path}"
-    try:
-        mode = os.stat(path).st_mode
-    except FileNotFoundError:
-        mode = None
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{prefix}: cannot be written, {_reason(error)}") from None
-    if mode is not None and stat.S_ISDIR(mode):
+    if os.path.isdir(path):
         raise ValueError(f"{prefix}: is a directory, must be a file")
-    if is_stream(path):
-        if not os.access(path, os.W_OK):
-            raise ValueError(f"{prefix}: cannot be written, Permission denied")
-        return
-    target = Path(os.path.realpath(path))
-    if not target.parent.is_dir():
+    if not os.path.isdir(os.path.dirname(os.path.realpath(path))):
         raise ValueError(f"{prefix}: the directory {Path(path).parent} does not exist")
     try:
-        if mode is not None:
-            target.open("ab").close()  # permissions alone do not tell
-        beside = _beside(target)
-        beside.open("xb").close()
-        beside.unlink()
-    except OSError as error:
+        if os.path.isfile(path):
+            open(path, "ab").close()  # a file that is protected is not replaced either
+        with atomic_write(path):
+            raise _Untouched
+    except _Untouched:
+        return
+    except (OSError, ValueError) as error:
         raise ValueError(f"{prefix}: cannot be written, {_reason(error)}") from None
 
 

@@ -511,7 +511,7 @@ BAD = {
     ),
     "radius of a ring": (
         study_text(RING.replace("50 mm", "-50 mm"), BEND),
-        "arm[1].ring.radius: must be at least 0 m, got -0.05",
+        "arm[1].ring.radius: must be at least 0, got -0.05",
     ),
     "lists for rings": (
         study_text(f"{RING}\nmax_pressure = [1, 2]", BEND),

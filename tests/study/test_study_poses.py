@@ -76,7 +76,7 @@ def test_the_rows_of_a_matrix_are_taken_too():
 @pytest.mark.parametrize(
     ("field", "value", "words"),
     [
-        ("tip_pose", "{ position = [0, 0, 0] }", "plan[1].tip_pose.direction: missing; must be a list [x, y, z]"),
+        ("tip_pose", "{ position = [0, 0, 0] }", "plan[1].tip_pose.direction: missing; must be a list of 3, [x, y, z]"),
         ("tip_pose", pose_text([0, 0], [0, -1, 0]), "plan[1].tip_pose.position: must be a list of 3, [x, y, z],"),
         (
             "tip_pose",

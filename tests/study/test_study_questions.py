@@ -37,7 +37,10 @@ ASKED = {
     ),
     "a pose in millimetres": (plan('[100, -240, "-45 deg"]'), "260 m from the origin: is it in millimetres?"),
     "a heading in degrees": (plan("[0.1, -0.2, -45]"), "a heading of -45 rad: is it in degrees? Write '-45 deg' then."),
-    "a pose in space": (SPACE, "plan[1].tip_pose: 260 m from the origin: is it in millimetres? Write '100 mm' then."),
+    "a pose in space": (
+        SPACE,
+        "plan[1].tip_pose.position: 260 m from the origin: is it in millimetres? Write '100 mm' then.",
+    ),
     "a base": (study(task=f"{TASK}base_pose = [0, 0, -90]\n"), "task[1].base_pose: a heading of -90 rad: is it in"),
     "bounds": (
         study(rest="[optimise]\nbounds = { radii = [-60, 60] }\n"),

@@ -67,11 +67,10 @@ def numbered(option: str, path: Path | None, count: int) -> list[Path]:
 
 def rows(out: Path | None, found: Sequence[Mapping[str, Any]]) -> Iterator[Output]:
     """The file of --out, if it is asked for: a table of rows."""
-    from torcharm.study import check_format, write_rows
+    from torcharm.study import write_rows
 
     if out is not None:
-        ending = f".{check_format(out)}"
-        yield out, lambda path: write_rows(path, found, ending), f" ({count(len(found), 'row')})."
+        yield out, lambda path: write_rows(path, found), f" ({count(len(found), 'row')})."
 
 
 def by_task(tasks: Sequence[Task], found: Sequence[Any]) -> list[tuple[Task, list[Any]]]:

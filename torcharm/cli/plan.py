@@ -1,6 +1,5 @@
 """`torcharm plan`: shapes through the tip poses of a study."""
 
-import math
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -33,11 +32,6 @@ class Found:
     shape: "PlannedShape"
     result: "StudyResult | None"
 
-    @property
-    def refused(self) -> bool:
-        """Whether it cannot be planned at all."""
-        return self.shape.status.startswith(REFUSED)
-
 
 def plan(
     study: Annotated[Path, typer.Argument(help="A study, as TOML, with tables that begin with [[plan]].")],
@@ -68,36 +62,27 @@ def plan(
     _tell(read, found, sums)
     for line in _next_steps(study, out, found):
         say(line)
-    possible = outputs.by_task(read.plans, [one for one in found if not one.refused])
-    outputs.save([*_written(read, found, out), *outputs.figures(figures, possible, _drawn)])
+    outputs.save([*_written(read, found, out), *outputs.figures(figures, outputs.by_task(read.plans, found), _drawn)])
     work.finish(found)
-    refused = [f"{one.task.name}, {one.arm.name}: {one.shape.status}" for one in found if one.refused]
-    if refused:
-        raise ValueError(f"{study}: {'; '.join(refused)}")
     if not any(one.result for one in found):
         sys.exit(NONE_FOUND)
 
 
-REFUSED = "refused: "
-"""How the status begins of a plan that is none, as `plan_shape` says by an error."""
 NONE_FOUND = 1
 """How the command exits where no plan has a shape: the study is right, the arms are not."""
 
 
 def _find(read: "Study", work: Work) -> list[Found]:
     """What is found of each plan by each arm."""
-    import torch
-
-    from torcharm.design.shape_planning import PlannedShape, plan_shape
+    from torcharm.design.shape_planning import plan_shape
     from torcharm.study import NamedTask, evaluate_arm
 
     def planned(arm: "NamedArm", wanted: "NamedPlan", _: Told) -> Iterator[Found]:
         how: dict[str, Any] = {name: getattr(wanted, name) for name in ("nodes", "base_pose", "in_range")}
         try:
             shape = plan_shape(arm.design, wanted.tip_pose, wanted.load, wanted.smoothness, **how)
-        except ValueError as error:  # costs this plan alone
-            none = torch.full((wanted.nodes, 3 * arm.design.dimension - 3), math.nan)
-            shape = PlannedShape(f"{REFUSED}{error}", none, math.nan, math.nan, None)
+        except ValueError as error:
+            raise ValueError(f"{wanted.name}: {error}") from None
         result = None
         if shape.attainability is not None:  # evaluated as the study's tasks are
             task = NamedTask(wanted.name, shape.attainability.task, (arm.name,))
@@ -142,16 +127,11 @@ def _report(wanted: "NamedPlan", found: Sequence[Found], sums: bool) -> None:
     console.print(Text("Plan ").append(wanted.name, style="bold").append(f", {count(wanted.nodes, 'node')} a segment"))
     console.print()
     rows = [
-        {"verdict": "refused" if one.refused else "no shape", "reason": one.shape.status}
-        if one.result is None
-        else next(iter(result_rows(one.result)))
+        {"verdict": "no shape", "reason": one.shape.status} if one.result is None else next(result_rows(one.result))
         for one in found
     ]
     arms = Column("arm", [one.arm.name for one in found], LONGEST_WORD)
-    print_table([arms, *error_columns(rows, sums)])
-    if any(one.result for one in found):
-        console.print()
-        print_table([arms, *_shape_columns(found)])
+    print_table([arms, *error_columns(rows, sums), *_shape_columns(found)])
     console.print()
     for one, row in zip(found, rows, strict=True):
         if row["reason"]:
@@ -162,7 +142,7 @@ def _report(wanted: "NamedPlan", found: Sequence[Found], sums: bool) -> None:
 
 LEGEND = (
     "tip off, turned: how far from the planned tip the arm is predicted to be; shape: the mean along the arm.",
-    "of each: the least and the largest of the elements; whole: their sum; cost: what was minimised.",
+    "length, bend: of the whole shape; cost: what was minimised.",
 )
 
 
@@ -212,32 +192,23 @@ def _tasks(read: "Study", found: Sequence[Found]) -> "Iterator[NamedTask]":
 
 def _shape_columns(found: Sequence[Found]) -> Iterator[Column]:
     """How long and how bent the shapes are, and what they cost."""
-    cells = []
-    for one in found:
-        spans = _elements(one.result.task.task) if one.result else ()
-        own = [cell for values in spans for cell in (f"{sum(values):.4g}", _span(values))]
-        cells.append([*own, f"{one.shape.cost:.4g}"] if own else ["-"] * 5)
-    titles = ("length [mm]\nwhole", "length [mm]\nof each", "bend [°]\nwhole", "bend [°]\nof each", "cost")
-    for title, column in zip(titles, zip(*cells, strict=True), strict=True):
+    if not any(one.result for one in found):
+        return
+    cells = [("-",) * 3 if one.result is None else _sizes(one.result.task.task, one.shape.cost) for one in found]
+    for title, column in zip(("length\n[mm]", "bend\n[°]", "cost"), zip(*cells, strict=True), strict=True):
         yield Column(title, column)
 
 
-def _elements(task: "Task") -> tuple[list[float], list[float]]:
-    """The length [mm] and the bend [°] of each element itself; bends in space are amounts."""
+def _sizes(task: "Task", cost: float) -> tuple[str, ...]:
+    """The length [mm] and the bend [°] of a whole shape, and its cost; bends in space are amounts."""
     import torch
 
     from torcharm.study.results import MM
 
-    counts = torch.tensor(task.segment_nodes or (task.nodes,))
+    counts = torch.tensor(task.nodes_of_segments)
     own = task.twists / counts.repeat_interleave(counts).unsqueeze(-1)  # twists are those of a segment of such elements
     bends = own[:, 2] if own.shape[-1] == 3 else own[:, 4:].norm(dim=-1)
-    return (MM * own[:, 0]).tolist(), bends.rad2deg().tolist()
-
-
-def _span(values: Sequence[float]) -> str:
-    """The least and the largest."""
-    low, high = f"{min(values):.3g}", f"{max(values):.3g}"
-    return low if low == high else f"{low} to {high}"
+    return tuple(f"{float(one):.4g}" for one in (MM * own[:, 0].sum(), bends.sum().rad2deg(), cost))
 
 
 def _rows(found: Sequence[Found]) -> Iterator[dict[str, Any]]:

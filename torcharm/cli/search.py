@@ -1,9 +1,7 @@
 """`torcharm search`: for every arm of a study and each of its tasks, the pressure that comes closest."""
 
 import math
-import time
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,7 +13,6 @@ from torcharm.cli.summaries import error_columns, heading, number_column, summar
 from torcharm.cli.tables import LONGEST_WORD, Column, print_table
 from torcharm.cli.terminal import open_console, say
 from torcharm.cli.work import Told, Work, read_study
-from torcharm.files import atomic_write, is_stream
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,8 +22,6 @@ if TYPE_CHECKING:
 
 BLOCKS = {"multistart": 100, "scipy": 1}
 """Loads searched at once: what an interruption may lose."""
-PAUSE = 2.0
-"""Seconds, at least, between two savings of what was found until then."""
 MOST = 5
 """Loads of a task that are told one by one; of more, those of least, median and largest error over its tolerance."""
 
@@ -35,12 +30,7 @@ def search(
     study: Annotated[
         Path | None, typer.Argument(help="A study, as TOML. Without one, the paper's validation.", show_default=False)
     ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out", help="Write a row for every arm, task and load, as it is found, to a file .csv or .json."
-        ),
-    ] = None,
+    out: options.Rows = None,
     figure: Annotated[
         Path | None,
         options.figure("Draw the shapes reached under the loads of least, median and largest error over its tolerance"),
@@ -59,7 +49,7 @@ def search(
     from torcharm.inputs import check_choice
     from torcharm.pressure.pose_cost import NODE_WEIGHTS, PoseCost
     from torcharm.pressure.search import METHODS
-    from torcharm.study import RESULT_FORMATS, paper_study
+    from torcharm.study import RESULT_FORMATS, paper_study, result_rows
 
     outputs.check(study, out, figure, RESULT_FORMATS)
     check_choice("--method", method, METHODS)
@@ -71,59 +61,55 @@ def search(
     how = {"method": method, "starts": starts, "pose_cost": PoseCost(weights), "progress": False}
     work = Work()
     found: list[tuple[NamedTask, list[StudyResult]]] = []
-    with _Rows(out) as kept:
-        for task in plan.tasks:
-            found.append((task, _search(plan, task, how, kept, work)))
-            if found[-1][1]:
-                _report(*found[-1])
-            if work.interrupted:
-                break
+    for task in plan.tasks:
+        found.append((task, _search(plan, task, how, work)))
+        if found[-1][1]:
+            _report(*found[-1])
+        if work.interrupted:
+            break
     results = [result for _, own in found for result in own]
     for line in _legend(plan.settings, results):
         open_console().print(line)
-    outputs.save([*(outputs.rows(out, kept.rows) if results else ()), *outputs.figures(figures, found, _drawn)])
+    rows = [row for result in results for row in result_rows(result)]
+    outputs.save([*(outputs.rows(out, rows) if results else ()), *outputs.figures(figures, found, _drawn)])
     work.finish(results)
 
 
-def _search(plan: "Study", task: "NamedTask", how: dict[str, Any], kept: "_Rows", work: Work) -> list["StudyResult"]:
+def _search(plan: "Study", task: "NamedTask", how: dict[str, Any], work: Work) -> list["StudyResult"]:
     """What is found of all arms on one task, some loads at a time; `how` has arguments of `search_pressure`."""
     from torcharm.pressure.search import search_pressure
-    from torcharm.study.results import result_rows
 
     firsts = range(0, math.prod(task.task.batch_shape), BLOCKS[how["method"]])
 
     def searched(arm: "NamedArm", task: "NamedTask", told: Told) -> "Iterator[StudyResult]":
-        for done, first in enumerate(firsts, 1):
-            part = task.task.part(slice(first, first + firsts.step))
-            found = _judged(arm, task, first, search_pressure(arm.design, part, **how), plan.settings)
-            kept.add(result_rows(found, first + 1))
-            yield found
-            told(done)
+        parts, interrupted = [], False
+        try:
+            for done, first in enumerate(firsts, 1):
+                parts.append(search_pressure(arm.design, task.task.part(slice(first, first + firsts.step)), **how))
+                told(done)
+        except KeyboardInterrupt:
+            interrupted = True
+        if parts:
+            yield _judged(arm, task, parts, plan.settings)
+        if interrupted:
+            raise KeyboardInterrupt
 
-    found = work.each(task.name, [(arm, task) for arm in plan.arms_of(task)], searched, len(firsts))
-    parts = ([one for one in found if one.arm is arm] for arm in plan.arms_of(task))
-    return [_whole(task, own) for own in parts if own]
-
-
-def _whole(task: "NamedTask", parts: Sequence["StudyResult"]) -> "StudyResult":
-    """What was found of one arm under all loads, or under the first if the search was interrupted."""
-    import torch
-
-    from torcharm.pressure.search import PressureSearch
-
-    searches = [part.attainability.prediction for part in parts]
-    columns = (torch.cat([getattr(one, field.name) for one in searches]) for field in fields(PressureSearch))
-    return _judged(parts[0].arm, task, 0, PressureSearch(*columns), parts[0].settings)
+    return work.each(task.name, [(arm, task) for arm in plan.arms_of(task)], searched, len(firsts))
 
 
 def _judged(
-    arm: "NamedArm", task: "NamedTask", first: int, found: "PressureSearch", settings: "Settings"
+    arm: "NamedArm", task: "NamedTask", parts: Sequence["PressureSearch"], settings: "Settings"
 ) -> "StudyResult":
-    """A search under the loads from the first on, in the words of `torcharm evaluate`."""
+    """Searches of one arm, under all loads or the first if Ctrl-C came, in the words of `torcharm evaluate`."""
+    import torch
+
+    from torcharm.pressure.search import PressureSearch
     from torcharm.study import evaluate_arm
 
-    part = task.task.part(slice(first, first + found.tip_error.numel()))
-    return evaluate_arm(arm, replace(task, task=part), settings, found)
+    columns = (torch.cat([getattr(part, field.name) for part in parts]) for field in fields(PressureSearch))
+    found = PressureSearch(*columns)
+    searched = task.task.part(slice(0, found.tip_error.numel()))
+    return evaluate_arm(arm, replace(task, task=searched), settings, found)
 
 
 def _report(task: "NamedTask", found: Sequence["StudyResult"]) -> None:
@@ -203,38 +189,3 @@ def _drawn(task: "NamedTask", found: Sequence["StudyResult"]) -> "Figure":
 
     shown: Any = [(one.arm.name, one.arm.design, one.attainability.prediction) for one in found]
     return search_figure(shown, task.name, task.task, tolerance=found[0].settings.tolerance)
-
-
-class _Rows:
-    """The rows of a file, which is written whole again as they are found; an interruption leaves those found.
-
-    A failure to write on the way is passed over: the rows are kept, and written once more at the end.
-    """
-
-    def __init__(self, path: Path | None) -> None:
-        self.path = path
-        self.rows: list[dict[str, Any]] = []
-        self._grows = path is not None and not is_stream(path)  # a terminal gets all at the end
-        self._next = -math.inf
-
-    def __enter__(self) -> "_Rows":
-        return self
-
-    def __exit__(self, kind: object, *_: object) -> None:
-        if kind is not None and self.rows:
-            self._save()
-
-    def add(self, rows: Iterable[dict[str, Any]]) -> None:
-        if self.path is not None:
-            self.rows += rows
-            started = time.monotonic()
-            if self._grows and started >= self._next:
-                self._save()
-                ended = time.monotonic()
-                # Writing all rows again and again must not take the time of the search.
-                self._next = ended + max(PAUSE, 20 * (ended - started))
-
-    def _save(self) -> None:
-        for path, write, _ in outputs.rows(self.path, self.rows) if self._grows else ():
-            with suppress(OSError), atomic_write(path) as partial:
-                write(partial)

@@ -22,54 +22,48 @@ def heading(task: "NamedTask", loads: int) -> "Text":
 
 def summary_columns(rows: Sequence[tuple["StudyResult", "Summary"]], sums: bool = False) -> Iterator[Column]:
     """A row for each arm: how many loads are held, and medians over the loads; with the paper's sums on request."""
-    yield Column("arm", [result.arm.name for result, _ in rows], LONGEST_WORD)
-    found = [_cells(summary, sums) for _, summary in rows]
-    for title in found[0]:
-        if title == "not held" and all(cells[title] == "-" for cells in found):
-            continue
-        yield Column(title, [cells[title] for cells in found], LONGEST_WORD if title == "not held" else 0)
-
-
-def _cells(summary: "Summary", sums: bool) -> dict[str, str]:
-    """The cells of a row by their titles; medians over loads."""
-    from torcharm.inputs import three_digits
     from torcharm.study.results import ERRORS
-    from torcharm.wrench_sets.node_distances import METRICS
 
-    median, cells = summary.median, {}
-    if summary.verdicts is not None:
-        cells["held"] = f"{summary.held} of {summary.loads}"
-        for title, name, unit, scale in ERRORS:
-            cells[_title(title, unit)] = three_digits(scale * median[name])
-    elif summary.not_excluded is not None:
-        cells["not\nexcluded"] = f"{summary.not_excluded} of {summary.loads}"
-    if summary.not_excluded is not None:
-        worst = "-" if summary.worst_node is None else f"{summary.worst_node}: {summary.worst_miss:.2g}"
-        cells["worst node:\nlacks [N]"] = worst
-    if summary.verdicts is not None:
-        others = [f"{many} {word}" for word, many in summary.verdicts.items() if word != "held"]
-        cells["not held"] = ",\n".join(others) or "-"
-    if sums or summary.verdicts is None:
-        cells |= {_title(f"{name}\nsum", "N"): three_digits(median[name]) for name in METRICS if name in median}
-    return cells
-
-
-def _title(words: str, unit: str) -> str:
-    gap = " " if "\n" in words else "\n"
-    return f"{words}{gap}[{unit.replace('deg', '°')}]"
+    found = [summary for _, summary in rows]
+    predicted, with_sets = found[0].verdicts is not None, found[0].not_excluded is not None
+    scales = {name: (f"{name}_{unit}", scale) for _, name, unit, scale in ERRORS}
+    medians = []
+    for summary in found:
+        named = [(*scales.get(name, (f"{name}_N", 1.0)), value) for name, value in summary.median.items()]
+        medians.append({name: scale * value for name, scale, value in named})
+    yield Column("arm", [result.arm.name for result, _ in rows], LONGEST_WORD)
+    if predicted or with_sets:
+        yield Column("held" if predicted else "not\nexcluded", [f"{one.held} of {one.loads}" for one in found])
+    yield from error_columns(medians)
+    if with_sets:
+        nodes = ["-" if one.worst_node is None else f"{one.worst_node}: {one.worst_miss:.2g}" for one in found]
+        yield Column("worst node:\nlacks [N]", nodes)
+    others = [
+        ",\n".join(f"{many} {word}" for word, many in (one.verdicts or {}).items() if word != "held") for one in found
+    ]
+    if any(others):
+        yield Column("not held", [cell or "-" for cell in others], LONGEST_WORD)
+    if sums or not predicted:
+        yield from _sum_columns(medians)
 
 
 def error_columns(rows: Sequence[Mapping[str, Any]], sums: bool = False) -> Iterator[Column]:
-    """The verdict and the errors of one load in each row, rows as of files; with the paper's sums on request."""
+    """The verdict, if there is one, and the errors in rows as of files; with the paper's sums on request."""
     from torcharm.study.results import ERRORS
-    from torcharm.wrench_sets.node_distances import METRICS
 
     if any(row.get("verdict") is not None for row in rows):
         yield Column("verdict", [str(row.get("verdict") or "-") for row in rows], LONGEST_WORD)
     for title, name, unit, _ in ERRORS:
-        yield from number_column(rows, f"{name}_{unit}", _title(title, unit))
-    for name in METRICS if sums else ():
-        yield from number_column(rows, f"{name}_N", _title(f"{name}\nsum", "N"))
+        yield from number_column(rows, f"{name}_{unit}", f"{title}\n[{unit.replace('deg', '°')}]")
+    if sums:
+        yield from _sum_columns(rows)
+
+
+def _sum_columns(rows: Sequence[Mapping[str, Any]]) -> Iterator[Column]:
+    from torcharm.wrench_sets.node_distances import METRICS
+
+    for name in METRICS:
+        yield from number_column(rows, f"{name}_N", f"{name}\nsum [N]")
 
 
 def number_column(rows: Sequence[Mapping[str, Any]], name: str, title: str) -> Iterator[Column]:

@@ -41,24 +41,16 @@ def mistakes() -> Iterator[None]:
         fail(str(error))
 
 
-@contextmanager
-def as_given(option: str, text: str) -> Iterator[None]:
-    """Let a ValueError about an option's value name the option, and tell the value as it was given, unit and all."""
-    try:
-        yield
-    except ValueError as error:
-        words, _, got = str(error).rpartition(", got ")
-        _, must, allowed = words.partition("must be ")
-        _, also, hint = got.partition("; ")
-        raise ValueError(f"{option}: {must}{allowed}, got {text}{also}{hint}") from None
-
-
 def numbers(option: str, text: str, units: Sequence[dict[str, float]]) -> list[float]:
     """Numbers with commas between them, of an option's text; each may have one of its own units behind it."""
-    from torcharm.study.units import numbers_in
+    from torcharm.study.units import parsed
 
+    parts = text.split(",")
+    if len(parts) != len(units):
+        many = f"{len(units)} numbers with commas between them" if len(units) > 1 else "one number"
+        raise ValueError(f"{option}: must be {many}, got {text}")
     try:
-        return numbers_in(text, units)
+        return [float(parsed(part.strip(), own)) for part, own in zip(parts, units, strict=True)]
     except ValueError as error:
         raise ValueError(f"{option}: {error}") from None
 

@@ -1,8 +1,7 @@
 """`torcharm tolerance`: how far off the arms of a study will be once they are built, and what decides that."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,13 +10,12 @@ import typer
 from torcharm.cli import options, outputs
 from torcharm.cli.summaries import heading
 from torcharm.cli.tables import LONGEST_WORD, Column, print_table
-from torcharm.cli.terminal import as_given, count, open_console, say
+from torcharm.cli.terminal import count, open_console, say
 from torcharm.cli.work import Told, Work, asked_about
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from torcharm.design.scatter import Scatter
     from torcharm.design.tolerance_result import BuiltArms
     from torcharm.study import NamedArm, NamedTask, Study
     from torcharm.study.built import BuiltStudy
@@ -69,22 +67,22 @@ def tolerance(
     Options of what is scattered replace the table [tolerance] of the study as a whole. Ctrl-C ends the work and shows
     what was found until then, of the arm at work from those built by then.
     """
-    from torcharm.inputs import check_count
     from torcharm.study import RESULT_FORMATS, example_study, load_study
     from torcharm.study.built import built_rows
 
     outputs.check(study, out, figure, RESULT_FORMATS)
     plan = example_study() if study is None else load_study(study)
-    sizes = {"radii": radii, "length": length, "limits": limits, "force": force}
-    sizes |= {"force_offset": force_offset, "bending": bending}
-    how = plan.manufacture
-    how = replace(
-        how,
-        scatter=_scatter(how.scatter, sizes, correlated or [], model_covariance, uniform),
-        compensated=compensated or how.compensated,
-        samples=how.samples if samples is None else check_count("--samples", samples, 2),
-        seed=how.seed if seed is None else check_count("--seed", seed, 0),
-    )
+    given: dict[str, Any] = {
+        "radii": radii,
+        "length": length,
+        "limits": limits,
+        "force": force,
+        "force_offset": force_offset,
+    }
+    given |= {"force_offset": force_offset, "bending": bending, "model_covariance": model_covariance or None}
+    given |= {"distribution": "uniform" if uniform else None, "compensated": compensated or None}
+    given |= {"samples": samples, "seed": seed}
+    how = _manufacture(plan, {key: value for key, value in given.items() if value is not None}, correlated or [])
     figures, work = outputs.numbered("--figure", figure, len(plan.tasks)), Work()
     plan = plan if study is None else asked_about(plan)
     found = find_built(plan, how, work, margin, sobol)
@@ -99,55 +97,33 @@ def tolerance(
     work.finish(found)
 
 
-def _scatter(
-    scatter: "Scatter | None",
-    sizes: Mapping[str, str | None],
-    correlated: Sequence[str],
-    model_covariance: bool,
-    uniform: bool,
-) -> "Scatter":
-    """How arms are built: by options where there are any, else by the study."""
-    from torcharm.design.scatter import Scatter
+KEPT = {"compensated", "samples", "seed"}
+"""Keys of a study's table [tolerance] that hold beside options of what is scattered."""
 
-    given = {name: _size(name, text) for name, text in sizes.items() if text is not None}
-    alike = dict(map(_correlation, correlated))
-    if given or model_covariance:
-        kind = "uniform" if uniform else "normal"
-        return Scatter(**given, model_covariance=model_covariance, distribution=kind, correlated=alike)
-    if scatter is None:
+
+def _manufacture(plan: "Study", given: dict[str, Any], correlated: Sequence[str]) -> "Manufacture":
+    """How arms are built, by the study's table [tolerance] and by options, which have the same keys."""
+    from torcharm.study.fields import validated
+    from torcharm.study.tables import ToleranceTable
+
+    table = dict(plan.tables.get("tolerance", {}))
+    if given.keys() - KEPT - {"distribution"}:
+        table = {key: table[key] for key in KEPT & table.keys()}
+    table |= given
+    alike = (text.partition("=") for text in correlated)
+    own = {name.strip().replace("-", "_"): number for name, _, number in alike}
+    table["correlated"] = {**table.get("correlated", {}), **own}
+    try:
+        how: Manufacture = validated(ToleranceTable, table).build()
+    except ValueError as error:
+        field, words = str(error).split(":", 1)
+        raise ValueError(f"--{field.replace('_', '-')}:{words}") from None
+    if how.scatter is None:
         raise ValueError(
             "tolerance: must say what is scattered: by options such as --radii '1 mm' --force '5 %', "
             "or by a table [tolerance] of the study"
         )
-    scatter = replace(scatter, distribution="uniform") if uniform else scatter
-    return replace(scatter, correlated={**scatter.correlated, **alike})
-
-
-def _size(name: str, text: str) -> float:
-    """How far something is scattered, of an option's text."""
-    from torcharm.design.scatter import UNITS, check_size
-    from torcharm.study.units import numbers_in
-    from torcharm.units import FORCE, LENGTH, PRESSURE, SHARE
-
-    units = {"m": LENGTH, "kPa": PRESSURE, "1": SHARE, "N": FORCE}
-    with as_given(f"--{name.replace('_', '-')}", text):
-        (value,) = numbers_in(text, [units[UNITS[name]]])
-        return check_size(name, value)
-
-
-def _correlation(text: str) -> tuple[str, float]:
-    """What is scattered alike, and how much, of a text such as `force=0.5`."""
-    from torcharm.design.scatter import check_correlation
-    from torcharm.study.units import numbers_in
-    from torcharm.units import SHARE
-
-    name, equals, number = text.partition("=")
-    name = name.strip().replace("-", "_")
-    with as_given("--correlated", text):
-        if not equals:
-            raise ValueError("must be a name and a number such as force=0.5, got none")
-        (value,) = numbers_in(number, [SHARE])
-        return name, check_correlation(name, value)
+    return how
 
 
 def find_built(

@@ -9,7 +9,7 @@ import typer
 
 from torcharm.cli import options, outputs
 from torcharm.cli.tables import LONGEST_WORD, Column, print_table
-from torcharm.cli.terminal import as_given, count, say
+from torcharm.cli.terminal import count, numbers, say
 from torcharm.cli.work import Told, Work, arms_named, read_study
 
 if TYPE_CHECKING:
@@ -104,20 +104,17 @@ def find_workspaces(
 
 def _payload(text: str, dimension: int) -> float | list[float]:
     """A mass [kg] or a wrench [N, N·m]."""
-    from torcharm.inputs import check_number
-    from torcharm.study.units import WRENCHES, numbers_in
+    from torcharm.study.units import WRENCHES
     from torcharm.units import MASS
 
-    with as_given("--payload", text):
-        if "," in text:
-            return numbers_in(text, list(WRENCHES[dimension].values()))
-        try:
-            (mass,) = numbers_in(text, (MASS,))
-        except ValueError as error:
-            example = "0, -2, 0" if dimension == 2 else "0, -2, 0, 0, 0, 0"
-            several = f"force and moment as numbers separated by commas, 3 in the plane and 6 in space: {example}"
-            raise ValueError(f"{error}; or {several}") from None
-        return check_number("payload", mass, 0.0, unit="kg")
+    if "," in text:
+        return numbers("--payload", text, list(WRENCHES[dimension].values()))
+    try:
+        return numbers("--payload", text, [MASS])[0]
+    except ValueError as error:
+        example = "0, -2, 0" if dimension == 2 else "0, -2, 0, 0, 0, 0"
+        several = f"force and moment as numbers separated by commas, 3 in the plane and 6 in space: {example}"
+        raise ValueError(f"{error}; or {several}") from None
 
 
 def _report(found: "Found", seconds: float) -> None:
@@ -131,9 +128,7 @@ def _report(found: "Found", seconds: float) -> None:
         if any(own[word] > 0 for own in shares):
             say(f"{word}: {meaning}.")
     if any(one.has_payload for _, one in found):
-        say(
-            "payload x: the largest factor by which the payload could grow anywhere, if each node had pressures",
-        )
+        say("payload x: the largest factor by which the payload could grow anywhere, if each node had pressures")
         say("of its own: an upper bound of what the arm bears.")
     for arm, one in found:
         if one.interruption:
@@ -165,25 +160,17 @@ def _columns(found: "Found") -> Iterator[Column]:
             yield Column(f"reached\n[{unit}]", cells)
             cells = ["-" if one is None else three_digits(scale * one.extrapolated_region.size) for one in own]
             yield Column(f"extrapolated\n[{unit}]", cells)
-    yield Column("furthest\n[mm]", [_rounded(MM * one.reach) for _, one in found])
+    yield Column("furthest\n[mm]", [three_digits(MM * one.reach) for _, one in found])
     for index, word in enumerate(("lowest", "highest")):
-        yield Column(f"{word}\n[mm]", [_rounded(MM * one.heights[index]) for _, one in found])
+        yield Column(f"{word}\n[mm]", [three_digits(MM * one.heights[index]) for _, one in found])
     for word in MEANINGS:
-        shares = [one.shares[word] for _, one in found]
+        shares = [100 * one.shares[word] for _, one in found]
         if any(shares):
             title = word.replace("excluded by range", "excluded\nby range").replace("not conv", "not\nconv")
-            yield Column(f"{title} [%]" if "\n" in title else f"{title}\n[%]", [_percent(share) for share in shares])
+            yield Column(f"{title} [%]" if "\n" in title else f"{title}\n[%]", [*map(three_digits, shares)])
     if any(one.has_payload for _, one in found):
         best = [one.payload_factor[one.reached] for _, one in found]
         yield Column("payload\nx", [three_digits(float(own.max())) if len(own) else "-" for own in best])
-
-
-def _rounded(value: float) -> str:
-    return "-" if value != value else f"{value:.0f}"
-
-
-def _percent(share: float) -> str:
-    return "0" if share == 0 else "<0.1" if share < 1e-3 else f"{100 * share:.3g}"
 
 
 def _draw(path: Path, found: "Found", show: str | None) -> None:

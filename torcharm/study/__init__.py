@@ -24,16 +24,15 @@ from torcharm.study.results import (
     RESULT_FORMATS as RESULT_FORMATS,
     StudyResult as StudyResult,
     Summary as Summary,
-    check_format as check_format,
     csv_text as csv_text,
     evaluate_arm as evaluate_arm,
     evaluate_study as evaluate_study,
     result_rows as result_rows,
     summarise as summarise,
+    workspace_rows as workspace_rows,
     write_results as write_results,
     write_rows as write_rows,
 )
-from torcharm.study.workspaces import workspace_rows as workspace_rows
 from torcharm.study.writing import (
     arm_to_toml as arm_to_toml,
     moved_files as moved_files,

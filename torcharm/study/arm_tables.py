@@ -1,157 +1,43 @@
-"""What the tables of a study's arms may hold, each value by itself."""
+"""What the tables of a study's arms may hold, and the designs that come of them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from pydantic import BeforeValidator, Field, Tag
+import torch
+from pydantic import Field
 
-from torcharm.actuators import SHIPPED
-from torcharm.actuators.ready import USUAL_STRAINS
-from torcharm.arm import ArmDesign
+from torcharm.actuators import Actuator
+from torcharm.arm import ArmDesign, ring
+from torcharm.arm_series import ArmSeries, RigidLink, series
+from torcharm.attainability.questions import question_about_arm
 from torcharm.ready_arms import antagonistic_arm, bellows_arm, mckibben_arm
+from torcharm.statics.balance import segments_of
+from torcharm.study.actuator_tables import ActuatorsTable, FileActuator
+from torcharm.study.data import NamedArm
 from torcharm.study.fields import (
     Name,
     Needed,
-    Range,
     Table,
     by_key,
-    by_kinds,
-    entries,
+    either,
     filled,
+    listed,
     one_key,
     one_of,
     one_or_list,
+    within,
 )
-from torcharm.study.units import (
-    Angle,
-    Area,
-    Length,
-    Lengths,
-    Limits,
-    Mass,
-    NotNegativeLength,
-    Offset,
-    PositivePressure,
-    PressureRange,
-)
+from torcharm.study.units import Angle, Length, Lengths, Limits, Mass, NotNegativeLength, Offset
 
-
-class BendingTable(Table):
-    """A bending moment that does not simply follow pressure."""
-
-    kind: Annotated[str, one_of(("linear", "constant"))] = Field(examples=["linear", "constant"])
-    """Whether the moment grows with pressure, up to K times the curvature, or is so at any pressure."""
-    stiffness: float = Field(examples=[-0.1])
-    """K [N·m²]; negative resists bending."""
-    reference_pressure: PositivePressure | None = Field(default=None, examples=[40.0])
-    """Pressure at which K holds, of linear bending alone. Without it, the actuator's max_pressure."""
-
-
-_bending_stiffness = Field(
-    default=None,
-    description="Bending stiffness K [N·m²] at max_pressure. Without it, the model's own.",
-    examples=[-0.2857],
-)
-_bending = Field(
-    default=None,
-    description="A bending model in place of bending_stiffness.",
-    examples=[{"kind": "constant", "stiffness": -0.1}],
-)
-_force_scale = Field(
-    default=None, description="A factor on the force: 2 stands for two of them side by side.", examples=[2.0]
-)
-
-
-class ShippedActuator(Table):
-    """A force model that torcharm ships: the paper's extending bellows, or its contracting McKibben muscle."""
-
-    kind: Annotated[str, one_of(tuple(SHIPPED))] = Field(examples=list(SHIPPED))
-    """Which of them it is."""
-    bending_stiffness: float | None = _bending_stiffness
-    bending: BendingTable | None = _bending
-    max_pressure: PositivePressure | None = Field(default=None, examples=[50.0, "0.5 bar"])
-    """Highest pressure in use. Without it, the model's own."""
-    force_scale: float | None = _force_scale
-
-
-class FileActuator(ShippedActuator):
-    """A force model from a file, such as torcharm fit writes, perhaps changed."""
-
-    stands_alone: ClassVar[bool] = False
-    kind: Annotated[str, one_of(("file",))] = Field(examples=["file"])
-    """That it is such a model."""
-    path: str = Field(examples=["my_bellows.toml"])
-    """Path of the force model's file, from the study's folder."""
-
-
-class PolynomialTable(Table):
-    """A force model of your own: the sum of c ε^i p^j [N] of strain ε and pressure p [kPa]; what pushes is positive."""
-
-    kind: Annotated[str, one_of(("polynomial",))] = Field(examples=["polynomial"])
-    """That it is such a model."""
-    coefficients: Annotated[
-        list[Annotated[list[float], entries("power of strain", "power of pressure", "coefficient")]],
-        filled("a list of terms"),
-    ] = Field(examples=[[[1, 0, -120.0], [0, 1, 0.9]]])
-    """The terms [i, j, c]."""
-    strain_range: Range = Field(examples=[[-0.1, 0.4]])
-    """Strains that were characterised."""
-    pressure_range: PressureRange = Field(examples=[[0.0, 60.0]])
-    """Pressures that were characterised."""
-    max_pressure: PositivePressure = Field(examples=[60.0])
-    """Highest pressure in use."""
-    bending_stiffness: float | None = Field(default=None, examples=[-0.2857])
-    """Bending stiffness K [N·m²] at max_pressure; negative resists bending. Without it 0: it does not resist bending by
-    itself."""
-    bending: BendingTable | None = _bending
-    force_scale: float | None = _force_scale
-
-
-class ChamberTable(Table):
-    """A pressure chamber in an elastic body: it pushes with pressure times area, at any strain."""
-
-    kind: Annotated[str, one_of(("chamber",))] = Field(examples=["chamber"])
-    """That it is a chamber."""
-    area: Area = Field(examples=["80 mm²", 8e-5])
-    """Of its cross-section."""
-    max_pressure: PositivePressure = Field(default=100.0, examples=["1 bar"])
-    """Highest pressure in use."""
-    strain_range: Range = Field(default=list(USUAL_STRAINS))
-    """Strains to which the body is characterised."""
-
-
-class CoreTable(Table):
-    """The elastic body around chambers, without pressure: it resists stretch and bending."""
-
-    kind: Annotated[str, one_of(("elastic_core",))] = Field(examples=["elastic_core"])
-    """That it is one."""
-    axial_stiffness: float = Field(examples=[40.0])
-    """E A [N]."""
-    bending_stiffness: float = Field(examples=[1e-3])
-    """E I [N·m²]."""
-    strain_range: Range = Field(default=list(USUAL_STRAINS))
-    """Strains to which the material is characterised."""
-
-
-def _named_kind(value: Any) -> Any:
-    return {"kind": value} if isinstance(value, str) else value
-
-
-ActuatorTable: Any = Annotated[
-    by_kinds(ShippedActuator, PolynomialTable, ChamberTable, CoreTable, FileActuator), BeforeValidator(_named_kind)
-]
-ActuatorsTable: Any = one_or_list(
-    ActuatorTable,
-    Annotated[list[ActuatorTable], filled("a list of force models such as bellows")],
-    "a list of force models such as bellows, or one for all",
-    *(str, list, dict),
-)
+Files = tuple[str | None, ...]
+"""For each actuator the path of its force model's file, or None; or none at all."""
 
 
 class RingTable(Table):
     """Actuators evenly spaced on a circle around the centreline."""
 
-    radius: Length = Field(examples=["50 mm"])
+    radius: NotNegativeLength = Field(examples=["50 mm"])
     """Of the circle; 0 is the centreline itself."""
     count: Annotated[int, Field(ge=1, le=1000)] = Field(default=1, examples=[3])
     """How many."""
@@ -160,7 +46,9 @@ class RingTable(Table):
 
 
 _rings = Annotated[list[RingTable], filled("a list of rings")]
-RingsTable: Any = one_or_list(RingTable, _rings, "a table with radius, count and phase, or a list of them", list, dict)
+RingsTable: Any = Annotated[
+    one_or_list(RingTable, _rings), either("a table with radius, count and phase, or a list of them", list, dict)
+]
 
 
 class LinkTable(Table):
@@ -186,19 +74,34 @@ class NamedTable(Table):
     name: Name = name_as("one")
 
 
-_limits: Any = Field(
-    default=None,
-    description="Pressure limits: one for all, or one for each ring or actuator. Without it, the force models' own.",
-    examples=[50.0],
-)
-_mass: Any = Field(
-    default=0.0, description="Of the arm or segment, spread evenly along it; for gravity.", examples=["0.6 kg"]
-)
-_diameter: Any = Field(
-    default=None,
-    description="Outer diameter: one for all, or one for each ring or actuator; for the spacing of better arms.",
-    examples=["30 mm"],
-)
+class BundleTable(Table):
+    """Actuators side by side."""
+
+    length: Lengths = Field(examples=[0.5, ["50 cm", 0.5]])
+    """Neutral length: one for all, or one for each ring or actuator."""
+    max_pressure: Limits | None = Field(default=None, examples=[50.0])
+    """Pressure limits: one for all, or one for each ring or actuator. Without it, the force models' own."""
+    mass: Mass = Field(default=0.0, examples=["0.6 kg"])
+    """Of the arm or segment, spread evenly along it; for gravity."""
+    diameter: Lengths | None = Field(default=None, examples=["30 mm"])
+    """Outer diameter: one for all, or one for each ring or actuator; for the spacing of better arms."""
+
+    def bundle(self, models: Sequence[Actuator], rings: Sequence[int] = (), **places: Any) -> ArmDesign:
+        """The actuators, of so many on each ring if they are on any, at places or with other values of a design."""
+        given = places | {name: getattr(self, name) for name in ("length", "max_pressure", "diameter")}
+        each = {name: _each(name, value, rings, len(models)) for name, value in given.items()}
+        return ArmDesign(actuators=models, mass=self.mass, **each)
+
+
+def _each(name: str, value: Any, rings: Sequence[int], number: int) -> Any:
+    """A list as one for each actuator, of one for each ring; what is no list stays."""
+    if not isinstance(value, list) or len(value) == number:
+        return value
+    if rings and len(value) == len(rings):
+        return [one for one, count in zip(value, rings, strict=True) for _ in range(count)]
+    what = "entry" if name == "actuators" else "number"
+    rest = f" or {len(rings)} rings" if rings else ""
+    raise ValueError(f"{name}: must hold one {what} for each of the {number} actuators{rest}, got {len(value)}")
 
 
 PAPER_ARMS: dict[str, Callable[..., ArmDesign]] = {
@@ -209,7 +112,7 @@ PAPER_ARMS: dict[str, Callable[..., ArmDesign]] = {
 """The paper's arms, by what a study calls them."""
 
 
-class PaperArm(NamedTable):
+class PaperArm(BundleTable, NamedTable):
     """One of the paper's arms, with four actuators: two outside, two inside."""
 
     name: Name = name_as("paper")
@@ -221,12 +124,15 @@ class PaperArm(NamedTable):
     """Distance of the two inner actuators from the centreline. Without it, the paper's."""
     length: Lengths = Field(default=0.5, examples=["50 cm", [0.5, 0.4, 0.4, 0.5]])
     """Neutral length, one for all actuators or one for each."""
-    max_pressure: Limits | None = _limits
-    mass: Mass = _mass
-    diameter: Lengths | None = _diameter
+
+    def build(self, folder: Path) -> tuple[ArmDesign, Files]:
+        """The arm, which needs no files."""
+        given = self.model_dump(include={"outer_radius", "inner_radius"}, exclude_none=True)
+        paper = PAPER_ARMS[self.kind](**given)
+        return self.bundle(paper.actuators, radii=paper.radii.tolist()), ()
 
 
-class SegmentTable(Table):
+class SegmentTable(BundleTable):
     """Any actuators side by side, in the plane (radii) or in space (offsets, or rings)."""
 
     radii: Annotated[Annotated[list[Length], filled("a list of numbers [m]")] | None, Needed()] = Field(
@@ -246,17 +152,35 @@ class SegmentTable(Table):
         ],
     )
     """Offsets on a circle, or on each of a list of them."""
-    length: Lengths = Field(examples=[0.5, ["50 cm", 0.5]])
-    """Neutral length: one for all, or one for each ring or actuator."""
     actuators: ActuatorsTable = Field(examples=[["bellows", {"kind": "mckibben", "force_scale": 2.0}], "bellows"])
     """Force models: one for all, or one for each ring or actuator; the names bellows or mckibben alone, or tables."""
-    max_pressure: Limits | None = _limits
-    mass: Mass = _mass
-    diameter: Lengths | None = _diameter
     torsion_stiffness: float | None = Field(default=None, examples=[0.5])
     """G J [N·m²], in space. Without it, the arm does not twist."""
     link: LinkTable | None = Field(default=None, examples=[{"length": "30 mm", "mass": "50 g"}])
     """A rigid link after the actuators."""
+
+    def parts(self, folder: Path) -> tuple[list[ArmDesign | RigidLink], Files]:
+        """The segment, and the link after it; and for each actuator the path of its force model's file, or None."""
+        rings = [one for _, one in listed("ring", self.ring)] if self.ring is not None else []
+        counts = [one.count for one in rings]
+        places: dict[str, Any] = {"radii": self.radii} if self.radii is not None else {"offsets": self.offsets}
+        if rings:
+            places = {"offsets": torch.cat([ring(one.radius, one.count, one.phase) for one in rings])}
+        models, files = [], []
+        for path, one in listed("actuators", self.actuators):
+            with within(path):
+                models.append(one.build(folder))
+            files.append(one.path if isinstance(one, FileActuator) else None)
+        number = len(next(iter(places.values())))
+        if not isinstance(self.actuators, list):
+            models, files = models * number, files * number
+        models, files = (_each("actuators", each, counts, number) for each in (models, files))
+        places["torsion_stiffness"] = self.torsion_stiffness
+        parts: list[ArmDesign | RigidLink] = [self.bundle(models, counts, **places)]
+        if self.link is not None:
+            with within("link"):
+                parts.append(RigidLink(self.link.length, mass=self.link.mass))
+        return parts, tuple(files)
 
 
 class FreeArm(SegmentTable, NamedTable):
@@ -264,8 +188,13 @@ class FreeArm(SegmentTable, NamedTable):
 
     name: Name = name_as("own")
 
+    def build(self, folder: Path) -> tuple[ArmDesign | ArmSeries, Files]:
+        """The arm, and the files of its force models."""
+        parts, files = self.parts(folder)
+        return parts[0] if len(parts) == 1 and isinstance(parts[0], ArmDesign) else series(parts), files
 
-_PLACES = ("radii", "offsets", "ring")
+
+PLACES = ("radii", "offsets", "ring")
 
 
 class SeriesArm(NamedTable):
@@ -274,7 +203,7 @@ class SeriesArm(NamedTable):
     name: Name = name_as("two modules")
     stands_alone: ClassVar[bool] = False
     segment: Annotated[
-        list[Annotated[SegmentTable, one_key(*_PLACES)]], filled("tables that begin with [[arm.segment]]")
+        list[Annotated[SegmentTable, one_key(*PLACES)]], filled("tables that begin with [[arm.segment]]")
     ] = Field(
         examples=[
             [
@@ -285,9 +214,28 @@ class SeriesArm(NamedTable):
     )
     """The segments, as tables [[arm.segment]] or a list, each with the keys of an arm but its name."""
 
+    def build(self, folder: Path) -> tuple[ArmSeries, Files]:
+        """The arm, and the files of its force models."""
+        parts: list[ArmDesign | RigidLink] = []
+        files: Files = ()
+        for path, segment in listed("segment", self.segment):
+            with within(path):
+                own, its_files = segment.parts(folder)
+            if parts and own[0].dimension != parts[0].dimension:
+                raise ValueError(
+                    f"{path}: must be in the plane (radii) or in space (offsets, ring) as the first segment is"
+                )
+            parts, files = parts + own, files + its_files
+        return series(parts), files
 
-ArmTable = Annotated[
-    Annotated[PaperArm, Tag("<kind>")] | Annotated[FreeArm, Tag("<without>")] | Annotated[SeriesArm, Tag("<segment>")],
-    by_key("kind", "segment"),
-    one_key("kind", *_PLACES, "segment"),
-]
+
+ArmTable: Any = by_key({"kind": PaperArm} | dict.fromkeys(PLACES, FreeArm) | {"segment": SeriesArm})
+
+
+def make_arm(table: PaperArm | FreeArm | SeriesArm, folder: Path) -> NamedArm:
+    """The arm of a table; paths of force models start at the folder."""
+    design, files = table.build(folder)
+    question = question_about_arm(segments_of(design)[0])
+    if question is not None:
+        raise ValueError(f'{question} A text with a unit, such as "50 mm", is understood')
+    return NamedArm(table.name, design, files if any(files) else ())

@@ -11,7 +11,7 @@ from torcharm.design.scatter import SOURCE_WORDS
 from torcharm.design.tolerance_result import BuiltArms
 from torcharm.inputs import three_digits
 from torcharm.study.data import NamedArm, NamedTask
-from torcharm.study.results import MM
+from torcharm.study.results import MM, file_columns
 
 
 @dataclass(frozen=True)
@@ -69,12 +69,8 @@ def sobol_words(built: BuiltArms) -> str:
 def built_rows(found: Sequence[BuiltStudy]) -> Iterator[dict[str, Any]]:
     """A row for each arm, task and load."""
     for one in found:
-        columns = one.built.to_dict()
-        for load in columns.pop("task"):
-            row: dict[str, Any] = {"arm": one.arm.name, "task": one.task.name, "load": load + 1}
-            for name, values in columns.items():
-                unit = "_mm" if "tip_error" in name else "_N" if "margin" in name else ""
-                value = values[load] * (MM if unit == "_mm" else 1.0)
-                row[f"{name}{unit}"] = value if math.isfinite(value) else None
-            row |= {"samples": len(one.built.tip_error), "stopped": one.built.stopped}
-            yield row
+        columns = file_columns(one.arm, one.built.to_dict())
+        more = {"samples": len(one.built.tip_error), "stopped": one.built.stopped}
+        for load, *values in zip(*columns.values(), strict=True):
+            lead = {"arm": one.arm.name, "task": one.task.name, "load": load + 1}
+            yield lead | dict(zip(list(columns)[1:], values, strict=True)) | more

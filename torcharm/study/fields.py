@@ -2,30 +2,33 @@
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import NoneType, UnionType
-from typing import Annotated, Any, ClassVar, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    TypeAdapter,
+    ValidationError,
+    model_validator,
+)
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from torcharm.inputs import hint
 
-Read = TypeVar("Read", bound=BaseModel)
-
 
 def refuse(text: str, key: str = "") -> PydanticCustomError:
     """An error about the value in hand, or about one of its keys."""
     return PydanticCustomError("study", "{text}", {"text": text, "key": key})
-
-
-def ask(field: str, question: str | None, more: str = "") -> None:
-    """Raise a ValueError about a field of which there is a question: a value that makes sense in other units only."""
-    if question is not None:
-        raise ValueError(f"{field}: {question}{more}")
 
 
 def shown_value(value: object) -> str:
@@ -55,58 +58,62 @@ class Check(BeforeValidator):
     allowed: Sequence[str] = ()
 
 
+def must_be(what: str, good: Callable[[Any], object], allowed: Sequence[str] = ()) -> Check:
+    """A value that passes a test, and in words what it must be; the word that was meant is told, if one is near."""
+
+    def check(value: Any) -> Any:
+        if not good(value):
+            raise refuse(f"must be {what}, got {shown_value(value)}{hint(value, allowed)}")
+        return value
+
+    return Check(check, words=what, allowed=allowed)
+
+
 def one_of(allowed: Sequence[str]) -> Check:
     """One of the words allowed."""
-
-    def check(value: Any) -> Any:
-        if not isinstance(value, str) or value not in allowed:
-            raise refuse(f"must be one of {', '.join(allowed)}, got {shown_value(value)}{hint(value, allowed)}")
-        return value
-
     words = f"one of {', '.join(allowed)}" if len(allowed) > 1 else f'the word "{allowed[0]}"'
-    return Check(check, words=words, allowed=allowed)
+    return must_be(words, lambda value: isinstance(value, str) and value in allowed, allowed)
 
 
-def entries(*names: str, other: Sequence[str] = ()) -> Check:
-    """A list with an entry for each name, or for each of some other names."""
-    forms = [list(names)] + ([list(other)] if len(other) not in (0, len(names)) else [])
-
-    def check(value: Any) -> Any:
-        if not isinstance(value, list) or len(value) not in [len(form) for form in forms]:
-            words = " or ".join(f"a list of {len(form)}, [{', '.join(form)}]," for form in forms)
-            raise refuse(f"must be {words} got {shown_value(value)}")
-        return value
-
-    return Check(check, words=f"a list [{', '.join(names)}]")
+def entries(*forms: Sequence[str]) -> Check:
+    """A list with an entry for each name of one of some forms."""
+    what = ", or ".join(f"a list of {len(form)}, [{', '.join(form)}]" for form in forms)
+    return must_be(what, lambda value: isinstance(value, list) and len(value) in map(len, forms))
 
 
 def filled(what: str) -> Check:
     """A list with at least one entry."""
-
-    def check(value: Any) -> Any:
-        if not isinstance(value, list) or not value:
-            raise refuse(f"must be {what}, got {shown_value(value)}")
-        return value
-
-    return Check(check, words=what)
-
-
-def check_name(value: Any) -> Any:
-    """A name: a text of one line that is not blank."""
-    if not isinstance(value, str) or not value.strip() or not value.isprintable():
-        raise refuse(f"must be a text of one line that is not blank, got {shown_value(value)}")
-    return value
+    return must_be(what, lambda value: isinstance(value, list) and value)
 
 
 def either(what: str, *kinds: type) -> Check:
-    """A value of one of some kinds, which are told in words."""
+    """A value of one of some kinds."""
+    return must_be(what, lambda value: isinstance(value, kinds) and not isinstance(value, bool))
+
+
+def checked(mistake: Callable[[Any], str | None]) -> AfterValidator:
+    """A value as it was read, unless a function tells what is wrong with it."""
 
     def check(value: Any) -> Any:
-        if not isinstance(value, kinds) or isinstance(value, bool):
-            raise refuse(f"must be {what}, got {shown_value(value)}")
+        if (words := mistake(value)) is not None:
+            raise refuse(words)
         return value
 
-    return Check(check, words=what)
+    return AfterValidator(check)
+
+
+def chosen(choose: Callable[[Any], str], forms: Mapping[str, Any]) -> Any:
+    """The type of a value of one of some forms, which a function chooses by name.
+
+    pydantic puts the names into the path of an error, and the brackets tell them from keys there.
+    """
+    tagged = tuple(Annotated[form, Tag(f"<{name}>")] for name, form in forms.items())
+    return Annotated[Union[tagged], Discriminator(lambda value: f"<{choose(value)}>")]  # noqa: UP007
+
+
+def one_or_list(one: Any, many: Any) -> Any:
+    """The type of one value or of a list."""
+    return chosen(lambda value: "list" if isinstance(value, list) else "other", {"list": many, "other": one})
 
 
 def one_key(*keys: str) -> BeforeValidator:
@@ -122,13 +129,18 @@ def one_key(*keys: str) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-def by_kinds(*models: "type[Table]") -> Any:
-    """The type of a table of one of some models, which its kind chooses: of those that the models allow.
+def by_key(models: "Mapping[str, type[Table]]") -> Any:
+    """The type of a table of one of some models, which is chosen by the key that it has of theirs."""
 
-    pydantic puts tags into the path of an error, and the brackets tell them from keys there.
-    """
-    tags = {kind: f"<{model.__name__}>" for model in models for kind in _kinds_of(model)}
-    kinds = list(tags)
+    def name(value: Any) -> str:
+        return next((key for key in models if isinstance(value, dict) and key in value), next(iter(models)))
+
+    return Annotated[chosen(name, models), one_key(*models)]
+
+
+def by_kinds(*models: "type[Table]") -> Any:
+    """The type of a table of one of some models, which its kind chooses: of those that the models allow."""
+    kinds = {kind: model for model in models for kind in _kinds_of(model)}
 
     def check(value: Any) -> Any:
         if not isinstance(value, dict):
@@ -142,27 +154,19 @@ def by_kinds(*models: "type[Table]") -> Any:
             raise refuse(f"must be one of {', '.join(kinds)}, got {shown_value(kind)}{meant}", "kind")
         return value
 
-    choices = tuple(Annotated[model, Tag(f"<{model.__name__}>")] for model in models)
-    union = Union[choices]  # type: ignore[valid-type]  # noqa: UP007
-    return Annotated[union, Discriminator(lambda value: tags[value["kind"]]), BeforeValidator(check)]
+    return Annotated[chosen(lambda value: str(value["kind"]), kinds), BeforeValidator(check)]
 
 
 def _kinds_of(model: "type[Table]") -> Sequence[str]:
     return next(part.allowed for part in model.model_fields["kind"].metadata if isinstance(part, Check))
 
 
-def one_or_list(one: Any, many: Any, words: str = "", *kinds: type) -> Any:
-    """The type of one value or of a list; words say what these are that a study may have, of which kinds."""
-    tagged = Annotated[many, Tag("<list>")] | Annotated[one, Tag("<other>")]
-    tag = Discriminator(lambda value: "<list>" if isinstance(value, list) else "<other>")
-    return Annotated[tagged, tag, *([either(words, *kinds)] if words else [])]
-
-
-def by_key(*keys: str) -> Discriminator:
-    """The tags of tables by the first of some keys that they have, or <without> any."""
-    return Discriminator(
-        lambda value: next((f"<{key}>" for key in keys if isinstance(value, dict) and key in value), "<without>")
-    )
+def listed(key: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """The path of a value and itself, or those of each of a list."""
+    if isinstance(value, list):
+        yield from ((field_path([key, index]), one) for index, one in enumerate(value))
+    else:
+        yield key, value
 
 
 @dataclass(frozen=True)
@@ -219,13 +223,21 @@ def _words(kind: Any, metadata: Sequence[Any]) -> str:
 
 
 _TYPES = {float: "a number", int: "a whole number", bool: "true or false", str: "a text in quotes"}
-_BOUNDS = {"gt": "above {gt:g}", "ge": "at least {ge:g}", "lt": "below {lt}", "le": "at most {le}"}
+_BOUNDS = {"gt": "above {gt:g}", "ge": "at least {ge:g}", "lt": "below {lt:.15g}", "le": "at most {le:.15g}"}
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Seed = Annotated[int, Field(ge=0, lt=2**32)]
-Name = Annotated[str, Check(check_name, words="a text of one line")]
-Range = Annotated[list[float], entries("lowest", "highest")]
+Name = Annotated[
+    str,
+    must_be(
+        "a text of one line that is not blank",
+        lambda value: isinstance(value, str) and value.strip() and value.isprintable(),
+    ),
+]
+ENDS = entries(("lowest", "highest"))
+ORDERED = checked(lambda ends: None if ends[0] < ends[1] else f"must be [lowest, highest], got {shown_value(ends)}")
+Range = Annotated[list[float], ENDS, ORDERED]
 
 # Messages
 
@@ -236,21 +248,20 @@ _ALLOWED |= dict(zip(_COMPARED, _BOUNDS.values(), strict=True))
 """By pydantic's names of errors."""
 
 
-def first_mistake(error: ValidationError, raw: Mapping[str, Any]) -> str:
-    """`path: what is allowed, what was given` of the first of pydantic's errors."""
-    mistake = error.errors(include_url=False)[0]
+def validated(kind: Any, value: Any, within: Sequence[int | str] = ()) -> Any:
+    """What is read from a value of some type at a path.
+
+    Raises:
+        ValueError: `path: what is allowed, what was given` of the first mistake.
+    """
+    try:
+        return TypeAdapter(kind).validate_python(value)
+    except ValidationError as error:
+        mistake = error.errors(include_url=False)[0]
     context = mistake.get("ctx", {})
     keys = [part for part in mistake["loc"] if not str(part).startswith("<")]
-    path = [*keys, context["key"]] if context.get("key") else keys
-    return f"{field_path(path)}: {_what_is_wrong(mistake, context)}{_whose(keys, raw)}"
-
-
-def validated(model: type[Read], table: Mapping[str, Any]) -> Read:
-    """What a study that holds the table reads; a ValueError tells the first of its mistakes."""
-    try:
-        return model.model_validate(table)
-    except ValidationError as error:
-        raise ValueError(one_line(first_mistake(error, table))) from None
+    path = [*within, *keys, *filter(None, [context.get("key")])]
+    raise ValueError(one_line(f"{field_path(path)}: {_what_is_wrong(mistake, context)}{_whose(keys, value)}"))
 
 
 def _what_is_wrong(mistake: ErrorDetails, context: Mapping[str, Any]) -> str:

@@ -2,7 +2,6 @@
 
 import textwrap
 from collections.abc import Iterator
-from types import NoneType
 from typing import Any, get_args, get_origin
 
 from pydantic.fields import FieldInfo
@@ -23,39 +22,28 @@ HEAD = """\
 
 def key_reference() -> str:
     """The text of a study that is valid as it is and holds every key, those that exclude others as comments."""
-    return f"{HEAD}\n" + "\n".join(_Writer().table(StudyTable, "", "", used=True)) + "\n"
+    return f"{HEAD}\n" + "\n".join(_table(StudyTable, "", "", True, set())) + "\n"
 
 
-class _Writer:
-    """Writes tables, each model's keys where the model comes first."""
-
-    def __init__(self) -> None:
-        self._known: set[type] = set()
-
-    def table(self, model: type[Table], path: str, brackets: str, used: bool) -> Iterator[str]:
-        """The lines of a table: its heading, its keys, and the tables in it."""
-        self._known.update(model.__mro__)  # a model with all keys of another stands for that, too
-        mark = "" if used else "#"
-        if path:
-            yield ""
-            yield from _comment(model.__doc__ or "")
-            yield f"{mark}{brackets}{path}{brackets.translate({91: 93})}"
-        inner: list[str] = []
-        for key, field in model.model_fields.items():
-            new = [one for one in _models(field) if one not in self._known]
-            if new:
-                inner += self._tables(new, key, field, path, used)
-            if field.examples or not new:
-                yield from _entry(key, field, mark, instead=bool(new))
-        yield from inner
-
-    def _tables(self, models: list[type[Table]], key: str, field: FieldInfo, path: str, used: bool) -> Iterator[str]:
-        """A key's tables: of a list each model once, or else one model, the others as comments."""
-        listed = _is_list(field)
-        optional = not field.is_required() and field.default is None
-        for index, model in enumerate(models):
-            shown = used and not optional and model.stands_alone and (listed or index == 0)
-            yield from self.table(model, f"{path}.{key}".removeprefix("."), "[[" if listed else "[", shown)
+def _table(model: type[Table], path: str, brackets: str, used: bool, known: set[type]) -> Iterator[str]:
+    """The lines of a table: its heading, its keys, and the tables in it; each model's keys where it comes first."""
+    known.update(model.__mro__)  # a model with all keys of another stands for that, too
+    mark = "" if used else "#"
+    if path:
+        yield ""
+        yield from _comment(model.__doc__ or "")
+        yield f"{mark}{brackets}{path}{brackets.translate({91: 93})}"
+    inner: list[str] = []
+    for key, field in sorted(model.model_fields.items(), key=lambda item: not _is_required(item[1])):
+        new = [one for one in dict.fromkeys(_models(field.annotation)) if one not in known]
+        is_list = any(get_origin(kind) is list for kind in (field.annotation, *get_args(field.annotation)))
+        stands = used and (field.is_required() or field.default is not None)
+        for index, one in enumerate(new):  # of a list each, or else the first, and the others as comments
+            shown = stands and one.stands_alone and (is_list or index == 0)
+            inner += _table(one, f"{path}.{key}".removeprefix("."), "[[" if is_list else "[", shown, known)
+        if field.examples or not new:
+            yield from _entry(key, field, mark, instead=bool(new))
+    yield from inner
 
 
 def _entry(key: str, field: FieldInfo, mark: str, instead: bool) -> Iterator[str]:
@@ -65,7 +53,7 @@ def _entry(key: str, field: FieldInfo, mark: str, instead: bool) -> Iterator[str
         instead: whether a table serves instead, so that all examples are alternatives.
     """
     examples = list(field.examples or ())
-    if field.is_required() or any(isinstance(part, Needed) for part in field.metadata):
+    if _is_required(field):
         default, values = "Required.", [] if instead else examples[:1]
         others = examples[len(values) :]
     elif field.default is None:
@@ -80,23 +68,17 @@ def _entry(key: str, field: FieldInfo, mark: str, instead: bool) -> Iterator[str
     yield from (f"#{key} = {toml_value(value)}" for value in others)
 
 
+def _is_required(field: FieldInfo) -> bool:
+    return field.is_required() or any(isinstance(part, Needed) for part in field.metadata)
+
+
 def _comment(text: str) -> list[str]:
     return textwrap.wrap(text, WIDTH, initial_indent="# ", subsequent_indent="# ", break_long_words=False)
 
 
-def _models(field: FieldInfo) -> list[type[Table]]:
-    """The models of which a key's tables may be, each once."""
-    return list(dict.fromkeys(_found(field.annotation)))
-
-
-def _found(kind: Any) -> Iterator[type[Table]]:
+def _models(kind: Any) -> Iterator[type[Table]]:
+    """The models of which a key's tables may be."""
     if isinstance(kind, type) and issubclass(kind, Table):
         yield kind
     for part in get_args(kind):
-        yield from _found(part)
-
-
-def _is_list(field: FieldInfo) -> bool:
-    kind = field.annotation
-    given = [part for part in get_args(kind) if part is not NoneType]
-    return get_origin(given[0] if NoneType in get_args(kind) and len(given) == 1 else kind) is list
+        yield from _models(part)

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from torcharm.files import atomic_write, is_stream, plain_cell
 from torcharm.inputs import HoldsTensors
 from torcharm.pressure.search import PressureSearch
 from torcharm.study.data import NamedArm, NamedTask, Settings, Study
+from torcharm.workspaces import Workspace
 from torcharm.wrench_sets.node_distances import METRICS
 
 RESULT_FORMATS = ("csv", "json")
@@ -140,7 +142,7 @@ def _example(result: StudyResult) -> tuple[int, str, str] | None:
     return index + 1, most, reasons[index]
 
 
-def write_results(path: str | PathLike[str], results: Sequence[StudyResult], ending: str | None = None) -> int:
+def write_results(path: str | PathLike[str], results: Sequence[StudyResult]) -> int:
     """Write a row for every arm, task and load by `write_rows`; returns their number.
 
     Columns: arm; task; load, counted from 1; force_x_N, force_y_N and moment_Nm at the tip (in space six); verdict and
@@ -154,10 +156,10 @@ def write_results(path: str | PathLike[str], results: Sequence[StudyResult], end
         ValueError: the ending is none of `RESULT_FORMATS`.
         OSError: the file cannot be written.
     """
-    return write_rows(path, [row for result in results for row in result_rows(result)], ending)
+    return write_rows(path, [row for result in results for row in result_rows(result)])
 
 
-def write_rows(path: str | PathLike[str], rows: Sequence[Mapping[str, Any]], ending: str | None = None) -> int:
+def write_rows(path: str | PathLike[str], rows: Sequence[Mapping[str, Any]]) -> int:
     """Write the rows of a table, as CSV or JSON by its ending; returns their number. All commands write by it.
 
     The file appears whole, and what was there stays if it cannot be written. In CSV, texts that a spreadsheet would
@@ -168,92 +170,98 @@ def write_rows(path: str | PathLike[str], rows: Sequence[Mapping[str, Any]], end
     forces in N and moments in Nm.
 
     Args:
-        path: of the file.
+        path: of the file; a stream gets CSV.
         rows: cells by the names of their columns, which need not be the same in all rows.
-        ending: by which the format is chosen; None takes that of the path.
 
     Raises:
         ValueError: the ending is none of `RESULT_FORMATS`.
         OSError: the file cannot be written.
     """
-    json_wanted = check_format(path if ending is None else f"results{ending}") == "json"
-    text = f"{json.dumps(list(rows), indent=1)}\n" if json_wanted else csv_text(rows)
-    with atomic_write(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
-        file.write(text)
+    ending = "csv" if is_stream(path) else Path(path).suffix.lower().removeprefix(".")
+    if ending not in RESULT_FORMATS:
+        raise ValueError(f"{path}: must end in .{' or .'.join(RESULT_FORMATS)}, got {ending or 'no ending'}")
+    text = f"{json.dumps(list(rows), indent=1)}\n" if ending == "json" else csv_text(rows)
+    with atomic_write(path) as partial:
+        partial.write_text(text, encoding="utf-8", newline="")
     return len(rows)
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
     """The rows of a table as the text of a CSV file, as `write_rows` has it."""
-    header = list(dict.fromkeys(name for row in rows for name in row))
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows([_cell(row.get(name)) for name in header] for row in rows)
+    writer = csv.DictWriter(text, list(dict.fromkeys(name for row in rows for name in row)), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
     return text.getvalue()
 
 
-def check_format(path: str | PathLike[str]) -> str:
-    """The format of a file of results by its ending; a stream gets CSV.
-
-    Raises:
-        ValueError: it ends as none of `RESULT_FORMATS`.
-    """
-    ending = Path(path).suffix.lower().removeprefix(".")
-    if is_stream(path):
-        return "csv"
-    if ending not in RESULT_FORMATS:
-        raise ValueError(f"{path}: must end in .{' or .'.join(RESULT_FORMATS)}, got {ending or 'no ending'}")
-    return ending
-
-
-def result_rows(result: StudyResult, first: int = 1) -> Iterator[dict[str, Any]]:
-    """A row for each load, with the columns of `write_results`; None where there is no value.
-
-    Args:
-        result: of one arm on one task.
-        first: the number of the first load, where the task is a part of another.
-    """
+def result_rows(result: StudyResult) -> Iterator[dict[str, Any]]:
+    """A row for each load, with the columns of `write_results`; None where there is no value."""
     found, task = result.attainability, result.task.task
-    columns: dict[str, Sequence[Any]] = {"load": range(first, first + result.loads)}
+    columns = found.to_dict()
     tip = task.tip_load.detach().expand(*task.batch_shape, -1).reshape(result.loads, -1)
-    columns |= dict(zip(LOADS[tip.shape[-1]], tip.mT.tolist(), strict=True))
-    words = result.verdicts
-    if words is not None:
-        columns |= {"verdict": words}
-    columns |= {"reason": result.reasons}
-    for _, name, unit, scale in ERRORS:
-        value = getattr(found, name)
-        if value is not None:
-            columns |= {f"{name}_{unit}": _numbers(scale * value)}
-    if found.node_miss is not None and found.worst_node is not None and found.worst_miss is not None:
-        known = (found.worst_miss > 0) & found.worst_miss.isfinite()
-        node = (found.worst_node + 1).flatten().tolist()
-        columns |= {"worst_node": [n if k else None for n, k in zip(node, known.flatten().tolist(), strict=True)]}
-        columns |= {"worst_miss_N": _numbers(found.worst_miss)}
-    for name in (*METRICS, "capacity_margin"):
-        value = getattr(found, name)
-        if value is not None:
-            columns |= {f"{name}_N": _numbers(value)}
-    columns |= {"in_range": found.in_range.flatten().tolist(), "strain_excess": _numbers(found.strain_excess)}
-    columns |= {"status": [str(word) for word in np.ravel(np.asarray(found.status))]}
-    if found.prediction is not None:
-        stable = found.prediction.stable.reshape(-1).tolist()
-        pressures = pressure_columns(result.arm, found.prediction.pressure.detach().reshape(result.loads, -1))
-        for name, pressure in pressures.items():
-            columns |= {name: [one if stays else None for one, stays in zip(pressure.tolist(), stable, strict=True)]}
-    for values in zip(*columns.values(), strict=True):
-        yield {"arm": result.arm.name, "task": result.task.name, **dict(zip(columns, values, strict=True))}
+    lead: dict[str, Sequence[Any]] = dict(zip(LOADS[tip.shape[-1]], tip.mT.tolist(), strict=True))
+    lead |= {name: columns.pop(name) for name in ("verdict", "reason") if name in columns}
+    columns = {name: values for name, values in columns.items() if name not in ("design", "task", "impossible")}
+    if "worst_node" in columns:
+        pairs = zip(columns["worst_node"], columns["worst_miss"], strict=True)
+        columns["worst_node"] = [node + 1 if 0 < miss < math.inf else None for node, miss in pairs]
+    columns = file_columns(result.arm, columns)
+    stable = [] if found.prediction is None else found.prediction.stable.flatten().tolist()
+    for load, values in enumerate(zip(*lead.values(), *columns.values(), strict=True)):
+        row = dict(zip((*lead, *columns), values, strict=True))
+        if stable and not stable[load]:
+            row |= dict.fromkeys(name for name in row if name.startswith("pressure_"))
+        yield {"arm": result.arm.name, "task": result.task.name, "load": load + 1} | row
 
 
-def pressure_columns(arm: NamedArm, pressure: Tensor) -> dict[str, Tensor]:
-    """Pressures (L, M) [kPa] of the actuators that are driven, by the names of their columns; numbered from 1."""
-    limits = arm.design.max_pressure.tolist()
-    return {
-        f"pressure_{index}_kPa": own
-        for index, (own, limit) in enumerate(zip(pressure.mT, limits, strict=True), 1)
-        if limit > 0
-    }
+NOWHERE = ("not converged", "impossible")
+"""States without an equilibrium: their tips are nowhere."""
+
+
+def workspace_rows(arm: NamedArm, found: Workspace) -> Iterator[dict[str, Any]]:
+    """A row for each state of an arm, numbered from 1.
+
+    Columns: arm; state; tip_x_mm, tip_y_mm and, in space, tip_z_mm; in the plane heading_deg, in space elevation_deg,
+    of the tip's axis above the horizontal; status and strain_excess, as in `Workspace`; payload_factor, where there is
+    a payload; pressure_1_kPa and so on, one for each actuator that is driven.
+    """
+    names = {"tip_angle": "heading" if found.dimension == 2 else "elevation"}
+    columns = file_columns(arm, {names.get(name, name): values for name, values in found.to_dict().items()})
+    places = [name for name in columns if name.endswith(("_mm", "_deg"))]
+    for state, values in enumerate(zip(*columns.values(), strict=True), 1):
+        row = {"arm": arm.name, "state": state, **dict(zip(columns, values, strict=True))}
+        yield row | (dict.fromkeys(places) if row["status"] in NOWHERE else {})
+
+
+def file_columns(arm: NamedArm, columns: Mapping[str, Sequence[Any]]) -> dict[str, list[Any]]:
+    """Columns of a result's `to_dict` as files have them: each in the unit that its name ends in.
+
+    What is not finite is None, as JSON has no other word for it. Pressures are those of driven actuators alone.
+    """
+    limits, found = arm.design.max_pressure.tolist(), {}
+    passive = {f"pressure_{index}" for index, limit in enumerate(limits, 1) if limit <= 0}
+    for name, values in columns.items():
+        if name in passive:
+            continue
+        unit, scale = next((unit for part, unit in UNITS.items() if part in name), ("", 1.0))
+        found[f"{name}_{unit}" if unit else name] = [_plain(value, scale) for value in values]
+    return found
+
+
+UNITS = {
+    **dict.fromkeys(("rotation", "heading", "elevation"), ("deg", DEG)),
+    **dict.fromkeys(("error", "tip_x", "tip_y", "tip_z"), ("mm", MM)),
+    **dict.fromkeys(("absolute", "relative", "miss", "margin"), ("N", 1.0)),
+    "pressure": ("kPa", 1.0),
+}
+"""By a part of what a result calls a column the unit of a file's, and how many there are in that of the result."""
+
+
+def _plain(value: Any, scale: float) -> Any:
+    if not isinstance(value, float):
+        return value
+    return scale * value if math.isfinite(value) else None
 
 
 LOADS = {
@@ -263,19 +271,12 @@ LOADS = {
 """Columns of a tip load, by its number of components."""
 
 
-def _numbers(value: Tensor) -> list[float | None]:
-    """In a row; what is not finite is None, as JSON has no other word for it."""
-    return [number if np.isfinite(number) else None for number in _flat(value).tolist()]
-
-
 def _flat(value: Tensor) -> NDArray[Any]:
     return value.detach().cpu().numpy().ravel()
 
 
 def _cell(value: Any) -> Any:
-    """As CSV has it."""
-    if value is None:
-        return ""
+    """As CSV has it, which leaves None empty."""
     if isinstance(value, bool):
         return str(value).lower()
     return plain_cell(value) if isinstance(value, str) else value

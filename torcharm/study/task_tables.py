@@ -1,63 +1,85 @@
-"""What the tables of a study's tasks may hold, each value by itself."""
+"""What the tables of a study's tasks may hold, and the tasks that come of them."""
 
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, ClassVar
 
-from pydantic import AfterValidator, Discriminator, Field, Tag
+import torch
+from pydantic import Field
+from torch import Tensor
 
-from torcharm.geometry.rod import HANGING, HEADINGS
-from torcharm.load import FRAMES
+from torcharm.attainability.questions import question_about_shape
+from torcharm.geometry.rod import HANGING
+from torcharm.load import FRAMES, ExternalLoad, PointLoad
 from torcharm.shapes import affine_curvature, constant_curvature, cubic_curvature, helix
+from torcharm.statics.balance import segments_of
 from torcharm.study.arm_tables import NamedTable, Names, name_as
+from torcharm.study.data import NamedArm, NamedTask
 from torcharm.study.fields import (
-    Check,
     Name,
     Seed,
     Table,
     by_key,
     by_kinds,
+    checked,
     either,
-    entries,
+    field_path,
     filled,
-    one_key,
+    listed,
+    must_be,
     one_of,
     one_or_list,
-    refuse,
     shown_value,
+    within,
 )
-from torcharm.study.units import Angle, Load, Mass, Pose, Position, PositiveLength, Twist
-from torcharm.task import WRENCH_PLACES
+from torcharm.study.pose_tables import BasePose, check_columns, read_base
+from torcharm.study.units import Angle, Load, Mass, PositiveLength, Twist
+from torcharm.task import WRENCH_PLACES, Task, sample_loads
 
-_length: Any = Field(default=0.5, description="Length of the centreline.", examples=["490 mm"])
-_nodes: Any = Field(default=10, description="Elements into which the arm, or its segment, is divided.")
-_direction: Any = Field(
-    default=None,
-    description="Direction across the arm to which it bends, from its left (y) towards z; for a shape in space that is "
-    "not straight.",
-    examples=["90 deg"],
-)
-Nodes = Annotated[int, Field(ge=1, le=10_000)]
+SHAPE_IS = {3: "in the plane, as the shape is (a direction makes it one in space)", 6: "in space, as the shape is"}
+"""By the number of columns of a shape, why what stands beside it must be in the plane or in space."""
 
 
-class AffineShape(Table):
+class ShapeTable(Table):
+    """The centreline of an arm, or of one of its segments.
+
+    Class attributes:
+        make: what makes the shape of the other keys.
+    """
+
+    make: ClassVar[Callable[..., Tensor]]
+    kind: str
+    length: PositiveLength = Field(default=0.5, examples=["490 mm"])
+    """Length of the centreline."""
+    nodes: Annotated[int, Field(ge=1, le=10_000)] = 10
+    """Elements into which the arm, or its segment, is divided."""
+    direction: Angle | None = Field(default=None, examples=["90 deg"])
+    """Direction across the arm to which it bends, from its left (y) towards z; for a shape in space that is not
+    straight."""
+
+    def twists(self, in_space: bool) -> Tensor:
+        """Of one segment; what is straight bends to no direction, and needs none to be in space."""
+        given = self.model_dump(exclude={"kind"})
+        twists = self.make(**given)
+        straight = twists.shape[-1] == 3 and not bool(twists[:, 2].any())
+        return self.make(**given | {"direction": 0.0}) if in_space and straight else twists
+
+
+class AffineShape(ShapeTable):
     """A shape whose curvature is affine in the arc s, from 0 at the base to 1 at the tip."""
 
-    twists: ClassVar[Any] = staticmethod(affine_curvature)
-    """What makes the shape of the other keys."""
+    make: ClassVar[Callable[..., Tensor]] = staticmethod(affine_curvature)
     kind: Annotated[str, one_of(("affine",))] = Field(examples=["affine"])
     """That it is such a shape."""
     slope: Angle = Field(examples=[0.0])
     """Change of the curvature from base to tip."""
     intercept: Angle = Field(examples=[1.0, "60 deg"])
     """Curvature at the base."""
-    length: PositiveLength = _length
-    nodes: Nodes = _nodes
-    direction: Angle | None = _direction
 
 
 class CubicShape(AffineShape):
     """A shape of curvature cubic s³ + quadratic s² + slope s + intercept."""
 
-    twists: ClassVar[Any] = staticmethod(cubic_curvature)
+    make: ClassVar[Callable[..., Tensor]] = staticmethod(cubic_curvature)
     kind: Annotated[str, one_of(("cubic",))] = Field(examples=["cubic"])
     """That it is such a shape."""
     cubic: Angle = Field(examples=[4.0])
@@ -66,54 +88,36 @@ class CubicShape(AffineShape):
     """Factor of s²."""
 
 
-class ConstantShape(Table):
+class ConstantShape(ShapeTable):
     """An arc of a circle."""
 
-    twists: ClassVar[Any] = staticmethod(constant_curvature)
+    make: ClassVar[Callable[..., Tensor]] = staticmethod(constant_curvature)
     kind: Annotated[str, one_of(("constant",))] = Field(examples=["constant"])
     """That it is such a shape."""
     curvature: Angle = Field(examples=["60 deg"])
     """Angle by which it turns from base to tip."""
-    length: PositiveLength = _length
-    nodes: Nodes = _nodes
-    direction: Angle | None = _direction
 
 
-class HelixShape(Table):
+class HelixShape(ShapeTable):
     """A helix in space: its bend goes round the backbone, which does not twist."""
 
-    twists: ClassVar[Any] = staticmethod(helix)
+    make: ClassVar[Callable[..., Tensor]] = staticmethod(helix)
     kind: Annotated[str, one_of(("helix",))] = Field(examples=["helix"])
     """That it is such a shape."""
     curvature: Angle = Field(examples=["90 deg"])
     """Of the centreline, times its length."""
     torsion: Angle = Field(examples=["180 deg"])
     """Angle by which the bend goes round."""
-    length: PositiveLength = _length
-    nodes: Nodes = _nodes
     direction: Angle = 0.0
     """Direction to which it bends at the base, from the arm's left (y) towards z."""
 
 
-ShapeTable: Any = by_kinds(AffineShape, CubicShape, ConstantShape, HelixShape)
-ShapesTable: Any = one_or_list(
-    ShapeTable, Annotated[list[ShapeTable], filled("a list of shapes, one for each segment")]
-)
+AnyShape: Any = by_kinds(AffineShape, CubicShape, ConstantShape, HelixShape)
+ShapesTable: Any = one_or_list(AnyShape, Annotated[list[AnyShape], filled("a list of shapes, one for each segment")])
 
 
-def _check_not_negative(value: list[float]) -> list[float]:
-    if min(value) < 0:
-        raise refuse(f"must be numbers of at least 0, got {shown_value(value)}")
-    return value
-
-
-_SHARE = "a share of its segment, a number from 0 (start) to 1 (end)"
-
-
-def _check_share(value: Any) -> Any:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
-        raise refuse(f"must be {_SHARE}, got {shown_value(value)}")
-    return value
+def _negative(value: list[float]) -> str | None:
+    return f"must be numbers of at least 0, got {shown_value(value)}" if min(value) < 0 else None
 
 
 class DrawnLoads(Table):
@@ -121,99 +125,60 @@ class DrawnLoads(Table):
 
     count: Annotated[int, Field(ge=1, le=1_000_000)] = Field(examples=[40])
     """How many."""
-    scale: Annotated[Load, AfterValidator(_check_not_negative)] = Field(
-        default=[20.0, 20.0, 2.0], examples=[[4.0, 4.0, 0.4]]
-    )
+    scale: Annotated[Load, checked(_negative)] = Field(default=[20.0, 20.0, 2.0], examples=[[4.0, 4.0, 0.4]])
     """The width in which each component lies, at least 0; in space six."""
     seed: Seed = 100
     """Of the draw: the same gives the same loads."""
 
 
-LoadsTable: Any = one_or_list(
-    DrawnLoads,
-    Annotated[list[Load], filled("at least one load [f_x, f_y, m]")],
-    "a list of [f_x, f_y, m], in space of six, or a table with count, scale and seed",
-    *(list, dict),
-)
-At = Annotated[float, Check(_check_share, words=_SHARE)]
-_at: Any = Field(default=1.0, description="Place on its segment, as a share of its length.", examples=[0.5])
-_segment: Any = Field(
-    default=None,
-    description="Number of the segment on which it sits, from the base on; without it the last.",
-    examples=[1],
-)
+LoadsTable: Any = Annotated[
+    one_or_list(DrawnLoads, Annotated[list[Load], filled("at least one load [f_x, f_y, m]")]),
+    either("a list of [f_x, f_y, m], in space of six, or a table with count, scale and seed", list, dict),
+]
 _Count = Annotated[int, Field(ge=1)]
+_Share = Annotated[
+    float,
+    must_be(
+        "a share of its segment, a number from 0 (start) to 1 (end)",
+        lambda value: isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= 1,
+    ),
+]
 
 
-class PayloadTable(Table):
+class PlacedTable(Table):
+    """What sits at a place of the arm."""
+
+    at: _Share = Field(default=1.0, examples=[0.5])
+    """Place on its segment, as a share of its length."""
+    segment: _Count | None = Field(default=None, examples=[1])
+    """Number of the segment on which it sits, from the base on; without it the last."""
+
+    def build(self, segments: int) -> PointLoad:
+        """The load, on an arm of so many segments."""
+        if self.segment is not None and self.segment > segments:
+            raise ValueError(f"segment: must be at most {segments}, the number of them, got {self.segment}")
+        segment = -1 if self.segment is None else self.segment - 1
+        return PointLoad(**self.model_dump(exclude={"segment"}), segment=segment)
+
+
+class PayloadTable(PlacedTable):
     """A mass on the arm, which weighs."""
 
     mass: Mass = Field(examples=["100 g"])
     """How much."""
-    at: At = _at
-    segment: _Count | None = _segment
 
 
-class PointTable(Table):
+class PointTable(PlacedTable):
     """A force and a moment at a place of the arm."""
 
     wrench: Load = Field(examples=[[1.0, 0.0, 0.0]])
     """Force and moment, as of loads."""
-    at: At = _at
-    segment: _Count | None = _segment
     frame: Annotated[str, one_of(FRAMES)] = Field(default="world", examples=["body"])
     """Whether the directions are the world's, or turn with the arm."""
 
 
-class PoseTable(Table):
-    """A pose in space in words: where it is, where it points, and how far it is turned about that."""
-
-    stands_alone: ClassVar[bool] = False
-    position: Position = Field(examples=[["100 mm", "-300 mm", "50 mm"]])
-    """Its place in the world."""
-    direction: Annotated[list[float], entries("x", "y", "z")] = Field(examples=[[0.5, -1.0, 0.2]])
-    """Where the arm's centreline points there, in the world: a vector of any length."""
-    turn: Angle = Field(default=0.0, examples=["30 deg"])
-    """Angle about that direction. At 0 a tip is turned as an arm has it that bends in one plane from its base, and a
-    base as one that hangs and is tilted to the direction."""
-
-
-def _by_form(value: Any) -> str:
-    if isinstance(value, dict | str):
-        return "<table>" if isinstance(value, dict) else "<name>"
-    return "<matrix>" if isinstance(value, list) and any(isinstance(row, list) for row in value) else "<pose>"
-
-
-_Matrix = Annotated[
-    list[Annotated[list[float], entries("x axis", "y axis", "z axis", "position")]],
-    entries("row 1", "row 2", "row 3", "row 4"),
-]
-IN_SPACE = "a table of position, direction and turn, or the four rows of a homogeneous matrix [m]"
-_POSE = f"a list [x, y, θ], or in space {IN_SPACE}"
-_Forms: Any = (
-    Annotated[PoseTable, Tag("<table>")] | Annotated[_Matrix, Tag("<matrix>")] | Annotated[Pose, Tag("<pose>")]
-)
-TipPose: Any = Annotated[_Forms, Discriminator(_by_form), either(_POSE, list, dict)]
-BasePose: Any = Annotated[
-    Annotated[str, one_of(tuple(HEADINGS)), Tag("<name>")] | _Forms,
-    Discriminator(_by_form),
-    either(f"{', '.join(HEADINGS)}, {_POSE}", str, list, dict),
-]
-base_pose: Any = Field(
-    default=HANGING,
-    description="Where the arm's base is: hanging, upright or horizontal at the origin; in the plane a list [x, y, θ] "
-    "of its place and heading, in space a table, or the four rows of a homogeneous matrix.",
-    examples=[
-        "upright",
-        [0.0, 0.0, "-90 deg"],
-        {"position": [0.0, "20 mm", 0.0], "direction": [1.0, -1.0, 0.0]},
-        [[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]],
-    ],
-)
-
-
 class WeighedTable(NamedTable):
-    """What is loaded along the arm."""
+    """What has a base, and is loaded along the arm."""
 
     gravity: bool = Field(default=False, examples=[True])
     """Whether arm, links and payloads weigh: 9.81 m/s² down (-y)."""
@@ -223,32 +188,119 @@ class WeighedTable(NamedTable):
         default=None, examples=[[{"wrench": [1.0, 0.0, 0.0], "at": 0.5, "frame": "body"}]]
     )
     """Further forces and moments, along the arm."""
+    base_pose: BasePose = Field(
+        default=HANGING,
+        examples=[
+            "upright",
+            [0.0, 0.0, "-90 deg"],
+            {"position": [0.0, "20 mm", 0.0], "direction": [1.0, -1.0, 0.0]},
+            [[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]],
+        ],
+    )
+    """Where the arm's base is: hanging, upright or horizontal at the origin; in the plane a list [x, y, θ] of its place
+    and heading, in space a table, or the four rows of a homogeneous matrix."""
+    arms: Names | None = Field(default=None, examples=[["paper", "own"]])
+    """The arms that it is for. Without it, all; of a plan, all in the plane or in space as tip_pose is."""
+
+    def load(self, tip: Any, columns: int, segments: int, why: Mapping[int, str]) -> ExternalLoad:
+        """What loads an arm of so many segments, by wrenches of so many components for a reason of their number."""
+        if self.payloads and not self.gravity:
+            raise ValueError("gravity: must be true where there are payloads, which it gives their weight, got false")
+        points = []
+        for path, one in (*listed("payloads", self.payloads or []), *listed("points", self.points or [])):
+            with within(path):
+                if isinstance(one, PointTable):
+                    check_columns("wrench", len(one.wrench), columns, why)
+                points.append(one.build(segments))
+        return ExternalLoad(tip, self.gravity, points)
 
 
 class LoadedTable(WeighedTable):
-    """What tasks have beside a shape."""
+    """What tasks have beside a shape.
 
+    Class attributes:
+        shape_key: the key that holds the shape.
+    """
+
+    shape_key: ClassVar[str]
     loads: LoadsTable | None = Field(default=None, examples=[[[0.0, 0.0, 0.0], [1.0, "-200 gf", 0.1]]])
     """Loads at the tip in the world frame, x right, y up and z to the viewer: forces, and the moment; in space six
     numbers. Without it, none."""
-    base_pose: BasePose = base_pose
     wrench_at: Annotated[str, one_of(WRENCH_PLACES)] = Field(default="middle", examples=["start"])
     """Where on its element a node's wrench is taken; the start is the paper's, and less exact."""
-    arms: Names | None = Field(default=None, examples=[["paper", "own"]])
-    """The arms that are to hold it. Without it, all."""
+
+    def segments(self, in_space: bool) -> list[Tensor]:
+        """Twists of each segment; what is straight may be in space or in the plane."""
+        raise NotImplementedError
+
+    def build(self, in_space: bool = False) -> NamedTask:
+        """The task, for arms in space or in the plane."""
+        segments = self.segments(in_space)
+        for twists in segments:
+            if question := question_about_shape(twists):
+                units = 'A text with a unit, such as "48 cm" or "30 deg", is understood'
+                raise ValueError(f"{self.shape_key}: {question} {units}")
+        columns, nodes = segments[0].shape[-1], [len(twists) for twists in segments]
+        task = Task(
+            torch.cat(segments),
+            self._tip_loads(columns),
+            read_base(self.base_pose, columns, SHAPE_IS),
+            self.load(None, columns, len(nodes), SHAPE_IS),
+            self.wrench_at,
+            nodes if len(nodes) > 1 else None,
+        )
+        return NamedTask(self.name, task, tuple(self.arms or ()))
+
+    def _tip_loads(self, columns: int) -> Tensor:
+        """(L, columns)"""
+        if self.loads is None:
+            return torch.zeros(1, columns, dtype=torch.float64)
+        if isinstance(self.loads, DrawnLoads):
+            check_columns("loads.scale", len(self.loads.scale), columns, SHAPE_IS)
+            return sample_loads(self.loads.count, self.loads.scale, self.loads.seed)
+        for path, load in listed("loads", self.loads):
+            check_columns(path, len(load), columns, SHAPE_IS)
+        return torch.tensor(self.loads, dtype=torch.float64)
+
+    def check_fit(self, task: Task, arm: NamedArm) -> None:
+        """Raise a ValueError unless the task's shape has the dimension and the segments of an arm."""
+        name, segments = shown_value(arm.name), len(segments_of(arm.design)[0])
+        if task.dimension != arm.design.dimension:
+            where = "the plane" if arm.design.dimension == 2 else "space (with a direction, or twists of six columns)"
+            raise ValueError(f"{self.shape_key}: must be in {where}, as the arm {name} is, or name its own arms")
+        own = len(task.nodes_of_segments)
+        if own != segments:
+            rows = "rows of which segment_nodes says the number"
+            form = "a list of shapes" if self.shape_key == "shape" else rows
+            raise ValueError(
+                f"{self.shape_key}: must be {form} for each of the {segments} segments of the arm {name}, got {own}"
+            )
 
 
 class ShapedTask(LoadedTable):
     """A task: a shape by name, and the loads to hold it under."""
 
+    shape_key: ClassVar[str] = "shape"
     name: Name = name_as("bend")
     shape: ShapesTable
     """The centreline to hold; of an arm of segments a list, one for each."""
+
+    def segments(self, in_space: bool) -> list[Tensor]:
+        """Twists of each segment."""
+        shapes = self.shape if isinstance(self.shape, list) else [self.shape]
+        in_space = in_space or any(one.direction is not None for one in shapes)
+        segments = [one.twists(in_space) for one in shapes]
+        for index, twists in enumerate(segments):
+            if twists.shape[-1] != segments[0].shape[-1]:
+                path = field_path(["shape", index])
+                raise ValueError(f"{path}.direction: must be given for all segments that bend, or for none")
+        return segments
 
 
 class TwistTask(LoadedTable):
     """A task whose shape is given element by element."""
 
+    shape_key: ClassVar[str] = "twists"
     name: Name = name_as("twists")
     twists: Annotated[list[Twist], filled("a list of [l, γ, κ], one for each node")] = Field(
         examples=[[[0.48, 0.0, 1.0], [0.48, 0.0, "30 deg"], [0.48, 0.0, 0.0]]]
@@ -258,9 +310,16 @@ class TwistTask(LoadedTable):
     segment_nodes: Annotated[list[_Count], filled("a list of numbers")] | None = Field(default=None, examples=[[3]])
     """How many of these each segment has; without it, the arm is one."""
 
+    def segments(self, in_space: bool) -> list[Tensor]:
+        """Twists of each segment."""
+        for path, row in listed("twists", self.twists):
+            check_columns(path, len(row), len(self.twists[0]), SHAPE_IS)
+        twists = torch.tensor(self.twists, dtype=torch.float64)
+        counts = self.segment_nodes or [len(twists)]
+        if sum(counts) != len(twists):
+            given = shown_value(counts)
+            raise ValueError(f"segment_nodes: must sum to the {len(twists)} rows of twists, got {given}")
+        return list(twists.split(counts))
 
-TaskTable = Annotated[
-    Annotated[ShapedTask, Tag("<shape>")] | Annotated[TwistTask, Tag("<without>")],
-    by_key("shape"),
-    one_key("shape", "twists"),
-]
+
+TaskTable: Any = by_key({"shape": ShapedTask, "twists": TwistTask})

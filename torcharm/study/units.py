@@ -1,54 +1,34 @@
 """Numbers of a study file that may be texts with a unit, such as "420 mm" or "30 deg"."""
 
+import difflib
 import re
-from collections.abc import Sequence
 from typing import Annotated, Any
 
 from pydantic import Field
 
-from torcharm.attainability.questions import question_about_pose
-from torcharm.inputs import hint
-from torcharm.study.fields import Check, entries, one_or_list, refuse, shown_value
+from torcharm.attainability.questions import question_about_mass, question_about_pose
+from torcharm.study.fields import ENDS, ORDERED, Check, checked, either, entries, one_or_list, refuse, shown_value
 from torcharm.units import ANGLE, AREA, FORCE, LENGTH, MASS, MOMENT, PRESSURE, SHARE, micro
 
-_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)\s*")
+_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 
 
 def parsed(value: Any, units: dict[str, float]) -> Any:
-    """The number that a text with one of the units stands for; what is no text stays what it is."""
+    """The number that a text stands for, with one of the units or in the first; what is no text stays what it is."""
     if not isinstance(value, str):
         return value
     found = _NUMBER.fullmatch(value)
-    if found is None or micro(found[2]) not in units:
-        near = "" if found is None else _near_unit(found[2], units)
-        raise refuse(f"must be {_in_unit_words(units)}, got {shown_value(value)}{near}")
-    return float(found[1]) * units[micro(found[2])]
+    unit = micro(found[2]) if found else ""
+    if found is None or (unit and unit not in units):
+        raise refuse(f"must be {_in_unit_words(units)}, got {shown_value(value)}{_near_unit(unit, units)}")
+    return float(found[1]) * units.get(unit, 1.0)
 
 
-def _near_unit(text: str, units: dict[str, float]) -> str:
+def _near_unit(unit: str, units: dict[str, float]) -> str:
     """Which unit was meant, if one is near in letters of any case, to end a message with."""
     alike = {unit.lower(): unit for unit in units}
-    near = hint(text.lower(), alike)
-    return next((f"; did you mean {unit}?" for low, unit in alike.items() if near == f"; did you mean {low}?"), "")
-
-
-def numbers_in(text: str, units: Sequence[dict[str, float]]) -> list[float]:
-    """Numbers with commas between them, each with one of its own units behind it or in the first of them.
-
-    Raises:
-        ValueError: they are not as many as there are units, or one is no number or has another unit.
-    """
-    parts = [part.strip() for part in text.split(",")]
-    if len(parts) != len(units):
-        many = f"{len(units)} numbers with commas between them" if len(units) > 1 else "one number"
-        raise ValueError(f"must be {many}, got {text}")
-    found = []
-    for part, own in zip(parts, units, strict=True):
-        try:
-            found.append(float(part))
-        except ValueError:
-            found.append(float(parsed(part, own)))
-    return found
+    near = difflib.get_close_matches(unit.lower(), alike, 1)
+    return f"; did you mean {alike[near[0]]}?" if near else ""
 
 
 def in_unit(units: dict[str, float]) -> Check:
@@ -62,7 +42,7 @@ def _in_unit_words(units: dict[str, float]) -> str:
 
 Angle = Annotated[float, in_unit(ANGLE)]
 Length = Annotated[float, in_unit(LENGTH)]
-Mass = Annotated[float, in_unit(MASS)]
+Mass = Annotated[float, in_unit(MASS), checked(question_about_mass)]
 Area = Annotated[float, in_unit(AREA)]
 Pressure = Annotated[float, in_unit(PRESSURE)]
 NotNegativeForce = Annotated[float, Field(ge=0), in_unit(FORCE)]
@@ -73,13 +53,16 @@ NotNegativeLength = Annotated[float, Field(ge=0), in_unit(LENGTH)]
 PositivePressure = Annotated[float, Field(gt=0), in_unit(PRESSURE)]
 NotNegativePressure = Annotated[float, Field(ge=0), in_unit(PRESSURE)]
 
-_NUMBERS = (int, float, str, list)
-Lengths: Any = one_or_list(PositiveLength, list[PositiveLength], "a number or a list of numbers [m]", *_NUMBERS)
-Limits: Any = one_or_list(
-    NotNegativePressure, list[NotNegativePressure], "a number or a list of numbers [kPa]", *_NUMBERS
-)
-LengthRange = Annotated[list[Length], entries("lowest", "highest")]
-PressureRange = Annotated[list[Pressure], entries("lowest", "highest")]
+
+def _one_or_each(number: Any, unit: str) -> Any:
+    words = f"a number or a list of numbers [{unit}]"
+    return Annotated[one_or_list(number, list[number]), either(words, int, float, str, list)]
+
+
+Lengths: Any = _one_or_each(PositiveLength, "m")
+Limits: Any = _one_or_each(NotNegativePressure, "kPa")
+LengthRange = Annotated[list[Length], ENDS]
+PressureRange = Annotated[list[Pressure], ENDS, ORDERED]
 
 
 def each_in(*forms: dict[str, dict[str, float]]) -> Any:
@@ -93,7 +76,7 @@ def each_in(*forms: dict[str, dict[str, float]]) -> Any:
     own = [", ".join(dict.fromkeys(next(iter(units)) for units in form.values())) for form in forms]
     words = f"a list {', or '.join(lists)} of numbers [{own[0]}] or texts with a unit"
     # What is written last is checked first: the number of entries, then each entry's unit
-    return Annotated[list[float], Check(check, words=words), entries(*forms[0], other=[*forms[-1]])]
+    return Annotated[list[float], Check(check, words=words), entries(*map(list, forms))]
 
 
 WRENCHES = {
@@ -116,8 +99,8 @@ def _ask_of_pose(value: Any) -> Any:
 
 
 _PoseNumbers: Any = each_in({"x": LENGTH, "y": LENGTH, "θ": ANGLE})
-Pose: Any = Annotated[_PoseNumbers, Check(_ask_of_pose)]
-Position: Any = each_in({"x": LENGTH, "y": LENGTH, "z": LENGTH})
+PlanarPose: Any = Annotated[_PoseNumbers, Check(_ask_of_pose)]
+Position: Any = Annotated[each_in({"x": LENGTH, "y": LENGTH, "z": LENGTH}), checked(question_about_pose)]
 Twist: Any = each_in(
     {"l": LENGTH, "γ": LENGTH, "κ": ANGLE},
     {"l": LENGTH, "γ_y": LENGTH, "γ_z": LENGTH, "κ_x": ANGLE, "κ_y": ANGLE, "κ_z": ANGLE},

@@ -28,10 +28,10 @@ from torcharm.geometry.rod import HEADINGS, as_base
 from torcharm.inputs import plain_number, shown
 from torcharm.load import PointLoad
 from torcharm.statics.balance import segments_of
-from torcharm.study.arm_reading import make_actuator
-from torcharm.study.arm_tables import ActuatorTable, NamedTable, SegmentTable
+from torcharm.study.actuator_tables import ActuatorTable
+from torcharm.study.arm_tables import NamedTable, SegmentTable
 from torcharm.study.data import NamedArm, NamedTask, Study
-from torcharm.study.fields import Table, field_path, validated, within
+from torcharm.study.fields import field_path, validated, within
 from torcharm.study.task_tables import TwistTask
 from torcharm.task import Task
 
@@ -213,16 +213,9 @@ def _table(model: Actuator, path: str | None, index: int) -> str | dict[str, Any
     if path is not None:
         return {"kind": "file", "path": path} | _options(model, index)
     for table in _forms(model, index):
-        (read,) = validated(_Actuators, {"actuators": [table]}).actuators
-        if _alike(make_actuator(read, ["actuators", index], Path()), model):
+        if _alike(validated(ActuatorTable, table, ["actuators", index]).build(Path()), model):
             return table if len(table) > 1 else str(table["kind"])
     raise _refusal(index, model)
-
-
-class _Actuators(Table):
-    """Where an arm's table has its force models."""
-
-    actuators: list[ActuatorTable]
 
 
 def _forms(model: Actuator, index: int) -> Iterator[dict[str, Any]]:
