@@ -44,8 +44,6 @@ VISIBLE = 0.006
 BOX, BOX_PLACE = 0.22, (0.45, 0.8)
 """Half the width of the box that shows a set in space, and where its middle is: along the base's heading, and across.
 Shares of the arm's length."""
-
-
 HEAD = 2.5
 """The radius of an arrow's head over that of its shaft; the head is twice as long as it is wide."""
 SHADOWLESS = {"cast_shadow": False, "receive_shadow": False}
@@ -182,9 +180,10 @@ def _tube(skin: Array, colour: Colour, opacity: float | None = None) -> Element:
     return mesh(skin.reshape(-1, 3), faces, colour, opacity)
 
 
-def _outward(corners: Array, faces: NDArray[np.intp]) -> NDArray[np.intp]:
-    """The faces (F, 3) of a convex body in the order in which they are seen from outside."""
-    inside = np.linalg.det(corners[faces] - corners.mean(0)) < 0
+def _seen(points: Array, faces: NDArray[np.intp], outward: Array) -> NDArray[np.intp]:
+    """Faces (F, 3) of points in the order in which they are seen from where directions (F, 3) lead outwards."""
+    first, second, third = np.moveaxis(points[faces], 1, 0)
+    inside = (np.cross(second - first, third - first) * outward).sum(1) < 0
     return np.where(inside[:, None], faces[:, ::-1], faces)
 
 
@@ -261,8 +260,7 @@ def _reach(region: AlphaShape, length: float) -> Named:
     if region.triangulation is None or not region.kept.any():
         return
     if region.points.shape[1] == 3:
-        turned = np.where(_faces_inward(region)[:, None], region.facets[:, ::-1], region.facets)
-        yield "reach", mesh(region.points, turned, SAND, REACH)
+        yield "reach", mesh(region.points, _seen(region.points, region.facets, region.normals), SAND, REACH)
         return
     behind = np.full((len(region.points), 1), -0.1 * length)
     faces = region.triangulation.simplices[region.kept].astype(np.intp)  # against the clock, as seen from before
@@ -270,13 +268,6 @@ def _reach(region: AlphaShape, length: float) -> Named:
     for number, loop in enumerate(region.loops()):
         depth = np.full((len(loop), 1), behind[0, 0])
         yield f"reach_line_{number}", line(np.concatenate((loop, depth), 1), BLACK, 1.5)
-
-
-def _faces_inward(region: AlphaShape) -> NDArray[np.bool_]:
-    """(F,) which facets of a body have their corners in the order in which they are seen from inside."""
-    corners = region.points[region.facets]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return np.asarray((across * region.normals).sum(1) < 0)
 
 
 def _set_in_space(shown: NodeSet, wanted: Centreline, length: float) -> Named:
@@ -294,7 +285,8 @@ def _set_in_space(shown: NodeSet, wanted: Centreline, length: float) -> Named:
 
     corners, faces = placed(shown.corners), hull_faces(shown.corners).astype(np.intp)
     if len(faces):
-        yield "set", mesh(corners, _outward(corners, faces), BLUE, 0.4, flat=True)
+        outward = corners[faces].mean(1) - corners.mean(0)
+        yield "set", mesh(corners, _seen(corners, faces, outward), BLUE, 0.4, flat=True)
     else:  # a set without volume
         yield "set", line(corners, BLUE, 3.0)
     origin = placed(low)
