@@ -22,7 +22,7 @@ from rich.table import Table
 from experiments.live_page.socket import Page
 from experiments.rows import write_rows
 from torcharm.page.answers import answer
-from torcharm.page.scene import Ball, Label, Line, Mesh, draw
+from torcharm.page.scene import draw
 from torcharm.page.server import Server
 from torcharm.page.state import opened
 from torcharm.study import example_text, parse_study
@@ -158,16 +158,8 @@ def stale(server: Server, page: Page) -> list[str]:
         part = page.scene.get(f"/{name}")
         if part is None:
             continue
-        if isinstance(element, Mesh):
-            alike = _same(part.props["vertices"], element.points) and tuple(part.props["color"]) == element.colour
-        elif isinstance(element, Label):
-            alike = part.props["text"] == element.text and _same(part.place, element.place)
-        elif isinstance(element, Ball):
-            alike = _same(part.place, element.place)
-        elif isinstance(element, Line):
-            alike = _same(part.props["points"], np.stack((element.points[:-1], element.points[1:]), 1))
-        else:
-            alike = _same(part.props["points"], element.ends)
+        shown_now = {**part.props, "position": part.place}
+        alike = all(_same(shown_now[key], value) for key, value in element.properties.items())
         different += [] if alike else [name]
     return different
 
@@ -178,6 +170,8 @@ KINDS = ("MeshMessage", "LineSegmentsMessage", "ArrowMessage", "IcosphereMessage
 
 
 def _same(one: Any, other: Any) -> bool:
+    if isinstance(other, str) or one is None or other is None:
+        return bool(one == other)
     flat, expected = np.ravel(np.asarray(one, np.float32)), np.ravel(np.asarray(other, np.float32))
     return flat.shape == expected.shape and bool(np.allclose(flat, expected, rtol=0, atol=1e-6))
 

@@ -36,7 +36,7 @@ def tip_in_space(arm, task):
 
 @pytest.mark.parametrize("make", [plane, space])
 def test_the_best_for_the_task_is_what_evaluate_finds(make):
-    state = page.with_node(make(), 3)
+    state = replace(make(), node=3)
     found = answer(state)
     expected = ta.evaluate(page.design_of(state), page.task_of(state), signed=True)
     assert (found.verdict, found.reason) == (expected.verdict, expected.reason)
@@ -52,7 +52,7 @@ def test_the_best_for_the_task_is_what_evaluate_finds(make):
 @pytest.mark.parametrize("make", [plane, space])
 def test_by_hand_at_the_best_pressures_it_is_as_good(make):
     best = answer(make())
-    by_hand = answer(page.with_mode(settled(best), BY_HAND))
+    by_hand = answer(replace(settled(best), mode=BY_HAND))
     assert by_hand.found.tip_error.item() == pytest.approx(best.found.tip_error.item(), abs=1e-7)
     assert by_hand.found.shape_error.item() == pytest.approx(best.found.shape_error.item(), abs=1e-7)
     assert by_hand.verdict == best.verdict
@@ -60,7 +60,7 @@ def test_by_hand_at_the_best_pressures_it_is_as_good(make):
 
 
 def test_by_hand_nothing_is_said_of_pressures_that_were_not_tried():
-    found = answer(page.with_mode(plane(), BY_HAND))
+    found = answer(replace(plane(), mode=BY_HAND))
     assert found.pressure == (0.0,) * 4
     equilibrium = ta.solve_equilibrium(
         found.arm, found.pressure, found.task.load, found.task.nodes, base_pose=found.task.base_pose
@@ -138,9 +138,9 @@ def test_the_workspace_holds_the_tip_and_is_of_arm_and_load(make, monkeypatch):
     assert re.search(r"reaches [\d.]+ (cm²|dm³) under this load", words)
     found = draw(replace(answer(state), region=region))
     assert "reach" in found
-    assert found["reach"].faces.max() < len(found["reach"].points)
+    assert found["reach"].properties["faces"].max() < len(found["reach"].points)
     assert ("reach_line_0" in found) == (region.points.shape[1] == 2)
-    assert same_reach(state, page.with_node(state, 0))
+    assert same_reach(state, replace(state, node=0))
     assert not same_reach(state, page.with_tip(state, 0, 0.123))
     assert not same_reach(state, page.with_value(state, 0, "length", 0.42))
 
@@ -149,6 +149,6 @@ def test_faces_of_a_workspace_in_space_are_seen_from_outside(monkeypatch):
     monkeypatch.setattr("torcharm.page.answers.STATES", 400)
     region, _ = swept(space())
     mesh = draw(replace(answer(space()), region=region))["reach"]
-    corners = mesh.points[mesh.faces]
+    corners = mesh.points[mesh.properties["faces"]]
     volume = np.linalg.det(corners - mesh.points.mean(0)).sum() / 6
     assert volume == pytest.approx(region.size)

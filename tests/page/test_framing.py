@@ -8,22 +8,28 @@ import pytest
 from page_cases import plane, space
 
 from torcharm.page.answers import answer
-from torcharm.page.framing import MARGIN, NARROW, Corners, Framing, fitted, in_view, sides, view_axes
-from torcharm.page.scene import Label, draw
+from torcharm.page.framing import FIELD_OF_VIEW, NARROW, SHEET, Framing, view_axes, view_of
+from torcharm.page.scene import draw, label
 
 DIRECTIONS = ((0.0, 0.0, 1.0), (0.35, 0.3, 1.0), (-2.0, 1.0, 0.5))
 
 
-@pytest.mark.parametrize("towards", DIRECTIONS)
+def picture(points, place, aspect):
+    """Where points are seen from a place ahead of them, from -1 to 1, to the right and up."""
+    across, up, ahead = (points - place).T
+    return np.stack((across / aspect, up), -1) / ahead[:, None] / np.tan(FIELD_OF_VIEW / 2)
+
+
 @pytest.mark.parametrize("aspect", [0.3, 0.8, 1.8])
-def test_all_is_in_view_and_no_nearer_place_would_do(towards, aspect):
-    points = np.random.default_rng(0).normal(size=(200, 3)) * (0.1, 0.5, 0.2) + (3.0, -1.0, 0.5)
-    shown = Corners(points, 0.01 * (np.arange(200) % 3))
-    axes, ends = view_axes(towards), sides(aspect, MARGIN)
-    place = fitted(shown, axes, ends)
-    assert in_view(shown, axes, place, tuple(end + 1e-6 for end in ends))
-    for across in 0.01 * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)]):
-        assert not in_view(shown, axes, place + 0.02 * axes[2] + across @ axes[:2], ends)
+def test_all_is_in_view_and_no_nearer_place_would_do(aspect):
+    corners = np.array([3.0, -1.0, 0.5]) + (0.1, 0.5, 0.2) * (2.0 * np.argwhere(np.ones((2, 2, 2))) - 1)
+    place, target = view_of(np.stack((corners.min(0), corners.max(0))), aspect)
+    assert (target - place)[:2].tolist() == [0.0, 0.0]
+    seen = picture(corners, place, aspect)
+    low = 2 * SHEET - 1 if aspect < NARROW else -1.0
+    assert abs(seen).max() <= 1 + 1e-9
+    front = seen[[0, 2, 4, 6]]
+    assert max(np.ptp(front[:, 0]) / 2, np.ptp(front[:, 1]) / (1 - low)) == pytest.approx(1.0)
 
 
 def test_the_axes_are_a_camera_s_with_y_upwards_in_its_picture():
@@ -36,17 +42,15 @@ def test_the_axes_are_a_camera_s_with_y_upwards_in_its_picture():
 
 
 def test_on_a_telephone_the_arm_lies_above_the_sheet_of_controls():
-    shown, axes = Corners.of(draw(answer(plane()))), view_axes(DIRECTIONS[0])
-    place = fitted(shown, axes, sides(0.9 * NARROW, MARGIN))
-    across, up, ahead = axes @ (shown.points - place).T
-    whole = sides(0.9 * NARROW)[3]
-    assert (up / ahead / whole).min() > 0.15  # the picture goes from -1 to 1, and the sheet up to 0.2
-    assert (up / ahead / whole).max() < 1
-    assert abs(across / ahead).max() < 0.9 * NARROW * whole
+    points = np.concatenate([element.points for element in draw(answer(plane())).values()]) @ view_axes(DIRECTIONS[0]).T
+    aspect = 0.9 * NARROW
+    seen = picture(points, view_of(np.stack((points.min(0), points.max(0))), aspect)[0], aspect)
+    assert seen[:, 1].min() > 0.15  # the picture goes from -1 to 1, and the sheet up to 0.2
+    assert abs(seen).max() < 1 + 1e-9
 
 
 def cube(side):
-    return {str(place): Label("", side * np.array(place)) for place in np.ndindex(2, 2, 2)}
+    return {str(place): label("", side * np.array(place)) for place in np.ndindex(2, 2, 2)}
 
 
 @dataclass
@@ -69,7 +73,9 @@ class Camera:
             asyncio.run(callback(self))
 
     def sees(self, scene, aspect=1.0, towards=DIRECTIONS[0]):
-        return in_view(Corners.of(scene), view_axes(towards), self.position, sides(aspect))
+        axes = view_axes(towards)
+        points = np.concatenate([element.points for element in scene.values()])
+        return abs(picture(points @ axes.T, axes @ self.position, aspect)).max() <= 1
 
 
 def test_the_view_follows_what_leaves_it_until_a_person_turns_it():

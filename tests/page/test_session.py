@@ -2,6 +2,7 @@
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 from page_cases import plane
@@ -68,6 +69,22 @@ def test_undo_goes_back_and_a_change_without_effect_is_shown_again():
         assert len(watched.shown) == before + 1
 
 
+def test_moves_of_one_control_are_undone_at_once():
+    with Watched() as watched:
+        start = watched.session.state
+        for value in (0.51, 0.52, 0.53):
+            watched.session.move("length", longer(value))
+            assert watched.session.wait(30)
+        watched.session.move("tip", lambda state: page.with_tip(state, 0, 1.0))
+        watched.session.undo()
+        assert watched.session.wait(30)
+        assert watched.session.state.designs[0][0].length == 0.53
+        watched.session.undo()
+        watched.session.undo()
+        assert watched.session.wait(30)
+        assert watched.session.state == start
+
+
 def test_what_goes_wrong_costs_one_change(capsys):
     def mistake(state):
         raise ValueError("that is not allowed")
@@ -127,7 +144,7 @@ def test_a_workspace_is_shown_until_the_load_changes(monkeypatch):
         while "reached" not in watched.told and time.monotonic() < until:
             time.sleep(0.01)
         assert watched.session.wait(30)
-        watched.session.move("node", lambda state: page.with_node(state, 1))
+        watched.session.move("node", lambda state: replace(state, node=1))
         assert watched.session.wait(30)
         assert regions[-1] is region
         watched.session.move("tip", lambda state: page.with_tip(state, 0, 0.77))

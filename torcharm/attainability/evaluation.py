@@ -136,9 +136,14 @@ def evaluate(
     _check_found(found, arm, task)
 
     def evaluate_one(own: Task) -> Attainability:
-        prediction = _predict(arm, own, pose_cost) if found is None and PREDICTED in asked else found
+        prediction = found
+        if found is None and PREDICTED in asked:
+            from torcharm.pressure.predicted_error import predict_error  # loads when it is first asked for
+
+            prediction = predict_error(arm, own, pose_cost)
         grid = design_task_grid(arm, own)
-        vertices = _by_vertices(arm, hull, samples, distance, signed)
+        check_measure(arm, hull, samples, distance, signed)
+        vertices = None if hull == "exact" and distance == "gjk" else VertexSets.of(hull, samples, distance)
         options = SetOptions(measured, scale, signed, vertices)
         return Attainability(
             **_by_sets(grid, node_distances(grid, options, chunk_size), options, power),
@@ -190,14 +195,6 @@ def as_tolerance(tolerance: PoseTolerance | float | None) -> PoseTolerance:
     return PoseTolerance(tip=check_number("tolerance", tolerance, 0.0, strict=True))
 
 
-def _by_vertices(
-    arm: ArmDesign | ArmSeries, hull: str, samples: int | None, distance: str | DistanceFunction, signed: bool
-) -> VertexSets | None:
-    """How to measure sets that are given by vertices; None where the sets themselves are measured."""
-    check_measure(arm, hull, samples, distance, signed)
-    return None if hull == "exact" and distance == "gjk" else VertexSets.of(hull, samples, distance)
-
-
 def check_measure(
     arm: ArmDesign | ArmSeries, hull: str, samples: int | None, distance: str | DistanceFunction, signed: bool
 ) -> None:
@@ -210,12 +207,6 @@ def check_measure(
             )
     elif signed:
         raise ValueError("signed: must be False except for hull='exact' and distance='gjk', got True")
-
-
-def _predict(arm: ArmDesign | ArmSeries, task: Task, pose_cost: PoseCost | None) -> "PredictedError":
-    from torcharm.pressure.predicted_error import predict_error  # loads when it is first asked for
-
-    return predict_error(arm, task, pose_cost)
 
 
 def check_metrics(metrics: Sequence[str]) -> tuple[str, ...]:

@@ -2,8 +2,8 @@
 
 import math
 from collections.abc import Sequence
+from itertools import combinations
 
-import torch
 from torch import Tensor
 
 from torcharm.actuators import LinearBending, is_passive
@@ -52,7 +52,8 @@ def question(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[int]
 
 def question_about_shape(twists: Tensor) -> str | None:
     """Whether twists (..., N, 3 or 6) of one segment are in other units; None: they make sense."""
-    length, bend = twists[..., 0].detach(), _bend(twists)
+    length, turn = twists[..., 0].detach(), twists.detach()[..., 2 if twists.shape[-1] == 3 else 3 :]
+    bend = turn.norm(dim=-1).mean(-1)  # along the shape
     if bool((length.abs() > LONGEST).any()):
         return f"lengths of up to {length.abs().max():g} m: are they in millimetres?"
     if bool((bend > MOST_TURN).any()):
@@ -94,33 +95,30 @@ def question_about_lengths(lengths: Sequence[float], most: float = LONGEST) -> s
 
 def question_about_pose(place: Sequence[float], heading: float | None = None) -> str | None:
     """Whether a pose, of a place [m] and perhaps a heading [rad], is in other units; None: it makes sense."""
-    away = math.hypot(*place)
-    far = f"{away:.3g} m from the origin" if away > FARTHEST else ""
-    turned = f"a heading of {heading:g} rad" if heading is not None and abs(heading) > MOST_HEADING else ""
-    if not far and not turned:
+    far, away = [], math.hypot(*place)
+    if away > FARTHEST:
+        far.append((f"{away:.3g} m from the origin", "millimetres", f"'{place[0]:g} mm'"))
+    if heading is not None and abs(heading) > MOST_HEADING:
+        far.append((f"a heading of {heading:g} rad", "degrees", f"'{heading:g} deg'"))
+    if not far:
         return None
-    units = " and ".join(filter(None, (far and "millimetres", turned and "degrees")))
-    place_text = f"'{place[0]:g} mm'" if far else ""
-    heading_text = f"'{heading:g} deg'" if turned else ""
-    written = " and ".join(filter(None, (place_text, heading_text)))
-    asked = "are they" if far and turned else "is it"
-    return f"{' and '.join(filter(None, (far, turned)))}: {asked} in {units}? Write {written} then."
+    said, units, written = (" and ".join(words) for words in zip(*far, strict=True))
+    return f"{said}: {'is it' if len(far) == 1 else 'are they'} in {units}? Write {written} then."
 
 
 def question_about_places(segments: Sequence[ArmDesign]) -> str | None:
     """Whether two driven actuators are at one place of a single design, by mistake; None: they are not."""
     for segment, own in with_slices(segments):
-        driven = [index for index, model in enumerate(segment.actuators) if not is_passive(model)]
         places = segment.offsets.detach()
-        for one, index in enumerate(driven):
-            for other in driven[one + 1 :]:
-                if float((places[index] - places[other]).norm()) < SAME_PLACE:
-                    y, z = (1e3 * places[index]).tolist()
-                    where = f"{y:g} mm" if segment.dimension == 2 else f"({y:g}, {z:g}) mm"
-                    return (
-                        f"actuators {own.start + index + 1} and {own.start + other + 1} are both at {where} from the "
-                        "centreline: was a sign or another place meant?"
-                    )
+        driven = [index for index, model in enumerate(segment.actuators) if not is_passive(model)]
+        for one, other in combinations(driven, 2):
+            if float((places[one] - places[other]).norm()) < SAME_PLACE:
+                y, z = (1e3 * places[one]).tolist()
+                where = f"{y:g} mm" if segment.dimension == 2 else f"({y:g}, {z:g}) mm"
+                return (
+                    f"actuators {own.start + one + 1} and {own.start + other + 1} are both at {where} from the "
+                    "centreline: was a sign or another place meant?"
+                )
     return None
 
 
@@ -147,18 +145,17 @@ def question_about_limits(segments: Sequence[ArmDesign]) -> str | None:
     for segment in segments:
         limits = segment.max_pressure.detach().reshape(-1, segment.actuator_count)
         for model, own in zip(segment.actuators, limits.unbind(-1), strict=True):
-            known = float(model.pressure_range[1])
-            low = own[(own > 0) & (own < LEAST_LIMIT * known)]
-            if len(low) and not is_passive(model):
-                limit = float(low.min())
+            known, driven = float(model.pressure_range[1]), own[own > 0]
+            if is_passive(model) or not len(driven):
+                continue
+            limit = float(driven.min())
+            if limit < LEAST_LIMIT * known:
                 unit = "bar" if 100 * limit > LEAST_LIMIT * known else "MPa"
                 return (
                     f"max_pressure: {limit:g} kPa is {100 * limit / known:.2g} % of the {known:g} kPa that were "
                     f"characterised: is it in {unit}?"
                 )
-            low = own[(own > 0) & (own < LEAST_PRESSURE)]
-            if len(low) and not is_passive(model):
-                limit = float(low.min())
+            if limit < LEAST_PRESSURE:
                 return f"max_pressure: {limit:g} kPa: the unit is kilopascal, {limit:g} bar is written '{limit:g} bar'"
     return None
 
@@ -174,9 +171,3 @@ def _question_about_fit(segments: Sequence[ArmDesign], twists: Tensor, nodes: Se
                 "l and κ are those of the whole arm, were they divided by the number of nodes?"
             )
     return None
-
-
-def _bend(twists: Tensor) -> Tensor:
-    """(...) the mean size of the curvature along the shape [rad]."""
-    turn = twists.detach()[..., 2:] if twists.shape[-1] == 3 else twists.detach()[..., 3:]
-    return torch.linalg.vector_norm(turn, dim=-1).mean(-1)

@@ -1,8 +1,7 @@
 """Why a task is not held."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 
 import torch
 from torch import Tensor
@@ -30,8 +29,8 @@ def one_design(segment: ArmDesign, batch: torch.Size, index: tuple[int, ...]) ->
     return segment._map(lambda value: value.detach().expand(*batch, value.shape[-1])[index])
 
 
-def missing(absolute: Tensor | None, relative: Tensor | None, weights: tuple[float, float]) -> str:
-    """Which node, from 1, lacks how much; "" where none does.
+def missing(absolute: Tensor | None, relative: Tensor | None, weights: tuple[float, float]) -> tuple[float, str]:
+    """How much the worst node lacks, and which, from 1, in words; 0 and "" where none does.
 
     Args:
         absolute, relative: distances (N,) from the nodes' sets; the latter count where the former are none.
@@ -39,10 +38,10 @@ def missing(absolute: Tensor | None, relative: Tensor | None, weights: tuple[flo
     """
     for distance, before in ((absolute, ""), (relative, "no pressure serves all nodes: ")):
         if distance is not None:
-            miss, node = distance.max(-1)
-            if float(miss) > NOTHING:
-                return before + lack_in_words(int(node), float(miss), weights, relative=distance is relative)
-    return ""
+            miss, node = float(distance.max()), int(distance.argmax())
+            if miss > NOTHING:
+                return miss, before + lack_in_words(node, miss, weights, relative=distance is relative)
+    return 0.0, ""
 
 
 def differences(wanted: Tensor, reached: Tensor, nodes: Sequence[int]) -> str:
@@ -118,18 +117,6 @@ def listed(which: Tensor) -> str:
     return f"actuator{'s' * (len(numbers) > 1)} {', '.join(numbers)}"
 
 
-@dataclass(frozen=True)
-class _Strain:
-    """A strain, where it is, and what was characterised."""
-
-    excess: float
-    value: float
-    actuator: int
-    node: int
-    low: float
-    high: float
-
-
 def out_of_range(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[int]) -> str:
     """The actuator that is strained furthest beyond its range, or whose limit is.
 
@@ -138,14 +125,13 @@ def out_of_range(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[
         twists: (N, 3 or 6) of all segments.
         nodes: of each segment.
     """
-    worst = max(_strains(segments, twists, nodes), key=lambda one: one.excess)
-    if worst.value <= -1:
-        return f"actuator {worst.actuator} would have no length at node {worst.node} (strain {worst.value:.3g})"
-    if worst.excess > RANGE_SLACK:
-        value = told_apart(worst.value, worst.low, worst.high)
+    excess, value, actuator, node, low, high = max(_worst_strains(segments, twists, nodes))
+    if value <= -1:
+        return f"actuator {actuator} would have no length at node {node} (strain {value:.3g})"
+    if excess > RANGE_SLACK:
         return (
-            f"actuator {worst.actuator} is strained to {value} at node {worst.node}, "
-            f"characterised from {_signed(worst.low)} to {_signed(worst.high)}"
+            f"actuator {actuator} is strained to {told_apart(value, low, high)} at node {node}, "
+            f"characterised from {_signed(low)} to {_signed(high)}"
         )
     for segment, own in with_slices(segments):
         for index, model in enumerate(segment.actuators):
@@ -153,6 +139,22 @@ def out_of_range(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[
             if limit > known * (1 + RANGE_SLACK):
                 return f"actuator {own.start + index + 1} is driven to {limit:g} kPa, characterised to {known:g} kPa"
     return "a pressure, or a strain together with its pressure, lies outside of what was characterised"
+
+
+@torch.no_grad()
+def _worst_strains(
+    segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[int]
+) -> Iterator[tuple[float, float, int, int, float, float]]:
+    """Of each segment's worst strain the excess, value, actuator and node, from 1, and what was characterised."""
+    first = 0
+    for (segment, own), part in zip(with_slices(segments), twists.split(list(nodes), -2), strict=True):
+        strain = cross_sections(segment, part).strain
+        low, high, excess = characterised_range(segment.actuators, strain)
+        excess = torch.where(strain <= -1, 1e3 - strain, excess)  # no length at all is worse than any strain
+        node, index = divmod(int(excess.argmax()), segment.actuator_count)
+        most, value = float(excess[node, index]), float(strain[node, index])
+        yield most, value, own.start + index + 1, first + node + 1, float(low[index]), float(high[index])
+        first += len(part)
 
 
 def told_apart(strain: float, low: float, high: float) -> str:
@@ -165,20 +167,3 @@ def told_apart(strain: float, low: float, high: float) -> str:
 def _signed(value: float, digits: int = 2) -> str:
     """A number with its sign; 0 has none."""
     return f"{value:+.{digits}g}" if value else "0"
-
-
-def _strains(segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[int]) -> list[_Strain]:
-    """The worst strain of each segment."""
-    found, actuators, before = [], 0, 0
-    for segment, own in zip(segments, twists.split(list(nodes), -2), strict=True):
-        with torch.no_grad():
-            strain = cross_sections(segment, own).strain
-            low, high, excess = characterised_range(segment.actuators, strain)
-        excess = torch.where(strain <= -1, 1e3 - strain, excess)  # no length at all is worse than any strain
-        place = int(excess.argmax())
-        node, actuator = divmod(place, segment.actuator_count)
-        ends = float(low[actuator]), float(high[actuator])
-        value = float(strain[node, actuator])
-        found.append(_Strain(float(excess[node, actuator]), value, actuators + actuator + 1, before + node + 1, *ends))
-        actuators, before = actuators + segment.actuator_count, before + own.shape[-2]
-    return found

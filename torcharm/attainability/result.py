@@ -159,35 +159,26 @@ class Attainability(HoldsTensors, Tabular):
         self, verdict: str, index: tuple[int, ...], segments: Sequence[ArmDesign], twists: Tensor, nodes: Sequence[int]
     ) -> Sequence[str]:
         """Parts of a reason, some of them empty; all are where nothing is known to be amiss."""
-        found, status = self.prediction, _word(self.status, index)
-        lacking, besides = self._lacking(index), ""
-        if verdict == "excluded by range" and lacking[0] > MUCH:
-            besides = f"{lacking[1]} besides"
-        if not bool(self.shape_in_range[index]):
-            snap = found.DOUBTS[status] if found is not None and status == "snapped" else ""
-            return out_of_range(segments, twists, nodes), snap, besides
-        reached = None if found is None else found.twists[index].detach()
-        if verdict == "excluded by range" and found is not None and reached is not None:
-            doubt = found.DOUBTS.get(status, "")
+        found, in_range = self.prediction, bool(self.shape_in_range[index])
+        absolute, relative = (
+            None if value is None else value[index] for value in (self.absolute_per_node, self.relative_per_node)
+        )
+        lack, lacking = missing(absolute, relative, self.weights)
+        if found is None:
+            return (lacking if in_range else out_of_range(segments, twists, nodes),)
+        status, reached = _word(self.status, index), found.twists[index].detach()
+        doubt = found.DOUBTS.get(status, "")
+        besides = f"{lacking} besides" if verdict == "excluded by range" and lack > MUCH else ""
+        if not in_range:
+            return out_of_range(segments, twists, nodes), doubt if status == "snapped" else "", besides
+        if verdict == "excluded by range":
             return f"at the shape found: {out_of_range(segments, reached, nodes)}", doubt, besides
         if verdict == "undecided":
-            assert found is not None
-            return (found.DOUBTS[status],)
-        if found is None or reached is None:
-            return (lacking[1],)
+            return (doubt,)
         limits = at_limits(found.pressure[index].detach(), torch.cat([segment.max_pressure for segment in segments]))
         wrong = differences(twists, reached.to(twists), nodes)
-        cause = lacking[1] or "no pressure comes close enough, though sets do not exclude it"
+        cause = lacking or "no pressure comes close enough, though sets do not exclude it"
         return ": ".join(filter(None, (self._beyond_tolerance(index), wrong))), limits, cause
-
-    def _lacking(self, index: tuple[int, ...]) -> tuple[float, str]:
-        """How much the worst node lacks, and which it is in words."""
-        absolute, relative = (
-            None if value is None else value[index].detach()
-            for value in (self.absolute_per_node, self.relative_per_node)
-        )
-        most = max((float(value.max()) for value in (absolute, relative) if value is not None), default=0.0)
-        return most, missing(absolute, relative, self.weights)
 
     def _beyond_tolerance(self, index: tuple[int, ...]) -> str:
         """Which error of a prediction is furthest beyond what is tolerated."""

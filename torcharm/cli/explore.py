@@ -3,6 +3,7 @@
 import logging
 import time
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -41,7 +42,7 @@ def explore(
     extra("viser", "explore")
     from torcharm.page.answers import answer
     from torcharm.page.server import LOOPBACK, Server
-    from torcharm.page.state import BEST, BY_HAND, opened, with_mode
+    from torcharm.page.state import BEST, BY_HAND, opened
     from torcharm.study import example_study
 
     plan = example_study() if study is None else read_study(study)
@@ -50,7 +51,7 @@ def explore(
     state = opened(plan, study)
     with compiling_told():
         for mode in (BEST, BY_HAND):  # else the page would wait for the engine, in silence
-            answer(with_mode(state, mode))
+            answer(replace(state, mode=mode))
     # This process does nothing but serve: a browser may leave while its picture is on the way, and what connects
     # may be no browser, as one that tries https.
     warnings.filterwarnings("ignore", "Queued a .* on a closed connection")

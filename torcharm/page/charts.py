@@ -74,23 +74,16 @@ def outline(shown: NodeSet) -> tuple[Array, Array, Array, Array]:
         Forces, least, largest and required (P,); NaN where there is none.
     """
     corners, (force, moment) = shown.corners, shown.required
-    start, end = int(corners[:, 0].argmin()), int(corners[:, 0].argmax())
-    around = np.roll(corners, -start, 0)
-    turn = (end - start) % len(corners)
-    sides = (around[: turn + 1], np.minimum), (np.concatenate((around[turn:], around[:1])), np.maximum)
-    forces = np.unique(np.append(corners[:, 0], force))
-    inside = (forces >= corners[:, 0].min()) & (forces <= corners[:, 0].max())
-    least, largest = (np.where(inside, _along(side, further, forces), np.nan) for side, further in sides)
+    forces, way = np.unique(np.append(corners[:, 0], force)), np.roll(corners, -1, 0) - corners
+    with np.errstate(divide="ignore", invalid="ignore"):  # where a side goes straight up, its neighbours tell
+        share = (forces[:, None] - corners[:, 0]) / way[:, 0]
+        moments = corners[:, 1] + share * way[:, 1]
+    crossed = (share >= 0) & (share <= 1)
+    least, largest = (
+        np.where(crossed.any(1), further(np.where(crossed, moments, beyond), axis=1), np.nan)
+        for further, beyond in ((np.min, np.inf), (np.max, -np.inf))
+    )
     return forces, least, largest, np.where(forces == force, moment, np.nan)
-
-
-def _along(side: Array, further: np.ufunc, forces: Array) -> Array:
-    """The moments of one side of a set at forces; where it goes straight up, those that are further out."""
-    places, group = np.unique(side[:, 0], return_inverse=True)
-    moments = np.full(len(places), -np.inf if further is np.maximum else np.inf)
-    further.at(moments, group, side[:, 1])
-    found: Array = np.interp(forces, places, moments)
-    return found
 
 
 def margins(found: Answer) -> tuple[Array, Array, Array]:

@@ -19,7 +19,7 @@ from torcharm.plot._common import array
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 """Names of this machine that no other one reaches."""
 GRID = 0.1
-"""Width of a cell of the grid behind the arms [m]."""
+"""Width of a cell of the grid behind arms [m], of which ten are a section; behind small ones it is a tenth of that."""
 PORTS = 100
 """That are tried, from the one asked for on."""
 FAREWELL = 0.3
@@ -83,9 +83,19 @@ class Server:
         server._websock_server.queue_message(script)
         server.scene.set_up_direction("+y")
         server.scene.world_axes.visible = False
-        depth = float(array(self._state.named_arm.design.neutral_length))
+        length = float(array(self._state.named_arm.design.neutral_length))
+        cell = GRID if length > 0.2 else GRID / 10
         server.scene.add_grid(
-            "/grid", 40.0 * depth, 40.0 * depth, plane="xy", position=(0.0, 0.0, -depth), **_grid_cells(depth)
+            "/grid",
+            40.0 * length,
+            40.0 * length,
+            plane="xy",
+            position=(0.0, 0.0, -length),
+            cell_size=cell,
+            section_size=10 * cell,
+            cell_color=(225, 225, 225),
+            section_color=(190, 190, 190),
+            fade_distance=12.0 * length,
         )
 
         server.on_client_connect(self._opened)
@@ -130,18 +140,6 @@ def own_origin(origin: str, asked: str, host: str) -> bool:
     if host in LOOPBACK:  # a name that someone else has let point here is none of these
         return name in LOOPBACK
     return page.netloc == asked
-
-
-def _grid_cells(length: float) -> dict[str, Any]:
-    """Cells of 10 mm for small arms, of 100 mm for others, ten to a section."""
-    cell = GRID if length > 0.2 else GRID / 10
-    return {
-        "cell_size": cell,
-        "section_size": 10 * cell,
-        "cell_color": (225, 225, 225),
-        "section_color": (190, 190, 190),
-        "fade_distance": 12.0 * length,
-    }
 
 
 def _free_port(host: str, port: int) -> int:

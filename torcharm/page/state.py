@@ -1,15 +1,14 @@
 """What a page shows, as numbers, and what each event makes of it.
 
 Every function here takes a state and returns another; nothing is computed but what the numbers stand for: a design and
-a task. Values that leave their range are brought to its end, and what is no number changes nothing, as a page's
-messages may hold anything.
+a task. That numbers are some, and within their range, `controls` see to.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -23,6 +22,8 @@ from torcharm.statics.balance import segments_of
 from torcharm.study import NamedArm, NamedTask, Study
 from torcharm.task import Task
 
+T = TypeVar("T")
+
 BEST, BY_HAND = "best for the task", "by hand"
 """Where pressures come from: a prediction for the task, or sliders."""
 SHARES = {"distance": (0.2, 2.0), "length": (0.5, 1.5), "limit": (0.1, 1.5)}
@@ -33,8 +34,6 @@ LEAST_FORCE = 0.5
 """Half the range of a force [N] of tasks without any."""
 LEAST_MOMENT = 0.05
 """Half the range of a moment [N·m] of tasks without any."""
-STEPS_BACK = 200
-"""States that can be undone."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,7 @@ class State:
     """What one page shows. Numbers are in metres, newtons, kilograms and kilopascals.
 
     Attributes:
-        study: whose arms and tasks these are; equal numbers of other studies are told apart by `same`.
+        study: whose arms and tasks these are.
         source: its file, from whose folder on force models' files are named; None of a study that is from none.
         arm: the number of the arm, and
         task: that of the task among the arm's, and
@@ -85,8 +84,8 @@ class State:
         node: whose set is shown, from 0.
     """
 
-    study: Study = field(compare=False)
-    source: Path | None = field(compare=False)
+    study: Study
+    source: Path | None
     arm: int
     task: int
     load: int
@@ -138,8 +137,6 @@ def opened(study: Study, source: Path | None = None) -> State:
 
 def with_arm(state: State, arm: int) -> State:
     """Another arm of the study, on the same task if it has it; what was changed of the design before stays."""
-    if not 0 <= arm < len(state.study.arms):
-        return state
     count = state.study.arms[arm].design.actuator_count
     tasks = [task.name for task in state.study.tasks_of(state.study.arms[arm])]
     task = tasks.index(state.named_task.name) if state.named_task.name in tasks else 0
@@ -149,17 +146,12 @@ def with_arm(state: State, arm: int) -> State:
 
 def with_task(state: State, task: int) -> State:
     """Another task of the arm, under the first of its loads."""
-    if not 0 <= task < len(state.study.tasks_of(state.named_arm)):
-        return state
     return with_load(replace(state, task=task, twists=None, payload=0.0), 0)
 
 
-def with_load(state: State, load: float) -> State:
+def with_load(state: State, load: int) -> State:
     """Another of the task's loads."""
-    number = within(load, 0, max(state.named_task.task.batch_shape.numel(), 1) - 1)
-    if number is None:
-        return state
-    changed = replace(state, load=round(number))
+    changed = replace(state, load=load)
     given = changed.given
     node = min(state.node, given.nodes - 1)
     return replace(changed, tip=tuple(given.tip_load.tolist()), gravity=given.load.gravity, node=node)
@@ -174,13 +166,9 @@ def value_range(group: Group, name: str) -> tuple[float, float]:
 
 def with_value(state: State, group: int, name: str, value: float) -> State:
     """A value of one group of the arm's actuators."""
-    number = within(value, *value_range(groups(state.named_arm.design)[group], name))
-    if number is None:
-        return state
     own = list(state.designs[state.arm])
-    own[group] = replace(own[group], **{name: number})
-    designs = (*state.designs[: state.arm], tuple(own), *state.designs[state.arm + 1 :])
-    return replace(state, designs=designs)
+    own[group] = replace(own[group], **{name: value})
+    return replace(state, designs=put(state.designs, state.arm, tuple(own)))
 
 
 def tip_range(state: State) -> tuple[float, ...]:
@@ -199,48 +187,20 @@ def payload_range(state: State) -> float:
 
 def with_tip(state: State, component: int, value: float) -> State:
     """A component of the tip load."""
-    most = tip_range(state)[component]
-    number = within(value, -most, most)
-    if number is None:
-        return state
-    return replace(state, tip=(*state.tip[:component], number, *state.tip[component + 1 :]))
+    return replace(state, tip=put(state.tip, component, value))
 
 
 def with_force(state: State, force: Sequence[float]) -> State:
-    """The force of the tip load (x, y, z), of which the plane takes two; moments stay."""
+    """The force of the tip load (x, y, z) within its range, of which the plane takes two; moments stay."""
+    most = tip_range(state)
     for component, value in enumerate(force[: state.named_arm.design.dimension]):
-        state = with_tip(state, component, value)
+        state = with_tip(state, component, min(max(value, -most[component]), most[component]))
     return state
 
 
 def with_payload(state: State, mass: float) -> State:
     """A further mass at the tip; one that is there weighs."""
-    number = within(mass, 0.0, payload_range(state))
-    return state if number is None else replace(state, payload=number, gravity=state.gravity or number > 0)
-
-
-def with_gravity(state: State, gravity: bool) -> State:
-    """Whether masses weigh."""
-    return replace(state, gravity=bool(gravity))
-
-
-def with_mode(state: State, mode: str) -> State:
-    """Where pressures come from; by hand they begin with those that were found."""
-    return replace(state, mode=mode) if mode in (BEST, BY_HAND) else state
-
-
-def with_pressure(state: State, actuator: int, value: float) -> State:
-    """The pressure of one actuator, by hand; it ends at the limit."""
-    number = within(value, 0.0, limits(state)[actuator])
-    if number is None or state.mode != BY_HAND:
-        return state
-    return replace(state, pressure=(*state.pressure[:actuator], number, *state.pressure[actuator + 1 :]))
-
-
-def with_node(state: State, node: float) -> State:
-    """Whose set is shown."""
-    number = within(node, 0, state.given.nodes - 1)
-    return state if number is None else replace(state, node=round(number))
+    return replace(state, payload=mass, gravity=state.gravity or mass > 0)
 
 
 def with_shape(state: State, twists: Tensor | None) -> State:
@@ -251,13 +211,8 @@ def with_shape(state: State, twists: Tensor | None) -> State:
 def as_given(state: State) -> State:
     """The same arm, task and load, all as the study has them; other arms stay as they are."""
     given = opened(state.study, state.source).designs[state.arm]
-    designs = (*state.designs[: state.arm], given, *state.designs[state.arm + 1 :])
-    return with_load(with_task(with_arm(replace(state, designs=designs), state.arm), state.task), state.load)
-
-
-def limits(state: State) -> list[float]:
-    """Of each actuator of the arm, the pressure limit."""
-    return design_of(state).max_pressure.tolist()
+    kept = replace(state, designs=put(state.designs, state.arm, given))
+    return with_load(with_task(with_arm(kept, state.arm), state.task), state.load)
 
 
 def design_of(state: State, arm: int | None = None) -> Arm:
@@ -298,7 +253,7 @@ def task_of(state: State) -> Task:
 
 def pressure_of(state: State) -> list[float]:
     """Pressures by hand, none above its limit."""
-    return [min(value, limit) for value, limit in zip(state.pressure, limits(state), strict=True)]
+    return list(map(min, state.pressure, design_of(state).max_pressure.tolist()))
 
 
 def changed_task(state: State) -> bool:
@@ -308,46 +263,12 @@ def changed_task(state: State) -> bool:
     return (state.tip, state.payload, state.gravity, state.twists) != as_it_was
 
 
-def within(value: Any, low: float, high: float) -> float | None:
-    """A number brought into a range; None of what is none."""
-    return min(max(float(value), low), high) if isinstance(value, int | float) and math.isfinite(value) else None
+def put(values: tuple[T, ...], place: int, value: T) -> tuple[T, ...]:
+    """The same values, but for one."""
+    return (*values[:place], value, *values[place + 1 :])
 
 
 def round_up(value: float) -> float:
     """The next of 1, 2, 5, 10, ..."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(step * power for step in (1, 2, 5, 10) if step * power >= value * (1 - 1e-9))
-
-
-@dataclass(frozen=True)
-class History:
-    """A state, and those before it.
-
-    Attributes:
-        now: the state.
-        past: from which it came, the newest last.
-        control: what changed last; changes of one control in a row are undone at once.
-    """
-
-    now: State
-    past: tuple[State, ...] = ()
-    control: str = ""
-
-
-def same(one: State, other: State) -> bool:
-    """Whether nothing has changed."""
-    return one.study is other.study and one == other
-
-
-def moved_on(history: History, control: str, state: State) -> History:
-    """What a control has changed, which can be undone."""
-    if same(history.now, state):
-        return history
-    if control == history.control:
-        return replace(history, now=state)
-    return History(state, (*history.past, history.now)[-STEPS_BACK:], control)
-
-
-def undone(history: History) -> History:
-    """The state before the last change."""
-    return History(history.past[-1], history.past[:-1]) if history.past else history

@@ -1,5 +1,6 @@
 """The page of one browser: its controls, its scene and its words, kept as the newest answer is."""
 
+import math
 from collections.abc import Callable
 from contextlib import nullcontext
 from functools import partial
@@ -8,18 +9,17 @@ from typing import Any
 
 from torcharm.page import words
 from torcharm.page.answers import Answer
-from torcharm.page.canvas import Canvas
 from torcharm.page.charts import Charts
 from torcharm.page.controls import Control, controls, same_controls
 from torcharm.page.framing import Framing, shape_of
 from torcharm.page.gizmo import LOAD, NOTHING, TIP, Gizmo
 from torcharm.page.saving import load, save
-from torcharm.page.scene import draw
+from torcharm.page.scene import Scene, draw
 from torcharm.page.session import Session
 from torcharm.page.state import State
 
 CLOSE = 1e-9
-"""A difference of a control's value that is rounding, as a share of it."""
+"""A difference of a control's value that is rounding, and as a share of it."""
 WIDTH = 340
 """Of the panel of results [pixels]."""
 LAST = 1e9
@@ -36,7 +36,7 @@ class View:
 
     def __init__(self, client: Any, viser: Any, state: State, out: Path) -> None:
         self._client, self._viser, self._out = client, viser, out
-        self._canvas = Canvas(client.scene)
+        self._parts: dict[str, tuple[str, Any]] = {}  # of the scene, by name
         self._built: State | None = None
         self._roots: list[Any] = []
         self._inputs: dict[str, tuple[Control, Any]] = {}
@@ -70,13 +70,27 @@ class View:
         with self._client.atomic():
             if self._built is None or not same_controls(found.state, self._built):
                 self._build(found.state)
-            self._canvas.show(scene)
+            self._draw(scene)
             self._framing.show(scene, found.arm.dimension, self._gizmo.dragging)
             self._gizmo.show(found)
             self._results.content = words.results(found)
             self._charts.show(found)
             self._set_inputs(found.state)
         self._client.flush()
+
+    def _draw(self, scene: Scene) -> None:
+        """Add what is new, change what is other than before, remove the rest."""
+        for name, (adder, handle) in tuple(self._parts.items()):
+            if name not in scene or scene[name].adder != adder:
+                del self._parts[name]
+                handle.remove()
+        for name, element in scene.items():
+            if name in self._parts:
+                for key, value in element.properties.items():
+                    setattr(self._parts[name][1], key, value)  # sends nothing where the value is as before
+            else:
+                handle = getattr(self._client.scene, element.adder)(f"/{name}", **element.properties, **element.fixed)
+                self._parts[name] = element.adder, handle
 
     def _tell(self, text: str) -> None:
         self._note.content = words.note(text)
@@ -144,7 +158,8 @@ class View:
         """Bring the browser's controls to what the state says, where they are not."""
         for key, (control, handle) in self._inputs.items():
             value = control.value(state)
-            if not _alike(value, self._applied[key]):
+            last = self._applied[key]
+            if value != last and not (control.ends and math.isclose(value, last, rel_tol=CLOSE, abs_tol=CLOSE)):
                 self._applied[key] = value
                 handle.value = value
             handle.disabled = not control.enabled(state)
@@ -200,10 +215,3 @@ class View:
             return found
 
         self.session.move("load", read)
-
-
-def _alike(one: Any, other: Any) -> bool:
-    """Whether two values of a control are the same but for rounding."""
-    if isinstance(one, bool | str) or isinstance(other, bool | str):
-        return bool(one == other)
-    return abs(one - other) <= CLOSE * max(abs(one), abs(other), 1.0)

@@ -2,23 +2,16 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from html import escape
 
 from torcharm.inputs import three_digits
 from torcharm.page.answers import Answer
 from torcharm.page.scene import BLACK, COLOURS, VERMILLION
 from torcharm.study import Settings
-from torcharm.study.words import CHANGE, HELD_OUTSIDE
+from torcharm.study.words import CHANGE, HELD_OUTSIDE, MEANINGS, allowed
 from torcharm.wrench_sets.node_distances import counted
 
-MEANINGS = {
-    "held": "within the tolerance, and stable",
-    "missed": "beyond the tolerance",
-    "excluded by range": "beyond what was characterised",
-    "undecided": "not known",
-    "impossible": "an actuator would have no length",
-}
-"""Of verdicts, in a few words."""
 TOP = "margin:0 0.6em;line-height:1.45;font-size:0.85em;overflow-wrap:anywhere;"
 
 
@@ -48,11 +41,10 @@ def _explained(found: Answer) -> Iterator[str]:
 
 
 def _meaning(found: Answer) -> str:
-    if found.verdict != "held":
-        return MEANINGS[found.verdict]
-    tip = 1e3 * float(found.found.tolerance.lengths(found.arm)[0])
-    turn = math.degrees(found.found.tolerance.rotation)
-    return f"tip and shape within {tip:.3g} mm, turned within {turn:.3g}°; stable"
+    """What the verdict means, with the tolerance of this arm."""
+    tolerance = found.found.tolerance
+    near = allowed(replace(tolerance, tip=float(tolerance.lengths(found.arm)[0])))
+    return {"held": f"{near}; stable", "missed": f"not {near}"}.get(found.verdict) or MEANINGS[found.verdict]
 
 
 def _numbers(found: Answer) -> list[tuple[str, str, str]]:

@@ -30,7 +30,6 @@ from torcharm.plot.loads import (
     load_grid as load_grid,
     load_map as load_map,
     polar_load_grid as polar_load_grid,
-    verdict_map as verdict_map,
 )
 from torcharm.plot.optimisation import optimisation_figure as optimisation_figure
 from torcharm.plot.shape_figures import plan_figure as plan_figure, search_figure as search_figure

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torcharm.actuators import Actuator, model_name
+from torcharm.attainability import Attainability
 from torcharm.design.space import Arm, one_of_batch
 from torcharm.inputs import check_count
 from torcharm.task import Task
@@ -123,6 +124,29 @@ def verdict_marks(words: Any) -> Iterator[tuple[str, Any, dict[str, Any]]]:
             yield word, own, mark_inks(colour, filled, marker)
 
 
+def verdict_words(found: Attainability) -> NDArray[Any]:
+    """The verdict on each task; of sets alone, whether it is excluded."""
+    if found.verdict is not None:
+        return np.ravel(np.asarray(found.verdict))
+    assert found.not_excluded is not None
+    return np.where(found.not_excluded.numpy(force=True).ravel(), "not excluded", "excluded")
+
+
+def counted(words: NDArray[Any], leave: str = "") -> str:
+    """How many tasks have which verdict, but for one that is left out."""
+    return ", ".join(f"{(words == word).sum()} {word}" for word in VERDICT_STYLES if word != leave and word in words)
+
+
+def worst_node(found: Attainability) -> int:
+    """The node that lacks most on average over all tasks; where none does, that of the least margin, or the last."""
+    per_node = found.relative_per_node if found.absolute_per_node is None else found.absolute_per_node
+    if per_node is None:
+        return found.task.nodes - 1
+    rows = array(per_node).reshape(-1, per_node.shape[-1])[:, ::-1]  # of equals the last counts
+    mean = np.where(np.isfinite(lack := rows.clip(min=0).mean(0)), lack, -1.0)
+    return len(mean) - 1 - int((mean if mean.max() > 0 else rows.mean(0)).argmax())
+
+
 def ranked_places(error: Array) -> NDArray[np.intp]:
     """The places of what is finite, from the least on."""
     known = np.flatnonzero(np.isfinite(error))
@@ -135,13 +159,13 @@ def median_place(error: Array) -> int | None:
     return int(ranked[(len(ranked) - 1) // 2]) if len(ranked) else None
 
 
-def merged_legend(figure: Any, panels: Iterable[Any], shorten: Callable[[str], str], **how: Any) -> None:
+def merged_legend(figure: Any, panels: Iterable[Any], shorten: Callable[[str], str] = str, **how: Any) -> None:
     """One legend for all panels, by labels without what differs from one to the next."""
     entries: dict[str, Any] = {}
     for axes in panels:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             entries.setdefault(shorten(label), handle)
-    figure.legend(entries.values(), entries.keys(), fontsize="small", frameon=False, **how)
+    figure.legend(entries.values(), entries.keys(), **{"fontsize": "small", "frameon": False} | how)
 
 
 def same_limits(panels: Sequence[Any]) -> float:

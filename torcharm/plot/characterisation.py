@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from scipy.stats import binned_statistic_2d
 
 from torcharm.actuators import Actuator
 from torcharm.arm import find_model
@@ -118,16 +119,12 @@ def _draw_residuals(axes: Any, model: Actuator, recording: Recording) -> None:
     A line goes around the region over which the model says it was measured.
     """
     residual = recording.force - _force(model, recording.strain, recording.pressure)
-    bins = [
-        np.histogram_bin_edges(v, min(n, len(np.unique(v))))
-        for v, n in ((recording.pressure, 45), (recording.strain, 21))
-    ]
-    count, *_ = np.histogram2d(recording.pressure, recording.strain, bins)
-    total, *_ = np.histogram2d(recording.pressure, recording.strain, bins, weights=residual)
-    mean = np.ma.masked_where(count == 0, total / np.maximum(count, 1))
+    counts = [min(most, len(np.unique(own))) for own, most in ((recording.pressure, 45), (recording.strain, 21))]
+    mean, *edges, _ = binned_statistic_2d(recording.pressure, recording.strain, residual, bins=counts)
+    mean = np.ma.masked_invalid(mean)  # of bins without samples
     # lopsided outliers are drawn as the end of the scale
     most = float(np.percentile(np.abs(mean.compressed()), 98)) or 1.0
-    mesh = axes.pcolormesh(bins[0], bins[1], mean.T, cmap=RESIDUALS, vmin=-most, vmax=most)
+    mesh = axes.pcolormesh(*edges, mean.T, cmap=RESIDUALS, vmin=-most, vmax=most)
     axes.set_facecolor("0.93")
     axes.figure.colorbar(mesh, ax=axes, extend="both", label="recorded - model [N]")
     region = getattr(model, "region", ())

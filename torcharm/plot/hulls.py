@@ -68,7 +68,7 @@ def hulls_along_arm(
     """
     if task.dimension != 2:
         raise ValueError(f"task: must be planar, twists (..., N, 3), got {tuple(task.twists.shape)}")
-    scene = make_scene("arm", arm, one_shape(task, loads), relative)
+    scene = make_scene(arm, one_shape(task, loads), relative)
     axes = axes_or_new(ax, "3d")
     _draw_hulls(axes, scene, colour)
     points = np.concatenate((scene.corners.reshape(-1, 2), scene.required.reshape(-1, 2)))
@@ -103,7 +103,7 @@ def node_hull(
     Raises:
         ValueError: arm or task are several, the node is out of range, or the axes are others.
     """
-    index, scene = node_index(task, node), make_scene("arm", arm, one_shape(task), relative)
+    index, scene = node_index(task, node), make_scene(arm, one_shape(task), relative)
     axes = axes_or_new(ax, projection_of(task))
     corners, points = scene.corners[index], scene.required[:, index]
     if task.dimension == 2:
@@ -150,7 +150,7 @@ def hull_projections(
         axes = list(pyplot.subplots(1, 3, figsize=(13, 4), layout="constrained")[1])
     if len(axes) != 3:
         raise ValueError(f"axes: must be three, got {len(axes)}")
-    index, scene = node_index(task, node), make_scene("arm", arm, one_shape(task), relative)
+    index, scene = node_index(task, node), make_scene(arm, one_shape(task), relative)
     for panel, sides in zip(axes, SIDES, strict=True):
         draw_node(panel, scene, index, sides, colour)
     axes[0].legend(loc="best", fontsize="small")
@@ -175,9 +175,9 @@ class Scene:
 
 
 @torch.no_grad()
-def make_scene(field: str, arm: Arm, task: Task, relative: bool = False) -> Scene:
+def make_scene(arm: Arm, task: Task, relative: bool = False) -> Scene:
     """What pictures of hulls show of one arm on a task of one shape."""
-    arm, metric = one_design(field, arm, task), "relative" if relative else "absolute"
+    arm, metric = one_design("arm", arm, task), "relative" if relative else "absolute"
     distance = getattr(evaluate(arm, task, (metric,)), f"{metric}_per_node")
     corners = wrench_hulls(arm, task.twists, relative=relative, segment_nodes=task.segment_nodes).vertices
     required = task_wrench(arm, task)[..., HULL[task.twists.shape[-1]]].reshape(-1, task.nodes, task.dimension)

@@ -1,23 +1,20 @@
 """Load maps of several arms side by side: which loads each holds, and by how much, at the same scale."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from numpy.typing import NDArray
 from torch import Tensor
 
 from torcharm.attainability import evaluate
-from torcharm.attainability.verdict import VERDICTS
 from torcharm.design.space import Arm
 from torcharm.inputs import check_choice, three_digits
-from torcharm.plot._common import PLAIN, Array, array, one_design, one_shape
-from torcharm.plot.loads import colour_bar, load_grid, load_map, map_places, unknown_map
+from torcharm.plot._common import PLAIN, Array, Mask, array, counted, one_design
+from torcharm.plot.loads import colour_bar, load_map, map_places, under_forces
 from torcharm.task import Task
 from torcharm.wrench_sets.capacity import load_capacity
 
@@ -32,21 +29,14 @@ PANEL = 5.2
 NOT_HELD = "tip within tolerance, yet not held: turn, shape, range or stability"
 
 
-@dataclass(frozen=True)
-class _Map:
-    """What is shown of one arm.
-
-    Attributes:
-        value: (R, C) of each force; NaN where it has none.
-        line: the value that decides.
-        words: below the arm's name.
-        hatched: (R, C) which forces are not held, though their values are on the good side of the line.
-    """
+class _Map(NamedTuple):
+    """What is shown of one arm: for each force (R, C) its value, NaN where it has none; the value that decides; words
+    below the arm's name; and (R, C) which forces are not held, though their values are on the good side of that."""
 
     value: Array
     line: float
     words: str
-    hatched: NDArray[np.bool_]
+    hatched: Mask
 
 
 def load_figure(
@@ -77,11 +67,7 @@ def load_figure(
     check_choice("quantity", quantity, tuple(QUANTITIES))
     if not arms:
         raise ValueError("arms: must hold at least one arm, got none")
-    shape = one_shape(task, [0])
-    grid = load_grid(count=21, plane="xy" if task.dimension == 3 else None) if loads is None else loads
-    # beside the tip forces the weight and point loads of a task of one load in a batch
-    load = shape.load.with_tip(None)._map(lambda value: value.reshape(value.shape[1:]) if value.ndim else value)
-    loaded = Task(shape.twists, grid, shape.base_pose, load, shape.wrench_at, shape.segment_nodes)
+    grid, loaded = under_forces(task, loads, 21)
     find = _errors if quantity == "tip error" else _factors
     with torch.no_grad():
         found = [find(one_design(name, arm, task), loaded) for name, arm in arms]
@@ -105,12 +91,9 @@ def load_figure(
 
 def _draw(axes: Axes, grid: Tensor, one: _Map, quantity: str, scale: dict[str, Any]) -> dict[str, Any]:
     """One arm's map; what its legend would hold, without what differs between arms."""
-    if np.isnan(one.value).all():
-        unknown_map(grid, f"{LOST[quantity]},\nwhatever the force", ax=axes)
-    else:
-        word = f"tolerance of the tip, {one.line:.3g} mm" if quantity == "tip error" else "factor 1: the force itself"
-        drawn = np.where(np.isinf(one.value), 2 * scale["highest"], one.value)  # beyond the colours, which have an end
-        load_map(grid, drawn, contour=one.line, contour_label=word, ax=axes, **scale)
+    word = f"tolerance of the tip, {one.line:.3g} mm" if quantity == "tip error" else "factor 1: the force itself"
+    drawn = np.where(np.isinf(one.value), 2 * scale["highest"], one.value)  # beyond the colours, which have an end
+    load_map(grid, drawn, contour=one.line, contour_label=word, ax=axes, **scale)
     if one.hatched.any():
         x, y, _ = map_places(grid)
         axes.contourf(x, y, one.hatched.astype(float), levels=[0.5, 1.5], colors="none", hatches=["///"])
@@ -126,9 +109,8 @@ def _errors(arm: Arm, task: Task) -> _Map:
     assert found.tip_error is not None
     error, line = 1e3 * array(found.tip_error), 1e3 * float(found.tolerance.lengths(arm)[0].max())
     verdict, known = np.asarray(found.verdict), np.isfinite(error)
-    held = verdict == "held"
-    others = [f"{(verdict == word).sum()} {word}" for word in VERDICTS[1:] if (verdict == word).any()]
-    words = "\n".join([f"held: {held.sum()} of {held.size} forces", ", ".join(others) or "all within its tolerance"])
+    held, others = verdict == "held", counted(verdict, "held")
+    words = f"held: {held.sum()} of {held.size} forces\n{others or 'all within its tolerance'}"
     if known.any():
         middle, worst = (three_digits(float(value)) for value in (np.median(error[known]), error[known].max()))
         words += f"\ntip off by {middle} mm (median), {worst} mm (most)"

@@ -1,7 +1,6 @@
 """Maps over tip forces, in a plane or in all directions: which of them an arm bears at a shape, and how well."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,17 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.colors import CenteredNorm, Normalize, TwoSlopeNorm
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
 from torcharm.attainability import evaluate
-from torcharm.inputs import TensorLike, as_floating, check_choice, check_count, shown
-from torcharm.load import ExternalLoad
-from torcharm.plot._common import VERDICT_STYLES, Array, array, axes_or_new, verdict_marks
-from torcharm.statics.balance import segments_of
-from torcharm.task import WRENCH_AT, Task
+from torcharm.inputs import TensorLike, as_floating, check_choice, check_count, check_number
+from torcharm.plot._common import Array, array, axes_or_new, one_design, one_shape
+from torcharm.task import Task
 
 FORCES = ("tip force $f_x$ (right) [N]", "tip force $f_y$ (up) [N]", "tip force $f_z$ (to the viewer) [N]")
 AZIMUTH = "azimuth of the force [°] (0 right, 90 to the viewer)"
@@ -55,16 +51,15 @@ def load_grid(
     check_count("count", count, 2)
     if plane is not None:
         check_choice("plane", plane, ("xy", "xz", "zy"))
-    wide, high = _limits(limit)
-    _check_moment(moment)
-    right = torch.linspace(-wide, wide, count, dtype=torch.float64)
-    up = torch.linspace(-high, high, count, dtype=torch.float64)
+    side = torch.linspace(-1.0, 1.0, count, dtype=torch.float64)
+    ends = limit if isinstance(limit, tuple) else (limit, limit)
+    right, up = (check_number("limit", end, 0.0, strict=True, unit="N") * side for end in ends)
     force_y, force_x = torch.meshgrid(up, right, indexing="ij")
     if plane is not None:
         loads = torch.zeros(count, count, 6, dtype=torch.float64)
         loads[..., "xyz".index(plane[0])], loads[..., "xyz".index(plane[1])] = force_x, force_y
         return loads
-    return torch.stack((force_x, force_y, torch.full_like(force_x, moment)), -1)
+    return torch.stack((force_x, force_y, torch.full_like(force_x, check_number("moment", moment))), -1)
 
 
 def polar_load_grid(
@@ -77,12 +72,11 @@ def polar_load_grid(
     """
     check_count("rings", rings, 2)
     check_count("directions", directions, 3)
-    size, _ = _limits(limit)
-    _check_moment(moment)
+    size = check_number("limit", limit, 0.0, strict=True, unit="N")
     radius = torch.linspace(0.0, size, rings, dtype=torch.float64).unsqueeze(-1)
     angle = torch.linspace(0.0, 2 * math.pi, directions + 1, dtype=torch.float64)
     force_x, force_y = radius * angle.cos(), radius * angle.sin()
-    return torch.stack((force_x, force_y, torch.full_like(force_x, moment)), -1)
+    return torch.stack((force_x, force_y, torch.full_like(force_x, check_number("moment", moment))), -1)
 
 
 def force_directions(size: float = 1.0, rows: int = 25, columns: int = 49) -> Float[Tensor, "rows columns 6"]:
@@ -96,7 +90,7 @@ def force_directions(size: float = 1.0, rows: int = 25, columns: int = 49) -> Fl
     """
     check_count("rows", rows, 3)
     check_count("columns", columns, 3)
-    _limits(size)
+    check_number("size", size, 0.0, strict=True, unit="N")
     elevation = torch.linspace(-math.pi / 2, math.pi / 2, rows, dtype=torch.float64).unsqueeze(-1)
     azimuth = torch.linspace(-math.pi, math.pi, columns, dtype=torch.float64)
     flat = elevation.cos()
@@ -139,7 +133,7 @@ def load_map(
         ax: 2-D axes to draw in; None makes some.
 
     Raises:
-        ValueError: shapes do not fit, no value is finite, or the axes are not 2-D.
+        ValueError: shapes do not fit, or the axes are not 2-D.
     """
     places, field = as_floating(loads=loads, values=values)
     x, y, labels = map_places(places)
@@ -147,14 +141,19 @@ def load_map(
         raise ValueError(f"values: must have shape {tuple(places.shape[:2])}, got {tuple(field.shape)}")
     value = array(field)
     finite = np.isfinite(value)
-    if not finite.any():
-        raise ValueError("values: must hold at least one finite value, got none")
     axes = axes_or_new(ax)
+    if not finite.all():
+        axes.set_facecolor(LOST_COLOUR)
+        axes.plot([], [], "s", color=LOST_COLOUR, label=f"not known: {(~finite).sum()} of {finite.size}")
+    if not finite.any():
+        axes.set(xlim=(x.min(), x.max()), ylim=(y.min(), y.max()))
+        _label(axes, labels)
+        return axes
     shown = np.ma.masked_where(~finite, value)
     norm, levels, colours = _scale(value[finite], lowest, highest, middle)
     colours = RISING_COLOURS if rising and colours == SIGNED_COLOURS else colours
-    ends = value[finite].min() < levels[0], value[finite].max() > levels[-1]
-    extend = {(False, False): "neither", (True, False): "min", (False, True): "max"}.get(ends, "both")
+    below, above = value[finite].min() < levels[0], value[finite].max() > levels[-1]
+    extend = ("both" if above else "min") if below else ("max" if above else "neither")
     shades = axes.contourf(x, y, shown, levels=levels, norm=norm, cmap=colours, extend=extend)
     drawn = contour is not None and value[finite].min() < contour < value[finite].max()
     if bar:
@@ -165,21 +164,8 @@ def load_map(
         axes.plot(
             [], [], color="black", linewidth=2.2, label=contour_label or f"{quantity} = {contour:g} {unit}".rstrip()
         )
-    if not finite.all():
-        axes.set_facecolor(LOST_COLOUR)
-        axes.plot([], [], "s", color=LOST_COLOUR, label=f"not known: {(~finite).sum()} of {finite.size}")
     _label(axes, labels)
     return axes
-
-
-def unknown_map(loads: TensorLike, words: str, *, ax: Axes) -> None:
-    """Axes as of `load_map` where no load has a value, and words that say why."""
-    (places,) = as_floating(loads=loads)
-    x, y, labels = map_places(places)
-    ax.set_facecolor(LOST_COLOUR)
-    ax.set(xlim=(x.min(), x.max()), ylim=(y.min(), y.max()))
-    ax.annotate(words, (0.5, 0.6), xycoords="axes fraction", ha="center")
-    _label(ax, labels)
 
 
 def colour_bar(figure: Any, shades: Any, axes: Any, label: str, line: float | None) -> None:
@@ -190,31 +176,6 @@ def colour_bar(figure: Any, shades: Any, axes: Any, label: str, line: float | No
     bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
     if line is not None:
         bar.ax.axhline(line, color="black", linewidth=2.2)
-
-
-def verdict_map(loads: TensorLike, verdict: Sequence[Any] | NDArray[Any], *, ax: Axes | None = None) -> Axes:
-    """The verdict on every tip load of a grid, a mark for each.
-
-    Args:
-        loads: (R, C, 3) or (R, C, 6) as for `load_map`.
-        verdict: (R, C) words, such as `ta.evaluate(arm, ta.Task(twists, loads)).verdict`.
-        ax: 2-D axes to draw in; None makes some.
-
-    Raises:
-        ValueError: shapes do not fit, a word is no verdict, or the axes are not 2-D.
-    """
-    (places,) = as_floating(loads=loads)
-    x, y, labels = map_places(places)
-    words = np.asarray(verdict)
-    if words.shape != x.shape:
-        raise ValueError(f"verdict: must have shape {x.shape}, got {words.shape}")
-    for word in np.unique(words).tolist():
-        check_choice("verdict", word, tuple(VERDICT_STYLES))
-    axes = axes_or_new(ax)
-    for word, own, inks in verdict_marks(words):
-        axes.scatter(x[own], y[own], 25, label=f"{word}: {own.sum()} of {own.size}", **inks)
-    _label(axes, labels)
-    return axes
 
 
 def map_places(loads: Tensor) -> tuple[Array, Array, tuple[str, str]]:
@@ -251,14 +212,22 @@ def _label(axes: Axes, labels: tuple[str, str]) -> None:
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize="small", frameon=False)
 
 
+def under_forces(task: Task, loads: Tensor | None, count: int) -> tuple[Tensor, Task]:
+    """A grid of tip forces, that given or one of so many a side, and a task of one shape under them, and under its own
+    weight and point loads."""
+    one_shape(task, [0])  # refuses several
+    one = task.part(0)
+    grid = load_grid(count=count, plane="xy" if task.dimension == 3 else None) if loads is None else loads
+    return grid, replace(one, load=one.load.with_tip(grid.to(one.twists)))
+
+
+@torch.no_grad()
 def attainable_load_map(
     arm: ArmDesign | ArmSeries,
-    shape: Float[Tensor, "*batch N components"] | Task,
+    task: Task | Float[Tensor, "*batch N components"],
     *,
     loads: Float[Tensor, "rows columns components"] | None = None,
     metric: str = "absolute",
-    base_pose: TensorLike | str | None = None,
-    wrench_at: str | None = None,
     weights: tuple[float, float] = (1.0, 1.0),
     ax: Axes | None = None,
 ) -> Axes:
@@ -268,40 +237,21 @@ def attainable_load_map(
 
     Args:
         arm: one design, in the plane or in space, or segments in series.
-        shape: twists (N, 3 or 6) [m, m, rad], or a task of one shape, beside whose weight and point loads the tip
-            forces act; its base pose and the place of its wrenches count then.
+        task: of one shape, beside whose weight and point loads the tip forces act; or twists (N, 3 or 6) [m, m, rad].
         loads: (R, C, 3 or 6) as for `load_map`; None takes `load_grid()`, in space of the plane "xy".
         metric, weights: as for `evaluate`.
-        base_pose: of node 1, as of `Task`; of twists alone.
-        wrench_at: as of `Task`, None for its default; of twists alone.
         ax: 2-D axes to draw in; None makes some.
 
     Raises:
-        ValueError: there are several designs or shapes, a task is given a base pose or a place of wrenches beside its
-            own, or as for `load_map` and `evaluate`.
+        ValueError: there are several designs or shapes, or as for `load_map` and `evaluate`.
     """
-    if arm.batch_shape:
-        raise ValueError(f"arm: must be one design, as arm[0] of a batch, got batch shape {tuple(arm.batch_shape)}")
-    if isinstance(shape, Task):
-        for name, value in (("base_pose", base_pose), ("wrench_at", wrench_at)):
-            if value is not None:
-                raise ValueError(f"{name}: must be left out beside a Task, which has its own, got {shown(value)}")
-        task = shape
-    else:
-        task = Task(shape.detach(), None, base_pose, ExternalLoad(), wrench_at or WRENCH_AT)
-    like = segments_of(arm)[0][0].radii
-    if math.prod(task.twists.shape[:-2]) != 1:
-        raise ValueError(f"shape: must be one, (N, 3) or (N, 6), got {tuple(task.twists.shape)}")
-    places = (load_grid(plane="xy" if arm.dimension == 3 else None) if loads is None else loads).to(like)
-    twists = task.twists.reshape(-1, task.twists.shape[-1])
-    loaded = replace(task, twists=twists, load=task.load.with_tip(places)).to(like)
-    with torch.no_grad():
-        found = evaluate(arm, loaded, (metric,), signed=True, weights=weights)
+    grid, loaded = under_forces(task if isinstance(task, Task) else Task(task), loads, 41)
+    found = evaluate(one_design("arm", arm, loaded), loaded, (metric,), signed=True, weights=weights)
     value = getattr(found, metric)
     unit = "N" if tuple(weights) == (1.0, 1.0) else "weighted"
     label = f"limit of what it bears: {int((value <= 0).sum())} of {value.numel()} within"
     axes = load_map(
-        places, value, quantity=f"{metric} unattainability, below 0 margin", unit=unit, contour_label=label, ax=ax
+        grid, value, quantity=f"{metric} unattainability, below 0 margin", unit=unit, contour_label=label, ax=ax
     )
     if not bool(found.in_range.all()):
         axes.annotate(
@@ -319,9 +269,10 @@ def _scale(values: Array, lowest: float | None, highest: float | None, middle: f
         # Margins are small beside sums of misses: each side has half of the shades.
         sides = np.linspace(low, middle, BANDS // 2 + 1), np.linspace(middle, high, BANDS // 2 + 1)[1:]
         return TwoSlopeNorm(middle, low, high), np.concatenate(sides), SIGNED_COLOURS
-    if high < 0 or (low < 0 and high <= 0):
-        return CenteredNorm(0.0, -low), np.linspace(low, high, BANDS + 1), SIGNED_COLOURS
-    return Normalize(low, high), np.linspace(low, high, BANDS + 1), POSITIVE_COLOURS
+    levels = np.linspace(low, high, BANDS + 1)
+    if low < 0 and high <= 0:
+        return CenteredNorm(0.0, -low), levels, SIGNED_COLOURS
+    return Normalize(low, high), levels, POSITIVE_COLOURS
 
 
 def _ticks(low: float, high: float, middle: float | None) -> list[float]:
@@ -335,16 +286,3 @@ def _ticks(low: float, high: float, middle: float | None) -> list[float]:
     below, above = middle - NEAR * (middle - low), middle + NEAR * (high - middle)
     ticks = between(low, middle) | between(middle, high)
     return sorted({middle} | {tick for tick in ticks if not below < tick < above})
-
-
-def _limits(limit: float | tuple[float, float]) -> tuple[float, float]:
-    wide, high = limit if isinstance(limit, tuple) else (limit, limit)
-    for value in (wide, high):
-        if not 0 < value < math.inf:
-            raise ValueError(f"limit: must be finite and above 0 N, got {value:g}")
-    return wide, high
-
-
-def _check_moment(moment: float) -> None:
-    if not math.isfinite(moment):
-        raise ValueError(f"moment: must be finite, got {moment}")

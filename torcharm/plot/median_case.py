@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torcharm.attainability import Attainability
 from torcharm.design.space import Arm
-from torcharm.plot._common import array, like_shape, median_place, one_design, under_loads
+from torcharm.plot._common import array, like_shape, median_place, under_loads
 from torcharm.plot._shapes import why_impossible
 from torcharm.plot.arms import draw_arm, draw_wanted
 from torcharm.task import Task
@@ -24,9 +24,9 @@ def median_case(found: Attainability) -> tuple[int, Tensor | None]:
     return index, twists if bool(twists.isfinite().all()) else None
 
 
-def median_shape(task: Task, found: Attainability) -> Task:
+def median_shape(found: Attainability) -> Task:
     """The shape of that task, under all loads that it is to be held under."""
-    return under_loads(task, np.flatnonzero(like_shape(task, median_case(found)[0])).tolist())
+    return under_loads(found.task, np.flatnonzero(like_shape(found.task, median_case(found)[0])).tolist())
 
 
 def is_lost(found: Attainability) -> bool:
@@ -36,14 +36,15 @@ def is_lost(found: Attainability) -> bool:
     return bool(impossible or found.impossible.reshape(-1)[index])
 
 
-def draw_median_case(axes: Any, field: str, arm: Arm, task: Task, found: Attainability) -> int | None:
-    """Draw one arm at that task; returns which load is drawn, or None where the task's shape is, under all its loads.
+def draw_median_case(axes: Any, arm: Arm, found: Attainability) -> int | None:
+    """Draw an arm at that task; returns which load is drawn, or None where the task's shape is, under all its loads.
 
-    Of an impossible task the centreline is drawn, and why. An error calls the arm by the field.
+    Of an impossible task the centreline is drawn, and why.
     """
-    arm, (index, reached) = one_design(field, arm, task), median_case(found)
+    index, reached = median_case(found)
+    task = found.task.part(index)
     if is_lost(found):
-        draw_wanted(axes, arm, task.part(index), f"impossible: {why_impossible(arm, task.part(index))}")
+        draw_wanted(axes, arm, task, f"impossible: {why_impossible(arm, task)}")
     else:
-        draw_arm(axes, arm, median_shape(task, found) if reached is None else task.part(index), reached)
+        draw_arm(axes, arm, median_shape(found) if reached is None else task, reached)
     return None if reached is None else index

@@ -14,11 +14,13 @@ from torcharm.arm_series import with_slices
 from torcharm.design.result import OptimisedDesign
 from torcharm.design.task_errors import TaskErrors
 from torcharm.inputs import three_digits
-from torcharm.plot._common import ATTAINABLE, PLAIN, UNATTAINABLE, array, kind_styles, mark_inks
+from torcharm.plot._common import ATTAINABLE, PLAIN, UNATTAINABLE, array, kind_styles, legend_below, mark_inks
 from torcharm.statics.balance import segments_of
 
 FEW = 12
 """Tasks that are drawn one by one; more are a line each, in ascending order."""
+LEGEND = -0.14
+"""Where legends are, below the axes, over their height."""
 
 
 def optimisation_figure(result: OptimisedDesign, title: str = "") -> Figure:
@@ -45,9 +47,7 @@ def optimisation_figure(result: OptimisedDesign, title: str = "") -> Figure:
     if not planar:
         section.set_aspect("equal", adjustable="datalim")
     section.margins(0.12)
-    labels: dict[str, Any] = dict(zip(*reversed(section.get_legend_handles_labels()), strict=True))
-    below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.14), "ncols": 4, "frameon": False}
-    section.legend(labels.values(), labels.keys(), **below)
+    legend_below(section, 4, LEGEND)
     return figure
 
 
@@ -81,7 +81,7 @@ def _draw_errors(axes: Axes, before: TaskErrors, after: TaskErrors, what: str) -
     axes.set(xlabel="task" if tasks <= FEW else "tasks, the nearest first", ylabel=f"predicted {what} error [mm]")
     axes.margins(y=0.12)
     axes.set_ylim(0, None)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, frameon=False)
+    legend_below(axes, 2, LEGEND)
 
 
 def _millimetres(side: TaskErrors, what: str) -> Any:
@@ -97,7 +97,7 @@ def _draw_section(
     across, along = (1e3 * array(value) for value in (arm.radii, other))
     for kind, (colour, _) in styles.items():
         own = [place for place, name in enumerate(names) if name == kind]
-        label = kind if filled else None
+        label = kind if filled and first == 1 else None  # once, whichever segment has any
         axes.scatter(across[own], along[own], s=80, label=label, **mark_inks(colour, filled))
     if filled:
         for index, place in enumerate(zip(across, along, strict=True)):

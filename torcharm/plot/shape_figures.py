@@ -18,7 +18,6 @@ from torcharm.plot._common import (
     PLAIN,
     Array,
     array,
-    median_place,
     merged_legend,
     one_design,
     projection_of,
@@ -39,10 +38,6 @@ from torcharm.plot.median_case import median_case
 from torcharm.pressure.search import PressureSearch
 from torcharm.task import Task
 
-RANKS = ("least", "largest", "median")
-"""Of the errors over their tolerance under all loads, those whose shapes are drawn; of fewer loads the first."""
-ORDER = ("least", "median", "largest")
-"""From left to right."""
 PANEL = 4.4
 """Width of a panel [inch],"""
 MARGIN = 0.9
@@ -76,13 +71,12 @@ def search_figure(
     arms = [one_design(name, arm, task) for name, arm, _ in results]
     near = PoseTolerance() if tolerance is None else tolerance
     errors = [_errors(name, arm, found, near, prod(task.batch_shape)) for name, arm, found in results]
-    ranks = RANKS[: max(1, *(int(np.isfinite(error).sum()) for error in errors))]
-    drawn = [_ranked_loads(error, len(ranks)) for error in errors]
+    drawn = [_ranked_loads(error) for error in errors]
     pairs = [(arm, load) for arm, row in zip(arms, drawn, strict=True) for load in row.values()]
     scale = max((arrow_scale(arm, task.part(load)) for arm, load in pairs), default=0.0)
     figure = Figure(layout="constrained", dpi=130)
     figure.suptitle(f"{task_name}: how near the best pressures bring the tip", fontweight="bold", **PLAIN)
-    grid = _panels(figure, len(results), len(ranks), task)
+    grid = _panels(figure, len(results), max(1, *map(len, drawn)), task)
     for (name, _, found), arm, error, chosen, row in zip(results, arms, errors, drawn, grid, strict=True):
         twists = found.twists.detach().reshape(-1, *found.twists.shape[-2:])
         off_by = array(found.tip_error).ravel()
@@ -93,7 +87,9 @@ def search_figure(
             at = task.part(load)
             draw_arm(axes, arm, at, twists[load], scale)
             off = f"tip off by {three_digits(1e3 * off_by[load])} mm, turned by {three_digits(turned[load])}°"
-            which = _which(rank, len(error) - lost, lost)
+            count = len(error) - lost
+            which = "only load" if count == 1 else f"{rank} error of {count} loads"
+            which += f", {lost} not found" if lost else ""
             axes.set_title(f"{name}: {which}\n{off}\n{_load(at, load)}", fontsize="medium", **PLAIN)
         if not chosen:
             row[0].set_axis_on()
@@ -113,18 +109,12 @@ def _errors(name: str, arm: Arm, found: PressureSearch, tolerance: PoseTolerance
     return error
 
 
-def _ranked_loads(error: Array, count: int) -> dict[str, int]:
-    """The tasks of least, median and largest error, or so many of these."""
-    ranked, middle = ranked_places(error), median_place(error)
-    if middle is None:
-        return {}
-    found = dict(zip(RANKS[: min(count, len(ranked))], (int(ranked[0]), int(ranked[-1]), middle), strict=False))
-    return {rank: found[rank] for rank in ORDER if rank in found}
-
-
-def _which(rank: str, count: int, lost: int) -> str:
-    whole = "only load" if count == 1 else f"{rank} error of {count} loads"
-    return f"{whole}{f', {lost} not found' if lost else ''}"
+def _ranked_loads(error: Array) -> dict[str, int]:
+    """The tasks of least, median and largest error, or so many of these as there are."""
+    ranked = ranked_places(error)
+    last = len(ranked) - 1
+    names = {last // 2: "median", last: "largest", 0: "least"}  # of few errors the later name counts
+    return {names[place]: int(ranked[place]) for place in sorted(names) if last >= 0}
 
 
 def _load(task: Task, load: int) -> str:

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from torcharm.attainability import VERDICTS, Attainability
+from torcharm.attainability import Attainability
 from torcharm.design.space import Arm
 from torcharm.inputs import three_digits
 from torcharm.plot._common import (
@@ -18,12 +18,16 @@ from torcharm.plot._common import (
     PLAIN,
     Array,
     array,
+    counted,
     label_powers,
     legend_below,
     limits_around,
     merged_legend,
+    one_design,
     projection_of,
     verdict_marks,
+    verdict_words,
+    worst_node,
 )
 from torcharm.plot.hulls import SIDES, Scene, draw_node, make_scene
 from torcharm.plot.median_case import draw_median_case, is_lost, median_shape
@@ -54,6 +58,7 @@ def study_figure(
         ValueError: results, task and evaluated do not fit each other, or a name comes twice.
     """
     _check(results, evaluated, prod(task.batch_shape))
+    results = [(name, one_design(f"results[{place}]", arm, task)) for place, (name, arm) in enumerate(results)]
     columns, flat = len(results), task.dimension == 2
     figure = Figure(figsize=(max(9.0, 5.5 * columns), 11.0 + 0.3 * columns), layout="constrained")
     lost = list(map(is_lost, evaluated))
@@ -66,20 +71,21 @@ def study_figure(
     scenes, views = [], []
     for column, ((name, arm), found) in enumerate(zip(results, evaluated, strict=True)):
         axes = rows[1].add_subplot(1, columns, column + 1, projection=projection_of(task))
-        shown = draw_median_case(axes, f"results[{column}]", arm, task, found)
+        shown = draw_median_case(axes, arm, found)
         drawn = "" if shown is None else f"\ndrawn: load {shown + 1} of {prod(task.batch_shape)}"
         if not lost[column]:
-            scenes.append(make_scene(f"results[{column}]", arm, median_shape(task, found)))
-        axes.set_title(f"{textwrap.fill(f'{name}: {_counts(found)}', 60)}{drawn}", fontsize="medium", **PLAIN)
+            scenes.append(make_scene(arm, median_shape(found)))
+        title = textwrap.fill(f"{name}: {counted(verdict_words(found))}", 60)
+        axes.set_title(f"{title}{drawn}", fontsize="medium", **PLAIN)
         legend_below(axes, 2)
-        for panel, (node, sides) in zip([] if cells is None else cells[column], _views(found, task), strict=False):
+        for panel, (node, sides) in zip([] if cells is None else cells[column], _views(found), strict=False):
             if lost[column]:
                 panel.set_axis_off()
                 continue
             draw_node(panel, scenes[-1], node, sides, ARM_COLOURS[column % len(ARM_COLOURS)])
             inside = scenes[-1].inside[:, node]
-            counted = f"node {node + 1} of {task.nodes}\n{inside.sum()} of {len(inside)} inside"
-            panel.set_title(f"{textwrap.fill(name, 26)}\n{counted}", fontsize="small", **PLAIN)
+            which = f"node {node + 1} of {task.nodes}\n{inside.sum()} of {len(inside)} inside"
+            panel.set_title(f"{textwrap.fill(name, 26)}\n{which}", fontsize="small", **PLAIN)
             views.append((panel, sides))
     if views:
         limit_views(views, scenes)
@@ -115,12 +121,12 @@ def _check(results: Sequence[tuple[str, Arm]], evaluated: Sequence[Attainability
 def _draw_errors(axes: Any, names: Sequence[str], evaluated: Sequence[Attainability]) -> None:
     """A row of marks for each arm, one for each task, with its median and how many are held."""
     predicted = all(found.prediction is not None for found in evaluated)
-    values = [_over(found) if predicted else _lacking(found) for found in evaluated]
+    values = [_value(found, predicted=predicted) for found in evaluated]
     finite = np.concatenate([value[np.isfinite(value)] for value in values])
     most = 2 * max(finite.max(initial=LEAST), 1.0 if predicted else 10 * LEAST)  # the tolerance is 1
     drawn: set[str] = set()
     for row, (value, found) in enumerate(zip(values, evaluated, strict=True)):
-        words = _words(found)
+        words = verdict_words(found)
         spread = row + 0.22 * np.sin(2.4 * np.arange(len(value)))  # apart, so that marks of equal errors are seen
         place = np.clip(np.where(np.isfinite(value), value, most), LEAST, most)
         for word, chosen, inks in verdict_marks(words):
@@ -130,7 +136,7 @@ def _draw_errors(axes: Any, names: Sequence[str], evaluated: Sequence[Attainabil
         middle = float(np.median(np.where(np.isnan(value), np.inf, value)))
         if not np.isfinite(middle):
             note = {"fontsize": "small", "va": "bottom", "ha": "left", "transform": axes.get_yaxis_transform()}
-            axes.text(0.01, row - 0.1, _why_none(found, words), **note)
+            axes.text(0.01, row - 0.1, _why_none(found, value, words), **note)
             continue
         middle = max(middle, LEAST)
         axes.plot([middle] * 2, [row - 0.38, row + 0.38], color="black", linewidth=2)
@@ -151,33 +157,22 @@ def _draw_errors(axes: Any, names: Sequence[str], evaluated: Sequence[Attainabil
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small", frameon=False)
 
 
-def _why_none(found: Attainability, words: Any) -> str:
+def _why_none(found: Attainability, value: Array, words: Any) -> str:
     """Why there is no median: the verdict on most of the tasks without an error, and of impossible ones why."""
-    lost = [index for index, value in enumerate(_over(found)) if not np.isfinite(value)] if found.prediction else []
-    if not lost:
+    lost = np.flatnonzero(~np.isfinite(value))
+    if found.prediction is None:
         return "no median: most have no number"
-    if all(words[index] == "impossible" for index in lost):
-        reason = textwrap.shorten(str(np.ravel(np.asarray(found.reason))[lost[0]]), 90)
-        return f"impossible: {reason}"
+    if (words[lost] == "impossible").all():
+        return f"impossible: {textwrap.shorten(str(np.ravel(np.asarray(found.reason))[lost[0]]), 90)}"
     return f"no median: of {len(lost)} of {len(words)} no stable shape was found"
 
 
 def _tolerances(evaluated: Sequence[Attainability]) -> str:
     """What the arms are allowed, in words; tolerances that follow their lengths may differ."""
-    allowed = evaluated[0].tolerance
-    tip, shape = (
-        sorted({f"{1e3 * float(found.tolerance.lengths(found.arm)[end].max()):.3g}" for found in evaluated}, key=float)
-        for end in (0, 1)
-    )
-    spans = [" to ".join((span[0], span[-1])[: len(span)]) for span in (tip, shape)]
-    lengths = f"tip, shape {spans[0]} mm" if tip == shape else f"tip {spans[0]} mm, shape {spans[1]} mm"
-    return f"tolerance:\n{lengths},\nturn {np.degrees(allowed.rotation):.3g}°"
-
-
-def _over(found: Attainability) -> Array:
-    """The largest error of each task over its tolerance."""
-    assert found.over_tolerance is not None
-    return array(found.over_tolerance).ravel()
+    ends = 1e3 * np.array([[float(end.max()) for end in found.tolerance.lengths(found.arm)] for found in evaluated])
+    tip, shape = (" to ".join(dict.fromkeys(f"{end:.3g}" for end in (own.min(), own.max()))) for own in ends.T)
+    lengths = f"tip, shape {tip} mm" if tip == shape else f"tip {tip} mm, shape {shape} mm"
+    return f"tolerance:\n{lengths},\nturn {np.degrees(evaluated[0].tolerance.rotation):.3g}°"
 
 
 def _tip_off(found: Attainability) -> str:
@@ -186,31 +181,16 @@ def _tip_off(found: Attainability) -> str:
     return three_digits(1e3 * float(np.median(array(found.tip_error))))
 
 
-def _lacking(found: Attainability) -> Array:
-    """What the nodes lack of each task [N], in sum; by the first metric that there is."""
-    value = found.relative if found.absolute is None else found.absolute
+def _value(found: Attainability, *, predicted: bool) -> Array:
+    """Of each task the largest error over its tolerance, or what nodes lack in sum, by the first metric there is."""
+    lack = found.relative if found.absolute is None else found.absolute
+    value = found.over_tolerance if predicted else lack
     return np.full(found.strain_excess.numel(), np.nan) if value is None else array(value).ravel()
 
 
-def _words(found: Attainability) -> Any:
-    """The verdict on each task; of sets alone, whether it is excluded."""
-    if found.verdict is not None:
-        return np.ravel(np.asarray(found.verdict))
-    assert found.not_excluded is not None
-    return np.where(found.not_excluded.numpy(force=True).ravel(), "not excluded", "excluded")
-
-
-def _counts(found: Attainability) -> str:
-    words = list(_words(found))
-    order = (*VERDICTS, "not excluded", "excluded")
-    return ", ".join(f"{words.count(word)} {word}" for word in order if word in words)
-
-
-def _views(found: Attainability, task: Task) -> list[tuple[int, tuple[int, int]]]:
+def _views(found: Attainability) -> list[tuple[int, tuple[int, int]]]:
     """The nodes to draw, and by which components: the one that lacks most on average, in the plane behind the base."""
-    miss, nodes = found.node_miss, task.nodes
-    mean = np.zeros(nodes) if miss is None else array(miss).reshape(-1, nodes).mean(0)
-    worst = int(np.where(np.isfinite(mean), mean, -1.0).argmax())
-    if task.dimension == 3:
+    worst = worst_node(found)
+    if found.task.dimension == 3:
         return [(worst, sides) for sides in SIDES]
-    return [(0, SIDES[0]), (worst or nodes - 1, SIDES[0])]
+    return [(0, SIDES[0]), (worst or found.task.nodes - 1, SIDES[0])]

@@ -12,7 +12,17 @@ from torch import Tensor
 
 from torcharm.geometry.alpha_shape import AlphaShape, alpha_shape
 from torcharm.inputs import check_choice, check_count, shown
-from torcharm.plot._common import ATTAINABLE, PLAIN, UNATTAINABLE, Array, array, axes_or_new, merged_legend, same_limits
+from torcharm.plot._common import (
+    ATTAINABLE,
+    PLAIN,
+    UNATTAINABLE,
+    Array,
+    array,
+    axes_or_new,
+    label_powers,
+    merged_legend,
+    same_limits,
+)
 from torcharm.study.words import region_size
 from torcharm.workspaces import STATES, Workspace
 from torcharm.workspaces.states import position_of
@@ -34,8 +44,6 @@ MOST_MARKS = 300
 HIGHEST = 0.95
 """Of the places whose factor the colours tell apart; those of more get the last colour. A payload that hardly loads
 the arm could grow by any factor."""
-TICKS = tuple(digit * 10.0**power for power in range(6) for digit in (1, 2, 5))
-"""Of factors."""
 PANEL = 4.6
 """Width of a panel [inch]."""
 
@@ -221,8 +229,7 @@ def _bar(figure: Any, colours: Any, axes: Any, show: str) -> None:
     """A colour bar with round numbers."""
     bar = figure.colorbar(colours, ax=axes, label=SHOWN[show], shrink=0.8, extend="max")
     if show == "payload factor":
-        ticks = [one for one in TICKS if one <= colours.norm.vmax]
-        bar.set_ticks(ticks, labels=[f"{one:g}" for one in ticks])
+        label_powers(bar.ax.yaxis)
         bar.minorticks_off()
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from markupsafe import Markup
 
@@ -49,8 +50,7 @@ class Evaluated:
         return [task for task in self.study.tasks if self.of_task(task)]
 
 
-@dataclass(frozen=True)
-class Count:
+class Count(NamedTuple):
     """How many loads have a verdict, and the colour in which that is drawn."""
 
     word: str
@@ -75,8 +75,7 @@ class Column:
     numeric: bool = True
 
 
-@dataclass(frozen=True)
-class Panel:
+class Panel(NamedTuple):
     """A figure as inline SVG, of what, and a line below."""
 
     title: str

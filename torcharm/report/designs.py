@@ -3,8 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +21,11 @@ MOST = 0.9
 """The share of the loads within the second of the tip's errors that are told."""
 
 
-@dataclass(frozen=True)
-class Measure:
+class Measure(NamedTuple):
     """One number, word or list of counts about a design.
 
     Attributes:
-        title, unit: of its column.
+        title, unit: of its column; without a title it is in none.
         name: of its column in CSV; "" has none.
         value: None where there is none.
         text: as the table shows it; None shows the number.
@@ -52,14 +50,12 @@ class Measure:
 def design_table(rows: Sequence[Sequence[StudyResult]], sizes: bool = True) -> list[Column]:
     """Columns with a row for each design, of its results on the tasks to be told together, and of its sizes."""
     several = len({result.task.name for results in rows for result in results}) > 1
-    found = [list(_measures(results, sizes, several)) for results in rows]
-    titles = dict.fromkeys((one.title, one.unit) for row in found for one in row if one.title)
+    found = [{one[:2]: one for one in _measures(results, sizes, several) if one.title} for results in rows]
     columns = [Column("design", "", [results[0].arm.name for results in rows], numeric=False)]
-    for title, unit in titles:
-        own = [{(one.title, one.unit): one for one in row}.get((title, unit)) for row in found]
-        if any(one is not None and (one.value is not None or one.text is not None) for one in own):
-            cells = ["–" if one is None else one.shown for one in own]
-            words = any(one is not None and isinstance(one.value, str) for one in own)
+    for title, unit in dict.fromkeys(key for row in found for key in row):
+        own = [row.get((title, unit), Measure(title, unit, "", None)) for row in found]
+        if any(one.value is not None or one.text is not None for one in own):
+            cells, words = [one.shown for one in own], any(isinstance(one.value, str) for one in own)
             columns.append(Column(title, unit, cells, not words and all(isinstance(cell, str) for cell in cells)))
     return columns
 

@@ -3,20 +3,18 @@
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from torcharm.attainability.verdict import over_tolerance
 from torcharm.plot import ARM_COLOURS
-from torcharm.plot._common import array, projection_of
+from torcharm.plot._common import merged_legend, projection_of, same_limits, worst_node
 from torcharm.plot.histograms import draw_tip_errors, tip_error_edges
 from torcharm.plot.hulls import SIDES, draw_node, make_scene
 from torcharm.plot.median_case import draw_median_case, is_lost, median_shape
 from torcharm.plot.study import limit_views
 from torcharm.report.content import Evaluated, Panel
 from torcharm.report.svg import inline_svg
-from torcharm.study import StudyResult, summarise
+from torcharm.study import StudyResult
 
 PANEL = 3.7
 """Width of a figure [inch]: three of them stand beside each other on a page of paper laid wide."""
@@ -26,8 +24,6 @@ WIDE = 9.5
 """Width of one that stands alone."""
 LEGEND = 7.5
 """Size of its text [pt]: two entries beside each other."""
-MISSED_BY = ("the tip's place", "the tip's turn", "the shape")
-"""The errors that verdicts are by, in their order."""
 
 
 def new_axes(height: float, projection: str = "rectilinear") -> Any:
@@ -52,11 +48,13 @@ def arm_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Iterator
     for result in results:
         task = result.task.task
         axes = new_axes(1.15, projection_of(task))
-        shown = draw_median_case(axes, "arm", result.arm.design, task, result.attainability)
+        shown = draw_median_case(axes, result.arm.design, result.attainability)
         put_legend_below(axes)
         drawn.append((result, axes, shown))
     if results[0].task.task.dimension == 2:
-        share_limits([axes for _, axes, _ in drawn])
+        for _, axes, _ in drawn:
+            axes.set_aspect("equal", adjustable="box")
+        same_limits([axes for _, axes, _ in drawn])
     for result, axes, shown in drawn:
         caption = f"under load {shown + 1} of {result.loads}" if shown is not None and result.loads > 1 else ""
         yield to_panel(axes.figure, result, evaluated, "arm", caption)
@@ -76,19 +74,8 @@ def error_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Iterat
     highest = max((axes.get_ylim()[1] for _, axes, _ in drawn), default=1.0)
     for result, axes, lost in drawn:
         axes.set_ylim(0, highest)
-        said = [f"without a number, as no shape was found: {lost} of {result.loads}"] if lost else []
-        yield to_panel(axes.figure, result, evaluated, "errors", "; ".join((*_missed_by(result), *said)))
-
-
-def _missed_by(result: StudyResult) -> Iterator[str]:
-    """By which error, the largest over its tolerance, loads are missed; of several, counted."""
-    found, words = result.attainability, np.asarray(result.verdicts)
-    assert found.prediction is not None
-    over = array(over_tolerance(result.arm.design, found.prediction, found.tolerance)).reshape(len(MISSED_BY), -1)
-    worst = over[:, words == "missed"].argmax(0).tolist()
-    if worst:
-        counts = [(name, f" {worst.count(place)}") for place, name in enumerate(MISSED_BY) if place in worst]
-        yield f"missed by {', '.join(name + count * (result.loads > 1) for name, count in counts)}"
+        caption = f"without a number, as no shape was found: {lost} of {result.loads}" if lost else ""
+        yield to_panel(axes.figure, result, evaluated, "errors", caption)
 
 
 def hull_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Iterator[Panel]:
@@ -98,8 +85,8 @@ def hull_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Iterato
         task, found = result.task.task, result.attainability
         if is_lost(found) or found.node_miss is None:
             continue
-        relative, node = found.absolute is None, _worst_node(result)
-        scene = make_scene("arm", result.arm.design, median_shape(task, found), relative)
+        relative, node = found.absolute is None, worst_node(found)
+        scene = make_scene(result.arm.design, median_shape(found), relative)
         if task.dimension == 2:
             panels = [new_axes(1.0)]
         else:
@@ -122,26 +109,4 @@ def put_legend_below(axes: Any, ncols: int = 2) -> None:
     """The legend of axes below their figure, in place of one that they may have."""
     if axes.get_legend() is not None:
         axes.get_legend().remove()
-    how: dict[str, Any] = {"loc": "outside lower center", "fontsize": LEGEND, "frameon": False}
-    axes.figure.legend(*axes.get_legend_handles_labels(), ncols=ncols, **how)
-
-
-def share_limits(many: Sequence[Any]) -> None:
-    """The same limits, around all, for axes of figures of one size."""
-    for side in ("xlim", "ylim"):
-        ends = np.array([getattr(axes, f"get_{side}")() for axes in many])
-        for axes in many:
-            axes.set_aspect("equal", adjustable="box")  # else the limits would give way to the aspect
-            axes.set(**{side: (ends.min(), ends.max())})
-
-
-def _worst_node(result: StudyResult) -> int:
-    """The node that lacks most on average, from 0; where none lacks, that with the least margin, or the last."""
-    worst = summarise(result).worst_node
-    if worst is not None:
-        return worst - 1
-    found = result.attainability
-    per_node = found.relative_per_node if found.absolute_per_node is None else found.absolute_per_node
-    if per_node is None or not found.signed:
-        return result.task.task.nodes - 1
-    return int(array(per_node).reshape(-1, per_node.shape[-1]).mean(0).argmax())
+    merged_legend(axes.figure, [axes], loc="outside lower center", fontsize=LEGEND, ncols=ncols)

@@ -1,16 +1,15 @@
 """Which tip forces each design holds at a task's shape, and how far beyond its tolerance it is under the others."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm.attainability import PREDICTED, VERDICTS, evaluate
-from torcharm.plot._common import array, verdict_marks
-from torcharm.plot.loads import HALO, attainable_load_map, load_grid, load_map
+from torcharm.attainability import PREDICTED, evaluate
+from torcharm.plot._common import array, counted, verdict_marks, verdict_words
+from torcharm.plot.loads import HALO, attainable_load_map, load_grid, load_map, under_forces
 from torcharm.plot.median_case import is_lost, median_case
 from torcharm.report.content import Evaluated, Panel
 from torcharm.report.figures import new_axes, put_legend_below, to_panel
@@ -25,8 +24,6 @@ USUAL = 10.0
 """How far it reaches where the study's loads have no force [N]."""
 HIGHEST = 4.0
 """Tolerances at which the shades of errors end: what is further off is far off."""
-PLANES = {(0, 1): "xy", (0, 2): "xz", (1, 2): "zy"}
-"""Of components of forces in space, those that differ most in a study, and the plane of `load_grid`."""
 
 
 def load_map_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Iterator[Panel]:
@@ -51,24 +48,21 @@ def load_map_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Ite
 
 def _draw_errors(axes: Any, result: StudyResult, task: Task, grid: Tensor) -> str:
     """The predicted error under a grid of tip forces, over its tolerance; returns their verdicts, counted."""
-    loaded = replace(task, load=task.load.with_tip(grid.to(task.twists)))
+    loaded = under_forces(task, grid, COUNT)[1]
     with torch.no_grad():
         found = evaluate(result.arm.design, loaded, (PREDICTED,), tolerance=result.settings.tolerance)
-    over, words = found.over_tolerance, np.ravel(np.asarray(found.verdict)).tolist()
+    over, words = found.over_tolerance, verdict_words(found)
     assert over is not None
-    if bool(over.isfinite().any()):
-        shades: dict[str, Any] = {"lowest": 0.0, "highest": HIGHEST, "contour": 1.0, "contour_label": "tolerance"}
-        load_map(grid, over, quantity="predicted error over tolerance", unit="", ax=axes, **shades)
-    counted = ", ".join(f"{words.count(word)} {word}" for word in VERDICTS if word in words)
-    return f"of {len(words)} tip forces {counted}"
+    shades: dict[str, Any] = {"lowest": 0.0, "highest": HIGHEST, "contour": 1.0, "contour_label": "tolerance"}
+    load_map(grid, over, quantity="predicted error over tolerance", unit="", ax=axes, **shades)
+    return f"of {len(words)} tip forces {counted(words)}"
 
 
 def _draw_loads(axes: Any, result: StudyResult, sides: tuple[int, int]) -> None:
     """The study's own loads, a mark for each by its verdict."""
     force = array(result.task.task.tip_load)
     force = np.broadcast_to(force, (*result.task.task.batch_shape, force.shape[-1])).reshape(result.loads, -1)
-    words = np.asarray(result.verdicts or ["not excluded" if not why else "excluded" for why in result.reasons])
-    for word, own, inks in verdict_marks(words):
+    for word, own, inks in verdict_marks(verdict_words(result.attainability)):
         label = f"{own.sum()} {word}"
         axes.scatter(*force[own].T[list(sides)], 16, label=label, path_effects=HALO, **inks)
     put_legend_below(axes)
@@ -81,6 +75,5 @@ def _grid(task: Task) -> tuple[Tensor, tuple[int, int]]:
     if task.dimension == 2:
         return load_grid(limit, COUNT), (0, 1)
     least = max(range(3), key=lambda side: (-float(force[side]), side))
-    pair = tuple(side for side in range(3) if side != least)
-    plane = PLANES[pair]  # type: ignore[index]
+    plane = ("zy", "xz", "xy")[least]  # of the two that are larger
     return load_grid(limit, COUNT, plane=plane), ("xyz".index(plane[0]), "xyz".index(plane[1]))

@@ -5,6 +5,7 @@ Another one is a function of the same kind in `SECTIONS`.
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 from torcharm.report.built import built_panel, built_table, workspace_panels
 from torcharm.report.content import Block, Evaluated, Panel, Section
@@ -77,44 +78,39 @@ def next_steps(evaluated: Evaluated) -> Section | None:
     return Section("What to try next", blocks) if blocks else None
 
 
-def arms(evaluated: Evaluated) -> Section | None:
-    """The arms where they are predicted to be."""
-    predicted = (
-        "The task's centreline is solid, the one reached dashed. Of several loads, the one whose errors, over their "
-        "tolerances, are the median of that design's."
-    )
-    text = predicted if evaluated.predicted else "Each design at the task's shape, with all of its loads."
-    return _drawn(evaluated, "Arms", text, arm_panels, in_space=2)
+ARMS = (
+    "The task's centreline is solid, the one reached dashed. Of several loads, the one whose errors, over their "
+    "tolerances, are the median of that design's."
+)
+ERRORS = (
+    "Under how many loads the tip is predicted to be how far off. Faint bars: it is near enough, but turned too "
+    "far, or the shape is too far off. Bars not filled: figures not to be relied on."
+)
+MAPS = (
+    "How far off each design is at the task's shape under tip forces without a moment: within the line all "
+    "errors are within the tolerance."
+)
+MAPS_OF_SETS = "Which tip forces, without a moment, each design bears at the task's shape, as far as sets can tell."
+MARKS = " Marks are the study's own loads; they may have moments and, in space, a third force, which maps have not."
+HULLS = (
+    "What pressures can provide at the node that lacks most on average, or is nearest to it, and what the loads "
+    "require there. In space seen along each axis: a point within all outlines may still be outside."
+)
 
 
-def errors(evaluated: Evaluated) -> Section | None:
-    """Histograms of the tip's error."""
-    text = (
-        "Under how many loads the tip is predicted to be how far off. Faint bars: it is near enough, but turned too "
-        "far, or the shape is too far off. Bars not filled: figures not to be relied on."
-    )
-    return _drawn(evaluated, "Tip errors", text, error_panels)
+def drawn(
+    evaluated: Evaluated, title: str, predicted: str, panels: Panels, in_space: int = 3, sets: str = ""
+) -> Section | None:
+    """A section of figures, task by task; of tasks in space so many beside each other.
 
-
-def load_maps(evaluated: Evaluated) -> Section | None:
-    """Maps over tip forces."""
-    predicted = (
-        "How far off each design is at the task's shape under tip forces without a moment: within the line all "
-        "errors are within the tolerance."
-    )
-    sets = "Which tip forces, without a moment, each design bears at the task's shape, as far as sets can tell."
-    marks = "Marks are the study's own loads; they may have moments and, in space, a third force, which maps have not."
-    text = f"{predicted if evaluated.predicted else sets} {marks}"
-    return _drawn(evaluated, "Load maps", text, load_map_panels)
-
-
-def hulls(evaluated: Evaluated) -> Section | None:
-    """Attainable sets at the worst nodes."""
-    text = (
-        "What pressures can provide at the node that lacks most on average, or is nearest to it, and what the loads "
-        "require there. In space seen along each axis: a point within all outlines may still be outside."
-    )
-    return _drawn(evaluated, "Attainable wrenches at the worst node", text, hull_panels, in_space=1)
+    Its text is one of two, as errors were predicted or sets alone measured.
+    """
+    blocks = [
+        Block(title=task.name, panels=own, columns=in_space if task.task.dimension == 3 else 3)
+        for task in evaluated.tasks
+        if (own := list(panels(evaluated.of_task(task), evaluated)))
+    ]
+    return Section(title, blocks, predicted if evaluated.predicted else sets or predicted) if blocks else None
 
 
 def built(evaluated: Evaluated) -> Section | None:
@@ -157,21 +153,18 @@ def loads(evaluated: Evaluated) -> Section | None:
 SECTIONS: tuple[Callable[[Evaluated], Section | None], ...] = (
     designs,
     next_steps,
-    arms,
-    errors,
-    load_maps,
-    hulls,
+    partial(
+        drawn,
+        title="Arms",
+        predicted=ARMS,
+        sets="Each design at the task's shape, with all of its loads.",
+        panels=arm_panels,
+        in_space=2,
+    ),
+    partial(drawn, title="Tip errors", predicted=ERRORS, panels=error_panels),
+    partial(drawn, title="Load maps", predicted=MAPS + MARKS, sets=MAPS_OF_SETS + MARKS, panels=load_map_panels),
+    partial(drawn, title="Attainable wrenches at the worst node", predicted=HULLS, panels=hull_panels, in_space=1),
     built,
     reach,
     loads,
 )
-
-
-def _drawn(evaluated: Evaluated, title: str, text: str, panels: Panels, in_space: int = 3) -> Section | None:
-    """A section of figures, task by task; of tasks in space so many beside each other."""
-    blocks = [
-        Block(title=task.name, panels=drawn, columns=in_space if task.task.dimension == 3 else 3)
-        for task in evaluated.tasks
-        if (drawn := list(panels(evaluated.of_task(task), evaluated)))
-    ]
-    return Section(title, blocks, text) if blocks else None
