@@ -30,7 +30,9 @@ def test_what_is_not_clear_is_not_told():
     strain, pressure, force = samples(ta.Bellows())
     random = np.random.default_rng(1)
     assert positive_forces(strain, pressure, random.normal(size=len(force))) == ""
-    assert positive_forces(strain, pressure, pressure + 0 * strain) == ""  # no stiffness at all
+    for size in (1e-3, 0.1, 0.3, 1.0, 7.0, 1e4):  # no stiffness at all, or no force: rounding has signs, too
+        assert positive_forces(strain, pressure, size * pressure) == ""
+    assert positive_forces(strain, pressure, 0 * force) == ""
     assert positive_forces(0 * strain, pressure, force) == ""
     assert positive_forces(strain[:8], pressure[:8], force[:8]) == ""
     assert positive_forces(strain, pressure, 100 * (strain - 0.25) ** 2) == ""  # rises and falls

@@ -22,6 +22,8 @@ OPEN = 20.0
 """So often may what is no noise in forces count in their change over all strains; more, and samples leave it open."""
 ABOVE_NOISE = 2.0
 """In root mean squares of what a quadratic leaves of forces: by so much must they change over the strains."""
+ROUNDING = 1e-9
+"""Of the largest force: at least so much counts as noise, as what is exact in a file is not after arithmetic."""
 
 
 def positive_forces(strain: Array, pressure: Array, force: Array) -> str:
@@ -53,8 +55,9 @@ def positive_forces(strain: Array, pressure: Array, force: Array) -> str:
     else:
         return ""
     slope = changes @ coefficients / (2 * half)
-    mean, noise = float(slope.mean()), float((f - matrix @ coefficients).std())
-    if abs(mean) < CLEAR * float(np.abs(slope).mean()) or abs(mean) * np.ptp(x) < ABOVE_NOISE * noise:
+    mean = float(slope.mean())
+    noise = max(float((f - matrix @ coefficients).std()), ROUNDING * float(np.abs(f).max()))
+    if abs(mean) < CLEAR * float(np.abs(slope).mean()) or abs(mean) * np.ptp(x) <= ABOVE_NOISE * noise:
         return ""
     return "pull" if mean > 0 else "push"
 

@@ -6,9 +6,8 @@ from functools import lru_cache, partial
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[Any]
+Array = np.ndarray[Any, np.dtype[Any]]  # jaxtyping takes no NDArray[Any], which is a type alias as of numpy 2.5
 T = TypeVar("T")
 Sizes = tuple[tuple[str, int], ...]
 

@@ -78,6 +78,7 @@ def sobol_points(dimension: int, seed: int, count: int) -> SobolPoints:
     engine.fast_forward(1)  # the engine rounds its very first point to single precision
     one, two, three = draw(), draw(), draw()
     directions = [two ^ three, one ^ two]
+    engine.reset()  # it goes no step back, and the next pair begins with the third point
     for bit in range(2, (count - 1).bit_length()):
         engine.fast_forward(2**bit - 1 - engine.num_generated)
         before = draw()
