@@ -97,7 +97,7 @@ def refused(monkeypatch, capsys, *args):
     """The one line with which a command refuses."""
     assert command(monkeypatch, *args) == 2
     shown = capsys.readouterr()
-    (line,) = shown.err.splitlines()
+    (line,) = without_notice(shown.err).splitlines()
     assert line.startswith("torcharm: ")
     return line, shown.out
 
