@@ -4,6 +4,7 @@ import base64
 import csv
 import hashlib
 import io
+import math
 import re
 from collections import Counter
 from dataclasses import replace
@@ -15,6 +16,7 @@ from report_cases import IMAGE, NAMES, SCRIPT, SERIES, STUDY, TASK, TEMPLATE, UN
 
 from torcharm.attainability import VERDICTS
 from torcharm.report import SECTIONS, Block, Evaluated, Section, page, study_report, with_margins
+from torcharm.report.figures import MISSED_BY
 from torcharm.study import evaluate_study, load_study, parse_study, result_rows, summarise
 from torcharm.study.reading import example_text
 
@@ -160,6 +162,18 @@ def test_the_header_says_what_was_evaluated_by_what_and_who_was_not(found):
     assert re.search(r"torch \d+\.\d+.*Python 3\.", header)
     assert "10 nodes, 43 loads, in the plane" in header
     assert f"Not evaluated: {SCRIPT}: no such <b>pressure</b>" in re.sub(r"\s+", " ", header)
+
+
+def test_of_missed_loads_the_error_that_is_largest_is_counted(evaluated, found):
+    words, kinds = "".join(found.words), set()
+    for result in evaluated.results[:4]:
+        one, missed = result.attainability, torch.tensor([word == "missed" for word in result.verdicts])
+        over = torch.stack([one.tip_error / 0.01, one.tip_rotation_error / math.radians(5), one.shape_error / 0.01])
+        worst = over.argmax(0)[missed].tolist()
+        counted = [f"{name} {worst.count(place)}" for place, name in enumerate(MISSED_BY) if place in worst]
+        assert not counted or f"missed by {', '.join(counted)}" in words
+        kinds |= set(worst)
+    assert len(kinds) > 1
 
 
 def test_what_puzzles_beside_the_table_is_explained():

@@ -3,11 +3,13 @@
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from torcharm.attainability.verdict import over_tolerance
 from torcharm.plot import ARM_COLOURS
-from torcharm.plot._common import merged_legend, projection_of, same_limits, worst_node
+from torcharm.plot._common import array, merged_legend, projection_of, same_limits, worst_node
 from torcharm.plot.histograms import draw_tip_errors, tip_error_edges
 from torcharm.plot.hulls import SIDES, draw_node, make_scene
 from torcharm.plot.median_case import draw_median_case, is_lost, median_shape
@@ -24,6 +26,8 @@ WIDE = 9.5
 """Width of one that stands alone."""
 LEGEND = 7.5
 """Size of its text [pt]: two entries beside each other."""
+MISSED_BY = ("the tip's place", "the tip's turn", "the shape")
+"""The errors that verdicts are by, in their order."""
 
 
 def new_axes(height: float, projection: str = "rectilinear") -> Any:
@@ -74,8 +78,19 @@ def error_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Iterat
     highest = max((axes.get_ylim()[1] for _, axes, _ in drawn), default=1.0)
     for result, axes, lost in drawn:
         axes.set_ylim(0, highest)
-        caption = f"without a number, as no shape was found: {lost} of {result.loads}" if lost else ""
-        yield to_panel(axes.figure, result, evaluated, "errors", caption)
+        said = [f"without a number, as no shape was found: {lost} of {result.loads}"] if lost else []
+        yield to_panel(axes.figure, result, evaluated, "errors", "; ".join((*_missed_by(result), *said)))
+
+
+def _missed_by(result: StudyResult) -> Iterator[str]:
+    """By which error, the largest over its tolerance, loads are missed; of several, counted."""
+    found, words = result.attainability, np.asarray(result.verdicts)
+    assert found.prediction is not None
+    over = array(over_tolerance(result.arm.design, found.prediction, found.tolerance)).reshape(len(MISSED_BY), -1)
+    worst = over[:, words == "missed"].argmax(0).tolist()
+    if worst:
+        counts = [(name, f" {worst.count(i)}") for i, name in enumerate(MISSED_BY) if i in worst]
+        yield f"missed by {', '.join(name + count * (result.loads > 1) for name, count in counts)}"
 
 
 def hull_panels(results: Sequence[StudyResult], evaluated: Evaluated) -> Iterator[Panel]:
