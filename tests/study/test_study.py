@@ -525,9 +525,9 @@ BAD_STUDIES = {
     "radius is huge": (bad_arm(f"outer_radius = {HUGE}"), "arm[1].outer_radius: must be a number, got a very large"),
     "length is zero": (bad_arm("length = 0"), "arm[1].length: must be above 0, got 0"),
     "length is a text": (
-        bad_arm('length = "5 kg"'),
+        bad_arm('length = "0.5"'),
         "arm[1].length: must be a number [m] or a text of one",
-        'got "5 kg"',
+        'got "0.5"',
     ),
     "a length is a text": (bad_arm('length = [1, 1, "x", 1]'), "arm[1].length[3]: must be a number [m] or", 'got "x"'),
     "length in millimetres": (bad_arm("length = 500"), "arm[1].length: 500 m: is it in millimetres?", '"50 mm"'),

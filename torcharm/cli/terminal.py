@@ -41,6 +41,14 @@ def mistakes() -> Iterator[None]:
         fail(str(error))
 
 
+def bare(text: str) -> float | str:
+    """The number that an option's text is, in the first of its units then; or the text, which may have one of them."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
 def numbers(option: str, text: str, units: Sequence[dict[str, float]]) -> list[float]:
     """Numbers with commas between them, of an option's text; each may have one of its own units behind it."""
     from torcharm.study.units import parsed
@@ -50,7 +58,7 @@ def numbers(option: str, text: str, units: Sequence[dict[str, float]]) -> list[f
         many = f"{len(units)} numbers with commas between them" if len(units) > 1 else "one number"
         raise ValueError(f"{option}: must be {many}, got {text}")
     try:
-        return [float(parsed(part.strip(), own)) for part, own in zip(parts, units, strict=True)]
+        return [float(parsed(bare(part.strip()), own)) for part, own in zip(parts, units, strict=True)]
     except ValueError as error:
         raise ValueError(f"{option}: {error}") from None
 

@@ -10,7 +10,7 @@ import typer
 from torcharm.cli import options, outputs
 from torcharm.cli.summaries import heading
 from torcharm.cli.tables import LONGEST_WORD, Column, print_table
-from torcharm.cli.terminal import count, open_console, say
+from torcharm.cli.terminal import bare, count, open_console, say
 from torcharm.cli.work import Told, Work, asked_about
 
 if TYPE_CHECKING:
@@ -109,9 +109,9 @@ def _manufacture(plan: "Study", given: dict[str, Any], correlated: Sequence[str]
     table = dict(plan.tables.get("tolerance", {}))
     if given.keys() - KEPT - {"distribution"}:
         table = {key: table[key] for key in KEPT & table.keys()}
-    table |= given
+    table |= {key: bare(value) if isinstance(value, str) else value for key, value in given.items()}
     alike = (text.partition("=") for text in correlated)
-    own = {name.strip().replace("-", "_"): number for name, _, number in alike}
+    own = {name.strip().replace("-", "_"): bare(number) for name, _, number in alike}
     table["correlated"] = {**table.get("correlated", {}), **own}
     try:
         how: Manufacture = validated(ToleranceTable, table).build()

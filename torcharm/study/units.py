@@ -14,14 +14,14 @@ _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*
 
 
 def parsed(value: Any, units: dict[str, float]) -> Any:
-    """The number that a text stands for, with one of the units or in the first; what is no text stays what it is."""
+    """The number that a text with one of the units stands for; what is no text stays what it is."""
     if not isinstance(value, str):
         return value
     found = _NUMBER.fullmatch(value)
     unit = micro(found[2]) if found else ""
-    if found is None or (unit and unit not in units):
+    if found is None or unit not in units:
         raise refuse(f"must be {_in_unit_words(units)}, got {shown_value(value)}{_near_unit(unit, units)}")
-    return float(found[1]) * units.get(unit, 1.0)
+    return float(found[1]) * units[unit]
 
 
 def _near_unit(unit: str, units: dict[str, float]) -> str:
