@@ -50,7 +50,11 @@ LOT = 4
 AGREE, AGREES, AGREES_AT_KINK = 6, 2, 1
 """What descents must count together that end where others have, before the rest is spared; what one counts, and one
 that is held up there, as at a kink of a force model: from elsewhere there may be a way on."""
-NEEDS_NO_AGREEMENT = 5e-4
+NEARLY_SAME, CONFIRM = 2e-3, 3
+"""Difference of two shapes, as of `move_size`, below which their tips differ by a thousandth of the arm's length or so;
+and how many descents must end so near to the best for it to be converged: valleys are flat where actuators work against
+each other."""
+NEEDS_NO_OTHER = 5e-3
 """Mean error over the arm's length below which one descent is enough: no other minimum can be better by more."""
 NOWHERE, AGREED, AGREED_AT_KINK, ELSEWHERE, BEST_UNDER_WAY, BEST_ENDED = range(6)
 """What came of a descent: no equilibrium; an end that is known, at an optimum or not; one that is no better; the best
@@ -73,7 +77,7 @@ class Searches(NamedTuple):
     twists: Float64[Array, "B N K"]  # the equilibria there
     half_cost: Float64[Array, "B"]  # [m²], infinite where none was found
     how: Int64[Array, "B"]  # they are reached, as of `find_equilibrium`
-    at_end: Bool[Array, "B"]  # whether descents agree on it, and none led to a better one that is not reached
+    at_end: Bool[Array, "B"]  # whether others confirm it, and none led to a better one that is not reached
     optimality: Float64[Array, "B"]  # the largest entry of the cost's projected gradient [m²]
     start_cost: Float64[Array, "B starts"]  # what each came to [m²]; infinite where it failed, NaN where it was spared
 
@@ -142,7 +146,8 @@ def _begin(problem, work, search, fit, b, s, shape, pool, above):  # type: ignor
 
 @part
 def _descend_and_load(problem, work, search, b, begun, at_end, start, tolerance):  # type: ignore[no-untyped-def]
-    """Descend from the first slot, and load the arm at the end; returns what came of it, and what that costs.
+    """Descend from the first slot, and load the arm at the end; returns what came of it, what that costs, and whether
+    it is nearly the shape that was best.
 
     Args:
         begun: slot of the point that was loaded, where the descent begins.
@@ -151,32 +156,32 @@ def _descend_and_load(problem, work, search, b, begun, at_end, start, tolerance)
     points = work.points
     end, ended = descend(problem, work, b, 0, 1, False, points.known[BEST, HALF_COST], STEPS)
     if not math.isfinite(points.known[end, HALF_COST]):
-        return NOWHERE, math.inf
-    if at_end and distance_of(problem, work, b, end, BEST) <= SAME_SHAPE:
-        return AGREED if ended == OPTIMUM else AGREED_AT_KINK, points.known[BEST, HALF_COST]
+        return NOWHERE, math.inf, False
+    gap = distance_of(problem, work, b, end, BEST) if at_end else math.inf
+    if gap <= SAME_SHAPE:
+        return AGREED if ended == OPTIMUM else AGREED_AT_KINK, points.known[BEST, HALF_COST], True
     how = reach_and_keep(problem, work, search, b, end, ENDED, start, tolerance)
     same = how != FAILED and distance_of(problem, work, b, end, ENDED) <= SAME_SHAPE
     came = ELSEWHERE
     if not same and keep_lost(problem, work, search, b, end, begun):
         came = AGREED
     if how == FAILED:
-        return came, math.inf
+        return came, math.inf, False
     value = points.known[ENDED, HALF_COST]
     if not improves(work, BEST, ENDED):  # it may have begun at the best that is known
         keep_point(work, search, BEST, ENDED)
         there = same and ended != RUNNING and ended != STABILITY_ENDS
         came = BEST_ENDED if there else BEST_UNDER_WAY
-    return came, value
+    return came, value, same and gap <= NEARLY_SAME
 
 
 @part
 def _multistart(problem, work, search, fit, b, shape, pool, spread, start, tolerance):  # type: ignore[no-untyped-def]
-    """Descend from all starts, and confirm the ends; whether the best point is one, and whether enough agree on it."""
-    points, at_end, agreed, above = work.points, False, 0, -1.0
-    enough = min(AGREE, AGREES * (len(search.start_cost) - 1))  # who asks for few descents has few that can agree
+    """Descend from all starts, and confirm the ends; whether the best point is one, and whether enough confirm it."""
+    points, at_end, agreed, confirmed, above = work.points, False, 0, 0, -1.0
     _load_many(problem, work, search, b, shape, pool, spread, start, tolerance)
     for s in range(len(search.start_cost)):
-        if s > 0 and agreed >= enough:
+        if agreed >= AGREE:
             break
         search.start_cost[s] = math.inf
         begun = _begin(problem, work, search, fit, b, s, shape, pool, above)
@@ -184,12 +189,13 @@ def _multistart(problem, work, search, fit, b, shape, pool, spread, start, toler
             continue
         if s > 0:
             above = points.known[begun, HALF_COST]
-        came, value = _descend_and_load(problem, work, search, b, begun, at_end, start, tolerance)
+        came, value, confirms = _descend_and_load(problem, work, search, b, begun, at_end, start, tolerance)
         search.start_cost[s] = 2.0 * value
         agreed += AGREES * (came == AGREED) + AGREES_AT_KINK * (came == AGREED_AT_KINK)
         if came >= BEST_UNDER_WAY:  # none has agreed with this one yet
             at_end, agreed = came == BEST_ENDED, 0
-    return at_end, agreed >= enough
+        confirmed = confirmed + 1 if confirms else 0 if came >= BEST_UNDER_WAY else confirmed
+    return at_end, confirmed >= min(CONFIRM, len(search.start_cost) - 1)  # of few descents few can confirm
 
 
 @part
@@ -214,7 +220,7 @@ def _try_other_ends(problem, work, search, b, at_end, start, tolerance):  # type
             keep_point(work, search, BEST, NEAR)
             at_end = False
         copy_point(points, 0, NEAR)
-        came, _ = _descend_and_load(problem, work, search, b, NEAR, at_end, start, tolerance)
+        came, _, _ = _descend_and_load(problem, work, search, b, NEAR, at_end, start, tolerance)
         if came < BEST_UNDER_WAY:
             break
         at_end = came == BEST_ENDED
@@ -248,15 +254,15 @@ def _load_nearby(problem, work, search, b, j, pool, start, tolerance):  # type: 
 
 @part
 def _search(problem, work, search, fit, b, shape, pool, spread, rounds, start, tolerance):  # type: ignore[no-untyped-def]
-    """Write the best point; whether it is the end of a descent on which others agree, and none led to a better one."""
+    """Write the best point; whether it is the end of a descent that others confirm, and none led to a better one."""
     points = work.points
     for s in range(len(search.start_cost)):
         search.start_cost[s] = math.nan
     for j in range(FIRST_LOST, FIRST_LOST + LOST):
         points.known[j, HALF_COST] = math.inf
     points.known[BEST, HALF_COST] = math.inf
-    at_end, agreed = _multistart(problem, work, search, fit, b, shape, pool, spread, start, tolerance)
-    agreed_on = points.known[BEST, HALF_COST]
+    at_end, sure = _multistart(problem, work, search, fit, b, shape, pool, spread, start, tolerance)
+    confirmed = points.known[BEST, HALF_COST]
     if math.isfinite(points.known[BEST, HALF_COST]):
         at_end = _try_other_ends(problem, work, search, b, at_end, start, tolerance)
     work.path.stays[0] = False
@@ -276,8 +282,8 @@ def _search(problem, work, search, fit, b, shape, pool, spread, rounds, start, t
         before = points.known[BEST, HALF_COST]
         _load_nearby(problem, work, search, b, first_lost, pool, start, tolerance)
         at_end = at_end and not points.known[BEST, HALF_COST] < before
-    agreed = agreed and not points.known[BEST, HALF_COST] < (1.0 - WORTH) * agreed_on
-    sure = agreed or mean_error(problem, work, b, BEST) <= NEEDS_NO_AGREEMENT
+    sure = sure and not points.known[BEST, HALF_COST] < (1.0 - WORTH) * confirmed
+    sure = sure or mean_error(problem, work, b, BEST) <= NEEDS_NO_OTHER
     return at_end and sure and not lost < (1.0 - WORTH) * points.known[BEST, HALF_COST]
 
 
