@@ -222,7 +222,7 @@ def test_a_bar_is_shown_where_it_is_asked_for(tmp_path, capfd):
 
 def test_progress_in_words():
     told = SweepProgress(10, 100, 2e3, 400.0, 1.25, "absolute_N", 7)
-    assert str(told) == "2,000 designs/s, 7 min left, best absolute [N] 1.25"
+    assert str(told) == "2,000 designs/s, best absolute [N] 1.25"
     assert str(SweepProgress(0, 100, 0.0, np.inf, np.inf, "absolute_N", -1)) == "the first shards"
 
 

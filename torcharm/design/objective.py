@@ -10,7 +10,8 @@ from torch import Tensor
 
 from torcharm.attainability import check_power, evaluate, scale_of
 from torcharm.design.feasible import FeasibleDesigns
-from torcharm.design.robust import Draw, Robust
+from torcharm.design.robust import Robust, built_beside
+from torcharm.design.scatter import Source
 from torcharm.design.space import Arm, Array
 from torcharm.inputs import check_choice, check_flag, check_number, shown
 from torcharm.pressure.at_pressure import error_at_pressure
@@ -44,7 +45,6 @@ class Objective:
             asks for designs in range, it counts ever more like that length the farther the strains of the shape that is
             predicted leave their characterised range, as it is ever more of a guess: see `counted`.
         over: "mean" over the tasks, or "worst", the largest.
-        task_weights: in the mean, one number for each task, in the order of the results; None weighs all alike.
         pose_cost: what predicted errors measure; None is `PoseCost()`.
         relative_weight: λ of `absolute + λ relative` unattainability.
         margin: whether unattainability goes on, below zero, to the margins once every task is attainable.
@@ -62,7 +62,6 @@ class Objective:
 
     metric: str = "predicted_error"
     over: str = "mean"
-    task_weights: Sequence[float] | None = None
     pose_cost: PoseCost | None = None
     relative_weight: float = 0.0
     margin: bool = True
@@ -83,11 +82,6 @@ class Objective:
             raise ValueError(
                 f"robust: must be a Robust, with metric 'predicted_error', got {shown(self.robust)} with {self.metric}"
             )
-        if self.task_weights is not None:
-            given = tuple(check_number("task_weights", weight, 0.0) for weight in self.task_weights)
-            if not any(given) or self.over != "mean":
-                raise ValueError("task_weights: must not all be 0, and over must be 'mean'")
-            object.__setattr__(self, "task_weights", given)
 
     @property
     def unit(self) -> str:
@@ -109,11 +103,6 @@ class Objective:
     def _over_tasks(self, values: Tensor) -> Tensor:
         if self.over == "worst":
             return values.amax(-1)
-        if self.task_weights is not None:
-            if len(self.task_weights) != values.shape[-1]:
-                raise ValueError(f"task_weights: must be {values.shape[-1]} numbers, got {len(self.task_weights)}")
-            share = values.new_tensor(self.task_weights)
-            return (values * share).sum(-1) / share.sum()
         mean = values.clamp(min=0).mean(-1)  # what one task has to spare helps no other
         return torch.where((values.detach() <= 0).all(-1), values.mean(-1), mean)
 
@@ -218,12 +207,12 @@ class Problem:
         robust, options = self.objective.robust, dict[str, Any](in_range=self.designs.in_range)
         if robust is None:
             return torch.cat([task_values(self.objective, arm, task, **options) for task in self.tasks], -1)
-        built, kept_from = self._draw.built(arm), None if robust.compensated else arm
+        built, kept_from = built_beside(arm, *self._draw), None if robust.compensated else arm
         values = [task_values(self.objective, built, task, **options, kept_from=kept_from) for task in self.tasks]
         return torch.cat(values, -1)
 
     @cached_property
-    def _draw(self) -> Draw:
+    def _draw(self) -> tuple[Sequence[Source], Sequence[Tensor]]:
         """The samples of a robust objective."""
         assert self.objective.robust is not None
         return self.objective.robust.draw(self.designs.arm)
