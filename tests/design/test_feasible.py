@@ -25,7 +25,7 @@ def _designs(space: DesignSpace, arm: Any = None, task: ta.Task = TASK, count: i
 
 
 @pytest.mark.parametrize("arm", [ta.antagonistic_arm(), ta.bellows_arm(), ta.mckibben_arm()])
-@pytest.mark.parametrize("tied", [None, "mirror"])
+@pytest.mark.parametrize("tied", [None, "mirror", {"length": "equal"}, ((0, 3), (1, 2))])
 def test_random_designs_keep_strains_order_and_bounds(arm: ta.ArmDesign, tied: Any) -> None:
     space = DesignSpace(tied=tied, spacing=0.004, bounds={"radii": (-0.07, 0.07), "length": (0.3, 0.7)})
     designs = _designs(space, arm)
@@ -70,6 +70,9 @@ def test_ties_make_symmetric_arms() -> None:
     torch.testing.assert_close(designs.radii, -designs.radii.flip(-1))
     torch.testing.assert_close(designs.length, designs.length.flip(-1))
     torch.testing.assert_close(designs.max_pressure, designs.max_pressure.flip(-1))
+    designs = _designs(DesignSpace(tied=((0, 3),), in_range=False))
+    torch.testing.assert_close(designs.radii[:, 0], -designs.radii[:, 3])
+    assert float((designs.radii[:, 1] + designs.radii[:, 2]).abs().max()) > 1e-3
 
 
 def test_in_space_rings_stay_rings_and_turn() -> None:
@@ -145,7 +148,7 @@ def moulded(length: Any = 0.1, diameter: Any = None) -> ta.ArmDesign:
 BODY = ta.Task([[0.1, 0.0, 0.0, 0.0, 0.2, -0.3]] * 4)
 
 
-@pytest.mark.parametrize("tied", [None, "none"])
+@pytest.mark.parametrize("tied", [None, "none", ((0, 1),)])
 @pytest.mark.parametrize("free", ["length", ("radii", "length", "max_pressure")])
 def test_one_moulded_body_has_one_length(free: Any, tied: Any) -> None:
     arm = moulded()
@@ -233,6 +236,7 @@ def test_segments_in_series_have_their_own_values() -> None:
         ({"bounds": {"radii": (0.0, 0.0), "length": (0.5, 0.5)}}, "nothing free"),
         ({"free": "max_pressure", "bounds": {"max_pressure": (200.0, 300.0)}}, "characterised pressures"),
         ({"free": "angles"}, "the arm is planar"),
+        ({"tied": ((0, 4),)}, "counted from 0"),
         ({"tied": "mirrored"}, "must be one of mirror, equal, ring, none"),
         ({"tied": "ring"}, "must not be 'ring' for a planar arm"),
     ],

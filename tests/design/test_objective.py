@@ -52,8 +52,11 @@ def test_totals_are_what_their_names_say() -> None:
     values = torch.tensor([[3.0, 1.0, 0.0, -2.0], [-1.0, -2.0, -3.0, -4.0]]).double()
     assert Objective().total(values).tolist() == [1.0, -2.5]  # the mean miss; all attainable: the mean margin
     assert Objective(over="worst").total(values).tolist() == [3.0, -1.0]
+    assert Objective(task_weights=(1, 0, 0, 1)).total(values.abs()).tolist() == [2.5, 2.5]
     close = Objective(over="worst").smooth_total(values)
     assert bool(((close >= Objective(over="worst").total(values)) & (close < values.amax(-1) + 0.2)).all())
+    with pytest.raises(ValueError, match="must be 4 numbers, got 2"):
+        Objective(task_weights=(1, 2)).total(values)
 
 
 def test_errors_beyond_the_range_count_ever_more_like_the_shape_s_length() -> None:
@@ -130,6 +133,8 @@ def test_impossible_designs_count_as_the_shape_s_length() -> None:
         ({"metric": "error"}, "metric"),
         ({"over": "median"}, "over"),
         ({"relative_weight": -1}, "relative_weight"),
+        ({"task_weights": (0, 0)}, "task_weights"),
+        ({"task_weights": (1, 2), "over": "worst"}, "task_weights"),
         ({"power": 3}, "power"),
         ({"weights": (1.0, 0.0)}, "weights"),
     ],

@@ -263,7 +263,7 @@ def test_a_model_without_an_answer_stops_no_descent() -> None:
     assert np.isfinite(end.value)
 
 
-def test_it_is_stopped_by_callback_and_interrupt() -> None:
+def test_it_is_stopped_by_callback_time_and_interrupt() -> None:
     seen: list[int] = []
 
     def stop(progress: Progress) -> bool:
@@ -274,6 +274,8 @@ def test_it_is_stopped_by_callback_and_interrupt() -> None:
     assert (found.stopped, seen, found.evaluations) == ("callback", [1, 2, 3], 3)
     assert found.reasons[-1] == "stopped"
     assert len(found.reasons) < 4
+    timed = optimise_design(ARM, BENT, starts=200, iterations=60, seconds=0.5)
+    assert timed.stopped == "time"
 
     def interrupt(progress: Progress) -> None:
         if progress.evaluations == 2:
@@ -313,6 +315,7 @@ def test_a_result_is_short_in_print_and_survives_pickle() -> None:
         ({"starts": 0}, "starts"),
         ({"seed": -1}, "seed"),
         ({"iterations": 0}, "iterations"),
+        ({"seconds": 0.0}, "seconds"),
         ({"space": DesignSpace(bounds={"length": (0.1, 0.2)})}, "in_range = false"),
         ({"task": []}, "at least one task"),
         ({"task": ta.Task([[0.4, 0, 0, 0, 0, 0.0]] * 3, [0.0] * 6)}, "of the arm's dimension"),

@@ -21,11 +21,16 @@ def errors(millimetres: list[float], out_of_range: int) -> TaskErrors:
     [
         (([3.0, 1.0], 0), ([0.5, 0.3], 0), "shape off by 2 → 0.4 mm"),
         (([3.0, 1.0], 2), ([0.5, 0.3], 0), "shape off by 2 → 0.4 mm, out of range on 2 → 0 of 2 tasks"),
-        (([3.0], 1), ([4.0], 0), "shape off by 3 → 4 mm, which is more, out of range on 1 → 0 of 1 task"),
+        (([3.0], 1), ([4.0], 0), "shape off by 3 → 4 mm, which is more, but out of range on 1 → 0 of 1 task"),
+        (
+            ([3.0], 1),
+            ([4.0], 1),
+            "shape off by 3 → 4 mm, which is more, but less far beyond the range, out of range on 1 → 1 of 1 task",
+        ),
         (
             ([3.0, math.inf], 0),
             ([4.0, 6.0], 0),
-            "shape off by 3 → 5 mm, which is more, without a stable equilibrium on 1 → 0 of 2 tasks",
+            "shape off by 3 → 5 mm, which is more, but without a stable equilibrium on 1 → 0 of 2 tasks",
         ),
     ],
 )

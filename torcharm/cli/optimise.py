@@ -86,6 +86,7 @@ def _optimise(plan: "Study", checkpoints: Sequence[Path], work: Work) -> "list[t
 
 
 def _tell(results: Found) -> None:
+    from torcharm.design.rest import rest_words
     from torcharm.design.space import LEAST_SPACING
     from torcharm.statics.balance import segments_of
 
@@ -104,6 +105,8 @@ def _tell(results: Found) -> None:
         say(f"{arm.name}: {result.status}.")
         if result.violated and result.best is not result.given:
             say(f"{arm.name}: the given arm is outside these constraints: {'; '.join(result.violated)}.")
+        if rest := rest_words(result.best):
+            say(f"{arm.name}: the best arm: {rest}.")
         if result.active:
             say(f"{arm.name}: the best arm is held back by: {'; '.join(result.active)}.")
 

@@ -18,6 +18,7 @@ from torcharm.design.objective import Objective, Problem
 from torcharm.design.optimise import ITERATIONS, TOLERANCE, best_first, check_arguments, outcome, starting_points
 from torcharm.design.result import OptimisedDesign
 from torcharm.design.space import Arm, DesignSpace
+from torcharm.design.symmetry import symmetries
 from torcharm.inputs import HoldsTensors, shown
 from torcharm.statics.balance import segments_of
 from torcharm.task import Task
@@ -33,6 +34,7 @@ class Architectures(HoldsTensors):
         names: a letter for each position, as "BMMB"; digits where the models' first letters are alike.
         designs: what was found for each.
         infeasible: why others have no design that satisfies the constraints, by name.
+        merged: whether of architectures that are each other's image, mirrored or turned, only one was tried.
         stopped: "finished", or what stopped it before all were tried.
 
     Example:
@@ -44,6 +46,7 @@ class Architectures(HoldsTensors):
     names: tuple[str, ...]
     designs: tuple[OptimisedDesign, ...]
     infeasible: dict[str, str]
+    merged: bool
     stopped: str
 
     def __repr__(self) -> str:
@@ -63,13 +66,17 @@ def optimise_architectures(
     starts: int = 4,
     seed: int = 0,
     iterations: int = ITERATIONS,
+    seconds: float | None = None,
     tolerance: PoseTolerance | float | None = None,
     checkpoint: str | PathLike[str] | None = None,
     callback: Callback | None = None,
 ) -> Architectures:
     """Optimise the geometry of every architecture.
 
-    K models at M positions, segment after segment, make K^M architectures.
+    K models at M positions, segment after segment, make K^M architectures. An architecture and its image (the same arm
+    mounted the other way round, in space also turned about its backbone) are the same problem if the tasks, the offsets
+    and lengths given, bounds, ties and each model's bending moments all are their own image, and only then one of them
+    is tried; a ring whose angles are free may turn whatever the tasks. Of segments in series all are tried.
 
     Args:
         arm: gives the positions, and geometry to start from; or segments in series.
@@ -87,8 +94,9 @@ def optimise_architectures(
         >>> ta.optimise_architectures(arm, task, starts=1, iterations=1).names[0]  # B is for bellows, M for muscles
         'MM'
     """
+    progress = Progress(callback, starts, seconds)
     space, objective = space or DesignSpace(), objective or Objective()
-    tasks = check_arguments(arm, task, space, objective, starts, seed, iterations)
+    tasks = check_arguments(arm, task, space, objective, starts, seed, iterations, seconds)
     kinds = _kinds(models)
     count = arm.actuator_count
     if not kinds or len(kinds) ** count > MOST_ARCHITECTURES:
@@ -102,8 +110,10 @@ def optimise_architectures(
         own = _with_models(arm, [kinds[0]] * count)
         asked = {"space": space, "objective": objective, "seed": seed, "iterations": iterations}
         keeper = Checkpoint(checkpoint, describe(own, kinds, tasks, **asked, search="architectures"))
-    choices = list(product(range(len(kinds)), repeat=count))
-    progress = Progress(callback, starts * len(choices))
+    orders = symmetries(arm, kinds, tasks, space)
+    every = product(range(len(kinds)), repeat=count)
+    choices = [one for one in every if all(one <= tuple(one[index] for index in order) for order in orders)]
+    progress.starts = starts * len(choices)
     found: dict[str, OptimisedDesign] = {}
     infeasible: dict[str, str] = {}
     stopped = "finished"
@@ -123,7 +133,7 @@ def optimise_architectures(
         raise ValueError(f"space: no architecture has a feasible design; {next(iter(infeasible.values()))}")
     names = list(found)
     order = [names[i] for i in best_first([one.value for one in found.values()], [one.held for one in found.values()])]
-    return Architectures(tuple(order), tuple(found[name] for name in order), infeasible, stopped)
+    return Architectures(tuple(order), tuple(found[name] for name in order), infeasible, len(orders) > 1, stopped)
 
 
 def _kinds(models: Any) -> tuple[Actuator, ...]:

@@ -31,6 +31,7 @@ class Progress:
     Attributes:
         callback: is told this after each evaluation; returns True to stop.
         starts: in all.
+        limit: seconds after which to stop; None sets no limit.
         start: of these, how many have ended.
         evaluations: designs evaluated on all tasks.
         value: the best so far.
@@ -39,6 +40,7 @@ class Progress:
 
     callback: "Callback | None"
     starts: int
+    limit: float | None = None
     start: int = 0
     evaluations: int = 0
     value: float = np.inf
@@ -59,6 +61,8 @@ class Progress:
         self.value = min(self.value, value)
         if self.callback is not None and self.callback(self) is True:
             raise Stopped("callback")
+        if self.limit is not None and self.seconds >= self.limit:
+            raise Stopped("time")
 
 
 Callback = Callable[[Progress], object]

@@ -45,6 +45,7 @@ class Objective:
             asks for designs in range, it counts ever more like that length the farther the strains of the shape that is
             predicted leave their characterised range, as it is ever more of a guess: see `counted`.
         over: "mean" over the tasks, or "worst", the largest.
+        task_weights: in the mean, one number for each task, in the order of the results; None weighs all alike.
         pose_cost: what predicted errors measure; None is `PoseCost()`.
         relative_weight: λ of `absolute + λ relative` unattainability.
         margin: whether unattainability goes on, below zero, to the margins once every task is attainable.
@@ -62,6 +63,7 @@ class Objective:
 
     metric: str = "predicted_error"
     over: str = "mean"
+    task_weights: Sequence[float] | None = None
     pose_cost: PoseCost | None = None
     relative_weight: float = 0.0
     margin: bool = True
@@ -82,6 +84,11 @@ class Objective:
             raise ValueError(
                 f"robust: must be a Robust, with metric 'predicted_error', got {shown(self.robust)} with {self.metric}"
             )
+        if self.task_weights is not None:
+            given = tuple(check_number("task_weights", weight, 0.0) for weight in self.task_weights)
+            if not any(given) or self.over != "mean":
+                raise ValueError("task_weights: must not all be 0, and over must be 'mean'")
+            object.__setattr__(self, "task_weights", given)
 
     @property
     def unit(self) -> str:
@@ -103,6 +110,11 @@ class Objective:
     def _over_tasks(self, values: Tensor) -> Tensor:
         if self.over == "worst":
             return values.amax(-1)
+        if self.task_weights is not None:
+            if len(self.task_weights) != values.shape[-1]:
+                raise ValueError(f"task_weights: must be {values.shape[-1]} numbers, got {len(self.task_weights)}")
+            share = values.new_tensor(self.task_weights)
+            return (values * share).sum(-1) / share.sum()
         mean = values.clamp(min=0).mean(-1)  # what one task has to spare helps no other
         return torch.where((values.detach() <= 0).all(-1), values.mean(-1), mean)
 

@@ -19,7 +19,7 @@ from torcharm.design.space import Arm, Array, DesignSpace, fitting_tasks, given_
 from torcharm.design.task_errors import TaskErrors, predicted, searched
 from torcharm.design.tolerance import tolerance as built_arms
 from torcharm.design.tolerance_result import BuiltArms
-from torcharm.inputs import check_count, shown
+from torcharm.inputs import check_count, check_number, shown
 from torcharm.task import Task
 
 ITERATIONS = 60
@@ -44,6 +44,7 @@ def optimise_design(
     starts: int = 8,
     seed: int = 0,
     iterations: int = ITERATIONS,
+    seconds: float | None = None,
     tolerance: PoseTolerance | float | None = None,
     checkpoint: str | PathLike[str] | None = None,
     callback: Callback | None = None,
@@ -72,6 +73,7 @@ def optimise_design(
         starts: at least as many as designs are given.
         seed: of the random starts.
         iterations: of a start, at most.
+        seconds: after which to stop, counted from the call; None sets no limit.
         tolerance: how far off a pose may be and still counts as held, as for `torcharm.evaluate`.
         checkpoint: a file in which finished starts are kept, and taken up if it is there. It must be of this very
             problem: arm, tasks, space, objective, seed, iterations, and force models, of which classes, forces and
@@ -88,9 +90,9 @@ def optimise_design(
         >>> found.given_held, found.held  # of how many tasks
         (0, 1)
     """
-    progress = Progress(callback, starts)
+    progress = Progress(callback, starts, seconds)
     space, objective = space or DesignSpace(), objective or Objective()
-    tasks = check_arguments(arm, task, space, objective, starts, seed, iterations)
+    tasks = check_arguments(arm, task, space, objective, starts, seed, iterations, seconds)
     keeper = None
     if checkpoint is not None:
         asked = {"space": space, "objective": objective, "seed": seed, "iterations": iterations}
@@ -109,6 +111,7 @@ def check_arguments(
     starts: int,
     seed: int,
     iterations: int,
+    seconds: float | None,
 ) -> tuple[Task, ...]:
     """The tasks as a tuple, everything checked."""
     _check_type("objective", objective, Objective)
@@ -117,6 +120,8 @@ def check_arguments(
     check_count("starts", starts, 1)
     check_count("seed", seed, 0)
     check_count("iterations", iterations, 1)
+    if seconds is not None:
+        check_number("seconds", seconds, 0.0, strict=True, unit="s")
     return tasks
 
 

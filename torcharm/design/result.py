@@ -35,7 +35,7 @@ class OptimisedDesign(HoldsTensors):
         end_values: (S,) the objective there; infinite of a start that found no candidate.
         reasons: S words on why each ended.
         evaluations, seconds: how many designs on all tasks, and how long.
-        stopped: "finished", or what stopped it: "interrupted" or "callback".
+        stopped: "finished", or what stopped it: "interrupted", "callback" or "time".
         space, objective: what was asked for.
         built_before, built_after: of a robust objective, what `torcharm.tolerance` finds of the two on samples of their
             own, with yields; else None.
@@ -129,13 +129,17 @@ def compared_words(before: TaskErrors, after: TaskErrors, over: str) -> str:
     """How plain shape errors, and the tasks that are none, went from one design to another."""
     tasks, (old, new) = len(before.stable), (side.shape_mm(over) for side in (before, after))
     words = f"shape off by {'' if over == 'mean' else 'at most '}{three_digits(old)} → {three_digits(new)} mm"
-    words += ", which is more" if new > old else ""
+    gap = ", "
+    if new > old:
+        gains = after.out_of_range < before.out_of_range or after.lost < before.lost
+        words += ", which is more" if gains else ", which is more, but less far beyond the range"
+        gap = ", but " if gains else gap
     for name, first, last in (
         ("out of range", before.out_of_range, after.out_of_range),
         ("without a stable equilibrium", before.lost, after.lost),
     ):
         if first or last:
-            words += f", {name} on {first} → {last} of {tasks} task{'s' * (tasks != 1)}"
+            words, gap = f"{words}{gap}{name} on {first} → {last} of {tasks} task{'s' * (tasks != 1)}", ", "
     return words
 
 

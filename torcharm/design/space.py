@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +29,7 @@ LEAST_SPACING = 0.005
 """Between the centres of actuators of unknown diameter [m]: thinner ones can hardly be bought."""
 
 Array = npt.NDArray[np.float64]
+Ties = str | Sequence[Sequence[int]] | None
 Limits = tuple[float | Sequence[float], float | Sequence[float]]
 Arm = ArmDesign | ArmSeries
 
@@ -44,8 +46,11 @@ class DesignSpace:
             stay alike and turn together, and one on the backbone stays there. "mirror" makes a symmetric arm:
             actuator α and M + 1 - α have opposite radii in the plane, equal ones in space and angles that turn
             oppositely, and equal lengths and limits. "equal" gives all one value (in the plane of no use for radii),
-            and turns all angles together. "none" ties nothing. None: "ring" in space, "none" in the plane. Whatever the
-            ties, those that are moulded in one body, as chambers and their elastic core, have one length.
+            and turns all angles together. "none" ties nothing. Groups such as ((0, 3), (1, 2)) have radii of equal
+            size, whose signs are the given arm's, equal lengths and limits, and turn together. A mapping ties each
+            field in its own way: {"radii": "mirror", "length": "equal"}. None, and fields that a mapping leaves out:
+            "ring" in space, "none" in the plane. Whatever the ties, those that are moulded in one body, as chambers and
+            their elastic core, have one length.
         bounds: for each free field (lowest, highest), as numbers or one number for each actuator [m, rad, m, kPa].
             Without them: radii within ±0.1 m, in space up to 0.1 m (or what the given arm has), angles within half a
             turn of the given ones, lengths from half to one and a half times the given ones, limits from 0 to the
@@ -66,7 +71,7 @@ class DesignSpace:
     """
 
     free: str | Sequence[str] = ("radii", "length")
-    tied: str | None = None
+    tied: Ties | Mapping[str, Ties] = None
     bounds: Mapping[str, Limits] = field(default_factory=dict)
     spacing: float | None = None
     in_range: bool = True
@@ -80,8 +85,10 @@ class DesignSpace:
         for name in self.bounds:
             if name not in free:
                 raise ValueError(f"bounds: {name} is not free, so it cannot have bounds; free are {', '.join(free)}")
-        if self.tied is not None:
-            check_choice("tied", self.tied, TIES)
+        for name, tie in self.tied.items() if isinstance(self.tied, Mapping) else [(FIELDS[0], self.tied)]:
+            check_choice("tied", name, FIELDS)
+            if isinstance(tie, str):
+                check_choice("tied", tie, TIES)
         check_flag("in_range", self.in_range)
         if self.spacing is not None:
             check_number("spacing", self.spacing, 0.0, strict=True, unit="m")
@@ -265,19 +272,25 @@ def _bounds(space: DesignSpace, name: str, segment: ArmDesign, values: Array) ->
 
 def tied_groups(space: DesignSpace, name: str, given: Array, segment: ArmDesign) -> list[tuple[list[int], Array]]:
     """Actuators of a segment of values (4, M) that share one free value of a field, and with which sign."""
-    tie, planar, count = space.tied, segment.dimension == 2, segment.actuator_count
-    if tie == "equal":
-        groups = [(list(range(count)), np.ones(count))]
-    elif tie == "mirror":
+    tie = space.tied.get(name) if isinstance(space.tied, Mapping) else space.tied
+    planar, count = segment.dimension == 2, segment.actuator_count
+    if tie == "mirror":
         opposite = name == "angles" or (name == "radii" and planar)
         pairs = [[index, count - 1 - index] for index in range(count // 2)]
         groups = [(pair, np.array([-1.0, 1.0] if opposite else [1.0, 1.0])) for pair in pairs]
         if count % 2 and not opposite:  # else one in the middle mirrors itself, in the plane at radius 0
             groups.append(([count // 2], np.ones(1)))
     else:
-        ring = tie == "ring" or (tie is None and not planar)
-        alike = _rings(name, given, segment) if ring else [[index] for index in range(count)]
-        groups = [(group, np.ones(len(group))) for group in alike]
+        signs = np.ones(count)
+        if tie == "equal":
+            alike = [list(range(count))]
+        elif tie == "ring" or (tie is None and not planar):
+            alike = _rings(name, given, segment)
+        else:
+            alike = _checked_groups(() if tie in (None, "none") else tie, count)
+            if name == "radii" and planar:
+                signs[[index for group in alike if len(group) > 1 for index in group if given[0, index] < 0]] = -1
+        groups = [(group, signs[group]) for group in alike]
     body = {index for index, model in enumerate(segment.actuators) if name == "length" and is_moulded(model)}
     joined = sorted({index for members, _ in groups if body & set(members) for index in members})
     apart = [group for group in groups if not body & set(group[0])]
@@ -304,3 +317,18 @@ def _rings(name: str, given: Array, segment: ArmDesign) -> list[list[int]]:
         else:
             found.append([index])
     return found
+
+
+def _checked_groups(tie: Any, count: int) -> list[list[int]]:
+    """Groups of actuators as asked for, and each of the others for itself."""
+    try:
+        groups = [[int(index) for index in group] for group in tie]
+    except (TypeError, ValueError):
+        groups = [[-1]]
+    named = [index for group in groups for index in group]
+    if any(not 0 <= index < count for index in named) or len(set(named)) < len(named) or not all(groups):
+        raise ValueError(
+            f"tied: must be {', '.join(TIES)} or groups of actuators counted from 0, each below {count} and in one "
+            f"group only, got {shown(tie)}"
+        )
+    return groups + [[index] for index in range(count) if index not in named]

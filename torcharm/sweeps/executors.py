@@ -13,7 +13,7 @@ from concurrent.futures import (
     as_completed,
     wait,
 )
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import partial
 from itertools import islice
 from multiprocessing import connection, get_context, parent_process
@@ -37,28 +37,31 @@ Workers = Callable[[], AbstractContextManager[Crew]]
 """Starts a crew, again where one was lost."""
 
 
-def workers_of(executor: Any, count: int | None) -> Workers:
+@contextmanager
+def workers_of(executor: Any, count: int | None) -> Iterator[Workers]:
     """Workers as asked for: `count` processes of this machine, an executor, or a Dask client or its address.
 
     Raises:
-        ValueError: it is none of these; or, once they are started, Dask is not installed, or not there.
+        ValueError: it is none of these; or Dask is asked for and not installed, or not there.
     """
     if count is not None and executor is not None:
         raise ValueError(f"workers: must be left out where an executor is given, got {shown(count)}")
     if executor is None:
         number = usable_cores() if count is None else check_count("workers", count, 1)
-        return partial(_own_processes, number) if number > 1 else lambda: nullcontext((_Here(), lambda: 1))
-    if isinstance(executor, str):
-        return partial(_cluster, executor)
-    if isinstance(executor, Executor):
+        yield partial(_own_processes, number) if number > 1 else lambda: nullcontext((_Here(), lambda: 1))
+    elif isinstance(executor, str):
+        with _client(executor) as client:
+            yield partial(_given, *_of_dask(client))
+    elif isinstance(executor, Executor):
         slots = int(getattr(executor, "_max_workers", 0) or usable_cores())
-        return lambda: nullcontext((executor, lambda: slots))
-    if hasattr(executor, "get_executor") and hasattr(executor, "nthreads"):
-        return lambda: nullcontext(_of_client(executor))
-    raise ValueError(
-        "executor: must be None, an executor of concurrent.futures, a Dask client, or the address of a Dask "
-        f"scheduler such as 'tcp://10.0.0.1:8786', got {shown(executor)}"
-    )
+        yield partial(_given, executor, lambda: slots)
+    elif hasattr(executor, "get_executor") and hasattr(executor, "nthreads"):
+        yield partial(_given, *_of_dask(executor))
+    else:
+        raise ValueError(
+            "executor: must be None, an executor of concurrent.futures, a Dask client, or the address of a Dask "
+            f"scheduler such as 'tcp://10.0.0.1:8786', got {shown(executor)}"
+        )
 
 
 def usable_cores() -> int:
@@ -85,7 +88,7 @@ def run_shards(
         watch: is called twice a second, or after each shard; True stops: what has begun is finished, and no more.
 
     Raises:
-        ValueError: workers were lost again and again.
+        ValueError: processes of this machine were lost again and again, or a given executor lost its workers.
         OSError: a shard could not be written; and whatever else a shard raises.
     """
     left, vain = list(shards), 0
@@ -95,8 +98,8 @@ def run_shards(
             with workers() as (executor, slots):
                 return _run(executor, slots, compute, left, finished, watch)
         except Exception as error:
-            if not isinstance(error, (BrokenExecutor, CancelledError)) and type(error).__name__ != "KilledWorker":
-                raise  # the last is Dask's, of a shard whose workers were lost
+            if not _is_loss(error):
+                raise
         vain = vain + 1 if len(left) == before else 1
         if vain >= ATTEMPTS:
             raise ValueError(
@@ -137,9 +140,15 @@ def _run(
         for future in pending:
             future.cancel()
         raise
-    for future in as_completed([one for one in pending if not one.cancel()]):
-        collect(future)
+    with suppress(BrokenExecutor, CancelledError):  # no others are started now
+        for future in as_completed([one for one in pending if not one.cancel()]):
+            collect(future)
     return False
+
+
+def _is_loss(error: Exception) -> bool:
+    """Whether workers were lost; the last is what Dask says once it has given up a shard."""
+    return isinstance(error, (BrokenExecutor, CancelledError)) or type(error).__name__ == "KilledWorker"
 
 
 class _Here(Executor):
@@ -153,18 +162,31 @@ class _Here(Executor):
 
 
 @contextmanager
-def _cluster(address: str) -> Iterator[Crew]:
-    """The Dask cluster whose scheduler is at an address."""
+def _given(executor: Executor, slots: Callable[[], int]) -> Iterator[Crew]:
+    """An executor that is not ours to start again."""
+    try:
+        yield executor, slots
+    except Exception as error:
+        if not _is_loss(error):
+            raise
+        raise ValueError(
+            "executor: has lost its workers; finished shards are kept, give another executor to go on"
+        ) from error
+
+
+@contextmanager
+def _client(address: str) -> Iterator[Any]:
+    """A client of the Dask scheduler at an address."""
     distributed = extra("distributed", "sweep")
     try:
         client = distributed.Client(address, timeout=ANSWER, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise ValueError(f"executor: no Dask scheduler answers at {address} ({error})") from None
     with client:
-        yield _of_client(client)
+        yield client
 
 
-def _of_client(client: Any) -> Crew:
+def _of_dask(client: Any) -> Crew:
     """A Dask cluster, which does the shards of a lost worker again by itself."""
     return client.get_executor(pure=False), lambda: sum(client.nthreads().values()) or 1
 

@@ -9,10 +9,11 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torcharm.attainability import CHOICES, VERDICTS, Attainability, evaluate
+from torcharm.attainability import CHOICES, VERDICTS, Attainability, check_power, evaluate, scale_of
 from torcharm.design.objective import flat_tasks, shape_lengths
 from torcharm.design.space import Arm, given_values
 from torcharm.inputs import check_choice, shown
+from torcharm.pressure.pose_cost import PoseCost
 from torcharm.task import Task
 
 Reduce = str | float
@@ -41,10 +42,10 @@ class Measures:
         metrics: of `torcharm.evaluate`.
         reduce: "mean", "worst" or a quantile of the tasks, or one for some of tip_error, shape_error, absolute and
             relative, and "mean" for others. A quantile q is the least number that the share q of all stays within.
-        options: others of `torcharm.evaluate`.
+        options: tolerance, weights, power and pose_cost, as in `torcharm.evaluate`.
 
     Raises:
-        ValueError: a way to reduce is none of those.
+        ValueError: a way to reduce, or an option, is none of those allowed.
     """
 
     metrics: tuple[str, ...]
@@ -61,6 +62,12 @@ class Measures:
                     f"reduce: must be 'mean', 'worst' or a quantile between 0 and 1, or one of these for some of "
                     f"{', '.join(COLUMNS)}, got {shown(how)}"
                 )
+        weights, cost = self.options["weights"], self.options["pose_cost"]
+        scale_of(weights)
+        check_power(self.options["power"])
+        if cost is not None and not isinstance(cost, PoseCost):
+            raise ValueError(f"pose_cost: must be a PoseCost, got {shown(cost)}")
+        object.__setattr__(self, "options", {**self.options, "weights": tuple(map(float, weights))})
         object.__setattr__(self, "metrics", tuple(name for name in CHOICES if name in self.metrics))
         object.__setattr__(self, "reduce", dict.fromkeys(COLUMNS, "mean") | given)
 

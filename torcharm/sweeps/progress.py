@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import timedelta
 
 from torcharm.sweeps.ranking import label
 
@@ -31,8 +32,10 @@ class SweepProgress:
     design: int
 
     def __str__(self) -> str:
-        """The rate and the best so far, as they stand behind a bar."""
-        words = f"{self.rate:,.0f} designs/s" if self.rate else "the first shards"
+        """The rate, the time left and the best so far, as they stand behind a bar."""
+        words = "the first shards"
+        if self.rate:
+            words = f"{self.rate:,.0f} designs/s, {timedelta(seconds=round(self.seconds_left))} left"
         if math.isfinite(self.best):
             words += f", best {label(self.by)} {self.best:.4g}"
         return words
@@ -50,7 +53,7 @@ def with_bar(shown: bool | None, callback: Callback | None) -> Iterator[Callback
     from rich.console import Console
     from rich.progress import Progress, TextColumn
 
-    columns = (*Progress.get_default_columns(), TextColumn("{task.fields[words]}", markup=False))
+    columns = (*Progress.get_default_columns()[:3], TextColumn("{task.fields[words]}", markup=False))
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=console.is_terminal) as bar:
         task = bar.add_task("sweeping", total=None, words="")

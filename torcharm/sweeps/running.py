@@ -26,7 +26,6 @@ from torcharm.sweeps.manifest import (
     check_same,
     locked,
     make_manifest,
-    prepare_folder,
     remove_leftovers,
 )
 from torcharm.sweeps.measures import Measures, Reduce
@@ -34,7 +33,7 @@ from torcharm.sweeps.progress import Callback, SweepProgress, with_bar
 from torcharm.sweeps.ranking import best_places, rankings, taken
 from torcharm.sweeps.result import SweepResult
 from torcharm.sweeps.shards import Job, compute_shard, measured, one_thread, shard_path
-from torcharm.sweeps.summary import summary_of
+from torcharm.sweeps.summary import Summary, summary_of
 from torcharm.task import Task
 
 SHARD_SECONDS = 5.0
@@ -49,6 +48,8 @@ SHARDS_A_WORKER = 4
 """At least, so that no worker is idle for long at the end."""
 FIRST_TRIAL, TRIAL_SECONDS = 16, 0.2
 """Designs of a first trial, which grows until it takes so long, of the processor: others may be at work, too."""
+KEEP_SECONDS = 30.0
+"""Between two writings of the summary, from which a sweep that was killed goes on, or is shown while it runs."""
 
 
 def sweep(
@@ -105,7 +106,7 @@ def sweep(
         shard: (k, n) computes only the k-th of n parts, counted from 1, as for the jobs of a batch queue: they may run
             in any order or at once, on one folder.
         shard_size: designs in a shard; None finds it out by a short trial. It is part of what the sweep is.
-        progress: whether to show a bar, with the rate and the best so far; None shows one on a terminal.
+        progress: whether to show a bar, with the rate, the time left and the best so far; None shows one on a terminal.
         callback: is told the `SweepProgress` twice a second; returning True stops.
 
     Raises:
@@ -123,10 +124,14 @@ def sweep(
     for name in ("pyarrow", "filelock"):
         extra(name, "sweep")
     space = DesignSpace() if space is None else space
+    if not isinstance(space, DesignSpace):
+        raise ValueError(f"space: must be a DesignSpace, got {shown(space)}")
     tasks = fitting_tasks(arm, task)
-    options: dict[str, Any] = {"tolerance": as_tolerance(tolerance), "weights": weights, "power": power}
-    options["pose_cost"] = pose_cost
-    measures, crew = Measures(check_metrics(metrics), reduce, options), workers_of(executor, workers)
+    measures = Measures(
+        check_metrics(metrics),
+        reduce,
+        {"tolerance": as_tolerance(tolerance), "weights": weights, "power": power, "pose_cost": pose_cost},
+    )
     check_part(shard)
     if shard_size is not None:
         check_count("shard_size", shard_size, 1)
@@ -135,13 +140,10 @@ def sweep(
     designs = feasible_designs(space, arm, tasks)
     sampler, number = sampler_of(sampling, designs.dimension, count, levels, seed)
     asked = {"space": space, "count": number, "sampling": sampling, "levels": levels, "seed": seed}
-    asked |= {"metrics": measures.metrics, "reduce": measures.reduce} | options
+    asked |= {"metrics": measures.metrics, "reduce": measures.reduce, **measures.options}
     problem = {"torcharm": __version__} | describe(arm, arm.actuators, tasks, **asked)
     folder = Path(out).absolute()
-    prepare_folder(folder)
-    with locked(folder, shard):
-        if shard is None:
-            remove_leftovers(folder)
+    with workers_of(executor, workers) as crew, locked(folder, shard):
         parts = shard[1] if shard else workers or usable_cores()
         points = DesignPoints(designs.free, sampler, designs.order)
         decide = partial(_decided, problem, designs, points, number, tasks, measures, shard_size, parts)
@@ -153,10 +155,9 @@ def sweep(
             complete = run_shards(crew, partial(compute_shard, job), run.missing, run.finished, run.watch)
         # Ctrl-C may have come while a shard was taken up.
         summary = run.summary if complete else summary_of(folder, manifest)
-        if shard is None:  # jobs that compute parts leave that to whoever opens the sweep
-            summary.keep(folder)
-            if complete:
-                remove_leftovers(folder)  # of workers that were lost on the way
+        run.keep(summary)
+        if shard is None and complete:
+            remove_leftovers(folder)  # of workers that were lost on the way
     return SweepResult(folder, manifest, summary, designs.arm, interrupted=not complete)
 
 
@@ -164,12 +165,12 @@ class _Run:
     """One run of a sweep, or of a part of it: what is missing, and what it has found."""
 
     def __init__(self, folder: Path, manifest: Manifest, part: Part | None, callback: Callback) -> None:
-        self.folder, self.manifest, self.callback = folder, manifest, callback
+        self.folder, self.manifest, self.part, self.callback = folder, manifest, part, callback
         self.summary = summary_of(folder, manifest)
         first, step = (1, 1) if part is None else part
         mine = range(first - 1, manifest.shards, step)
         self.missing = [shard for shard in mine if shard not in self.summary.shards]
-        self.begun = time.monotonic()
+        self.begun = self.kept = time.monotonic()
         self.count = sum(map(self._designs, mine))
         self.done = self.before = self.count - sum(map(self._designs, self.missing))
 
@@ -184,10 +185,18 @@ class _Run:
                 "machines must see the folder by the same name"
             )
         self.done += self._designs(shard)
+        if time.monotonic() - self.kept > KEEP_SECONDS:
+            self.keep(self.summary)
+
+    def keep(self, summary: Summary) -> None:
+        """Write a summary; jobs that compute parts leave that to whoever opens the sweep."""
+        if self.part is None:
+            summary.keep(self.folder)
+        self.kept = time.monotonic()
 
     def watch(self) -> bool:
         """Tell how far it has come; whether to stop."""
-        rate = (self.done - self.before) / (time.monotonic() - self.begun)
+        rate = (self.done - self.before) / max(time.monotonic() - self.begun, 1e-9)
         left = (self.count - self.done) / rate if rate else np.inf
         by = rankings((*self.manifest.numbers, *self.manifest.counts))[0]
         best, design = np.inf, -1
