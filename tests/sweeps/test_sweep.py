@@ -247,6 +247,11 @@ def test_a_callback_stops_and_the_sweep_goes_on(tmp_path):
     assert contents(tmp_path / "a") == contents(tmp_path / "b")
 
 
+def test_what_is_stopped_at_its_end_is_not_interrupted(tmp_path):
+    found = small_sweep(tmp_path, 100, callback=lambda progress: progress.finished == progress.count)
+    assert (found.complete, found.interrupted) == (True, False)
+
+
 def test_parts_make_a_whole(tmp_path):
     small_sweep(tmp_path / "whole", 200)
     for part in (3, 1, 2):

@@ -143,7 +143,7 @@ def _run(
     with suppress(BrokenExecutor, CancelledError):  # no others are started now
         for future in as_completed([one for one in pending if not one.cancel()]):
             collect(future)
-    return False
+    return not left
 
 
 def _is_loss(error: Exception) -> bool:
