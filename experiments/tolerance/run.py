@@ -18,7 +18,7 @@ import torcharm as ta
 from experiments.design_optimisation.scenes import ARMS, SHAPES, tasks_of
 from experiments.rows import Measurement, measurements_table, read_rows, write_rows
 from torcharm.design.scatter import normal_numbers
-from torcharm.design.tolerance import Evaluation, built_as, joined, nominal_tolerance
+from torcharm.design.tolerance import Evaluation, joined, nominal_tolerance
 from torcharm.design.tolerance_result import Yield
 from torcharm.plot import tolerance_figure
 
@@ -87,7 +87,7 @@ def shares(size: Size) -> Iterator[Measurement]:
             for compensated in (False, True):
                 if compensated and shape != str(BEND):
                     continue
-                found = built_as(design, task, SCATTER, compensated, size.samples)
+                found = ta.tolerance(design, task, **vars(SCATTER), compensated=compensated, samples=size.samples)
                 case = f"{arm}, {shape}, {'own' if compensated else 'kept'} pressures"
                 yield Measurement(
                     "shares", case, "drawn arm's tip error, median", mm(found.nominal_tip_error.quantile(0.5)), "mm"
@@ -114,13 +114,14 @@ def yields(size: Size) -> Iterator[Measurement]:
         drawn = ta.predict_error(arm, task)
         close = 1.05 * float(drawn.tip_error.max()) if compensated else 0.01
         tolerance = ta.PoseTolerance(tip=close, rotation=1.0, shape=1.0)
-        found = built_as(arm, task, PLAIN, compensated, size.samples, tolerance=tolerance)
+        how_built: dict[str, Any] = {"compensated": compensated, "samples": size.samples}
+        found = ta.tolerance(arm, task, **vars(PLAIN), **how_built, tolerance=tolerance)
         sources = PLAIN.sources(arm)
         how = Evaluation((task,), nominal_tolerance(arm, tolerance), None, False)
         begun = time.process_time()
         with torch.no_grad():
             numbers = normal_numbers(sources, plain, 1, quasi=False)
-            many = joined(list(how.chunks(arm, sources, numbers, None if compensated else [drawn.pressure], None)))
+            many = joined(list(how.chunks(arm, sources, numbers, None if compensated else [drawn.pressure])))
         taken = time.process_time() - begun
         for name, own in (
             (f"{size.samples} Sobol'", found.yields[0]),
@@ -146,9 +147,10 @@ def robust(size: Size) -> Iterator[Measurement]:
         name = "robust, mean" if quantile is None else f"robust, {100 * quantile:g} %"
         objective = ta.Objective(robust=ta.Robust(PLAIN, quantile))
         designs[name] = ta.optimise_design(nominal.best, task, space, objective, **options).best
+    fresh: dict[str, Any] = {"samples": size.samples * 2, "seed": 1000, "tolerance": LOOSE}
     for name, design in designs.items():
         for compensated in (False, True):
-            built = built_as(design, task, PLAIN, compensated, size.samples * 2, seed=1000, tolerance=LOOSE)
+            built = ta.tolerance(design, task, **vars(PLAIN), **fresh, compensated=compensated)
             case, whole = f"{name}: {'own' if compensated else 'kept'} pressures", built.yield_of_all
             each = 100 * float(built.within.double().mean())
             yield Measurement("robust", case, "yield, each load", round(each, 2), "%")
@@ -168,7 +170,7 @@ def seconds(size: Size) -> Iterator[Measurement]:
         best = math.inf
         for _ in range(3):
             begun = time.process_time()
-            built_as(arm, task, PLAIN, compensated, size.samples)
+            ta.tolerance(arm, task, **vars(PLAIN), compensated=compensated, samples=size.samples)
             best = min(best, time.process_time() - begun)
         case = f"{size.samples} arms on {size.loads} loads, {'own' if compensated else 'kept'} pressures"
         yield Measurement("seconds", case, "CPU time, best of 3", round(best, 2), "s")
@@ -177,5 +179,5 @@ def seconds(size: Size) -> Iterator[Measurement]:
 def picture(size: Size) -> None:
     """The three arms on the mild bend."""
     task = bend(size.loads)
-    found = [(name, built_as(arm, task, SCATTER, False, size.samples)) for name, arm in ARMS.items()]
+    found = [(name, ta.tolerance(arm, task, **vars(SCATTER), samples=size.samples)) for name, arm in ARMS.items()]
     tolerance_figure(found, "a mild bend under 20 loads, pressures kept").savefig(HERE / "shares.png", dpi=110)

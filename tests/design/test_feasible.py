@@ -180,7 +180,7 @@ def test_what_is_never_under_pressure_takes_no_room_unless_it_has_a_diameter() -
     planar = ta.ArmDesign([-0.02, 0.0, 0.001], 0.1, [ta.chamber(8e-5), ta.elastic_core(50.0, 4e-3), ta.McKibben()])
     straight = ta.Task([[0.1, 0.0, 0.0]] * 3)
     names = feasible_designs(DesignSpace(free="radii", in_range=False), planar, [straight]).names
-    assert names == ["spacing of actuators 1 and 3"]
+    assert names == ("spacing of actuators 1 and 3",)
 
 
 def test_what_is_not_free_stays() -> None:

@@ -123,35 +123,21 @@ def test_gradients_and_samples_agree_where_the_tip_moves_in_proportion():
     assert result.sensitivity("radii").shape == (2, 4)
 
 
-def test_sobol_indices_are_the_shares_where_the_tip_moves_in_proportion():
-    told = []
-    options = {"samples": 256, "callback": lambda *now: told.append(now)}
-    result = ta.tolerance(ARM, TASK, radii=1e-4, length=2e-4, force=0.005, sobol=True, **options)
-    assert told[-1] == (256 + 5 * 256,) * 2
-    for name, first, total in zip(result.names, result.first_order, result.total_order, strict=True):
-        assert float(first.mean()) == pytest.approx(result.shares[name], abs=0.05)
-        assert float(total.mean()) == pytest.approx(result.shares[name], abs=0.05)
-    assert "total_order_force" in result.to_dict()
-
-
-@pytest.mark.parametrize("after", [1, 2, 3, 5, 6])
+@pytest.mark.parametrize("after", [1, 2, 3])
 def test_an_interrupted_run_is_that_of_fewer_built_arms(monkeypatch, after):
-    monkeypatch.setattr(sys.modules["torcharm.design.tolerance"], "AT_ONCE", 32)  # 16 of 32 built arms, then Sobol's
+    monkeypatch.setattr(sys.modules["torcharm.design.tolerance"], "AT_ONCE", 32)  # 16 built arms
 
     def callback(done, _):
         if done == 16 * after:  # as Ctrl-C, once
             raise KeyboardInterrupt
 
-    options = {"samples": 32, "sobol": True, "callback": callback}
-    whole = ta.tolerance(ARM, TASK, radii=1e-3, force=0.05, samples=32, sobol=True)
-    found = ta.tolerance(ARM, TASK, radii=1e-3, force=0.05, **options)
-    count = 16 if after == 1 else 32
+    whole = ta.tolerance(ARM, TASK, radii=1e-3, force=0.05, samples=64)
+    found = ta.tolerance(ARM, TASK, radii=1e-3, force=0.05, samples=64, callback=callback)
+    count = 16 * after
     assert found.stopped == "interrupted"
-    assert f"interrupted: {count} of 32 built arms" in repr(found)
+    assert f"interrupted: {count} of 64 built arms" in repr(found)
     torch.testing.assert_close(found.tip_error, whole.tip_error[:count])
     assert found.yields[0] == Yield.of(whole.within[:count, 0])
-    assert found.sobol_samples == 4 * max(0, after - 2)  # of 4 built arms each
-    assert (found.first_order is None) == (after <= 2)
 
 
 def test_what_fails_is_counted_for_each_criterion():

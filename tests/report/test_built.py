@@ -8,7 +8,7 @@ import pytest
 from report_cases import SCRIPT, TEMPLATE, Page
 
 import torcharm as ta
-from torcharm.design.tolerance import built_as
+from torcharm.design.tolerance import tolerance
 from torcharm.report import Evaluated, study_report
 from torcharm.study import evaluate_study, parse_study
 from torcharm.study.built import BuiltStudy
@@ -39,7 +39,11 @@ def evaluated():
     study = parse_study(STUDY)
     how, task = study.manufacture, study.tasks[0]
     built = [
-        BuiltStudy(arm, task, built_as(arm.design, task.task, how.scatter, how.compensated, how.samples))
+        BuiltStudy(
+            arm,
+            task,
+            tolerance(arm.design, task.task, **vars(how.scatter), compensated=how.compensated, samples=how.samples),
+        )
         for arm in study.arms
     ]
     reach = [(arm, ta.workspace(arm.design, states=200, nodes=4)) for arm in study.arms]

@@ -78,6 +78,7 @@ def test_a_scheduler_that_does_not_answer_is_a_sentence(tmp_path, monkeypatch):
     monkeypatch.setattr("torcharm.sweeps.executors.ANSWER", 0.5)
     with pytest.raises(ValueError, match=r"^executor: no Dask scheduler answers at tcp://127.0.0.1:9"):
         small_sweep(tmp_path, 200, workers=None, executor="tcp://127.0.0.1:9")
+    assert not list(tmp_path.iterdir())  # nothing was begun
 
 
 def test_packages_that_are_missing_are_a_sentence(tmp_path, monkeypatch):

@@ -105,6 +105,18 @@ def test_an_executor_of_ones_own(tmp_path, undisturbed):
     assert contents(tmp_path) == undisturbed
 
 
+def test_an_executor_that_loses_its_workers_is_told_and_not_started_again(tmp_path):
+    def lose():
+        raise MemoryError
+
+    with (
+        ThreadPoolExecutor(1, initializer=lose) as pool,
+        pytest.raises(ValueError, match=r"^executor: has lost its workers; finished shards are kept"),
+    ):
+        small_sweep(tmp_path, 200, workers=None, executor=pool)
+    assert small_sweep(tmp_path, 200).complete
+
+
 def test_damaged_and_deleted_shards_are_computed_again(tmp_path):
     small_sweep(tmp_path, 200)
     before = contents(tmp_path)
@@ -132,6 +144,13 @@ def test_another_sweep_is_refused_and_named(tmp_path, options, named):
     before = contents(tmp_path)
     with pytest.raises(ValueError, match=rf"^out: .* holds another sweep, whose {named} differs"):
         small_sweep(tmp_path, **({"count": 200} | options))
+    assert contents(tmp_path) == before
+
+
+def test_what_means_the_same_is_the_same_sweep(tmp_path):
+    small_sweep(tmp_path, 200)
+    before = contents(tmp_path)
+    assert small_sweep(tmp_path, 200, weights=(1, 1), metrics=["relative", "absolute"], reduce={}).complete
     assert contents(tmp_path) == before
 
 

@@ -213,6 +213,13 @@ def test_progress_is_told(tmp_path):
     assert told[-1].best == ta.open_sweep(tmp_path).best(1, "absolute")["absolute_N"][0]
 
 
+def test_what_is_best_is_kept_on_the_way(tmp_path, monkeypatch):
+    monkeypatch.setattr("torcharm.sweeps.running.KEEP_SECONDS", 0.0)
+    kept = []
+    small_sweep(tmp_path, 100, callback=lambda _: kept.append((tmp_path / "summary.parquet").exists()))
+    assert kept == [False, True, True, True, True]
+
+
 def test_a_bar_is_shown_where_it_is_asked_for(tmp_path, capfd):
     small_sweep(tmp_path / "a", 100)
     assert "sweeping" not in capfd.readouterr().err  # no terminal
@@ -222,7 +229,7 @@ def test_a_bar_is_shown_where_it_is_asked_for(tmp_path, capfd):
 
 def test_progress_in_words():
     told = SweepProgress(10, 100, 2e3, 400.0, 1.25, "absolute_N", 7)
-    assert str(told) == "2,000 designs/s, 7 min left, best absolute [N] 1.25"
+    assert str(told) == "2,000 designs/s, 0:06:40 left, best absolute [N] 1.25"
     assert str(SweepProgress(0, 100, 0.0, np.inf, np.inf, "absolute_N", -1)) == "the first shards"
 
 
@@ -238,6 +245,11 @@ def test_a_callback_stops_and_the_sweep_goes_on(tmp_path):
     assert small_sweep(tmp_path / "a", 200).complete
     small_sweep(tmp_path / "b", 200)
     assert contents(tmp_path / "a") == contents(tmp_path / "b")
+
+
+def test_what_is_stopped_at_its_end_is_not_interrupted(tmp_path):
+    found = small_sweep(tmp_path, 100, callback=lambda progress: progress.finished == progress.count)
+    assert (found.complete, found.interrupted) == (True, False)
 
 
 def test_parts_make_a_whole(tmp_path):
@@ -271,12 +283,14 @@ def test_parts_make_a_whole(tmp_path):
         ({"workers": 0}, "workers"),
         ({"executor": 7, "workers": None}, "executor"),
         ({"tolerance": -1.0}, "tolerance"),
+        ({"weights": (1.0, 0.0)}, "weights"),
+        ({"power": 3}, "power"),
     ],
 )
 def test_mistakes_name_the_field(tmp_path, options, field):
     with pytest.raises(ValueError, match=rf"^{field}: "):
         small_sweep(tmp_path / "run", **options)
-    assert not list(tmp_path.rglob("*.parquet"))
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("name", ["tip_error", "speed"])

@@ -45,7 +45,7 @@ def test_attempts_that_left_the_range_are_corrected_from_where_they_landed():
     places = np.random.default_rng(0).random((150, arm.actuator_count))
     states = solve_states(scene, places)
     one = np.ones(arm.actuator_count)
-    frontier = Frontier(KnownSlopes(scene), 0.02, 0.01, 1e-4, (REACHED,), 0 * one, one, True)
+    frontier = Frontier(KnownSlopes(scene, 10_000), 0.02, 0.01, 1e-4, (REACHED,), 0 * one, one, True)
     push = frontier.push(states, 100)
     tried = solve_states(scene, push.place)
     missed = tried.code.numpy() == EXCLUDED

@@ -53,9 +53,6 @@ def tolerance(
     margin: Annotated[
         bool, typer.Option("--margin", help="Measure capacity margins, too, which takes longer than all else.")
     ] = False,
-    sobol: Annotated[
-        bool, typer.Option("--sobol", help="Find Sobol' indices of what is scattered, by several times the built arms.")
-    ] = False,
     samples: Annotated[int | None, typer.Option("--samples", help="Built arms.", show_default="1000")] = None,
     seed: Annotated[int | None, typer.Option("--seed", help="Of the samples.", show_default="0")] = None,
     out: options.Rows = None,
@@ -85,7 +82,7 @@ def tolerance(
     how = _manufacture(plan, {key: value for key, value in given.items() if value is not None}, correlated or [])
     figures, work = outputs.numbered("--figure", figure, len(plan.tasks)), Work()
     plan = plan if study is None else asked_about(plan)
-    found = find_built(plan, how, work, margin, sobol)
+    found = find_built(plan, how, work, margin)
     if found:
         rows = list(built_rows(found))
         if as_json:
@@ -126,22 +123,20 @@ def _manufacture(plan: "Study", given: dict[str, Any], correlated: Sequence[str]
     return how
 
 
-def find_built(
-    plan: "Study", how: "Manufacture", work: Work, margin: bool = False, sobol: bool = False
-) -> "list[BuiltStudy]":
+def find_built(plan: "Study", how: "Manufacture", work: Work, margin: bool = False) -> "list[BuiltStudy]":
     """What is found of all arms on their tasks as they are built, or as many of them as there are by Ctrl-C."""
-    from torcharm.design.tolerance import built_as
+    from torcharm.design.tolerance import tolerance
     from torcharm.study.built import BuiltStudy
 
     assert how.scatter is not None
-    further: dict[str, Any] = {"tolerance": plan.settings.tolerance, "margin": margin, "sobol": sobol}
-    scattered = (how.scatter, how.compensated, how.samples, how.seed)
+    further: dict[str, Any] = {"tolerance": plan.settings.tolerance, "margin": margin, "seed": how.seed}
+    further |= vars(how.scatter) | {"compensated": how.compensated, "samples": how.samples}
 
     def built(arm: "NamedArm", task: "NamedTask", told: Told) -> Iterator[BuiltStudy]:
         def callback(done: int, of: int) -> None:
             told(done * how.samples // of, arm.name)
 
-        found = built_as(arm.design, task.task, *scattered, callback=callback, **further)
+        found = tolerance(arm.design, task.task, callback=callback, **further)
         yield BuiltStudy(arm, task, found)
         if found.stopped == "interrupted":
             raise KeyboardInterrupt
@@ -150,8 +145,6 @@ def find_built(
 
 
 def _tell(plan: "Study", found: Sequence["BuiltStudy"]) -> None:
-    from torcharm.study.built import sobol_words
-
     for task, own in outputs.by_task(plan.tasks, found):
         if not own:
             continue
@@ -159,7 +152,7 @@ def _tell(plan: "Study", found: Sequence["BuiltStudy"]) -> None:
         say()
         print_table(list(_columns(own)))
         for one in own:
-            for words in filter(None, (one.built.interruption, one.built.agreement, sobol_words(one.built))):
+            for words in filter(None, (one.built.interruption, one.built.agreement)):
                 say(f"{one.arm.name}: {words}.")
         say()
     for line in _legend(plan, found[0].built):

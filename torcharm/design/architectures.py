@@ -1,6 +1,5 @@
 """Which architecture? Every choice of a force model for every position, each with its best design."""
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -95,7 +94,7 @@ def optimise_architectures(
         >>> ta.optimise_architectures(arm, task, starts=1, iterations=1).names[0]  # B is for bellows, M for muscles
         'MM'
     """
-    begun = time.perf_counter()
+    progress = Progress(callback, starts, seconds)
     space, objective = space or DesignSpace(), objective or Objective()
     tasks = check_arguments(arm, task, space, objective, starts, seed, iterations, seconds)
     kinds = _kinds(models)
@@ -109,12 +108,12 @@ def optimise_architectures(
     if checkpoint is not None:
         # The arm's own models and limits have no part.
         own = _with_models(arm, [kinds[0]] * count)
-        options: dict[str, Any] = {"seed": seed, "iterations": iterations, "search": "architectures"}
-        keeper = Checkpoint(checkpoint, describe(own, kinds, tasks, space, objective, **options))
+        asked = {"space": space, "objective": objective, "seed": seed, "iterations": iterations}
+        keeper = Checkpoint(checkpoint, describe(own, kinds, tasks, **asked, search="architectures"))
     orders = symmetries(arm, kinds, tasks, space)
     every = product(range(len(kinds)), repeat=count)
     choices = [one for one in every if all(one <= tuple(one[index] for index in order) for order in orders)]
-    progress = Progress(begun, seconds, callback, starts * len(choices))
+    progress.starts = starts * len(choices)
     found: dict[str, OptimisedDesign] = {}
     infeasible: dict[str, str] = {}
     stopped = "finished"

@@ -13,8 +13,7 @@ from torch import Tensor
 
 from torcharm.actuators import Actuator
 from torcharm.actuators.bending import active_moment, passive_moment
-from torcharm.design.objective import Objective
-from torcharm.design.space import Arm, DesignSpace, given_values
+from torcharm.design.space import Arm, given_values
 from torcharm.files import atomic_write, check_writable, read_file
 from torcharm.statics.balance import segments_of
 from torcharm.task import Task
@@ -33,11 +32,9 @@ def describe(
     arm: Arm,
     models: Sequence[Actuator],
     tasks: Sequence[Task],
-    space: DesignSpace,
-    objective: Objective,
     **options: Any,
 ) -> dict[str, str]:
-    """What tells a problem from others: digests of what is long, and what is short as it prints.
+    """What tells a problem from others: digests of arm, tasks and force models, and options as they print.
 
     Force models are told by their class and by what they do, forces on a grid and moments, whatever they hold.
     """
@@ -48,8 +45,6 @@ def describe(
     parts = {
         "arm": _digest([torch.from_numpy(given_values(arm)), *rest]),
         "task": _digest([value for task in tasks for value in _task_parts(task)]),
-        "space": repr(space),
-        "objective": repr(objective),
     }
     parts |= {f"force model {index + 1}": _digest(_behaviour(model)) for index, model in enumerate(models)}
     return parts | {name: repr(value) for name, value in options.items()}

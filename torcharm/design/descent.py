@@ -2,14 +2,14 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from torcharm.design.checkpoint import Checkpoint
 from torcharm.design.feasible import FEASIBLE
 from torcharm.design.objective import Objective, Problem
-from torcharm.design.space import Arm, Array
+from torcharm.design.space import Array
 
 REASONS = {0: "optimal", 8: "stalled", 9: "iterations"}
 """What SciPy's SLSQP says when it ends: no step promises a gain; none gives the gain that was promised, as at a kink;
@@ -29,39 +29,36 @@ class Progress:
     """What is done of an optimisation, and when it is enough.
 
     Attributes:
-        begun: when the call began, by `time.perf_counter`.
-        limit: seconds after which to stop; None sets no limit.
         callback: is told this after each evaluation; returns True to stop.
         starts: in all.
+        limit: seconds after which to stop; None sets no limit.
         start: of these, how many have ended.
         evaluations: designs evaluated on all tasks.
         value: the best so far.
-        design: which has it, or None.
+        begun: when the call began, by `time.perf_counter`.
     """
 
-    begun: float
-    limit: float | None
     callback: "Callback | None"
     starts: int
+    limit: float | None = None
     start: int = 0
     evaluations: int = 0
     value: float = np.inf
-    design: Arm | None = None
+    begun: float = field(default_factory=time.perf_counter)
 
     @property
     def seconds(self) -> float:
         """Since the call."""
         return time.perf_counter() - self.begun
 
-    def evaluated(self, problem: Problem, point: Array, value: float) -> None:
-        """Another design was evaluated; `point` is the best feasible one of this start, infinite if there is none.
+    def evaluated(self, value: float) -> None:
+        """Another design was evaluated; the value is that of the best feasible one of this start, or infinite.
 
         Raises:
             Stopped: that is enough.
         """
         self.evaluations += 1
-        if value < self.value:
-            self.value, self.design = value, problem.designs.design(point)
+        self.value = min(self.value, value)
         if self.callback is not None and self.callback(self) is True:
             raise Stopped("callback")
         if self.limit is not None and self.seconds >= self.limit:
@@ -100,7 +97,7 @@ def descend(
             vain = 0 if value < lowest - tolerance * scale else vain
             best, lowest = point, value
         if progress is not None:
-            progress.evaluated(problem, best, lowest)
+            progress.evaluated(lowest)
         if vain > PATIENCE:
             raise Stopped("stalled")
         scale = scale or (max(abs(followed), 1e-12) if sound else 0.0)

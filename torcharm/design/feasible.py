@@ -19,7 +19,7 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import rebuilt, with_slices
-from torcharm.design.space import Arm, Array, DesignSpace, FreeValues, free_values, given_values, one_of_batch
+from torcharm.design.space import UNITS, Arm, Array, DesignSpace, FreeValues, free_values, given_values, one_of_batch
 from torcharm.statics.balance import segments_of
 from torcharm.task import Task
 
@@ -39,59 +39,44 @@ Function = Callable[[Array], tuple[float, Array]]
 
 @dataclass(frozen=True, eq=False)
 class Constraints:
-    """`g ≥ 0` over the Cartesian offsets and lengths of M actuators: C strains, then P distances.
+    """`g ≥ 0` over the offsets y, z and lengths l̂ of M actuators, one after the other in x (3 M).
 
     Attributes:
-        actuator, sign, length, bend_y, bend_z, factor: (C,) of `g = sign (l + z κ_y - y κ_z - (1 + ε) l̂)`.
-        pairs: (P, 2) actuators.
-        gap: (P,) least distance between them [m].
-        in_order: whether the distance is that from the first to the second along y, as in the plane.
+        rows, constant: (L, 3 M) and (L,) of `g = rows x + constant`: strains and, in the plane, distances.
+        pairs: (P, 2) actuators whose distance in space is at least
+        gap: (P,) [m].
+        names: of the L + P, what each is.
     """
 
-    actuator: Any
-    sign: Array
-    length: Array
-    bend_y: Array
-    bend_z: Array
-    factor: Array
+    rows: Array
+    constant: Array
     pairs: Any
     gap: Array
-    in_order: bool
+    names: tuple[str, ...]
 
-    def values(self, y: Array, z: Array, length: Array) -> tuple[Array, Array]:
-        """g (C+P,) [m], and its derivatives (C+P, 3, M) by y, z and l̂ (M,)."""
-        count, own = len(y), self.actuator
-        rows, strains = np.arange(len(own)), len(own)
-        slope = np.zeros((strains + len(self.pairs), 3, count))
-        for place, part in enumerate((-self.bend_z, self.bend_y, -self.factor)):
-            slope[rows, place, own] = self.sign * part
+    def room(self, x: Array) -> Array:
+        """g (..., L + P) [m] at x (..., 3 M)."""
+        return np.concatenate((x @ self.rows.T + self.constant, np.hypot(*self._apart(x)) - self.gap), -1)
+
+    def slope(self, x: Array) -> Array:
+        """Its derivatives (L + P, 3 M) at x (3 M)."""
+        apart, (first, second), slope = self._apart(x), self.pairs.T, np.zeros((len(self.pairs), 3, len(x) // 3))
+        for place, way in enumerate(apart / np.maximum(np.hypot(*apart), 1e-12)):
+            slope[np.arange(len(way)), place, second] += way
+            slope[np.arange(len(way)), place, first] -= way
+        return np.concatenate((self.rows, slope.reshape(-1, len(x))))
+
+    def _apart(self, x: Array) -> Array:
+        """From the first to the second of each pair, along y and z (2, ..., P) [m]."""
+        y, z, _ = np.split(x, 3, -1)
         first, second = self.pairs.T
-        apart, distance = self._apart(y, z)
-        way = np.stack((np.ones_like(distance), 0 * distance)) if self.in_order else apart / np.maximum(distance, 1e-12)
-        last = strains + np.arange(len(self.pairs))
-        for place in (0, 1):
-            slope[last, place, second] += way[place]
-            slope[last, place, first] -= way[place]
-        return self.room(y, z, length), slope
+        return np.stack((y[..., second] - y[..., first], z[..., second] - z[..., first]))
 
-    def room(self, y: Array, z: Array, length: Array) -> Array:
-        """g (..., C+P) [m] of designs with offsets and lengths (..., M)."""
-        own = self.actuator
-        stretch = self.length + z[..., own] * self.bend_y - y[..., own] * self.bend_z - self.factor * length[..., own]
-        return np.concatenate((self.sign * stretch, self._apart(y, z)[1] - self.gap), -1)
-
-    def _apart(self, y: Array, z: Array) -> tuple[Array, Array]:
-        """From the first to the second of each pair: along y and z (2, ..., P), and how far (..., P) [m]."""
-        first, second = self.pairs.T
-        apart = np.stack((y[..., second] - y[..., first], z[..., second] - z[..., first]))
-        return apart, apart[0] if self.in_order else np.hypot(*apart)
-
-    @property
-    def names(self) -> list[str]:
-        """What each is."""
-        ends = ["least" if sign > 0 else "largest" for sign in self.sign]
-        strains = [f"{end} strain of actuator {index + 1}" for end, index in zip(ends, self.actuator, strict=True)]
-        return strains + [f"spacing of actuators {a + 1} and {b + 1}" for a, b in self.pairs]
+    def at(self, index: Any) -> "Constraints":
+        """Those at some of their numbers, in order."""
+        linear, others = index[index < len(self.rows)], index[index >= len(self.rows)] - len(self.rows)
+        names = tuple(self.names[one] for one in index)
+        return Constraints(self.rows[linear], self.constant[linear], self.pairs[others], self.gap[others], names)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,15 +86,13 @@ class FeasibleDesigns:
     Attributes:
         arm: whose actuators, dtype and device the designs have.
         free: what the free values are.
-        constraints: on them, besides the bounds.
-        kept: which of these the free values change, each once.
+        constraints: on them, besides the bounds: those that the free values change, each once.
         in_range: whether strains are to stay in their characterised range, those of the shapes reached, too.
     """
 
     arm: Arm
     free: FreeValues
     constraints: Constraints
-    kept: Any
     in_range: bool
 
     @property
@@ -126,16 +109,15 @@ class FeasibleDesigns:
         radius, angle, length, _ = self.free(point)
         along_radius, along_angle, along_length, _ = self.free.spread
         cos, sin = np.cos(angle), np.sin(angle)
-        value, slope = self.constraints.values(radius * cos, radius * sin, length)
+        x = np.concatenate((radius * cos, radius * sin, length))
         y = cos[:, None] * along_radius - (radius * sin)[:, None] * along_angle
         z = sin[:, None] * along_radius + (radius * cos)[:, None] * along_angle
-        along = np.concatenate((y, z, along_length))
-        return value[self.kept], slope[self.kept].reshape(len(self.kept), len(along)) @ along
+        return self.constraints.room(x), self.constraints.slope(x) @ np.concatenate((y, z, along_length))
 
     def allows(self, points: Array) -> Any:
         """Whether each of points (n, F) breaks no constraint and no bound: (n,) of True and False."""
         radius, angle, length, _ = np.moveaxis(self.free(points), -2, 0)
-        room = self.constraints.room(radius * np.cos(angle), radius * np.sin(angle), length)[..., self.kept]
+        room = self.constraints.room(np.concatenate((radius * np.cos(angle), radius * np.sin(angle), length), -1))
         inside = ((points >= -FEASIBLE) & (points <= 1 + FEASIBLE)).all(-1)
         return (room >= -FEASIBLE).all(-1) & inside
 
@@ -148,10 +130,9 @@ class FeasibleDesigns:
         return tuple(tuple(own.start + index for index in _order(segment)) for segment, own in slices)
 
     @property
-    def names(self) -> list[str]:
+    def names(self) -> tuple[str, ...]:
         """What the constraints are."""
-        every = self.constraints.names
-        return [every[index] for index in self.kept]
+        return self.constraints.names
 
     def violation(self, point: Array) -> float:
         """By how much a point (F,) breaks a constraint [m] or a bound [share of its range]; 0 inside."""
@@ -184,7 +165,7 @@ class FeasibleDesigns:
             jac=True,
             method="SLSQP",
             bounds=[(0.0, 1.0)] * self.dimension + [(0.0, None)] * elastic,
-            constraints=[room] if len(self.kept) else [],
+            constraints=[room] if self.names else [],
             options={"maxiter": iterations, "ftol": tolerance},
         )
 
@@ -220,10 +201,10 @@ class FeasibleDesigns:
 
     def _conflict(self, point: Array) -> str:
         """Which constraints cannot be kept, near a point (F,): of one kind if that alone cannot be kept."""
-        strains = len(self.constraints.actuator)
+        spacing = np.array([name.startswith("spacing") for name in self.names])
         kinds = {
-            SPACING_ADVICE: replace(self, kept=self.kept[self.kept >= strains]),
-            STRAIN_ADVICE: replace(self, kept=self.kept[self.kept < strains]),
+            advice: replace(self, constraints=self.constraints.at(np.flatnonzero(which)))
+            for advice, which in ((SPACING_ADVICE, spacing), (STRAIN_ADVICE, ~spacing))
         }
         broken = {advice: one for advice, one in kinds.items() if one.violation(one._nearest(point)) > FEASIBLE}
         words = []
@@ -259,7 +240,7 @@ class FeasibleDesigns:
         for index, name in enumerate(free.names):
             for end, near in ((free.low, point[index]), (free.high, 1 - point[index])):
                 if near < ACTIVE:
-                    words.append(f"{name} at the bound of {end[index]:g} {free.units[index]}")
+                    words.append(f"{name} at the bound of {end[index]:g} {UNITS[free.fields[index]]}")
         value, names = self.constraint_values(point)[0], self.names
         return (*words, *dict.fromkeys(names[index] for index in np.flatnonzero(value < ACTIVE)))
 
@@ -301,53 +282,56 @@ def feasible_designs(space: DesignSpace, arm: Arm, tasks: Sequence[Task]) -> Fea
     Raises:
         ValueError: as of `free_values`, or a constraint is broken that nothing free changes.
     """
-    free = free_values(space, arm)
     constraints = _constraints(space, arm, tasks)
-    probe = FeasibleDesigns(arm, free, constraints, np.arange(len(constraints.names)), space.in_range)
-    point = np.random.default_rng(0).random(probe.dimension)
-    value, slope = probe.constraint_values(point)
+    probe = FeasibleDesigns(one_of_batch(arm, 0), free_values(space, arm), constraints, space.in_range)
+    value, slope = probe.constraint_values(np.random.default_rng(0).random(probe.dimension))
     moved = np.abs(slope).max(-1, initial=0.0) > 1e-12
-    names = constraints.names
     for index in np.flatnonzero(~moved & (value < -FEASIBLE)):
-        raise ValueError(f"space: the {names[index]} is out of bounds, and nothing that is free changes it")
+        raise ValueError(f"space: the {probe.names[index]} is out of bounds, and nothing that is free changes it")
     # Equal ones, as of tied actuators, are one.
     _, first = np.unique(np.round(np.column_stack((value, slope)), 12), axis=0, return_index=True)
-    return replace(probe, arm=one_of_batch(arm, 0), kept=np.sort(first[moved[first]]))
+    return replace(probe, constraints=constraints.at(np.sort(first[moved[first]])))
 
 
 def _constraints(space: DesignSpace, arm: Arm, tasks: Sequence[Task]) -> Constraints:
-    strains, pairs, gaps = [np.zeros((0, 6))], [], []
+    none, planar = np.zeros((0, 3, arm.actuator_count)), arm.dimension == 2
+    rows, constants, names = [none], [none[:, 0, 0]], list[str]()
+    pairs, gaps = list[tuple[int, int]](), list[float]()
     for number, (segment, own) in enumerate(with_slices(segments_of(arm)[0])):
         if space.in_range:
-            strains.append(_strain_rows(segment, _corners(tasks, number), own.start))
+            length, bend_y, bend_z = _corners(tasks, number).T
+            for index, model in enumerate(segment.actuators, own.start):
+                low, high = map(float, model.strain_range)
+                for end, sign, edge in (("least", 1.0, low), ("largest", -1.0, high)):
+                    if np.isfinite(edge):
+                        row = np.zeros((len(length), *none.shape[1:]))
+                        row[..., index] = sign * np.stack((-bend_z, bend_y, 0 * length - 1 - edge), -1)
+                        rows.append(row)
+                        constants.append(sign * length)
+                        names += [f"{end} strain of actuator {index + 1}"] * len(length)
         if {"radii", "angles"} & set(space.free):
             apart = space.apart(segment)
             ordered = [index for index in _order(segment) if index in apart]
-            chosen = pairwise(ordered) if arm.dimension == 2 else combinations(apart, 2)
             gap = space.spacing_of(segment)
-            for a, b in chosen:
+            for a, b in pairwise(ordered) if planar else combinations(apart, 2):
                 pairs.append((own.start + a, own.start + b))
                 gaps.append(gap[a, b])
-    actuator, sign, length, bend_y, bend_z, factor = np.concatenate(strains).T
-    found = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    rows = sign, length, bend_y, bend_z, factor
-    return Constraints(actuator.astype(np.int64), *rows, found, np.array(gaps), arm.dimension == 2)
+    names += [f"spacing of actuators {a + 1} and {b + 1}" for a, b in pairs]
+    found, least = np.array(pairs, dtype=np.int64).reshape(-1, 2), np.array(gaps, dtype=np.float64)
+    if planar:  # where actuators keep their order, so that distances are linear
+        unit = np.eye(arm.actuator_count)
+        apart_y = unit[found[:, 1]] - unit[found[:, 0]]
+        rows.append(np.stack((apart_y, 0 * apart_y, 0 * apart_y), 1))
+        constants.append(-least)
+        found, least = found[:0], least[:0]
+    matrix = np.concatenate(rows).reshape(-1, 3 * arm.actuator_count)
+    return Constraints(matrix, np.concatenate(constants), found, least, tuple(names))
 
 
 def _order(segment: ArmDesign) -> list[int]:
     """Actuators from right to left."""
     radii = segment.radii.detach().double().cpu().reshape(-1, segment.actuator_count)[0].numpy()
     return list(np.argsort(radii, kind="stable").tolist())
-
-
-def _strain_rows(segment: ArmDesign, corners: Array, before: int) -> Array:
-    """Rows (actuator, sign, l, κ_y, κ_z, 1 + ε) of a segment."""
-    rows = []
-    for index, model in enumerate(segment.actuators):
-        for sign, edge in zip((1.0, -1.0), map(float, model.strain_range), strict=True):
-            if np.isfinite(edge):
-                rows += [(before + index, sign, *corner, 1 + edge) for corner in corners]
-    return np.array(rows, dtype=np.float64).reshape(-1, 6)
 
 
 def _corners(tasks: Sequence[Task], segment: int) -> Array:

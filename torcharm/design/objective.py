@@ -10,7 +10,8 @@ from torch import Tensor
 
 from torcharm.attainability import check_power, evaluate, scale_of
 from torcharm.design.feasible import FeasibleDesigns
-from torcharm.design.robust import Draw, Robust
+from torcharm.design.robust import Robust, built_beside
+from torcharm.design.scatter import Source
 from torcharm.design.space import Arm, Array
 from torcharm.inputs import check_choice, check_flag, check_number, shown
 from torcharm.pressure.at_pressure import error_at_pressure
@@ -218,12 +219,12 @@ class Problem:
         robust, options = self.objective.robust, dict[str, Any](in_range=self.designs.in_range)
         if robust is None:
             return torch.cat([task_values(self.objective, arm, task, **options) for task in self.tasks], -1)
-        built, kept_from = self._draw.built(arm), None if robust.compensated else arm
+        built, kept_from = built_beside(arm, *self._draw), None if robust.compensated else arm
         values = [task_values(self.objective, built, task, **options, kept_from=kept_from) for task in self.tasks]
         return torch.cat(values, -1)
 
     @cached_property
-    def _draw(self) -> Draw:
+    def _draw(self) -> tuple[Sequence[Source], Sequence[Tensor]]:
         """The samples of a robust objective."""
         assert self.objective.robust is not None
         return self.objective.robust.draw(self.designs.arm)

@@ -1,6 +1,5 @@
 """`optimise_design`: from a design and tasks to a better design."""
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -10,21 +9,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries
 from torcharm.attainability import PoseTolerance
 from torcharm.design.checkpoint import Checkpoint, describe
 from torcharm.design.descent import Callback, End, Progress, descend_all
 from torcharm.design.feasible import feasible_designs
 from torcharm.design.objective import Objective, Problem, counted, shape_lengths
 from torcharm.design.result import OptimisedDesign, compared_words, reached_words, yield_words
-from torcharm.design.space import Arm, Array, DesignSpace, given_values, one_of_batch
+from torcharm.design.space import Arm, Array, DesignSpace, fitting_tasks, given_values, one_of_batch
 from torcharm.design.task_errors import TaskErrors, predicted, searched
-from torcharm.design.tolerance import built_as
+from torcharm.design.tolerance import tolerance as built_arms
 from torcharm.design.tolerance_result import BuiltArms
 from torcharm.inputs import check_count, check_number, shown
-from torcharm.task import Task, for_each_task, task_list
-from torcharm.wrench_sets.design_task_grid import fitted
+from torcharm.task import Task
 
 ITERATIONS = 60
 TOLERANCE = 1e-5
@@ -94,14 +90,13 @@ def optimise_design(
         >>> found.given_held, found.held  # of how many tasks
         (0, 1)
     """
-    progress = Progress(time.perf_counter(), seconds, callback, starts)
+    progress = Progress(callback, starts, seconds)
     space, objective = space or DesignSpace(), objective or Objective()
     tasks = check_arguments(arm, task, space, objective, starts, seed, iterations, seconds)
     keeper = None
     if checkpoint is not None:
-        keeper = Checkpoint(
-            checkpoint, describe(arm, arm.actuators, tasks, space, objective, seed=seed, iterations=iterations)
-        )
+        asked = {"space": space, "objective": objective, "seed": seed, "iterations": iterations}
+        keeper = Checkpoint(checkpoint, describe(arm, arm.actuators, tasks, **asked))
     problem = Problem(feasible_designs(space, arm, tasks), tasks, objective)
     points = starting_points(problem, arm, starts, seed)
     ends, stopped = descend_all(problem, points, iterations, TOLERANCE, progress, keeper)
@@ -120,7 +115,8 @@ def check_arguments(
 ) -> tuple[Task, ...]:
     """The tasks as a tuple, everything checked."""
     _check_type("objective", objective, Objective)
-    tasks = checked_tasks(arm, space, task)
+    _check_type("space", space, DesignSpace)
+    tasks = fitting_tasks(arm, task)
     check_count("starts", starts, 1)
     check_count("seed", seed, 0)
     check_count("iterations", iterations, 1)
@@ -129,20 +125,9 @@ def check_arguments(
     return tasks
 
 
-def checked_tasks(arm: Arm, space: DesignSpace, task: Task | Sequence[Task]) -> tuple[Task, ...]:
-    """The tasks as a tuple, which fit the designs, of which there is a space."""
-    _check_type("arm", arm, ArmDesign, ArmSeries)
-    _check_type("space", space, DesignSpace)
-    tasks = task_list(task)
-    if any(0 in one.batch_shape for one in tasks):
-        raise ValueError("task: must hold at least one task, got none")
-    for_each_task(task, lambda one: fitted(arm, one))
-    return tasks
-
-
-def _check_type(name: str, value: object, *kinds: type) -> None:
-    if not isinstance(value, kinds):
-        raise ValueError(f"{name}: must be of type {' or '.join(kind.__name__ for kind in kinds)}, got {shown(value)}")
+def _check_type(name: str, value: object, kind: type) -> None:
+    if not isinstance(value, kind):
+        raise ValueError(f"{name}: must be of type {kind.__name__}, got {shown(value)}")
 
 
 def starting_points(problem: Problem, arm: Arm, starts: int, seed: int) -> list[Array]:
@@ -226,10 +211,8 @@ def _built(
     if robust is None:
         return None
     options: dict[str, Any] = {"seed": robust.seed + 1, "tolerance": tolerance, "pose_cost": cost}
-    before, after = (
-        built_as(arm, problem.tasks, robust.scatter, robust.compensated, **options) for arm in (given, best)
-    )
-    return before, after
+    options |= vars(robust.scatter) | {"compensated": robust.compensated}
+    return built_arms(given, problem.tasks, **options), built_arms(best, problem.tasks, **options)
 
 
 @dataclass(frozen=True, eq=False)

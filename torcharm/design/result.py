@@ -127,20 +127,19 @@ def objective_words(objective: Objective) -> str:
 
 def compared_words(before: TaskErrors, after: TaskErrors, over: str) -> str:
     """How plain shape errors, and the tasks that are none, went from one design to another."""
-    tasks = len(before.stable)
-    many = f"{tasks} task{'s' * (tasks != 1)}"
-    old, new = (side.shape_mm(over) for side in (before, after))
+    tasks, (old, new) = len(before.stable), (side.shape_mm(over) for side in (before, after))
     words = f"shape off by {'' if over == 'mean' else 'at most '}{three_digits(old)} → {three_digits(new)} mm"
-    apart = ", "
+    gap = ", "
     if new > old:
         gains = after.out_of_range < before.out_of_range or after.lost < before.lost
         words += ", which is more" if gains else ", which is more, but less far beyond the range"
-        apart = ", but " if gains else ", "
-    if before.out_of_range or after.out_of_range:
-        words += f"{apart}out of range on {before.out_of_range} → {after.out_of_range} of {many}"
-        apart = ", "
-    if before.lost or after.lost:
-        words += f"{apart}without a stable equilibrium on {before.lost} → {after.lost} of {many}"
+        gap = ", but " if gains else gap
+    for name, first, last in (
+        ("out of range", before.out_of_range, after.out_of_range),
+        ("without a stable equilibrium", before.lost, after.lost),
+    ):
+        if first or last:
+            words, gap = f"{words}{gap}{name} on {first} → {last} of {tasks} task{'s' * (tasks != 1)}", ", "
     return words
 
 

@@ -71,24 +71,17 @@ class Robust:
         places, count = np.linspace(0, 1, self.samples + 1), self.samples + 1
         return np.diff(betainc(count * self.quantile, count * (1 - self.quantile), places))
 
-    def draw(self, arm: Arm) -> "Draw":
-        """The samples, for designs like an arm.
+    def draw(self, arm: Arm) -> tuple[Sequence[Source], Sequence[Tensor]]:
+        """What is scattered of designs like an arm, and for each source its parameters (S, K).
 
         Raises:
             ValueError: as of `Scatter.sources`.
         """
         sources = self.scatter.sources(arm)
-        return Draw(sources, scattered(sources, normal_numbers(sources, self.samples, self.seed)))
+        return sources, scattered(sources, normal_numbers(sources, self.samples, self.seed))
 
 
-@dataclass(frozen=True, eq=False)
-class Draw:
-    """By how much built arms differ from the drawn one: for each source its parameters (S, K)."""
-
-    sources: Sequence[Source]
-    values: Sequence[Tensor]
-
-    def built(self, arm: Arm) -> Arm:
-        """The built arms (*batch, S) of designs (*batch)."""
-        beside = [segment._map(lambda value: value.unsqueeze(-2)) for segment in segments_of(arm)[0]]
-        return built_arms(rebuilt(arm, beside), self.sources, self.values)
+def built_beside(arm: Arm, sources: Sequence[Source], values: Sequence[Tensor]) -> Arm:
+    """The built arms (*batch, S) of designs (*batch), by parameters (S, K) of each source."""
+    beside = [segment._map(lambda value: value.unsqueeze(-2)) for segment in segments_of(arm)[0]]
+    return built_arms(rebuilt(arm, beside), sources, values)

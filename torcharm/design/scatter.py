@@ -102,7 +102,7 @@ class Scatter:
         for name in FIELDS:
             given = getattr(self, name)
             listed = isinstance(given, (Sequence, np.ndarray, Tensor)) and not isinstance(given, str) and np.ndim(given)
-            values = tuple(check_size(name, one) for one in _list(given, listed))
+            values = tuple(check_size(name, one) for one in (given if listed else [given]))
             object.__setattr__(self, name, values if listed else values[0])
         if not isinstance(self.correlated, Mapping):
             raise ValueError(f"correlated: must map names to correlations, got {shown(self.correlated)}")
@@ -254,10 +254,6 @@ def _built(
     powers = tuple(power for power, _ in terms)
     force, bending = (moved(one, name).clamp(min=0) for name in ("force", "bending"))
     return arm.with_deviation(ForceDeviation(force, bending, powers, tuple(term for _, term in terms)))
-
-
-def _list(given: Any, listed: object) -> list[Any]:
-    return list(given) if listed else [given]
 
 
 def _whole(arm: Arm, name: str) -> Tensor:

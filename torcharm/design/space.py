@@ -14,6 +14,8 @@ from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries, rebuilt, with_slices
 from torcharm.inputs import check_choice, check_flag, check_number, shown
 from torcharm.statics.balance import segments_of
+from torcharm.task import Task, for_each_task, task_list
+from torcharm.wrench_sets.design_task_grid import fitted
 
 UNITS = {"radii": "m", "angles": "rad", "length": "m", "max_pressure": "kPa"}
 FIELDS = tuple(UNITS)
@@ -83,8 +85,10 @@ class DesignSpace:
         for name in self.bounds:
             if name not in free:
                 raise ValueError(f"bounds: {name} is not free, so it cannot have bounds; free are {', '.join(free)}")
-        for name in self.tied if isinstance(self.tied, Mapping) else ():
+        for name, tie in self.tied.items() if isinstance(self.tied, Mapping) else [(FIELDS[0], self.tied)]:
             check_choice("tied", name, FIELDS)
+            if isinstance(tie, str):
+                check_choice("tied", tie, TIES)
         check_flag("in_range", self.in_range)
         if self.spacing is not None:
             check_number("spacing", self.spacing, 0.0, strict=True, unit="m")
@@ -107,6 +111,19 @@ class DesignSpace:
             return np.full((count, count), LEAST_SPACING)
         half = segment.diameter.detach().double().cpu().reshape(-1, count).amax(0).numpy() / 2
         return np.asarray(half[:, None] + half)
+
+
+def fitting_tasks(arm: Arm, task: Task | Sequence[Task]) -> tuple[Task, ...]:
+    """The tasks as a tuple, as they fit some designs.
+
+    Raises:
+        ValueError: there is none, one is no task, or they do not fit.
+    """
+    tasks = task_list(task)
+    if any(0 in one.batch_shape for one in tasks):
+        raise ValueError("task: must hold at least one task, got none")
+    found = for_each_task(task, lambda one: fitted(arm, one)[1])
+    return found if isinstance(found, tuple) else (found,)
 
 
 def given_values(arm: Arm) -> Array:
@@ -138,16 +155,21 @@ class FreeValues:
         spread: (4, M, F).
         base: (4, M).
         low, high: (F,) bounds of the free values.
-        names: F words, what each is, and
-        units: its unit.
+        fields: F names of `FIELDS`, what each is of
+        members: these actuators.
     """
 
     spread: Array
     base: Array
     low: Array
     high: Array
-    names: tuple[str, ...]
-    units: tuple[str, ...]
+    fields: tuple[str, ...]
+    members: tuple[tuple[int, ...], ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What each is, in words."""
+        return tuple(_name(field, own) for field, own in zip(self.fields, self.members, strict=True))
 
     def __call__(self, point: Array) -> Array:
         """The values (..., 4, M) of points (..., F): of each the same, whichever others are asked beside it."""
@@ -179,7 +201,7 @@ def free_values(space: DesignSpace, arm: Arm) -> FreeValues:
     if "angles" in space.free and arm.dimension == 2:
         raise ValueError("free: angles must be left out, the arm is planar")
     base = values[0].copy()
-    found: list[tuple[Array, float, float, str, str]] = []
+    found: list[tuple[Array, float, float, str, tuple[int, ...]]] = []
     for segment, own in with_slices(segments_of(arm)[0]):
         for place, name in enumerate(FIELDS):
             given = values[:, place, own]
@@ -192,21 +214,27 @@ def free_values(space: DesignSpace, arm: Arm) -> FreeValues:
             for members, signs in tied_groups(space, name, values[0, :, own], segment):
                 sides = np.stack((least[members] - zero[members], most[members] - zero[members])) * signs
                 low, high = float(sides.min(0).max()), float(sides.max(0).min())
-                numbers = ", ".join(str(own.start + index + 1) for index in members)
-                what = f"{name} of actuator{'s' * (len(members) > 1)} {numbers}"
+                which = tuple(own.start + index for index in members)
                 if low > high:
-                    raise ValueError(f"bounds: {what} are tied and have none in common, got from {low:g} to {high:g}")
+                    raise ValueError(
+                        f"bounds: {_name(name, which)} are tied and have none in common, got from {low:g} to {high:g}"
+                    )
                 column = np.zeros_like(base)
                 column[place, own][members] = signs
                 if high - low > 1e-9 * max(1e-3, abs(high)):
-                    found.append((column, low, high, what, UNITS[name]))
+                    found.append((column, low, high, name, which))
                 else:
                     base += column * low
     if not found:
         raise ValueError("bounds: leave nothing free, the lowest and highest of every free value are the same")
-    columns, lows, highs, names, units = zip(*found, strict=True)
+    columns, lows, highs, fields, whose = zip(*found, strict=True)
     low_, high_, spread = np.array(lows), np.array(highs), np.stack(columns, -1)
-    return FreeValues(spread * (high_ - low_), base + spread @ low_, low_, high_, names, units)
+    return FreeValues(spread * (high_ - low_), base + spread @ low_, low_, high_, fields, whose)
+
+
+def _name(field: str, members: Sequence[int]) -> str:
+    """A free value in words."""
+    return f"{field} of actuator{'s' * (len(members) > 1)} {', '.join(str(index + 1) for index in members)}"
 
 
 def _bounds(space: DesignSpace, name: str, segment: ArmDesign, values: Array) -> tuple[Array, Array]:
@@ -244,39 +272,29 @@ def _bounds(space: DesignSpace, name: str, segment: ArmDesign, values: Array) ->
 
 def tied_groups(space: DesignSpace, name: str, given: Array, segment: ArmDesign) -> list[tuple[list[int], Array]]:
     """Actuators of a segment of values (4, M) that share one free value of a field, and with which sign."""
-    groups = _tied_as_asked(space, name, given, segment)
+    tie = space.tied.get(name) if isinstance(space.tied, Mapping) else space.tied
+    planar, count = segment.dimension == 2, segment.actuator_count
+    if tie == "mirror":
+        opposite = name == "angles" or (name == "radii" and planar)
+        pairs = [[index, count - 1 - index] for index in range(count // 2)]
+        groups = [(pair, np.array([-1.0, 1.0] if opposite else [1.0, 1.0])) for pair in pairs]
+        if count % 2 and not opposite:  # else one in the middle mirrors itself, in the plane at radius 0
+            groups.append(([count // 2], np.ones(1)))
+    else:
+        signs = np.ones(count)
+        if tie == "equal":
+            alike = [list(range(count))]
+        elif tie == "ring" or (tie is None and not planar):
+            alike = _rings(name, given, segment)
+        else:
+            alike = _checked_groups(() if tie in (None, "none") else tie, count)
+            if name == "radii" and planar:
+                signs[[index for group in alike if len(group) > 1 for index in group if given[0, index] < 0]] = -1
+        groups = [(group, signs[group]) for group in alike]
     body = {index for index, model in enumerate(segment.actuators) if name == "length" and is_moulded(model)}
     joined = sorted({index for members, _ in groups if body & set(members) for index in members})
     apart = [group for group in groups if not body & set(group[0])]
     return [*apart, (joined, np.ones(len(joined)))] if joined else apart
-
-
-def _tied_as_asked(space: DesignSpace, name: str, given: Array, segment: ArmDesign) -> list[tuple[list[int], Array]]:
-    """The same, by a space's ties alone."""
-    tie, planar = space.tied.get(name) if isinstance(space.tied, Mapping) else space.tied, segment.dimension == 2
-    if tie is None:
-        tie = "none" if planar else "ring"
-    values, count = given[FIELDS.index(name)], segment.actuator_count
-    signed = name == "radii" and planar
-    if isinstance(tie, str):
-        check_choice("tied", tie, TIES)
-        if tie == "ring":
-            return [(group, np.ones(len(group))) for group in _rings(name, given, segment)]
-        if tie == "none":
-            return [([index], np.ones(1)) for index in range(count)]
-        if tie == "equal":
-            return [(list(range(count)), np.ones(count))]
-        opposite = signed or name == "angles"
-        pairs = [[index, count - 1 - index] for index in range(count // 2)]
-        mirrored = [(pair, np.array([-1.0, 1.0] if opposite else [1.0, 1.0])) for pair in pairs]
-        # One in the middle mirrors itself: in the plane at radius 0, in space where it is.
-        middle = [([count // 2], np.array([0.0 if opposite else 1.0]))] if count % 2 else []
-        return [group for group in mirrored + middle if group[1].any()]
-    groups = _checked_groups(tie, count)
-    named = {index for group in groups for index in group}
-    groups += [[index] for index in range(count) if index not in named]
-    sign = np.where(values < 0, -1.0, 1.0) if signed else np.ones(count)
-    return [(group, sign[group] if len(group) > 1 else np.ones(1)) for group in groups]
 
 
 def _rings(name: str, given: Array, segment: ArmDesign) -> list[list[int]]:
@@ -302,6 +320,7 @@ def _rings(name: str, given: Array, segment: ArmDesign) -> list[list[int]]:
 
 
 def _checked_groups(tie: Any, count: int) -> list[list[int]]:
+    """Groups of actuators as asked for, and each of the others for itself."""
     try:
         groups = [[int(index) for index in group] for group in tie]
     except (TypeError, ValueError):
@@ -312,4 +331,4 @@ def _checked_groups(tie: Any, count: int) -> list[list[int]]:
             f"tied: must be {', '.join(TIES)} or groups of actuators counted from 0, each below {count} and in one "
             f"group only, got {shown(tie)}"
         )
-    return groups
+    return groups + [[index] for index in range(count) if index not in named]

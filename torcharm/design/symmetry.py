@@ -5,7 +5,7 @@ An orthogonal map Q across the backbone takes offsets `d` to `Q d`. With `T = di
 rotation of the base.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -34,9 +34,7 @@ def symmetries(arm: Arm, models: Sequence[Actuator], tasks: Sequence[Task], spac
     freely, tasks need not be. What cannot be told at a glance counts as no image: then more is tried, and nothing lost.
     """
     found = [tuple(range(arm.actuator_count))]
-    if not isinstance(arm, ArmDesign) or isinstance(space.tied, Mapping) or not all(_is_odd(one) for one in models):
-        return found
-    if space.tied is not None and not isinstance(space.tied, str):
+    if not isinstance(arm, ArmDesign) or not isinstance(space.tied, str | None) or not all(map(_is_odd, models)):
         return found
     turns = "angles" in space.free and "angles" not in space.bounds and space.tied != "mirror"
     for turn in _candidates(arm):

@@ -1,6 +1,6 @@
 """`tolerance`: what the errors of a design will be once it is built."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,15 +14,13 @@ from torcharm.attainability.evaluation import as_tolerance
 from torcharm.attainability.verdict import judge, over_tolerance
 from torcharm.design.scatter import Scatter, Sizes, Source, built_arms, normal_numbers, scattered
 from torcharm.design.sensitivity import fitted_slopes, tip_places, tip_slopes, variances
-from torcharm.design.sobol import index_numbers, sobol_indices
-from torcharm.design.space import Arm
+from torcharm.design.space import Arm, fitting_tasks
 from torcharm.design.tolerance_result import CRITERIA, BuiltArms
 from torcharm.inputs import check_count, check_flag, shown
 from torcharm.pressure.at_pressure import error_at_pressure
 from torcharm.pressure.pose_cost import PoseCost
 from torcharm.pressure.predicted_error import PredictedError, predict_error
-from torcharm.task import Task, task_list
-from torcharm.wrench_sets.design_task_grid import fitted
+from torcharm.task import Task
 
 SAMPLES = 1000
 """Built arms: 95 % of yields are then known to within 3 percentage points."""
@@ -52,7 +50,6 @@ def tolerance(
     tolerance: PoseTolerance | float | None = None,
     pose_cost: PoseCost | None = None,
     margin: bool = False,
-    sobol: bool = False,
     callback: Told | None = None,
 ) -> BuiltArms:
     """How far off a design's tip will be once it is built, how often it is within tolerance, and what decides that.
@@ -76,12 +73,10 @@ def tolerance(
         pose_cost: what pressures minimise; None is `PoseCost()`.
         margin: whether to measure the capacity margin of each built arm, too, which costs more than all else; not with
             `model_covariance`.
-        sobol: whether to find Sobol' indices of what is scattered, too, for which G names need G + 2 times the built
-            arms.
         callback: is told how many built arms are done, and of how many.
 
-    After Ctrl-C the result is of the arms built by then, with the wider bounds of their number, and without Sobol'
-    indices that no whole sample tells; where no arm is built yet, KeyboardInterrupt goes on.
+    After Ctrl-C the result is of the arms built by then, with the wider bounds of their number; where no arm is built
+    yet, KeyboardInterrupt goes on.
 
     Raises:
         ValueError: an argument is none of those allowed, or arm and tasks do not fit.
@@ -94,74 +89,69 @@ def tolerance(
     """
     spread = (radii, length, limits, force, force_offset, bending)
     scatter = Scatter(*spread, model_covariance, distribution, {} if correlated is None else correlated)
-    options: dict[str, Any] = {"tolerance": tolerance, "pose_cost": pose_cost, "margin": margin, "sobol": sobol}
-    return built_as(arm, task, scatter, compensated, samples, seed, **options, callback=callback)
-
-
-def built_as(
-    arm: Arm,
-    task: Task | Sequence[Task],
-    scatter: Scatter,
-    compensated: bool,
-    samples: int = SAMPLES,
-    seed: int = 0,
-    *,
-    tolerance: PoseTolerance | float | None = None,
-    pose_cost: PoseCost | None = None,
-    margin: bool = False,
-    sobol: bool = False,
-    callback: Told | None = None,
-) -> BuiltArms:
-    """The same for a `Scatter`; arguments and errors as of `tolerance`."""
-    tasks = checked_tasks(arm, task)
-    for name, flag in (("compensated", compensated), ("margin", margin), ("sobol", sobol)):
-        check_flag(name, flag)
-    if margin and scatter.model_covariance:
+    tasks = _checked_tasks(arm, task)
+    check_flag("compensated", compensated)
+    check_flag("margin", margin)
+    if margin and model_covariance:
         raise ValueError(
             "margin: must be False with model_covariance: sets do not know scattered coefficients, got True"
         )
     sources = scatter.sources(arm)
     normal = normal_numbers(sources, check_count("samples", samples, 2), check_count("seed", seed, 0))
-    more = index_numbers(sources, samples, seed + 1) if sobol else normal[:0]
     how = Evaluation(tasks, nominal_tolerance(arm, tolerance), pose_cost, margin)
+    parts, stopped = list[dict[str, Tensor]](), "finished"
     with torch.no_grad():
-        drawn = [predict_error(arm, one, pose_cost) for one in tasks]
+        drawn = how.predicted(arm, None)
         kept = None if compensated else [found.pressure for found in drawn]
         if kept is not None:  # the drawn arm is loaded from rest, as the built ones are
-            drawn = [error_at_pressure(arm, one, own, pose_cost) for one, own in zip(tasks, kept, strict=True)]
-        nominal = how.of_found(arm, drawn)
-        every = len(normal) + len(more)
-        parts, stopped = _until_interrupted(how.chunks(arm, sources, normal, kept, _teller(callback, 0, every)))
-        if not parts:
-            raise KeyboardInterrupt
-        built, others = joined(parts), list[dict[str, Tensor]]()
-        if not stopped:
-            told = _teller(callback, len(normal), every)
-            others, stopped = _until_interrupted(replace(how, margin=False).chunks(arm, sources, more, kept, told))
-    both = [
+            drawn = how.predicted(arm, kept)
+        nominal = {name: column[0] for name, column in how.of_found(arm, drawn).items()}
+        try:
+            for part in how.chunks(arm, sources, normal, kept):
+                parts.append(part)
+                if callback is not None:
+                    callback(sum(len(one["tip"]) for one in parts), samples)
+        except KeyboardInterrupt:
+            if not parts:
+                raise
+            stopped = "interrupted"
+    each = [
         tip_slopes(arm, one, sources, found, pose_cost, compensated=compensated)
         for one, found in zip(tasks, drawn, strict=True)
     ]
-    slopes = [torch.cat([part.reshape(-1, *part.shape[-2:]) for part in column]) for column in zip(*both, strict=True)]
-    result = _result(arm, scatter, sources, normal, how.tolerance, compensated, nominal, built, slopes)
-    result = replace(result, stopped="interrupted" if stopped else "finished")
-    tips = joined(others)["tip"] if others else more[:0]
-    whole = len(tips) // (len(result.names) + 2)
-    if not whole:
-        return result
-    first, total = sobol_indices(tips[: whole * (len(result.names) + 2)], len(result.names))
-    return replace(result, first_order=first, total_order=total, sobol_samples=whole)
+    slopes = [torch.cat([part.reshape(-1, *part.shape[-2:]) for part in column]) for column in zip(*each, strict=True)]
+    asked = {"scatter": scatter, "tolerance": how.tolerance, "compensated": compensated, "wanted": samples}
+    return _result(arm, sources, normal, nominal, joined(parts), slopes, stopped=stopped, **asked)
 
 
-def _until_interrupted(parts: Iterable[dict[str, Tensor]]) -> tuple[list[dict[str, Tensor]], bool]:
-    """Those finished before Ctrl-C, and whether it came."""
-    done = []
-    try:
-        for part in parts:
-            done.append(part)
-    except KeyboardInterrupt:
-        return done, True
-    return done, False
+def _result(
+    arm: Arm,
+    sources: Sequence[Source],
+    normal: Tensor,
+    nominal: Mapping[str, Tensor],
+    built: Mapping[str, Tensor],
+    slopes: Sequence[Tensor],
+    **asked: Any,
+) -> BuiltArms:
+    """All of it together, with the fit to the samples."""
+    fits = [fitted_slopes(tip, sources, normal[: len(tip)]) for tip in built["tip"].unbind(1)]
+    return BuiltArms(
+        tip_error=built["tip_error"],
+        failed=built["failed"],
+        verdict_code=built["verdict"],
+        tip=built["tip"],
+        margin=built.get("margin"),
+        nominal_tip_error=nominal["tip_error"],
+        nominal_failed=nominal["failed"],
+        nominal_verdict_code=nominal["verdict"],
+        sources=tuple(source.name for source in sources),
+        slopes=tuple(slopes),
+        variance_by_gradient=variances(slopes, sources),
+        variance_by_samples=torch.stack([variances(own, sources) for own, _ in fits], -1),
+        explained=torch.stack([share for _, share in fits]),
+        arm=arm,
+        **asked,
+    )
 
 
 def joined(parts: Sequence[Mapping[str, Tensor]]) -> dict[str, Tensor]:
@@ -169,60 +159,11 @@ def joined(parts: Sequence[Mapping[str, Tensor]]) -> dict[str, Tensor]:
     return {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
 
 
-def _teller(callback: Told | None, before: int, every: int) -> Told | None:
-    """Tells of a part of all arms that are built."""
-    return None if callback is None else lambda done, _: callback(before + done, every)
-
-
-def _result(
-    arm: Arm,
-    scatter: Scatter,
-    sources: Sequence[Source],
-    normal: Tensor,
-    tolerance: PoseTolerance,
-    compensated: bool,
-    nominal: Mapping[str, Tensor],
-    built: Mapping[str, Tensor],
-    slopes: Sequence[Tensor],
-) -> BuiltArms:
-    """All of it together, with the fit to the samples."""
-    drawn = normal[: len(built["tip"])]
-    fits = [fitted_slopes(built["tip"][:, t], sources, drawn) for t in range(built["tip"].shape[1])]
-    by_samples = torch.stack([variances(own, sources) for own, _ in fits], -1)
-    return BuiltArms(
-        tip_error=built["tip_error"],
-        failed=built["failed"],
-        verdict_code=built["verdict"],
-        tip=built["tip"],
-        margin=built.get("margin"),
-        nominal_tip_error=nominal["tip_error"][0],
-        nominal_failed=nominal["failed"][0],
-        nominal_verdict_code=nominal["verdict"][0],
-        sources=tuple(source.name for source in sources),
-        slopes=tuple(slopes),
-        variance_by_gradient=variances(slopes, sources),
-        variance_by_samples=by_samples,
-        explained=torch.stack([share for _, share in fits]),
-        scatter=scatter,
-        tolerance=tolerance,
-        compensated=compensated,
-        arm=arm,
-        wanted=len(normal),
-    )
-
-
-def checked_tasks(arm: object, task: Task | Sequence[Task]) -> tuple[Task, ...]:
-    """The tasks that one design is to meet.
-
-    Raises:
-        ValueError: it is a batch, or they do not fit.
-    """
+def _checked_tasks(arm: object, task: Task | Sequence[Task]) -> tuple[Task, ...]:
+    """The tasks that one design is to meet."""
     if not isinstance(arm, (ArmDesign, ArmSeries)) or arm.batch_shape:
         raise ValueError(f"arm: must be one ArmDesign or ArmSeries, as arm[0] of a batch, got {shown(arm)}")
-    tasks = task_list(task)
-    if any(0 in one.batch_shape for one in tasks):
-        raise ValueError("task: must hold at least one task, got none")
-    return tuple(fitted(arm, one)[1] for one in tasks)
+    return fitting_tasks(arm, task)
 
 
 def nominal_tolerance(arm: Arm, tolerance: PoseTolerance | float | None) -> PoseTolerance:
@@ -248,28 +189,22 @@ class Evaluation:
     pose_cost: PoseCost | None
     margin: bool
 
-    def chunks(
-        self, arm: Arm, sources: Sequence[Source], normal: Tensor, kept: Sequence[Tensor] | None, told: Told | None
-    ) -> Iterator[dict[str, Tensor]]:
-        """Of built arms, chunk by chunk, for `joined`: columns (S of the chunk, T, ...).
+    def predicted(self, arm: Arm, kept: Sequence[Tensor] | None) -> list[PredictedError]:
+        """What is predicted of arms for each batch of tasks, at the pressures (*task batch, M) kept [kPa] of each; None
+        finds the best of each arm."""
+        if kept is None:
+            return [predict_error(arm, task, self.pose_cost) for task in self.tasks]
+        pairs = zip(self.tasks, kept, strict=True)
+        return [error_at_pressure(arm, task, pressure, self.pose_cost) for task, pressure in pairs]
 
-        Args:
-            normal: (S, ΣL) from which they are built.
-            kept: for each batch of tasks the pressures (*task batch, M) [kPa]; None finds the best of each arm.
-        """
+    def chunks(
+        self, arm: Arm, sources: Sequence[Source], normal: Tensor, kept: Sequence[Tensor] | None
+    ) -> Iterator[dict[str, Tensor]]:
+        """Of arms built from normal numbers (S, ΣL), chunk by chunk, for `joined`: columns (S of the chunk, T, ...)."""
         count = sum(task.batch_shape.numel() for task in self.tasks)
-        step = max(1, AT_ONCE // count)
-        for first in range(0, len(normal), step):
-            built = built_arms(arm, sources, scattered(sources, normal[first : first + step]))
-            found: list[PredictedError] = []
-            for index, task in enumerate(self.tasks):
-                if kept is None:
-                    found.append(predict_error(built, task, self.pose_cost))
-                else:
-                    found.append(error_at_pressure(built, task, kept[index], self.pose_cost))
-            yield self.of_found(built, found)
-            if told is not None:
-                told(min(first + step, len(normal)), len(normal))
+        for own in normal.split(max(1, AT_ONCE // count)):
+            built = built_arms(arm, sources, scattered(sources, own))
+            yield self.of_found(built, self.predicted(built, kept))
 
     def of_found(self, arm: Arm, found: Sequence[PredictedError]) -> dict[str, Tensor]:
         """Columns (B, T, ...) of what was found of arms (B,), or of one, for each batch of tasks."""
@@ -278,8 +213,7 @@ class Evaluation:
 
     def _of_batch(self, arm: Arm, task: Task, found: PredictedError) -> dict[str, Tensor]:
         metrics = ("absolute",) if self.margin else (PREDICTED,)
-        options: dict[str, Any] = {"signed": True} if self.margin else {}
-        seen = evaluate(arm, task, metrics, found=found, tolerance=self.tolerance, **options)
+        seen = evaluate(arm, task, metrics, found=found, tolerance=self.tolerance, signed=self.margin)
         held = found.stable & found.reached & found.possible
         columns = {
             "tip_error": found.tip_error,

@@ -80,11 +80,7 @@ class BuiltArms(HoldsTensors, Tabular):
         compensated: whether pressures were found anew for each arm.
         arm: the drawn one.
         wanted: how many built arms were asked for.
-        stopped: "finished", or "interrupted": then S is less than that, or Sobol' indices are of fewer samples or none.
-        first_order, total_order: (names, T) Sobol' indices of the tip's place, if they were asked for: the share of its
-            variance that goes with each of `names` alone, and with all in which it has a part; good to some hundredths
-            at 1,000 samples. Where both agree with the shares, gradients told it all.
-        sobol_samples: of how many samples, each of G + 2 built arms for G names, they are.
+        stopped: "finished", or "interrupted": then S is less than that.
 
     Example:
         >>> found = ta.tolerance(ta.antagonistic_arm(), ta.Task(ta.constant_curvature(0.5)), length=2e-3, samples=64)
@@ -111,9 +107,6 @@ class BuiltArms(HoldsTensors, Tabular):
     arm: Arm
     wanted: int
     stopped: str = "finished"
-    first_order: Tensor | None = None
-    total_order: Tensor | None = None
-    sobol_samples: int = 0
 
     @property
     def verdict(self) -> NDArray[Any]:
@@ -124,11 +117,6 @@ class BuiltArms(HoldsTensors, Tabular):
     def within(self) -> Tensor:
         """(S, T) which built arms fail no criterion: what yields count."""
         return ~self.failed.any(-1)
-
-    @property
-    def nominal_within(self) -> Tensor:
-        """(T,) on which tasks the drawn arm fails no criterion."""
-        return ~self.nominal_failed.any(-1)
 
     @property
     def failing(self) -> str:
@@ -145,9 +133,7 @@ class BuiltArms(HoldsTensors, Tabular):
         """That it was stopped before its end, and after how many built arms; empty if it was not."""
         if self.stopped == "finished":
             return ""
-        done = f"{len(self.tip_error)} of {self.wanted} built arms"
-        also = f", Sobol' indices of {self.sobol_samples} samples" if self.sobol_samples else ""
-        return f"interrupted: {done}{also}"
+        return f"interrupted: {len(self.tip_error)} of {self.wanted} built arms"
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -284,9 +270,6 @@ class BuiltArms(HoldsTensors, Tabular):
             variance = self._variance_of_stable
             rows = [row for other, row in zip(self.sources, variance, strict=True) if other == name]
             columns[f"share_{name}"] = (torch.stack(rows).sum(0) / variance.sum(0)).tolist()
-        for order, indices in (("first_order", self.first_order), ("total_order", self.total_order)):
-            if indices is not None:
-                columns |= {f"{order}_{name}": own.tolist() for name, own in zip(self.names, indices, strict=True)}
         for name, rate in zip(CRITERIA, self.failed.double().mean(0).unbind(-1), strict=True):
             columns[f"failed_{name.replace(' ', '_')}"] = rate.tolist()
         if self.margin is not None:

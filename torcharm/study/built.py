@@ -52,20 +52,6 @@ def _shares(built: BuiltArms) -> str:
     return ", ".join(f"{SOURCE_WORDS[name]} {100 * share:.0f} %" for name, share in ordered) if built.decisive else "-"
 
 
-def sobol_words(built: BuiltArms) -> str:
-    """Sobol' indices, if there are any, means over the loads."""
-    if built.first_order is None or built.total_order is None:
-        return ""
-    pairs = zip(built.first_order.nanmean(-1).tolist(), built.total_order.nanmean(-1).tolist(), strict=True)
-    each = [
-        f"{SOURCE_WORDS[name]} {100 * alone:.0f} to {100 * whole:.0f} %"
-        for name, (alone, whole) in zip(built.names, pairs, strict=True)
-    ]
-    within = 100 / math.sqrt(built.sobol_samples)
-    words = f"of {built.sobol_samples} samples, good to about {within:.0f} %, alone to with others"
-    return f"Sobol' indices {words}: {', '.join(each)}"
-
-
 def built_rows(found: Sequence[BuiltStudy]) -> Iterator[dict[str, Any]]:
     """A row for each arm, task and load."""
     for one in found:

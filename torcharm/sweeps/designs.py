@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from torcharm.design.feasible import FeasibleDesigns
-from torcharm.design.space import Arm, Array, FreeValues
+from torcharm.design.space import Array, FreeValues
 from torcharm.inputs import check_choice, check_count, shown
 
 SAMPLINGS = ("sobol", "grid")
@@ -146,14 +145,14 @@ class DesignPoints:
     def to_json(self) -> dict[str, Any]:
         """All that `points_from_json` needs."""
         numbers = {name: np.asarray(value).tolist() for name, value in vars(self.sampler).items()}
-        free = {name: np.asarray(value).tolist() for name, value in vars(self.free).items()}
-        return {"sampler": numbers, "order": [list(own) for own in self.order], **free}
+        free = {name: np.asarray(value).tolist() for name, value in vars(self.free).items() if name != "members"}
+        return {"sampler": numbers, "order": self.order, "members": self.free.members, **free}
 
 
 def points_from_json(content: dict[str, Any]) -> DesignPoints:
     """The points that `DesignPoints.to_json` wrote."""
     spread, base, low, high = (np.array(content[name], dtype=np.float64) for name in ("spread", "base", "low", "high"))
-    free = FreeValues(spread, base, low, high, tuple(content["names"]), tuple(content["units"]))
+    free = FreeValues(spread, base, low, high, tuple(content["fields"]), tuple(map(tuple, content["members"])))
     given = content["sampler"]
     sampler: Sampler
     if "levels" in given:
@@ -161,25 +160,4 @@ def points_from_json(content: dict[str, Any]) -> DesignPoints:
     else:
         first = np.array(given["first"], dtype=np.int64)
         sampler = SobolPoints(first, np.array(given["directions"], dtype=np.int64).reshape(-1, len(first)))
-    return DesignPoints(free, sampler, tuple(tuple(own) for own in content["order"]))
-
-
-@dataclass(frozen=True, eq=False)
-class IndexedDesigns:
-    """Designs by their index.
-
-    Attributes:
-        designs: what the space allows.
-        points: where each index lies in it.
-    """
-
-    designs: FeasibleDesigns
-    points: DesignPoints
-
-    def allowed(self, indices: Indices) -> Any:
-        """Whether the space allows each of the designs at indices (n,)."""
-        return self.designs.allows(self.points(indices))
-
-    def arm(self, indices: Indices) -> Arm:
-        """The designs at indices (n,), as a batch of shape (n,)."""
-        return self.designs.design(self.points(indices))
+    return DesignPoints(free, sampler, tuple(map(tuple, content["order"])))

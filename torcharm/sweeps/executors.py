@@ -1,9 +1,7 @@
-"""Who computes shards: processes of this machine, any executor of `concurrent.futures`, or a Dask cluster."""
+"""Who computes shards: this process, processes of this machine, any executor of `concurrent.futures`, or Dask."""
 
 import os
-import pickle
 import threading
-from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -15,20 +13,17 @@ from concurrent.futures import (
     as_completed,
     wait,
 )
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from functools import partial
+from itertools import islice
 from multiprocessing import connection, get_context, parent_process
 from typing import Any
 
 from torcharm.extras import extra
 from torcharm.inputs import check_count, shown
-from torcharm.sweeps.shards import Done, Job, compute_packed, compute_shard, load_engine
 
 ATTEMPTS = 3
-"""At a shard whose worker is lost: what ended three workers would end the fourth."""
-AHEAD = 0.5
-"""Shards handed over for each worker beside the one that it works on, so that few wait for their next one; more would
-have to be finished after Ctrl-C."""
+"""In a row in which workers are lost before one shard is done: what ended three would end the fourth."""
 ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 """What a process is started with as 1: its libraries read it when they load."""
 SECONDS = 0.5
@@ -36,55 +31,32 @@ SECONDS = 0.5
 ANSWER = 20
 """Seconds until which a scheduler must answer."""
 
-Finished = Callable[[Done], None]
-Watch = Callable[[], bool]
-
-
-@dataclass(frozen=True, eq=False)
-class Workers:
-    """Where shards are handed to.
-
-    Attributes:
-        submit: hands over a shard of a job that was packed.
-        slots: tells how many shards are worked on at once.
-        renew: replaces all workers, once what they were given has ended; None where that is not for us to do.
-        pack: makes bytes of a job.
-        begin: has processes load what they need, before there is a shard to hand over.
-    """
-
-    submit: Callable[[bytes, int], "Future[Done]"]
-    slots: Callable[[], int]
-    renew: Callable[[], None] | None = None
-    pack: Callable[[Job], bytes] = pickle.dumps
-    begin: Callable[[], None] = lambda: None
+Crew = tuple[Executor, Callable[[], int]]
+"""An executor, and what tells how many shards it works on at once."""
+Workers = Callable[[], AbstractContextManager[Crew]]
+"""Starts a crew, again where one was lost."""
 
 
 @contextmanager
-def workers_of(executor: Any, count: int | None) -> Iterator[Workers | None]:
+def workers_of(executor: Any, count: int | None) -> Iterator[Workers]:
     """Workers as asked for: `count` processes of this machine, an executor, or a Dask client or its address.
 
-    None stands for this process alone, which it takes for one worker.
-
     Raises:
-        ValueError: it is none of these, or Dask is asked for and not installed, or not there.
+        ValueError: it is none of these; or Dask is asked for and not installed, or not there.
     """
     if count is not None and executor is not None:
         raise ValueError(f"workers: must be left out where an executor is given, got {shown(count)}")
     if executor is None:
         number = usable_cores() if count is None else check_count("workers", count, 1)
-        if number == 1:
-            yield None
-            return
-        with _own_processes(number) as own:
-            yield own
+        yield partial(_own_processes, number) if number > 1 else lambda: nullcontext((_Here(), lambda: 1))
     elif isinstance(executor, str):
         with _client(executor) as client:
-            yield _of_dask(client)
+            yield partial(_given, *_of_dask(client))
     elif isinstance(executor, Executor):
         slots = int(getattr(executor, "_max_workers", 0) or usable_cores())
-        yield Workers(lambda packed, shard: executor.submit(compute_packed, packed, shard), lambda: slots)
+        yield partial(_given, executor, lambda: slots)
     elif hasattr(executor, "get_executor") and hasattr(executor, "nthreads"):
-        yield _of_dask(executor)
+        yield partial(_given, *_of_dask(executor))
     else:
         raise ValueError(
             "executor: must be None, an executor of concurrent.futures, a Dask client, or the address of a Dask "
@@ -97,117 +69,109 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def run_shards(workers: Workers | None, job: Job, shards: Sequence[int], finished: Finished, watch: Watch) -> bool:
-    """Compute shards, in any order, and say whether all were.
+def run_shards(
+    workers: Workers,
+    compute: Callable[[int], object],
+    shards: Sequence[int],
+    finished: Callable[[int], None],
+    watch: Callable[[], bool],
+) -> bool:
+    """Compute shards, in any order, and say whether all were; with new workers where some are lost.
 
     Ctrl-C stops as `watch` does; a second one at once.
 
     Args:
-        workers: who computes; None is this process.
-        job: what.
+        workers: who computes.
+        compute: does so, given the number of a shard.
         shards: which, by their numbers.
         finished: is told of each that is done.
         watch: is called twice a second, or after each shard; True stops: what has begun is finished, and no more.
 
     Raises:
-        ValueError: a shard lost its worker several times.
+        ValueError: processes of this machine were lost again and again, or a given executor lost its workers.
         OSError: a shard could not be written; and whatever else a shard raises.
     """
-    pending: dict[Future[Done], int] = {}
+    left, vain = list(shards), 0
+    while True:
+        before = len(left)
+        try:
+            with workers() as (executor, slots):
+                return _run(executor, slots, compute, left, finished, watch)
+        except Exception as error:
+            if not _is_loss(error):
+                raise
+        vain = vain + 1 if len(left) == before else 1
+        if vain >= ATTEMPTS:
+            raise ValueError(
+                f"workers: were lost {ATTEMPTS} times before a shard was done: for want of memory, or because the "
+                "script calls torcharm.sweep outside of `if __name__ == '__main__':`; what is finished stays"
+            )
+
+
+def _run(
+    executor: Executor,
+    slots: Callable[[], int],
+    compute: Callable[[int], object],
+    left: list[int],
+    finished: Callable[[int], None],
+    watch: Callable[[], bool],
+) -> bool:
+    """Compute what is left, of which shards are taken that are done."""
+    queue, pending = iter(tuple(left)), dict[Future[object], int]()
+
+    def collect(future: Future[object]) -> None:
+        shard = pending.pop(future)
+        future.result()
+        finished(shard)
+        left.remove(shard)
+
     try:
-        if workers is None:
-            return _run_here(job, shards, finished, watch)
-        return _run_there(workers, workers.pack(job), shards, pending, finished, watch)
+        while not watch():
+            more = slots() + slots() // 2 - len(pending)  # few wait for their next one, or for the end after Ctrl-C
+            for shard in islice(queue, max(0, more)):
+                pending[executor.submit(compute, shard)] = shard
+            if not pending:
+                return True
+            for future in wait(pending, SECONDS, FIRST_COMPLETED).done:
+                collect(future)
     except KeyboardInterrupt:
-        _finish(pending, finished)
-        return False
+        pass
     except BaseException:
         for future in pending:
             future.cancel()
         raise
+    with suppress(BrokenExecutor, CancelledError):  # no others are started now
+        for future in as_completed([one for one in pending if not one.cancel()]):
+            collect(future)
+    return not left
 
 
-def _run_here(job: Job, shards: Sequence[int], finished: Finished, watch: Watch) -> bool:
-    for shard in shards:
-        if watch():
-            return False
-        finished(compute_shard(job, shard))
-    watch()
-    return True
+def _is_loss(error: Exception) -> bool:
+    """Whether workers were lost; the last is what Dask says once it has given up a shard."""
+    return isinstance(error, (BrokenExecutor, CancelledError)) or type(error).__name__ == "KilledWorker"
 
 
-def _run_there(
-    workers: Workers,
-    packed: bytes,
-    shards: Sequence[int],
-    pending: dict["Future[Done]", int],
-    finished: Finished,
-    watch: Watch,
-) -> bool:
-    left, attempts = deque(shards), Counter[int]()
-    while left or pending:
-        lost = _hand_over(workers, packed, left, pending)
-        for future in wait(pending, SECONDS, FIRST_COMPLETED).done:
-            shard = pending.pop(future)
-            if not _collect(future, finished):
-                lost.append(shard)
-        if lost and workers.renew is not None:  # with one process all others of its pool are lost
-            workers.renew()
-            lost += [shard for future, shard in pending.items() if not _collect(future, finished)]
-            pending.clear()
-        if lost:
-            attempts.update(lost)
-            _check_attempts(lost, attempts, workers)
-            left.extendleft(sorted(lost, reverse=True))
-        if watch():
-            _finish(pending, finished)
-            return False
-    return True
+class _Here(Executor):
+    """This process, which does at once what it is given."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
+        """What is done already."""
+        future = Future[Any]()
+        future.set_result(fn(*args, **kwargs))
+        return future
 
 
-def _hand_over(workers: Workers, packed: bytes, left: deque[int], pending: dict["Future[Done]", int]) -> list[int]:
-    """Hand over shards until all workers are busy; returns those that a broken executor does not take."""
-    slots = workers.slots()
-    while left and len(pending) < slots + max(1, int(AHEAD * slots)):
-        shard = left.popleft()
-        try:
-            pending[workers.submit(packed, shard)] = shard
-        except BrokenExecutor:
-            return [shard]
-    return []
-
-
-def _collect(future: "Future[Done]", finished: Finished) -> bool:
-    """Tell of a shard that is done; False if its worker was lost."""
+@contextmanager
+def _given(executor: Executor, slots: Callable[[], int]) -> Iterator[Crew]:
+    """An executor that is not ours to start again."""
     try:
-        done = future.result()
-    except (BrokenExecutor, CancelledError):
-        return False
+        yield executor, slots
     except Exception as error:
-        if type(error).__name__ == "KilledWorker":  # Dask's, after several workers
-            raise ValueError(f"executor: {error}") from None
-        raise
-    finished(done)
-    return True
-
-
-def _finish(pending: dict["Future[Done]", int], finished: Finished) -> None:
-    """Wait for shards that have begun, and take back the others."""
-    begun = [future for future in pending if not future.cancel()]
-    for future in as_completed(begun):
-        _collect(future, finished)
-    pending.clear()
-
-
-def _check_attempts(lost: Sequence[int], attempts: Counter[int], workers: Workers) -> None:
-    worst = max(lost, key=lambda shard: attempts[shard])
-    if workers.renew is None and attempts[worst] >= 2:
-        raise ValueError("executor: has lost its workers; finished shards are kept, give another executor to go on")
-    if attempts[worst] >= ATTEMPTS:
+        if not _is_loss(error):
+            raise
         raise ValueError(
-            f"workers: processes ended {ATTEMPTS} times before shard {worst} was done: for want of memory, or because "
-            "the script calls torcharm.sweep outside of `if __name__ == '__main__':`; what is finished stays"
-        )
+            "executor: has lost its workers; finished shards are kept, give another executor to go on"
+        ) from error
 
 
 @contextmanager
@@ -222,49 +186,25 @@ def _client(address: str) -> Iterator[Any]:
         yield client
 
 
-def _of_dask(client: Any) -> Workers:
-    """A Dask cluster; it does the shards of a lost worker again by itself.
-
-    Force models of the calling script, which the cluster cannot import, are packed with their code.
-    """
-    executor = client.get_executor(pure=False)
-    return Workers(
-        lambda packed, shard: executor.submit(compute_packed, packed, shard),
-        lambda: sum(client.nthreads().values()) or 1,
-        pack=extra("cloudpickle", "sweep").dumps,
-    )
+def _of_dask(client: Any) -> Crew:
+    """A Dask cluster, which does the shards of a lost worker again by itself."""
+    return client.get_executor(pure=False), lambda: sum(client.nthreads().values()) or 1
 
 
 @contextmanager
-def _own_processes(count: int) -> Iterator[Workers]:
+def _own_processes(count: int) -> Iterator[Crew]:
     """Processes of this machine, each of one thread."""
-    pools = [_new_pool(count)]
-
-    def renew() -> None:
-        pools.pop().shutdown(wait=True, cancel_futures=True)
-        pools.append(_new_pool(count))
-
-    def begin() -> None:
-        for _ in range(count):  # a pool starts one process for each call that none is free for
-            pools[0].submit(load_engine)
-
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
     try:
-        yield Workers(
-            lambda packed, shard: pools[0].submit(compute_packed, packed, shard), lambda: count, renew, begin=begin
-        )
+        with ProcessPoolExecutor(count, get_context("spawn"), _begin) as pool:
+            yield pool, lambda: count
     finally:
-        pools[0].shutdown(wait=True, cancel_futures=True)
         for name, value in before.items():
             if value is None:
                 del os.environ[name]
             else:
                 os.environ[name] = value
-
-
-def _new_pool(count: int) -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_begin)
 
 
 def _begin() -> None:

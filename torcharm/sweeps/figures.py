@@ -1,12 +1,13 @@
 """Pictures of sweeps: how designs are distributed, counted in bins shard by shard, however many there are."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from torcharm.sweeps.ranking import Rows, label
+from torcharm.sweeps.measures import Rows
+from torcharm.sweeps.ranking import label
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,15 +19,13 @@ DECADES = 100.0
 Edges = npt.NDArray[np.float64]
 Blocks = Callable[[Sequence[str]], Iterator[Rows]]
 """Gives some columns, shard by shard."""
-Ranges = Mapping[str, Sequence[float]]
-"""Least and largest finite values of columns, where they are known already."""
 
 
-def histograms(blocks: Blocks, ranges: Ranges, names: Sequence[str], bins: int) -> "Figure":
+def histograms(blocks: Blocks, names: Sequence[str], bins: int) -> "Figure":
     """A histogram of each column beside each other."""
     from matplotlib.figure import Figure
 
-    edges = [bin_edges(blocks, ranges, name, bins) for name in names]
+    edges = [bin_edges(blocks, name, bins) for name in names]
     counts = [np.zeros(bins) for _ in names]
     for block in blocks((*names, "feasible")):
         for place, name in enumerate(names):
@@ -39,12 +38,12 @@ def histograms(blocks: Blocks, ranges: Ranges, names: Sequence[str], bins: int) 
     return figure
 
 
-def density(blocks: Blocks, ranges: Ranges, x: str, y: str, bins: int) -> "Figure":
+def density(blocks: Blocks, x: str, y: str, bins: int) -> "Figure":
     """One column against another, with the number of designs as colour."""
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure
 
-    edges = [bin_edges(blocks, ranges, name, bins) for name in (x, y)]
+    edges = [bin_edges(blocks, name, bins) for name in (x, y)]
     both: Any = (edges[0], edges[1])
     count = np.zeros((bins, bins))
     for block in blocks((x, y, "feasible")):
@@ -59,18 +58,14 @@ def density(blocks: Blocks, ranges: Ranges, x: str, y: str, bins: int) -> "Figur
     return figure
 
 
-def bin_edges(blocks: Blocks, ranges: Ranges, name: str, bins: int) -> Edges:
+def bin_edges(blocks: Blocks, name: str, bins: int) -> Edges:
     """Of so many bins from the least to the largest finite value of a column; by their ratio, evenly in logarithm."""
-    ends = list(ranges.get(name, []))
-    if not ends:
-        for block in blocks((name, "feasible")):
-            known = block[name][block["feasible"] & np.isfinite(block[name])]
-            if len(known):
-                both = [*ends, float(known.min()), float(known.max())]
-                ends = [min(both), max(both)]
-    if not ends:
+    low, high = np.inf, -np.inf
+    for block in blocks((name, "feasible")):
+        known = block[name][block["feasible"] & np.isfinite(block[name])]
+        low, high = float(known.min(initial=low)), float(known.max(initial=high))
+    if low > high:
         raise ValueError(f"column: must hold something finite to be drawn, and {name} does not")
-    low, high = ends
     if low == high:
         low, high = low - 0.5, high + 0.5
     edges = np.geomspace(low, high, bins + 1) if 0 < DECADES * low < high else np.linspace(low, high, bins + 1)

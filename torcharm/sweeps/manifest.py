@@ -19,7 +19,7 @@ from torcharm.extras import extra
 from torcharm.files import TEMPORARY, StrPath, atomic_write, check_writable, read_file
 from torcharm.sweeps.designs import DesignPoints, points_from_json
 
-KIND = "torcharm sweep, 1"
+KIND = "torcharm sweep, 2"
 """Of the folder; another number stands for other files in it."""
 MANIFEST, ARM, SUMMARY, SHARDS = "manifest.json", "arm.pickle", "summary.parquet", "shards"
 
@@ -136,10 +136,12 @@ def make_manifest(folder: Path, arm: Arm, decide: Callable[[], Manifest]) -> Man
 
 @contextmanager
 def locked(folder: Path, part: Part | None) -> Iterator[None]:
-    """Hold the lock of a sweep, or of a part of it, which the system releases when the process ends, however it ends.
+    """Make the folder, and hold the lock of a sweep, or of a part of it.
 
-    Parts of one sweep exclude each other only if they are the same, and the whole excludes all parts.
+    The system releases it when the process ends, however that ends. Parts of one sweep exclude each other only if they
+    are the same, and the whole, which removes what others left half-written, excludes all parts.
     """
+    prepare_folder(folder)
     filelock = extra("filelock", "sweep")
 
     def take(path: Path) -> Any:
@@ -160,6 +162,8 @@ def locked(folder: Path, part: Part | None) -> Iterator[None]:
         held.enter_context(take(own))
         for other in others:  # that nobody holds it now is enough: shards are the same whoever writes them
             take(other).release()
+        if part is None:
+            remove_leftovers(folder)
         yield
 
 

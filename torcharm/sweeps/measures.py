@@ -1,7 +1,7 @@
 """What a sweep measures of each design: errors over all tasks as one number each, verdicts counted, and the size."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,8 +9,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torcharm.attainability import CHOICES, VERDICTS, Attainability, PoseTolerance, check_power, evaluate, scale_of
-from torcharm.attainability.evaluation import as_tolerance, check_metrics
+from torcharm.attainability import CHOICES, VERDICTS, Attainability, check_power, evaluate, scale_of
 from torcharm.design.objective import flat_tasks, shape_lengths
 from torcharm.design.space import Arm, given_values
 from torcharm.inputs import check_choice, shown
@@ -18,7 +17,8 @@ from torcharm.pressure.pose_cost import PoseCost
 from torcharm.task import Task
 
 Reduce = str | float
-Found = dict[str, npt.NDArray[Any]]
+Rows = dict[str, npt.NDArray[Any]]
+"""Arrays (n,) by the names of their columns."""
 
 COLUMNS = {
     "tip_error": ("tip_error_mm", 1e3),
@@ -40,17 +40,36 @@ class Measures:
 
     Attributes:
         metrics: of `torcharm.evaluate`.
-        reduce: "mean", "worst" or a quantile of the tasks, for each of tip_error, shape_error, absolute and relative.
-            A quantile q is the least number that the share q of the tasks stays within.
-        tolerance, weights, power, pose_cost: as in `torcharm.evaluate`.
+        reduce: "mean", "worst" or a quantile of the tasks, or one for some of tip_error, shape_error, absolute and
+            relative, and "mean" for others. A quantile q is the least number that the share q of all stays within.
+        options: tolerance, weights, power and pose_cost, as in `torcharm.evaluate`.
+
+    Raises:
+        ValueError: a way to reduce, or an option, is none of those allowed.
     """
 
-    metrics: tuple[str, ...] = CHOICES
-    reduce: Mapping[str, Reduce] = field(default_factory=lambda: dict.fromkeys(COLUMNS, "mean"))
-    tolerance: PoseTolerance = field(default_factory=PoseTolerance)
-    weights: tuple[float, float] = (1.0, 1.0)
-    power: int = 1
-    pose_cost: PoseCost | None = None
+    metrics: tuple[str, ...]
+    reduce: Any
+    options: Mapping[str, Any]
+
+    def __post_init__(self) -> None:
+        whole = self.reduce
+        given = dict(whole) if isinstance(whole, Mapping) else dict.fromkeys(COLUMNS, whole)
+        for name, how in given.items():
+            check_choice("reduce", name, tuple(COLUMNS))
+            if how not in ("mean", "worst") and not (isinstance(how, float) and 0 < how < 1):
+                raise ValueError(
+                    f"reduce: must be 'mean', 'worst' or a quantile between 0 and 1, or one of these for some of "
+                    f"{', '.join(COLUMNS)}, got {shown(how)}"
+                )
+        weights, cost = self.options["weights"], self.options["pose_cost"]
+        scale_of(weights)
+        check_power(self.options["power"])
+        if cost is not None and not isinstance(cost, PoseCost):
+            raise ValueError(f"pose_cost: must be a PoseCost, got {shown(cost)}")
+        object.__setattr__(self, "options", {**self.options, "weights": tuple(map(float, weights))})
+        object.__setattr__(self, "metrics", tuple(name for name in CHOICES if name in self.metrics))
+        object.__setattr__(self, "reduce", dict.fromkeys(COLUMNS, "mean") | given)
 
     @property
     def reduced(self) -> tuple[str, ...]:
@@ -68,24 +87,18 @@ class Measures:
         """Columns of whole numbers."""
         return COUNTS if "predicted_error" in self.metrics else (NOT_EXCLUDED,)
 
-    def __call__(self, arm: Arm, tasks: Sequence[Task]) -> Found:
+    def __call__(self, arm: Arm, tasks: Sequence[Task]) -> Rows:
         """All columns (n,) of designs of batch shape (n,) on all tasks, in single precision and whole numbers."""
         values: dict[str, list[Tensor]] = {name: [] for name in self.reduced}
         counts: dict[str, Any] = dict.fromkeys(self.counts, 0)
         with torch.no_grad():
             for task in tasks:
-                result = evaluate(
-                    *(arm, task, self.metrics),
-                    tolerance=self.tolerance,
-                    weights=self.weights,
-                    power=self.power,
-                    pose_cost=self.pose_cost,
-                )
+                result = evaluate(arm, task, self.metrics, **self.options)
                 for name, so_far in values.items():
                     so_far.append(flat_tasks(_known(result, name, task), 1))
                 for name, number in _counted(result).items():
                     counts[name] = counts[name] + number
-        found: Found = {}
+        found: Rows = {}
         for name, parts in values.items():
             column, factor = COLUMNS[name]
             over_tasks = _reduced(torch.cat(parts, -1).double().numpy(force=True), self.reduce[name])
@@ -112,7 +125,7 @@ def _known(result: Attainability, name: str, task: Task) -> Tensor:
     return torch.where(result.distances_converged | result.impossible, value, torch.inf)
 
 
-def _counted(result: Attainability) -> Found:
+def _counted(result: Attainability) -> Rows:
     """Of each design, how many tasks have each verdict, or are not excluded."""
     if result.prediction is None:
         assert result.not_excluded is not None
@@ -129,35 +142,3 @@ def _reduced(values: npt.NDArray[np.float64], how: Reduce) -> npt.NDArray[np.flo
         return np.asarray(values.max(-1))
     rank = int(np.ceil(float(how) * values.shape[-1])) - 1
     return np.asarray(np.sort(values, -1)[:, max(rank, 0)])
-
-
-def check_measures(
-    metrics: str | Sequence[str],
-    reduce: Reduce | Mapping[str, Reduce],
-    tolerance: PoseTolerance | float | None,
-    weights: tuple[float, float],
-    power: int,
-    pose_cost: PoseCost | None,
-) -> Measures:
-    """What to measure, everything checked."""
-    names = check_metrics(metrics)
-    given = dict(reduce) if isinstance(reduce, Mapping) else dict.fromkeys(COLUMNS, reduce)
-    for name, how in given.items():
-        check_choice("reduce", name, tuple(COLUMNS))
-        if how not in ("mean", "worst") and not (isinstance(how, float) and 0 < how < 1):
-            raise ValueError(
-                f"reduce: must be 'mean', 'worst' or a quantile between 0 and 1, or one of these for some of "
-                f"{', '.join(COLUMNS)}, got {shown(how)}"
-            )
-    scale_of(weights)
-    check_power(power)
-    if pose_cost is not None and not isinstance(pose_cost, PoseCost):
-        raise ValueError(f"pose_cost: must be a PoseCost, got {shown(pose_cost)}")
-    return Measures(
-        tuple(name for name in CHOICES if name in names),
-        {name: given.get(name, "mean") for name in COLUMNS},
-        as_tolerance(tolerance),
-        (float(weights[0]), float(weights[1])),
-        power,
-        pose_cost,
-    )

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import timedelta
 
 from torcharm.sweeps.ranking import label
 
@@ -32,9 +33,9 @@ class SweepProgress:
 
     def __str__(self) -> str:
         """The rate, the time left and the best so far, as they stand behind a bar."""
-        words = f"{self.rate:,.0f} designs/s" if self.rate else "the first shards"
-        if math.isfinite(self.seconds_left):
-            words += f", {duration(self.seconds_left)} left"
+        words = "the first shards"
+        if self.rate:
+            words = f"{self.rate:,.0f} designs/s, {timedelta(seconds=round(self.seconds_left))} left"
         if math.isfinite(self.best):
             words += f", best {label(self.by)} {self.best:.4g}"
         return words
@@ -62,11 +63,3 @@ def with_bar(shown: bool | None, callback: Callback | None) -> Iterator[Callback
             return None if callback is None else callback(progress)
 
         yield move
-
-
-def duration(seconds: float) -> str:
-    """Roughly: 40 s, 12 min, 3.5 h, 2.1 days."""
-    for unit, size in (("days", 86400.0), ("h", 3600.0)):
-        if seconds >= 2 * size:
-            return f"{seconds / size:.1f} {unit}"
-    return f"{seconds / 60:.0f} min" if seconds >= 120 else f"{seconds:.0f} s"

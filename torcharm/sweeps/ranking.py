@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from torcharm.sweeps.measures import SIZE
+from torcharm.sweeps.measures import SIZE, Rows
 
-Rows = dict[str, npt.NDArray[Any]]
 Places = npt.NDArray[np.intp]
 
 KEPT = 1000
@@ -72,12 +71,6 @@ def merged(parts: Sequence[Rows], numbers: Sequence[str]) -> Rows:
 def taken(rows: Rows, places: Any) -> Rows:
     """The rows at some places."""
     return {name: values[places] for name, values in rows.items()}
-
-
-def value_range(values: npt.NDArray[Any]) -> list[float]:
-    """The least and largest of what is finite; nothing if nothing is."""
-    known = values[np.isfinite(values)]
-    return [float(known.min()), float(known.max())] if len(known) else []
 
 
 def label(name: str, gap: str = " ") -> str:

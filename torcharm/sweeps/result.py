@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from torcharm.design.space import FIELDS, Arm
+from torcharm.design.space import FIELDS, UNITS, Arm
 from torcharm.extras import extra
 from torcharm.files import StrPath
 from torcharm.inputs import check_choice, check_count, shown
 from torcharm.sweeps.designs import DesignPoints, Indices
 from torcharm.sweeps.manifest import Manifest, read_manifest, stored_arm
-from torcharm.sweeps.measures import SIZE
-from torcharm.sweeps.ranking import KEPT, Places, Rows, best_places, pareto_places, rankings, taken
+from torcharm.sweeps.measures import SIZE, Rows
+from torcharm.sweeps.ranking import KEPT, Places, best_places, pareto_places, rankings, taken
 from torcharm.sweeps.shards import rows_of, shard_path
 from torcharm.sweeps.summary import Summary, summary_of
 
@@ -80,7 +80,7 @@ class SweepResult:
     Attributes:
         folder: where it lies.
         manifest: what it is.
-        summary: counts, ranges and best rows of all finished shards.
+        summary: counts and best rows of all finished shards.
         interrupted: whether the run that returned this was stopped before it had done its shards.
 
     Example:
@@ -131,8 +131,8 @@ class SweepResult:
         """Columns of free values, which follow from the index and are in no file; of tied actuators the first one's."""
         free = self.manifest.design_points.free
         return tuple(
-            f"{name.split(' of ')[0]}_{'_'.join(part.strip(',') for part in name.split()[3:])}_{MADE_UP[unit][0]}"
-            for name, unit in zip(free.names, free.units, strict=True)
+            f"{field}_{'_'.join(str(index + 1) for index in own)}_{MADE_UP[UNITS[field]][0]}"
+            for field, own in zip(free.fields, free.members, strict=True)
         )
 
     def best(self, count: int = 100, by: str = "tip_error") -> SweepRows:
@@ -240,10 +240,11 @@ class SweepResult:
 
     def free_columns(self, indices: Indices) -> Rows:
         """The columns of free values (n,) of the designs at indices (n,)."""
-        values, names = self.manifest.design_points.values(indices), self.manifest.design_points.free.names
+        points = self.manifest.design_points
+        values = points.values(indices)
         return {
-            column: MADE_UP[unit][1] * values[:, FIELDS.index(name.split()[0]), int(name.split()[3].strip(",")) - 1]
-            for column, name, unit in zip(self.free_values, names, self.manifest.design_points.free.units, strict=True)
+            column: MADE_UP[UNITS[field]][1] * values[:, FIELDS.index(field), own[0]]
+            for column, field, own in zip(self.free_values, points.free.fields, points.free.members, strict=True)
         }
 
     def to_frame(self, columns: Sequence[str] | None = None, filter: Any = None) -> "DataFrame":
@@ -278,14 +279,13 @@ class SweepResult:
         check_count("bins", bins, 1)
         if y is not None and x is None:
             raise ValueError("x: must be given where y is, got None")
-        ranges = self.summary.ranges if filter is None else {}
 
         def blocks(columns: Sequence[str]) -> Iterator[Rows]:
             return self.blocks(columns, filter)
 
         if x is not None and y is not None:
-            return density(blocks, ranges, self.column(x), self.column(y), bins)
-        return histograms(blocks, ranges, self.manifest.numbers if x is None else (self.column(x),), bins)
+            return density(blocks, self.column(x), self.column(y), bins)
+        return histograms(blocks, self.manifest.numbers if x is None else (self.column(x),), bins)
 
     def __repr__(self) -> str:
         """How much there is."""

@@ -1,7 +1,7 @@
 """`sweep`: from an arm, a space and tasks to a folder of evaluated designs."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,34 +10,30 @@ import numpy as np
 
 from torcharm import __version__
 from torcharm.attainability import CHOICES, PoseTolerance
+from torcharm.attainability.evaluation import as_tolerance, check_metrics
 from torcharm.design.checkpoint import describe
-from torcharm.design.feasible import feasible_designs
-from torcharm.design.objective import Objective
-from torcharm.design.optimise import checked_tasks
-from torcharm.design.space import Arm, DesignSpace
+from torcharm.design.feasible import FeasibleDesigns, feasible_designs
+from torcharm.design.space import Arm, DesignSpace, fitting_tasks
 from torcharm.extras import extra
 from torcharm.files import StrPath
 from torcharm.inputs import check_count, check_flag, shown
 from torcharm.pressure.pose_cost import PoseCost
-from torcharm.sweeps.designs import DesignPoints, IndexedDesigns, sampler_of
+from torcharm.sweeps.designs import DesignPoints, Indices, sampler_of
 from torcharm.sweeps.executors import run_shards, usable_cores, workers_of
 from torcharm.sweeps.manifest import (
-    MANIFEST,
     Manifest,
     Part,
     check_same,
     locked,
     make_manifest,
-    prepare_folder,
-    read_manifest,
     remove_leftovers,
 )
-from torcharm.sweeps.measures import Measures, Reduce, check_measures
+from torcharm.sweeps.measures import Measures, Reduce
 from torcharm.sweeps.progress import Callback, SweepProgress, with_bar
 from torcharm.sweeps.ranking import best_places, rankings, taken
 from torcharm.sweeps.result import SweepResult
-from torcharm.sweeps.shards import Done, Job, measured, one_thread, shard_path
-from torcharm.sweeps.summary import summary_of
+from torcharm.sweeps.shards import Job, compute_shard, measured, one_thread, shard_path
+from torcharm.sweeps.summary import Summary, summary_of
 from torcharm.task import Task
 
 SHARD_SECONDS = 5.0
@@ -53,7 +49,7 @@ SHARDS_A_WORKER = 4
 FIRST_TRIAL, TRIAL_SECONDS = 16, 0.2
 """Designs of a first trial, which grows until it takes so long, of the processor: others may be at work, too."""
 KEEP_SECONDS = 30.0
-"""Between two writings of the summary."""
+"""Between two writings of the summary, from which a sweep that was killed goes on, or is shown while it runs."""
 
 
 def sweep(
@@ -110,7 +106,7 @@ def sweep(
         shard: (k, n) computes only the k-th of n parts, counted from 1, as for the jobs of a batch queue: they may run
             in any order or at once, on one folder.
         shard_size: designs in a shard; None finds it out by a short trial. It is part of what the sweep is.
-        progress: whether to show a bar, with the rate and the best so far; None shows one on a terminal.
+        progress: whether to show a bar, with the rate, the time left and the best so far; None shows one on a terminal.
         callback: is told the `SweepProgress` twice a second; returning True stops.
 
     Raises:
@@ -128,84 +124,79 @@ def sweep(
     for name in ("pyarrow", "filelock"):
         extra(name, "sweep")
     space = DesignSpace() if space is None else space
-    tasks = checked_tasks(arm, space, task)
-    measures = check_measures(metrics, reduce, tolerance, weights, power, pose_cost)
+    if not isinstance(space, DesignSpace):
+        raise ValueError(f"space: must be a DesignSpace, got {shown(space)}")
+    tasks = fitting_tasks(arm, task)
+    measures = Measures(
+        check_metrics(metrics),
+        reduce,
+        {"tolerance": as_tolerance(tolerance), "weights": weights, "power": power, "pose_cost": pose_cost},
+    )
     check_part(shard)
     if shard_size is not None:
         check_count("shard_size", shard_size, 1)
     if progress is not None:
         check_flag("progress", progress)
-    designs, number = indexed_designs(arm, space, tasks, sampling, count, levels, seed)
-    problem = described(arm, space, tasks, measures, count=number, sampling=sampling, levels=levels, seed=seed)
+    designs = feasible_designs(space, arm, tasks)
+    sampler, number = sampler_of(sampling, designs.dimension, count, levels, seed)
+    asked = {"space": space, "count": number, "sampling": sampling, "levels": levels, "seed": seed}
+    asked |= {"metrics": measures.metrics, "reduce": measures.reduce, **measures.options}
+    problem = {"torcharm": __version__} | describe(arm, arm.actuators, tasks, **asked)
     folder = Path(out).absolute()
-    if (folder / MANIFEST).exists():  # before anything is made of it
-        check_same(out, read_manifest(folder), problem, shard_size)
-    prepare_folder(folder)
-    with locked(folder, shard), workers_of(executor, workers) as crew:
-        if shard is None:
-            remove_leftovers(folder)
+    with workers_of(executor, workers) as crew, locked(folder, shard):
         parts = shard[1] if shard else workers or usable_cores()
-        if crew is not None and not (folder / MANIFEST).exists():
-            crew.begin()  # while the size of a shard is tried out
-        decide = partial(_decided, problem, designs, number, tasks, measures, shard_size, parts)
-        manifest = make_manifest(folder, designs.designs.arm, decide)
+        points = DesignPoints(designs.free, sampler, designs.order)
+        decide = partial(_decided, problem, designs, points, number, tasks, measures, shard_size, parts)
+        manifest = make_manifest(folder, designs.arm, decide)
         check_same(out, manifest, problem, shard_size)
         job = Job(str(folder), manifest, designs, tasks, measures)
         with with_bar(progress, callback) as watch:
-            run = _Run(job, shard, watch)
-            run.complete = run_shards(crew, job, run.missing(), run.finished, run.watch)
-        if not run.complete:  # Ctrl-C may have come while a shard was taken up
-            run.summary = summary_of(folder, manifest)
-        run.keep()
-        if shard is None and run.complete:
+            run = _Run(folder, manifest, shard, watch)
+            complete = run_shards(crew, partial(compute_shard, job), run.missing, run.finished, run.watch)
+        # Ctrl-C may have come while a shard was taken up.
+        summary = run.summary if complete else summary_of(folder, manifest)
+        run.keep(summary)
+        if shard is None and complete:
             remove_leftovers(folder)  # of workers that were lost on the way
-    return SweepResult(folder, manifest, run.summary, designs.designs.arm, interrupted=not run.complete)
+    return SweepResult(folder, manifest, summary, designs.arm, interrupted=not complete)
 
 
 class _Run:
-    """One run of a sweep: what it has found, and when that was last kept."""
+    """One run of a sweep, or of a part of it: what is missing, and what it has found."""
 
-    def __init__(self, job: Job, part: Part | None, callback: Callback) -> None:
-        self.folder, self.manifest, self.callback = Path(job.folder), job.manifest, callback
-        self.part, self.complete = part, False
-        self.summary = summary_of(self.folder, self.manifest)
-        mine = range(0 if part is None else part[0] - 1, self.manifest.shards, 1 if part is None else part[1])
-        self.mine = mine
+    def __init__(self, folder: Path, manifest: Manifest, part: Part | None, callback: Callback) -> None:
+        self.folder, self.manifest, self.part, self.callback = folder, manifest, part, callback
+        self.summary = summary_of(folder, manifest)
+        first, step = (1, 1) if part is None else part
+        mine = range(first - 1, manifest.shards, step)
+        self.missing = [shard for shard in mine if shard not in self.summary.shards]
         self.begun = self.kept = time.monotonic()
-        self.done = self.before = sum(self._designs(shard) for shard in mine if shard in self.summary.shards)
-        self.count = sum(self._designs(shard) for shard in mine)
+        self.count = sum(map(self._designs, mine))
+        self.done = self.before = self.count - sum(map(self._designs, self.missing))
 
     def _designs(self, shard: int) -> int:
         return self.manifest.first_of(shard + 1) - self.manifest.first_of(shard)
 
-    def missing(self) -> list[int]:
-        """Numbers of the shards to compute."""
-        return [shard for shard in self.mine if shard not in self.summary.shards]
-
-    def finished(self, done: Done) -> None:
+    def finished(self, shard: int) -> None:
         """Take up a shard."""
-        if not self.summary.add(shard_path(self.folder, done.shard)) and done.shard not in self.summary.shards:
+        if not self.summary.add(shard_path(self.folder, shard)) and shard not in self.summary.shards:
             raise ValueError(
-                f"out: {self.folder}: shard {done.shard} was finished by a worker and is not there: workers on other "
+                f"out: {self.folder}: shard {shard} was finished by a worker and is not there: workers on other "
                 "machines must see the folder by the same name"
             )
-        self.done += done.designs
+        self.done += self._designs(shard)
         if time.monotonic() - self.kept > KEEP_SECONDS:
-            self.keep()
+            self.keep(self.summary)
 
-    def keep(self) -> None:
-        """Write the summary; jobs that compute parts leave that to whoever opens the sweep."""
+    def keep(self, summary: Summary) -> None:
+        """Write a summary; jobs that compute parts leave that to whoever opens the sweep."""
         if self.part is None:
-            self.summary.keep(self.folder)
+            summary.keep(self.folder)
         self.kept = time.monotonic()
 
     def watch(self) -> bool:
         """Tell how far it has come; whether to stop."""
-        return bool(self.callback(self._progress()))
-
-    def _progress(self) -> SweepProgress:
-        here, seconds = self.done - self.before, time.monotonic() - self.begun
-        rate = here / seconds if here else 0.0
+        rate = (self.done - self.before) / max(time.monotonic() - self.begun, 1e-9)
         left = (self.count - self.done) / rate if rate else np.inf
         by = rankings((*self.manifest.numbers, *self.manifest.counts))[0]
         best, design = np.inf, -1
@@ -213,7 +204,7 @@ class _Run:
             found = taken(self.summary.rows, best_places(self.summary.rows, by, 1))
             if len(found[by]):
                 best, design = float(found[by][0]), int(found["design"][0])
-        return SweepProgress(self.done, self.count, rate, left, best, by, design)
+        return bool(self.callback(SweepProgress(self.done, self.count, rate, left, best, by, design)))
 
 
 def check_part(part: Part | None) -> None:
@@ -225,33 +216,10 @@ def check_part(part: Part | None) -> None:
         raise ValueError(f"shard: must be (k, n) with k from 1 to n, got {shown(part)}")
 
 
-def indexed_designs(
-    arm: Arm,
-    space: DesignSpace,
-    tasks: Sequence[Task],
-    sampling: str,
-    count: int | None,
-    levels: int | Sequence[int] | None,
-    seed: int,
-) -> tuple[IndexedDesigns, int]:
-    """All designs by their index, and how many there are."""
-    allowed = feasible_designs(space, arm, tasks)
-    sampler, number = sampler_of(sampling, allowed.dimension, count, levels, seed)
-    return IndexedDesigns(allowed, DesignPoints(allowed.free, sampler, allowed.order)), number
-
-
-def described(
-    arm: Arm, space: DesignSpace, tasks: Sequence[Task], measures: Measures, **options: Any
-) -> dict[str, str]:
-    """What tells a sweep from others, by names that a person knows."""
-    found = describe(arm, arm.actuators, tasks, space, Objective(), **options)
-    del found["objective"]
-    return {"torcharm": __version__} | found | {name: repr(value) for name, value in vars(measures).items()}
-
-
 def _decided(
     problem: Mapping[str, str],
-    designs: IndexedDesigns,
+    designs: FeasibleDesigns,
+    points: DesignPoints,
     count: int,
     tasks: tuple[Task, ...],
     measures: Measures,
@@ -261,28 +229,25 @@ def _decided(
     """The manifest of a sweep that has none yet."""
     loads = sum(task.batch_shape.numel() for task in tasks)
     chunk = max(1, CHUNK // loads)
-    size = shard_size or _shard_size(designs, count, tasks, measures, chunk, parts)
+    size = shard_size
+    if size is None:
+        seconds = _seconds_each(lambda one: measured(designs, points(one), tasks, measures, chunk), count)
+        most = min(LARGEST_SHARD, max(1, count // (SHARDS_A_WORKER * parts)))
+        size = 2 ** int(np.log2(max(1, min(SHARD_SECONDS / seconds, most))))
+        size = max(size, -(-count // MOST_SHARDS))
     columns = measures.numbers, measures.counts
-    return Manifest(dict(problem), count, size, min(chunk, size), loads, *columns, designs.points.to_json())
+    return Manifest(dict(problem), count, size, min(chunk, size), loads, *columns, points.to_json())
 
 
-def _shard_size(
-    designs: IndexedDesigns, count: int, tasks: tuple[Task, ...], measures: Measures, chunk: int, parts: int
-) -> int:
-    """Designs that take some seconds, by a trial with the first ones, as a power of two."""
+def _seconds_each(measure: Callable[[Indices], object], count: int) -> float:
+    """Of the processor, that a design takes, by a trial with the first ones."""
     end = min(count, FIRST_TRIAL)
     with one_thread():
+        measure(np.arange(end))  # which may compile
         while True:
-            for _ in range(2):  # the first may compile
-                begun = time.process_time()
-                measured(designs, tasks, measures, 0, end, chunk)
-                seconds = time.process_time() - begun
-                if seconds < TRIAL_SECONDS:
-                    break
+            begun = time.process_time()
+            measure(np.arange(end))
+            seconds = time.process_time() - begun
             if seconds >= TRIAL_SECONDS or end == min(count, LARGEST_SHARD):
-                break
+                return max(seconds, 1e-9) / end
             end = min(4 * end, count, LARGEST_SHARD)
-    wanted = SHARD_SECONDS * end / max(seconds, 1e-9)
-    most = min(LARGEST_SHARD, max(1, count // (SHARDS_A_WORKER * parts)))
-    size = 2 ** int(np.log2(max(1, min(wanted, most))))
-    return max(size, -(-count // MOST_SHARDS))

@@ -8,11 +8,9 @@ the few rows that any summary needs, so that nobody must read the rest to find t
 
 import base64
 import json
-import pickle
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -20,12 +18,13 @@ from typing import Any
 import numpy as np
 import torch
 
+from torcharm.design.feasible import FeasibleDesigns
+from torcharm.design.space import Array
 from torcharm.extras import extra
 from torcharm.files import atomic_write
-from torcharm.sweeps.designs import IndexedDesigns
 from torcharm.sweeps.manifest import SHARDS, Manifest
-from torcharm.sweeps.measures import SIZE, Found, Measures, sizes
-from torcharm.sweeps.ranking import Places, Rows, needed_rows, value_range
+from torcharm.sweeps.measures import SIZE, Measures, Rows, sizes
+from torcharm.sweeps.ranking import needed_rows
 from torcharm.task import Task
 
 ABOUT, BEST = b"torcharm", b"torcharm.best"
@@ -41,29 +40,15 @@ class Job:
     Attributes:
         folder: of the sweep, as all workers see it.
         manifest: of the sweep.
-        designs, tasks, measures: what is evaluated and how.
+        designs: what the space allows.
+        tasks, measures: on what designs are evaluated, and how.
     """
 
     folder: str
     manifest: Manifest
-    designs: IndexedDesigns
+    designs: FeasibleDesigns
     tasks: tuple[Task, ...]
     measures: Measures
-
-
-@dataclass(frozen=True)
-class Done:
-    """What a worker says of a shard that it finished.
-
-    Attributes:
-        shard: its number.
-        designs: how many it holds.
-        name: of its file, relative to the folder.
-    """
-
-    shard: int
-    designs: int
-    name: str
 
 
 def shard_path(folder: Path, shard: int) -> Path:
@@ -71,52 +56,32 @@ def shard_path(folder: Path, shard: int) -> Path:
     return folder / SHARDS / f"shard-{shard:06d}.parquet"
 
 
-def compute_shard(job: Job, shard: int) -> Done:
+def compute_shard(job: Job, shard: int) -> None:
     """Evaluate a shard's designs and write its file."""
     manifest = job.manifest
-    first, end = manifest.first_of(shard), manifest.first_of(shard + 1)
+    indices = np.arange(manifest.first_of(shard), manifest.first_of(shard + 1))
     with one_thread():
-        rows = measured(job.designs, job.tasks, job.measures, first, end, manifest.chunk_designs)
-    path = shard_path(Path(job.folder), shard)
-    write_shard(path, rows, manifest, shard)
-    return Done(shard, end - first, str(path.relative_to(job.folder)))
+        found = measured(job.designs, manifest.design_points(indices), job.tasks, job.measures, manifest.chunk_designs)
+    write_shard(shard_path(Path(job.folder), shard), {"design": indices, **found}, manifest, shard)
 
 
-def load_engine() -> None:
-    """What a process does to be ready: import this module, and all that it stands on."""
-
-
-def compute_packed(packed: bytes, shard: int) -> Done:
-    """The same of a job that was pickled once for all shards: each worker unpacks it once."""
-    return compute_shard(_unpacked(packed), shard)
-
-
-@lru_cache(maxsize=1)
-def _unpacked(packed: bytes) -> Job:
-    found: Job = pickle.loads(packed)
-    return found
-
-
-def measured(
-    designs: IndexedDesigns, tasks: Sequence[Task], measures: Measures, first: int, end: int, chunk: int
-) -> Rows:
-    """All columns of the designs from one index to another, without the last; NaN and 0 of those not allowed.
+def measured(designs: FeasibleDesigns, points: Array, tasks: Sequence[Task], measures: Measures, chunk: int) -> Rows:
+    """All columns but the index of the designs at points (n, F); NaN and 0 of those not allowed.
 
     A chunk is how many designs are evaluated at once.
     """
-    indices = np.arange(first, end)
-    allowed = np.concatenate([designs.allowed(block) for block in blocks(indices, ALLOWED_AT_ONCE)])
-    found: Found = {name: np.full(len(indices), np.nan, dtype=np.float32) for name in measures.numbers}
-    found |= {name: np.zeros(len(indices), dtype=np.int32) for name in measures.counts}
+    allowed = np.concatenate([designs.allows(block) for block in blocks(points, ALLOWED_AT_ONCE)])
+    found: Rows = {name: np.full(len(points), np.nan, dtype=np.float32) for name in measures.numbers}
+    found |= {name: np.zeros(len(points), dtype=np.int32) for name in measures.counts}
     for places in blocks(np.flatnonzero(allowed), chunk):
-        arm = designs.arm(indices[places])
+        arm = designs.design(points[places])
         for name, values in {**measures(arm, tasks), SIZE: sizes(arm)}.items():
             found[name][places] = values
-    return {"design": indices, "feasible": allowed, **found}
+    return {"feasible": allowed, **found}
 
 
-def blocks(values: Places, size: int) -> list[Places]:
-    """An array (n,) in pieces of so many."""
+def blocks(values: Any, size: int) -> list[Any]:
+    """An array (n, ...) in pieces of so many."""
     return [values[start : start + size] for start in range(0, len(values), size)]
 
 
@@ -155,15 +120,13 @@ def rows_of(table: Any) -> Rows:
 
 def write_shard(path: Path, rows: Rows, manifest: Manifest, shard: int) -> None:
     """Write a shard's file, whole or not at all."""
-    table = table_of(rows)
-    feasible = rows["feasible"]
+    table, feasible = table_of(rows), rows["feasible"]
     about = {
         "manifest": manifest.digest,
         "shard": shard,
         "designs": len(feasible),
         "feasible": int(feasible.sum()),
         "counts": {name: int(rows[name].sum()) for name in manifest.counts},
-        "ranges": {name: value_range(rows[name]) for name in manifest.numbers},
     }
     needed, extra_text = needed_rows(rows, manifest.numbers), {ABOUT: json.dumps(about).encode()}
     if 2 * len(needed) < len(feasible):  # else the rows themselves are as short

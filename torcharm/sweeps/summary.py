@@ -1,4 +1,4 @@
-"""What is known of all finished shards together: counts, ranges, the best rows. Kept in the folder; the shards tell it.
+"""What is known of all finished shards together: counts and the best rows. Kept in the folder; the shards tell it.
 
 Merging is associative and indifferent to order: whichever way a sweep came about, its summary is the same to the byte.
 """
@@ -13,7 +13,8 @@ import numpy as np
 
 from torcharm.extras import extra
 from torcharm.sweeps.manifest import SHARDS, SUMMARY, Manifest
-from torcharm.sweeps.ranking import Rows, merged
+from torcharm.sweeps.measures import Rows
+from torcharm.sweeps.ranking import merged
 from torcharm.sweeps.shards import ABOUT, read_about, read_needed, rows_of, shard_named, table_of, write_table
 
 PENDING = 64
@@ -21,14 +22,13 @@ PENDING = 64
 
 
 class Summary:
-    """Counts, ranges and best rows of those shards of a sweep that were added.
+    """Counts and best rows of those shards of a sweep that were added.
 
     Attributes:
         manifest: of the sweep.
         shards: numbers of the shards added.
         designs, feasible: how many they hold.
         counts: sums over their designs of each column of counts.
-        ranges: the least and largest finite value of each metric; empty if there is none.
     """
 
     def __init__(self, manifest: Manifest) -> None:
@@ -36,7 +36,6 @@ class Summary:
         self.shards: set[int] = set()
         self.designs = self.feasible = 0
         self.counts = dict.fromkeys(manifest.counts, 0)
-        self.ranges: dict[str, list[float]] = {name: [] for name in manifest.numbers}
         self._rows: Rows | None = None
         self._pending: list[Rows] = []
         self._kept = 0
@@ -52,9 +51,6 @@ class Summary:
         self.feasible += about["feasible"]
         for name in self.counts:
             self.counts[name] += about["counts"][name]
-        for name, ends in about["ranges"].items():
-            both = [*self.ranges[name], *ends]
-            self.ranges[name] = [min(both), max(both)] if both else []
         if len(self._pending) >= PENDING:
             self._merge()
         return True
@@ -86,7 +82,6 @@ class Summary:
             "designs": self.designs,
             "feasible": self.feasible,
             "counts": self.counts,
-            "ranges": self.ranges,
         }
         write_table(folder / SUMMARY, table_of(self.rows), {ABOUT: json.dumps(about).encode()})
         self._kept = len(self.shards)
@@ -100,10 +95,8 @@ class Summary:
                 return
             rows = rows_of(parquet.read_table(folder / SUMMARY, use_threads=False))
             shards = {shard for first, end in about["shards"] for shard in range(first, end)}
-            counts, ranges = dict(about["counts"]), dict(about["ranges"])
-            self.designs, self.feasible = about["designs"], about["feasible"]
-            self._rows, self.shards, self.counts, self.ranges = rows, shards, counts, ranges
-            self._kept = len(shards)
+            self.designs, self.feasible, self.counts = about["designs"], about["feasible"], about["counts"]
+            self._rows, self.shards, self._kept = rows, shards, len(shards)
 
 
 def summary_of(folder: Path, manifest: Manifest) -> Summary:

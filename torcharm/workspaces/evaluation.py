@@ -29,7 +29,7 @@ from torcharm.pressure.starts import spread_points
 from torcharm.task import WRENCH_AT
 from torcharm.workspaces.frontier import Frontier
 from torcharm.workspaces.result import Workspace
-from torcharm.workspaces.states import EXCLUDED, REACHED, Batch, KnownSlopes, joined, solve_states
+from torcharm.workspaces.states import EXCLUDED, REACHED, Batch, KnownSlopes, joined, payload_factors, solve_states
 
 Array = NDArray[np.float64]
 
@@ -192,7 +192,7 @@ class _Run:
     resolutions: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        self.slopes = KnownSlopes(self.scene)
+        self.slopes = KnownSlopes(self.scene, self.wanted)
         self.schedule = SCHEDULES[self.scene.arm.dimension]
 
     @property
@@ -276,7 +276,23 @@ class _Run:
             spread = int(self.schedule.spread * self.wanted)
             near, far = (self.given or _resolution(states, self.scene, worst, spread) for worst in (REACHED, EXCLUDED))
             resolutions = max(near, resolutions[0]), max(far, resolutions[1])
-        return Workspace.of(self.scene, states, resolutions, stopped, self.wanted)
+        scene = self.scene
+        return Workspace(
+            states.tip_pose,
+            states.place * scene.arm.max_pressure,
+            states.twists,
+            states.code,
+            states.strain_excess,
+            payload_factors(scene, states),
+            *resolutions,
+            scene.arm,
+            scene.load,
+            scene.base_pose,
+            scene.nodes,
+            scene.wrench_at,
+            stopped,
+            self.wanted,
+        )
 
 
 def _resolution(states: Batch, scene: Problem, worst: int, spread: int | None = None) -> float:

@@ -11,11 +11,10 @@ from torch import Tensor
 
 from torcharm.arm import ArmDesign
 from torcharm.arm_series import ArmSeries
-from torcharm.equilibrium.problem import Problem
 from torcharm.geometry.alpha_shape import AlphaShape, alpha_shape
 from torcharm.inputs import HoldsTensors, Tabular, TensorLike, as_floating, check_above_zero
 from torcharm.load import ExternalLoad
-from torcharm.workspaces.states import EXCLUDED, REACHED, STATES, Batch, has_payload, payload_factors, position_of
+from torcharm.workspaces.states import EXCLUDED, REACHED, STATES, has_payload, position_of
 
 Array = NDArray[np.float64]
 
@@ -71,28 +70,6 @@ class Workspace(HoldsTensors, Tabular):
     wrench_at: str
     stopped: str
     wanted: int
-
-    @classmethod
-    def of(
-        cls, scene: Problem, states: Batch, resolutions: tuple[float, float], stopped: str, wanted: int
-    ) -> "Workspace":
-        """Of states of a scene, at the resolutions of both regions."""
-        return cls(
-            states.tip_pose,
-            states.place * scene.arm.max_pressure,
-            states.twists,
-            states.code,
-            states.strain_excess,
-            payload_factors(scene, states),
-            *resolutions,
-            scene.arm,
-            scene.load,
-            scene.base_pose,
-            scene.nodes,
-            scene.wrench_at,
-            stopped,
-            wanted,
-        )
 
     @property
     def interruption(self) -> str:

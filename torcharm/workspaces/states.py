@@ -1,7 +1,7 @@
 """States of an arm under one load: the equilibria at many pressures, what to think of each, and how each moves."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
@@ -125,33 +125,26 @@ class Slopes:
     beyond: Array
     beyond_slope: Array
 
-    def at(self, index: NDArray[np.intp]) -> "Slopes":
-        """Of states at an index."""
-        return Slopes(self.tip[index], self.beyond[index], self.beyond_slope[index])
 
-    def with_more(self, other: "Slopes") -> "Slopes":
-        """And of others behind them."""
-        return Slopes(*(np.concatenate((getattr(self, one.name), getattr(other, one.name))) for one in fields(Slopes)))
-
-
-@dataclass
 class KnownSlopes:
     """Slopes of some of the states of a scene, which become more: none is worked out twice."""
 
-    scene: Problem
-    row: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
-    slopes: Slopes | None = None
+    def __init__(self, scene: Problem, most: int) -> None:
+        """Of so many states at most."""
+        self.scene, self.known = scene, np.zeros(most, dtype=bool)
+        self.slopes: tuple[Array, ...] | None = None
 
     def of(self, states: Batch, index: NDArray[np.intp]) -> Slopes:
-        """Of states at an index (b,) into all that are known."""
-        self.row = np.concatenate((self.row, np.full(len(states) - len(self.row), -1)))
-        new = np.unique(index[self.row[index] < 0])
+        """Of states at an index (b,) into all that there are."""
+        new = np.unique(index[~self.known[index]])
         if len(new) or self.slopes is None:
-            known = 0 if self.slopes is None else len(self.slopes.tip)
-            self.row[new] = np.arange(known, known + len(new))
             found = slopes_of(self.scene, states.place[new], states.twists[new])
-            self.slopes = found if self.slopes is None else self.slopes.with_more(found)
-        return self.slopes.at(self.row[index])
+            parts = found.tip, found.beyond, found.beyond_slope
+            self.slopes = self.slopes or tuple(np.empty((len(self.known), *part.shape[1:])) for part in parts)
+            for every, part in zip(self.slopes, parts, strict=True):
+                every[new] = part
+            self.known[new] = True
+        return Slopes(*(every[index] for every in self.slopes))
 
 
 def slopes_of(scene: Problem, place: Tensor, twists: Tensor) -> Slopes:
