@@ -18,11 +18,6 @@ THIN = 0.2
 LEVERAGE, UNSURE = 10.0, 0.03
 """In square roots of their number, by what coefficients may amplify what the fit leaves where the model counts as
 characterised; and of the largest force, how much that may make."""
-FORCES = (0.05, 1e4)
-"""Between these [N] lies the largest force of a soft actuator."""
-STUCK, MORE_OFF, AT_LEAST = 0.02, 1.5, 10
-"""Of the samples, how many at the highest pressure, how much worse than others they fit, and how many at least, tell
-of a sensor at its end."""
 LOW = 0.9
 """R² below which strain and pressure hardly tell the force."""
 FAR_OFF = 0.1
@@ -35,8 +30,6 @@ WINDOW = 11
 SPIKE, SPIKE_OF_RMSE, SPIKE_OF_FORCE = 10.0, 5.0, 0.02
 """By so many of the usual distances from that median a spike stands out, so many root mean squares of residuals, and so
 much of the largest force."""
-SMOOTH = ((0, 0), *exponents(4))
-"""Powers of strain and pressure in what the numbers of a table are compared to: they are few, and in no order."""
 
 
 def warn_of_doubts(model: Actuator, recording: Recording, compared: Sequence[Candidate] = ()) -> None:
@@ -48,40 +41,16 @@ def warn_of_doubts(model: Actuator, recording: Recording, compared: Sequence[Can
         compared: kinds of models, the one taken first; none if the kind was given.
     """
     residual = recording.force - forces(model, recording.strain, recording.pressure)
-    off = _unbalanced(recording), _low(recording, residual), _far_off(recording, compared), _spikes(recording, residual)
-    given = _size(recording), _clipped(recording), _undetermined(model, recording, residual)
-    for doubt in (*off, *given, _beyond(model)):
+    for doubt in (
+        _unbalanced(recording),
+        _low(recording, residual),
+        _far_off(recording, compared),
+        _spikes(recording, residual),
+        _undetermined(model, recording, residual),
+        _beyond(model),
+    ):
         if doubt:
             warnings.warn(doubt, stacklevel=2)
-
-
-def _size(recording: Recording) -> str:
-    low, high = FORCES
-    most = float(np.quantile(np.abs(recording.force), 0.99))  # spikes are told as such
-    if low <= most <= high:
-        return ""
-    return (
-        f"forces of one actuator reach {most:.3g} N, those of soft ones {low:g} to {high:g} N: are the unit of force "
-        "and the number of actuators right?"
-    )
-
-
-def _clipped(recording: Recording) -> str:
-    """Whether pressures stand at their highest while forces go on, as no function of strain tells them there."""
-    strain, pressure, force = recording.strain, recording.pressure, recording.force
-    top = pressure >= pressure.max() - 1e-6 * float(np.ptp(pressure))
-    if is_table(recording) or top.sum() < max(AT_LEAST, STUCK * len(top)) or (~top).sum() < AT_LEAST:
-        return ""
-    own, rest = (
-        np.sqrt(least_squares_loss(strain[part], pressure[part], force[part], powers) / part.sum())
-        for part, powers in ((top, ((0, 0), (1, 0), (2, 0), (3, 0))), (~top, exponents(USUAL_DEGREE)))
-    )
-    if own < max(MORE_OFF * rest, SPIKE_OF_FORCE * float(np.abs(force).max())):
-        return ""
-    return (
-        f"{top.sum()} samples are at exactly {pressure.max():.4g} kPa, the highest pressure, while forces change by "
-        f"{own:.2g} N more than strains tell: was the pressure clipped, as the sensor or the logger reached its end?"
-    )
 
 
 def covered(model: Measured) -> float:
@@ -150,7 +119,8 @@ def _unbalanced(recording: Recording) -> str:
         return ""
     return (
         f"forces fit {np.sqrt(plain / max(more, 1e-300)):.2g} times as closely with a force at rest, which models have "
-        "none of: was the load cell balanced with the actuators at their own length, without pressure?"
+        "none of: was the load cell balanced with the actuators at their own length, without pressure, and are "
+        'pressures absolute? --columns or --pressure-columns says that: "pressure=2:kPa abs"'
     )
 
 
@@ -165,44 +135,27 @@ def _far_off(recording: Recording, compared: Sequence[Candidate]) -> str:
 
 
 def _spikes(recording: Recording, residual: Array) -> str:
-    """The samples that stand out from those about them."""
-    table = is_table(recording)
-    if len(residual) < (2 * len(SMOOTH) if table else WINDOW):
+    """The samples of runs whose residuals stand out from the median of those before and after."""
+    from scipy.ndimage import median_filter
+
+    if is_table(recording) or len(residual) < WINDOW:
         return ""
-    out = _off_others(recording) if table else _off_neighbours(recording, residual)
-    usual = MAD * float(np.median(np.abs(out)))
+    out = np.zeros_like(residual)
+    for own in (recording.run == run for run in np.unique(recording.run)):
+        out[own] = residual[own] - median_filter(residual[own], WINDOW, mode="nearest")
     rmse = float(np.sqrt((residual**2).mean()))
-    of_rmse = 0.0 if table else SPIKE_OF_RMSE * rmse  # of few numbers one alone makes most of it
-    least = max(SPIKE * usual, of_rmse, SPIKE_OF_FORCE * float(np.abs(recording.force).max()))
+    usual = MAD * float(np.median(np.abs(out)))
+    least = max(SPIKE * usual, SPIKE_OF_RMSE * rmse, SPIKE_OF_FORCE * float(np.abs(recording.force).max()))
     found = np.flatnonzero(np.abs(out) > least)
     if not len(found):
         return ""
     worst = int(found[np.abs(out[found]).argmax()])
     which = "a sample stands" if len(found) == 1 else f"{len(found)} samples stand"
     return (
-        f"{which} out from those about, {recording.place(worst)} the most, by {abs(out[worst]):.3g} N at strain "
-        f"{recording.strain[worst]:.3g} and {recording.pressure[worst]:.4g} kPa (RMSE {rmse:.3g} N): --loss huber "
-        "bears such"
+        f"{which} out from those about, sample {worst + 1} of {recording.sources[recording.run[worst]]} the most, by "
+        f"{abs(out[worst]):.3g} N at strain {recording.strain[worst]:.3g} and {recording.pressure[worst]:.4g} kPa "
+        f"(RMSE {rmse:.3g} N): --loss huber bears such"
     )
-
-
-def _off_neighbours(recording: Recording, residual: Array) -> Array:
-    """By how much residuals of runs are off the median of those before and after."""
-    from scipy.ndimage import median_filter
-
-    out = np.zeros_like(residual)
-    for own in (recording.run == run for run in np.unique(recording.run)):
-        out[own] = residual[own] - median_filter(residual[own], WINDOW, mode="nearest")
-    return out
-
-
-def _off_others(recording: Recording) -> Array:
-    """By how much each force of a table is off the smooth function that best fits all others."""
-    monomials = Monomials.for_data(SMOOTH, recording.strain, recording.pressure)
-    basis, _ = np.linalg.qr(monomials.values(recording.strain, recording.pressure))
-    own = recording.force - basis @ (basis.T @ recording.force)
-    left: Array = own / np.maximum(1 - (basis**2).sum(1), 1e-3)
-    return left
 
 
 def _beyond(model: Actuator) -> str:
