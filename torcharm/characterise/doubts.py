@@ -1,7 +1,6 @@
 """What is doubtful about a fit, in words: forces that it does not follow, samples that stand out, limits beyond it."""
 
 import warnings
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -9,7 +8,7 @@ from torcharm.actuators.measured import Measured
 from torcharm.actuators.polynomial import PolynomialActuator
 from torcharm.actuators.protocol import Actuator
 from torcharm.characterise.alignment import Recording, is_table
-from torcharm.characterise.choice import Candidate, forces
+from torcharm.characterise.choice import forces
 from torcharm.characterise.least_squares import MAD, Array, Monomials, exponents, least_squares_loss
 from torcharm.characterise.misfit import USUAL_DEGREE
 
@@ -20,8 +19,6 @@ LEVERAGE, UNSURE = 10.0, 0.03
 characterised; and of the largest force, how much that may make."""
 LOW = 0.9
 """R² below which strain and pressure hardly tell the force."""
-FAR_OFF = 0.1
-"""Of a table's largest force, how far off samples that were left out may be predicted."""
 UNBALANCED, LEAST_REST = 0.7, 0.005
 """Of the root mean square that a fit leaves, what one with a force at rest may leave to doubt the load cell; and of the
 range of forces, what the fit must leave."""
@@ -32,19 +29,12 @@ SPIKE, SPIKE_OF_RMSE, SPIKE_OF_FORCE = 10.0, 5.0, 0.02
 much of the largest force."""
 
 
-def warn_of_doubts(model: Actuator, recording: Recording, compared: Sequence[Candidate] = ()) -> None:
-    """A warning for each thing that is doubtful.
-
-    Args:
-        model: that was fitted.
-        recording: to which.
-        compared: kinds of models, the one taken first; none if the kind was given.
-    """
+def warn_of_doubts(model: Actuator, recording: Recording) -> None:
+    """A warning for each thing that is doubtful about a model that was fitted to a recording."""
     residual = recording.force - forces(model, recording.strain, recording.pressure)
     for doubt in (
         _unbalanced(recording),
         _low(recording, residual),
-        _far_off(recording, compared),
         _spikes(recording, residual),
         _undetermined(model, recording, residual),
         _beyond(model),
@@ -121,16 +111,6 @@ def _unbalanced(recording: Recording) -> str:
         f"forces fit {np.sqrt(plain / max(more, 1e-300)):.2g} times as closely with a force at rest, which models have "
         "none of: was the load cell balanced with the actuators at their own length, without pressure, and are "
         'pressures absolute? --columns or --pressure-columns says that: "pressure=2:kPa abs"'
-    )
-
-
-def _far_off(recording: Recording, compared: Sequence[Candidate]) -> str:
-    most = float(np.abs(recording.force).max())
-    if not compared or not is_table(recording) or compared[0].rmse <= FAR_OFF * most:
-        return ""
-    return (
-        f"samples left out are predicted {100 * compared[0].rmse / most:.2g} % of the largest force off: the table is "
-        "too coarse, or a number in it is wrong"
     )
 
 

@@ -166,7 +166,7 @@ def fit(
     recording = by_depth(recording) if vacuum else recording
     how = {"loss": loss, "monotonic": monotonic, "max_pressure": max_pressure, "bending_stiffness": bending}
     compared, fitted = _fitted(recording, model or ("best" if table else "polynomial"), degree, how)
-    warn_of_doubts(fitted, recording, compared)
+    warn_of_doubts(fitted, recording)
     report(fitted, recording, compared)
     outputs.save(_outputs(fitted, recording, out, figure))
     _paste(out)
