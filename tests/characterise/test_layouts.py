@@ -115,6 +115,11 @@ def test_a_first_sample_glued_to_the_header_is_read(tmp_path):
 
 BOTH = ("reference", "reference")
 ASKED = [
+    (
+        ("reference", "seconds since 1970, no header"),
+        ("--unit", "kPa"),
+        r"log.txt: lasts 40.9\d* ms, and tester.txt 39900 ms, must be of the same run: is the unit of time right\? .*",
+    ),
     (("no strain", "reference"), (), r"gauge_length: is missing, .* tester.txt .*: --gauge-length '80 mm'"),
     (
         ("two strains, one to be named", "reference"),
@@ -151,7 +156,7 @@ ASKED = [
     ),
     (
         ("reference", "seconds since 1970, no header"),
-        ("--unit", "kPa"),
+        ("--pressure-columns", "time=1:s,pressure=2:kPa"),
         r"tester.txt and log.txt: do not overlap in time: .*; an offset of -1690000000013 ms \(--offset\) would .*",
     ),
 ]

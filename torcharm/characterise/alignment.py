@@ -50,6 +50,11 @@ class Recording:
     sources: tuple[str, ...]
     settings: Settings = ()
 
+    def only(self, kept: NDArray[np.bool_]) -> "Recording":
+        """Some of its samples."""
+        columns = {name: getattr(self, name)[kept] for name in ("strain", "pressure", "force", "run")}
+        return replace(self, **columns)
+
 
 def align(
     tester: TesterRecord,
@@ -115,18 +120,18 @@ def _kept(
     tester: TesterRecord, log: PressureRecord, clock: Array, offset: float, max_gap: float | None
 ) -> NDArray[np.bool_]:
     """Which of the tester's stamps the log has, too, on the tester's clock."""
+    logged, ran = clock[-1] - clock[0], tester.time[-1] - tester.time[0]
+    if logged < TOO_SHORT * ran:
+        raise ValueError(
+            f"{log.source}: lasts {logged:g} ms, and {tester.source} {ran:g} ms, must be of the same run: is the unit "
+            'of time right? --pressure-columns says it, as in "time=1:s"'
+        )
     kept = (tester.time >= clock[0]) & (tester.time <= clock[-1])
     if not kept.any():
         raise ValueError(
             f"{tester.source} and {log.source}: do not overlap in time: the tester ran from "
             f"{tester.time[0]:.10g} to {tester.time[-1]:.10g} ms, the log from {clock[0]:.15g} to {clock[-1]:.15g} ms; "
             f"an offset of {offset + tester.time[0] - clock[0]:.15g} ms (--offset) would start both at once"
-        )
-    logged, ran = clock[-1] - clock[0], tester.time[-1] - tester.time[0]
-    if logged < TOO_SHORT * ran:
-        raise ValueError(
-            f"{log.source}: lasts {logged:g} ms, and {tester.source} {ran:g} ms, must be of the same run: is the unit "
-            'of time right? --pressure-columns says it, as in "time=1:s"'
         )
     steps = np.diff(clock)
     gap = steps[np.searchsorted(clock, tester.time).clip(1, len(clock) - 1) - 1]

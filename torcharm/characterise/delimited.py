@@ -152,12 +152,6 @@ def numbers(sheet: Sheet, columns: Sequence[int], *, sparse: bool = False) -> tu
     return table[~bad & ~void], places[~bad & ~void].tolist(), (*said, *left_out)
 
 
-def values_of(sheet: Sheet, index: int, most: int | None = None) -> Array:
-    """The finite numbers of a column; of the first lines alone, where so many do."""
-    found = _values([row[index] for row in sheet.rows[:most] if len(row) > index], sheet.decimal)
-    return found[np.isfinite(found)]
-
-
 def _values(cells: Row, decimal: str) -> Array:
     """The numbers (n) of a column, as of `cells.number`."""
     if decimal == "." or not any("." in cell for cell in cells):

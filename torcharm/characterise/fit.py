@@ -12,7 +12,6 @@ from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
-from torch import Tensor
 
 from torcharm.actuators.bending import Bending, LinearBending
 from torcharm.actuators.measured import SLACK, Measured, Provenance, measured_region
@@ -32,7 +31,7 @@ from torcharm.characterise.least_squares import (
 )
 from torcharm.characterise.monotonicity import Monotonicity, monotonicity
 from torcharm.characterise.signs import LEAST_STRAIN
-from torcharm.inputs import TensorLike, check_choice, check_count, check_number, shown
+from torcharm.inputs import TensorLike, as_floating, check_choice, check_count, check_finite, check_number
 
 HIGHEST_DEGREE = 9
 VACUUM_SHARE = 0.1
@@ -287,17 +286,10 @@ def checked_samples(strain: TensorLike, pressure: TensorLike, force: TensorLike)
     return x, y, f
 
 
-def _column(name: str, value: Any) -> Array:
-    if isinstance(value, Tensor):
-        value = value.detach().cpu().numpy()
-    try:
-        column: Array = np.asarray(value, dtype=np.float64).ravel()
-    except (TypeError, ValueError):
-        raise ValueError(f"{name}: must be numbers, got {shown(value)}") from None
-    bad = ~np.isfinite(column)
-    if bad.any():
-        raise ValueError(f"{name}: must be finite, got {column[bad][0]} at sample {int(bad.argmax())}")
-    return column
+def _column(name: str, value: TensorLike) -> Array:
+    (tensor,) = as_floating(**{name: value})
+    check_finite(name, tensor)
+    return tensor.detach().cpu().double().flatten().numpy()
 
 
 def _check_options(

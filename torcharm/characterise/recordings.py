@@ -15,7 +15,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from torcharm.characterise.columns import Column, Columns, choices, find_columns
-from torcharm.characterise.delimited import Sheet, numbers, read_sheet, values_of
+from torcharm.characterise.delimited import Sheet, numbers, read_sheet
 from torcharm.characterise.headers import header_of
 from torcharm.characterise.signs import OTHER, Signs, known_signs
 from torcharm.characterise.stretch import strains_of, stretch_quantity
@@ -35,12 +35,8 @@ BACKWARD_STEPS = 3.0
 """By how many usual steps a clock may go back and still be averaged; beyond, samples are out of order."""
 MOST_BACKWARD = 0.05
 """Of all samples, how many may do so; three always may."""
-EPOCH = (1e9, 2.5e9)
-"""Seconds since 1970 of the years 2001 to 2049: no run is as long, so that such times name their own unit."""
 SURROUNDINGS = 101.325
 """The standard atmosphere [kPa], which is taken off absolute pressures."""
-CLOCK = {"time": "ms"}
-"""The unit of a pressure log's times that name none."""
 PSI_LOG = ("Time", "Pressure")
 """The whole header of the logs published with the paper, whose pressures are in psi; others have to name their unit."""
 
@@ -121,7 +117,7 @@ def read_tester(
         check_choice("positive", positive, OTHER)
     sheet = read_sheet(path, truncated=truncated)
     stretch = stretch_quantity(sheet, columns, gauge_length)
-    found = find_columns(sheet, ("time", "force", stretch), columns, _clock_unit(sheet, columns))
+    found = find_columns(sheet, ("time", "force", stretch), columns)
     table, notes = _in_time(sheet, found)
     strain = strains_of(sheet, found[stretch], gauge_length, table[stretch])
     signs = known_signs(found["force"], found[stretch], positive, "pull")
@@ -135,10 +131,9 @@ def read_pressure(
     """Read time and pressure of a log, or of a file with more columns.
 
     Units are those that the file names, else ms and `unit`; a header of Time and Pressure alone, as the paper's
-    recordings have it, means psi. Times like seconds since 1970 are such. Without a
-    header, the first of two columns is the time. A highest pressure that is implausible for a soft actuator (outside 20
-    to 1000 kPa) is a warning: it tells of a wrong unit. A log without a closing line, such as "Logging end", is read
-    and noted.
+    recordings have it, means psi. Without a header, the first of two columns is the time. A highest pressure that is
+    implausible for a soft actuator (outside 20 to 1000 kPa) is a warning: it tells of a wrong unit. A log without a
+    closing line, such as "Logging end", is read and noted.
 
     Args:
         path: the file.
@@ -164,7 +159,7 @@ def read_pressure(
     if not choices(columns) and not sheet.above and len(numeric) == 2:
         columns = {"time": numeric[0], "pressure": numeric[1]}
     usual = unit or ("psi" if header_of(sheet).names == PSI_LOG else None)
-    defaults = CLOCK | ({"pressure": usual} if usual else {}) | _clock_unit(sheet, columns)
+    defaults = {"time": "ms"} | ({"pressure": usual} if usual else {})
     found = find_columns(sheet, ("time", "pressure"), columns, defaults)
     found["pressure"].check_unit(unit, sheet.source)
     table, notes = _in_time(sheet, found)
@@ -188,17 +183,6 @@ def gauge_pressure(pressure: Array, source: str, column: Column) -> tuple[Array,
     note = f"pressures are absolute: {SURROUNDINGS:g} kPa of the surroundings taken off, assumed"
     warnings.warn(f"{source}: {note}", stacklevel=3)
     return pressure - SURROUNDINGS, (note,)
-
-
-def _clock_unit(sheet: Sheet, columns: Columns | None) -> dict[str, str]:
-    """The unit of times that count from 1970, whose size names it; nothing of others."""
-    try:
-        found = find_columns(sheet, ("time",), columns, CLOCK)
-    except ValueError:  # is told when all columns are looked for
-        return {}
-    first = next(iter(values_of(sheet, found["time"].index, 50)), np.nan)
-    sizes = {"s": 1.0, "ms": 1e3, "µs": 1e6, "ns": 1e9}
-    return next(({"time": unit} for unit, size in sizes.items() if EPOCH[0] <= first / size <= EPOCH[1]), {})
 
 
 def _in_time(sheet: Sheet, columns: Mapping[str, Column]) -> tuple[dict[str, Array], tuple[str, ...]]:
