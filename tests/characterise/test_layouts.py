@@ -261,7 +261,7 @@ def test_what_may_contract_or_extend_is_asked_about(fit, name, more):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("%", ""), r"table.txt: contraction reaches 25 and names no unit, .* --columns \"contraction=1:%\" says so"),
+        (("%", ""), r"table.txt: strains must be above -1, .* from contraction .* --columns .*\"contraction=1:%\""),
         (
             (" bar", ""),
             r"table.txt: line 1: the unit of pressure must be one of .*\"pressure=2:kPa\", or --unit",
@@ -358,8 +358,8 @@ def test_columns_of_a_log_are_refused_without_one(fit):
 
 def test_percents_without_a_unit_are_asked_about(fit):
     said = fit("--table", "table.txt", table=TABLE.replace("contraction (%)", "contraction"))
-    assert "contraction reaches 20 and names no unit" in said
-    assert 'is it in %? --columns "contraction=1:%" says so' in said
+    assert "strains must be above -1, at which no length is left, and at most 5, got -20 to 0 from contraction" in said
+    assert '--columns says the unit, as in "contraction=1:%"' in said
     model, _ = fit("--table", "table.txt", "--columns", "contraction=1:%", table=TABLE.replace(" (%)", ""))
     assert model.strain_range[0] == pytest.approx(-0.2)
 

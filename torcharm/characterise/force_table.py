@@ -9,8 +9,8 @@ import numpy as np
 
 from torcharm.characterise.alignment import Recording, noted
 from torcharm.characterise.cells import Row, number
-from torcharm.characterise.columns import Choice, Column, Columns, choices, find_columns
-from torcharm.characterise.delimited import Array, Sheet, numbers, read_sheet
+from torcharm.characterise.columns import Choice, Columns, choices, find_columns
+from torcharm.characterise.delimited import Sheet, numbers, read_sheet
 from torcharm.characterise.headers import BRACKETS, NAMES
 from torcharm.characterise.recordings import gauge_pressure
 from torcharm.characterise.signs import OTHER, known_signs, settled
@@ -19,8 +19,6 @@ from torcharm.files import StrPath
 from torcharm.inputs import check_choice
 from torcharm.units import PRESSURE, unit_named
 
-MOST_WITHOUT_UNIT = {"contraction": 1.0, "strain": 5.0}
-"""What parts of 1 may reach: nothing contracts to less than no length; larger numbers are percents."""
 _HEAD = re.compile(r"\s*([-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*[(\[]?\s*([^\d\s()\[\]]*[^()\[\]]*?)\s*[)\]]?\s*")
 """`2`, `2 bar`, `2 [bar]`."""
 
@@ -65,7 +63,6 @@ def read_table(
     pressures.check_unit(unit, sheet.source)
     table, _, left_out = numbers(sheet, [column.index for column in found.values()])
     strain, pressure, force = (table * [column.factor for column in found.values()]).T
-    _check_parts(sheet.source, stretch, strain)
     pressure, taken_off = gauge_pressure(pressure, sheet.source, pressures)
     strain = strains_of(sheet, stretch, gauge_length, strain) + 0.0
     signs = known_signs(forces, stretch, positive, "pull" if quantity == "contraction" else "push")
@@ -74,16 +71,6 @@ def read_table(
     said = noted(sheet.source, (*notes, *left_out, *guessed, *forces.notes, *taken_off))
     run, name = np.zeros(len(force), np.int64), Path(sheet.source).name
     return Recording(strain, pressure, force, run, (name,), (("positive forces", words), *said))
-
-
-def _check_parts(source: str, stretch: Column, strain: Array) -> None:
-    """Raise a ValueError about strains that name no unit and are too large for parts of 1."""
-    most = float(np.abs(strain).max())
-    if not stretch.named and most > MOST_WITHOUT_UNIT.get(stretch.quantity, np.inf):
-        raise ValueError(
-            f"{source}: {stretch.quantity} reaches {most:g} and names no unit, must be a part of 1 or name one: is it "
-            f'in %? --columns "{stretch.quantity}={stretch.index + 1}:%" says so'
-        )
 
 
 def _long(sheet: Sheet, said: Mapping[str, Choice]) -> tuple[Sheet, tuple[str, ...]]:

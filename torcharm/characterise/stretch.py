@@ -14,6 +14,8 @@ STRETCHES = ("strain", "contraction", "extension", "length")
 PLAUSIBLE_STRAIN, LEAST_STRAIN, NEAR_REST = (-0.6, 1.0), 0.02, 0.3
 """Between the first lie the strains of soft actuators; the largest is more than the second, the least no more than the
 third: else percents were taken for parts of 1 or these for percents, positions for extensions, forces for strains."""
+MOST_STRAIN = 5.0
+"""What no soft actuator reaches: larger numbers are percents."""
 LONGEST_GAUGE = 3.0
 """A gauge length [m] beyond which metres were hardly meant."""
 
@@ -65,10 +67,12 @@ def strains_of(sheet: Sheet, stretch: Column, gauge_length: float | None, values
         )
     strain = values / (gauge_length or 1.0)
     strain = strain - 1.0 if stretch.quantity == "length" else sign * strain
-    if strain.min() <= -1.0:
+    if not -1.0 < strain.min() <= strain.max() <= MOST_STRAIN:
         raise ValueError(
-            f"{source}: strains must be above -1, at which no length is left, got {strain.min():.3g} from "
-            f"{stretch.quantity} in {stretch.unit}: are unit and gauge length right, or is this a position?"
+            f"{source}: strains must be above -1, at which no length is left, and at most {MOST_STRAIN:g}, got "
+            f"{strain.min():.3g} to {strain.max():.3g} from {stretch.quantity} in {stretch.unit}: is this a position, "
+            "or are unit or gauge length others? --columns says the unit, as in "
+            f'"{stretch.quantity}={stretch.index + 1}:%"'
         )
     (low, high), size = PLAUSIBLE_STRAIN, np.abs(strain)
     if not low <= strain.min() <= strain.max() <= high or size.max() < LEAST_STRAIN or size.min() > NEAR_REST:
