@@ -64,7 +64,7 @@ def read_table(
     table, _, left_out = numbers(sheet, [column.index for column in found.values()])
     strain, pressure, force = (table * [column.factor for column in found.values()]).T
     pressure, taken_off = gauge_pressure(pressure, sheet.source, pressures)
-    strain = strains_of(sheet, stretch, gauge_length, strain) + 0.0
+    strain = strains_of(sheet, stretch, gauge_length, strain)
     signs = known_signs(forces, stretch, positive, "pull" if quantity == "contraction" else "push")
     force, words = settled(signs, strain, pressure, force, sheet.source)
     guessed = () if stretch.named else (f"names no unit of {quantity}: read as parts of 1",)

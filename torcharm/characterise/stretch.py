@@ -66,7 +66,7 @@ def strains_of(sheet: Sheet, stretch: Column, gauge_length: float | None, values
             f"{stretch.quantity}s in {stretch.unit} and no strains: --gauge-length '80 mm'"
         )
     strain = values / (gauge_length or 1.0)
-    strain = strain - 1.0 if stretch.quantity == "length" else sign * strain
+    strain = strain - 1.0 if stretch.quantity == "length" else sign * strain + 0.0  # which turns -0.0 into 0
     if not -1.0 < strain.min() <= strain.max() <= MOST_STRAIN:
         raise ValueError(
             f"{source}: strains must be above -1, at which no length is left, and at most {MOST_STRAIN:g}, got "
