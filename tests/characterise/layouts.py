@@ -26,8 +26,6 @@ def force_at(time):
     return sum(c * strain**i * p**j for (i, j), c in TRUTH.items())
 
 
-CLOCK = ["{:09.6f}", "{:.6f}", "{:.6f}"]
-"""Formats of seconds with two digits before the point, and of two other columns."""
 STRAIN, PULL = strain_at(TIME), -force_at(TIME)
 EXTENSION = GAUGE * STRAIN
 
@@ -205,9 +203,13 @@ TESTERS = {
         ["--gauge-length", "80 mm"],
     ),
     "times of day": (
+        text("Time,Strain (%),Force (N)", [f"00:00:{row}" for row in lines(TIME / 1000, 100 * STRAIN, PULL)]),
+        [],
+    ),
+    "units behind numbers": (
         text(
-            "Time,Strain (%),Force (N)",
-            [f"00:00:{row}" for row in lines(TIME / 1000, 100 * STRAIN, PULL, formats=CLOCK)],
+            "Time;Strain;Force",
+            lines(TIME / 1000, 100 * STRAIN, PULL, separator=";", formats=["{:.2f} s", "{:.4f} %", "{:.5f}N"]),
         ),
         [],
     ),
@@ -273,6 +275,10 @@ LOGS = {
     "a carriage return and a half": (log("Time,Pressure", end="\r\r\n"), []),
     "seconds since 1970, no header": (
         log("", 1.0, 1e-3, separator="\t", shift=1690000000.0, closing=""),
+        ["--unit", "kPa", "--offset", "-1690000000000"],
+    ),
+    "the same, said by columns": (
+        log("", 1.0, 1e-3, separator="\t", shift=1690000000.0, closing=""),
         ["--pressure-columns", "time=1:s,pressure=2:kPa", "--offset", "-1690000000000"],
     ),
     "set points and words": (
@@ -293,12 +299,24 @@ LOGS = {
     "dates": (
         text(
             "Timestamp;Pressure [barg]",
-            [f"2024-05-01 00:00:{row}" for row in lines(STAMPS / 1000, pressure_at(STAMPS) / 100, **_GERMAN)],
+            [f"01.05.2024 00:00:{row}" for row in lines(STAMPS / 1000, pressure_at(STAMPS) / 100, **_GERMAN)],
         ),
         ["--offset", "-1714521600000"],
     ),
+    "a name before each number": (
+        text([f"time_ms: {row}" for row in lines(STAMPS, pressure_at(STAMPS), separator=", pressure_kPa: ")]),
+        [],
+    ),
+    "names, numbers and units": (
+        text([f"t={row} psi" for row in lines(STAMPS, pressure_at(STAMPS) / PSI, separator=" ms; p=")]),
+        [],
+    ),
+    "minutes and seconds": (
+        text("Time,Pressure (kPa)", [f"00:{row}" for row in lines(STAMPS / 1000, pressure_at(STAMPS))]),
+        [],
+    ),
     "a monitor's stamps": (
-        text([f"00:00:{t / 1000:09.6f} -> {pressure_at(t):.6f}" for t in STAMPS]),
+        text([f"00:00:{row}" for row in lines(STAMPS / 1000, pressure_at(STAMPS), separator=" -> ")]),
         ["--unit", "kPa"],
     ),
     "times in words beside": (
@@ -335,6 +353,13 @@ LONG = text(
 WIDE = text(
     "contraction [%];" + ";".join(f"{p / 100:.0f} bar" for p in _PRESSURES),
     [";".join([f"{-100 * e:.0f}", *(f"{-muscle(e, p):.3f}".replace(".", ",") for p in _PRESSURES)]) for e in _STRAINS],
+)
+FORCES_AT = text(
+    "Kontraktion %;" + ";".join(f"Kraft bei {p / 100:.0f} bar" for p in _PRESSURES),
+    [
+        ";".join([f"{-100 * e:.0f}", *(f"{-muscle(e, p):.3f} N".replace(".", ",") for p in _PRESSURES)])
+        for e in _STRAINS
+    ],
 )
 MILLIMETRES = text(
     "shortening [mm];" + WIDE.splitlines()[0].partition(";")[2],

@@ -115,11 +115,6 @@ def test_a_first_sample_glued_to_the_header_is_read(tmp_path):
 
 BOTH = ("reference", "reference")
 ASKED = [
-    (
-        ("reference", "seconds since 1970, no header"),
-        ("--unit", "kPa"),
-        r"log.txt: lasts 40.9\d* ms, and tester.txt 39900 ms, must be of the same run: is the unit of time right\? .*",
-    ),
     (("no strain", "reference"), (), r"gauge_length: is missing, .* tester.txt .*: --gauge-length '80 mm'"),
     (
         ("two strains, one to be named", "reference"),
@@ -156,7 +151,7 @@ ASKED = [
     ),
     (
         ("reference", "seconds since 1970, no header"),
-        ("--pressure-columns", "time=1:s,pressure=2:kPa"),
+        ("--unit", "kPa"),
         r"tester.txt and log.txt: do not overlap in time: .*; an offset of -1690000000013 ms \(--offset\) would .*",
     ),
 ]
@@ -201,6 +196,12 @@ TABLES = {
         layouts.LONG.replace("strain", "shortening (mm)").replace("\n-", "\n"),
         ("--gauge-length", "1 mm"),
     ),
+    "forces at pressures, units behind numbers": (layouts.FORCES_AT, ()),
+    "forces at pressures in MPa": (
+        re.sub(r"(\d) bar", r"force at 0.\1 MPa [N]", layouts.WIDE.replace(",", ".")),
+        (),
+    ),
+    "strains above 0 of what pulls": (layouts.WIDE.replace("contraction", "strain"), ("--positive", "pull")),
     "strains that count shortening": (layouts.WIDE.replace("contraction", "strain"), ("--columns", "contraction=1:%")),
     "absolute pressures": (layouts.ABSOLUTE, ()),
 }

@@ -47,23 +47,25 @@ def test_an_assumption_gives_way_to_the_samples(way):
     strain, pressure, force = samples(ta.Bellows())
     turned = -force if way == "pull" else force
     for assumed in ("pull", "push"):
-        found, words = settled(Signs(assumed, ASSUMED), strain, pressure, turned, "t")
-        np.testing.assert_array_equal(found, force)
+        x, f, ((name, words),) = settled(Signs(assumed, ASSUMED), strain, pressure, turned, "t")
+        np.testing.assert_array_equal(f, force)
+        np.testing.assert_array_equal(x, strain)
         other = {"pull": "push", "push": "pull"}[way]
+        assert name == "positive forces"
         assert words == f"{way}, as what is stretched pulls back (--positive {other} takes them the other way)"
 
 
 def test_where_samples_do_not_tell_the_assumption_stands_and_is_said():
     strain, pressure, _ = samples(ta.Bellows())
-    _, words = settled(Signs("pull", ASSUMED), strain, pressure, pressure, "t")
-    assert words == "pull, assumed (--positive push takes them the other way)"
+    *_, words = settled(Signs("pull", ASSUMED), strain, pressure, pressure, "t")
+    assert words == (("positive forces", "pull, assumed (--positive push takes them the other way)"),)
 
 
 @pytest.mark.parametrize("known", [SAID, NAMED])
 def test_samples_that_contradict_what_is_said_or_named_are_a_warning(known):
     strain, pressure, force = samples(ta.Bellows())
     with pytest.warns(UserWarning, match=rf"t.csv: positive forces pull, {known}, but then it pulls less the"):
-        found, _ = settled(Signs("pull", known), strain, pressure, force, "t.csv")
+        _, found, _ = settled(Signs("pull", known), strain, pressure, force, "t.csv")
     np.testing.assert_array_equal(found, -force)  # all the same
 
 
@@ -71,7 +73,11 @@ def test_strains_above_0_are_those_of_a_muscle_or_of_a_bellows_as_is_said():
     strain, pressure, force = samples(ta.McKibben())
     strain, pressure, force = (values[strain < 0] for values in (strain, pressure, force))
     file = -strain, pressure, -force
-    with pytest.raises(ValueError, match=r"^t: must be told what it is of, .*contraction=1.*--positive push"):
+    with pytest.raises(ValueError, match=r"^t: must be told what it is of, .*--positive pull.*--positive push"):
         settled(Signs("push", ASSUMED, longer=False), *file, "t")
-    found, _ = settled(Signs("push", SAID, longer=False), *file, "t")
-    np.testing.assert_array_equal(found, -force)
+    x, f, words = settled(Signs("pull", SAID, longer=False), *file, "t")
+    np.testing.assert_array_equal((x, f), (strain, force))
+    assert ("positive strains", "shorter, as forces fall with them") in words
+    x, f, words = settled(Signs("push", SAID, longer=False), *file, "t")
+    np.testing.assert_array_equal((x, f), (-strain, -force))
+    assert ("positive strains", "longer, assumed") in words

@@ -102,13 +102,13 @@ def align(
         warn_of_slipped_clocks(tester, log, logged)
     tension = 1.0 if tester.signs.positive == "pull" else -1.0
     strain = tester.strain[kept]
-    force, words = settled(tester.signs, strain, pressure, tension * tester.force[kept], tester.source)
+    strain, force, words = settled(tester.signs, strain, pressure, tension * tester.force[kept], tester.source)
     settings: Settings = (
         ("actuators in parallel", float(count)),
         ("smoothing of pressure, ms", float(smoothing)),
         ("offset of the log, ms", float(shift)),
         *(() if max_gap is None else (("longest pause of the log, ms", float(max_gap)),)),
-        ("positive forces", words),
+        *words,
         *noted(tester.source, tester.notes),
         *(noted(log.source, log.notes) if log.source != tester.source else ()),
     )

@@ -4,7 +4,9 @@ import math
 import re
 from collections.abc import Sequence
 from contextlib import suppress
-from datetime import UTC, datetime
+from datetime import datetime
+
+from torcharm.units import MEASURED, unit_named
 
 Row = list[str]
 
@@ -21,6 +23,13 @@ _NO_VALUE = re.compile(
     re.IGNORECASE,
 )
 """What loggers and spreadsheets write where there was no value."""
+_DRESSED = re.compile(
+    rf"(?P<label>\s*[^\W\d_][^:=,;]{{0,30}}?\s*[:=]\s*)?{NUMBER}(?P<unit>\s*[^\d\s.,;:+-][^\d,;:]{{0,11}}?)?\s*"
+)
+_MOMENT = re.compile(
+    r"(?:(?P<a>\d{1,4})(?P<sign>[-/.])(?P<b>\d{1,2})(?P=sign)(?P<c>\d{1,4})[T\s]\s*)?"
+    r"(?P<clock>\d{1,2}:\d{1,2}(?::\d{1,2})?(?:[.,]\d+)?)\s*(?P<half>[AaPp][Mm])?(?P<zone>Z|[+-]\d\d:?\d\d)?"
+)
 
 
 def text_lines(source: str, data: bytes) -> tuple[list[str], bool]:
@@ -47,13 +56,20 @@ def is_number(cell: str) -> bool:
 
 
 def is_moment(cell: str) -> bool:
-    """Whether a cell holds a time, or a day and a time, as ISO 8601 writes them."""
+    """Whether a cell holds a time of day, minutes and seconds, or a day and a time."""
     return ":" in cell and math.isfinite(_seconds(cell))
 
 
 def has_value(cell: str) -> bool:
     """Whether a cell holds anything but blanks, or what stands for no value, as `NaN`, `N/A`, `OVLD` or `---`."""
     return cell[:1].isdigit() or _NO_VALUE.fullmatch(cell.strip()) is None
+
+
+def dress(cell: str) -> tuple[str, str]:
+    """What stands before a cell's number, a name, and what behind it, a unit, as in `p: 12.5 kPa`; "" for nothing."""
+    found = None if cell[:1].isdigit() and cell[-1:].isdigit() else _DRESSED.fullmatch(cell)
+    label, unit = ("", "") if found is None else (found["label"] or "", found["unit"] or "")
+    return (label, unit) if not unit or any(unit_named(unit, quantity) for quantity in MEASURED) else ("", "")
 
 
 def decimal_sign(rows: Sequence[Row], separator: str) -> tuple[str, bool]:
@@ -93,9 +109,23 @@ def number(cell: str, decimal: str) -> float:
 
 
 def _seconds(cell: str) -> float:
-    """Seconds since 1970 of a moment, or since midnight without a day; infinite where it is none."""
+    """Seconds since 1970 of a moment, or since midnight without a day; infinite where it is none.
+
+    Days stand as 2024-05-01, 2024/5/1 or 1.5.2024; that of 5/1/2024, which may be in May or in January, is left out.
+    """
+    found = _MOMENT.fullmatch(cell.strip())
+    if found is None:
+        return math.inf
+    first, middle, last = found["a"] or "", found["b"], found["c"]
+    day = (first, middle, last) if len(first) == 4 else (last, middle, first)
+    year, month, date = map(int, day) if len(first) == 4 or found["sign"] == "." else (1970, 1, 1)
+    year += 2000 * (year < 100)
+    clock = [float(part) for part in found["clock"].replace(",", ".").split(":")]
+    hour, minute, second = clock if len(clock) == 3 else (*clock, 0.0) if first else (0.0, *clock)
+    if found["half"]:
+        hour = hour % 12 + 12 * (found["half"][0] in "Pp")
     try:
-        moment = datetime.fromisoformat(cell.strip() if "-" in cell[:8] else f"1970-01-01 {cell.strip()}")
+        start = datetime.fromisoformat(f"{year:04}-{month:02}-{date:02}T00:00{found['zone'] or 'Z'}")
     except ValueError:
         return math.inf
-    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    return start.timestamp() + 3600 * hour + 60 * minute + second

@@ -1,17 +1,21 @@
 """Which column of a file holds what, and in which unit: told from its header, or said by a person."""
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from torcharm.characterise.cells import number
 from torcharm.characterise.delimited import Sheet
 from torcharm.characterise.headers import Header, base, candidates, header_of, named_units, plain
 from torcharm.inputs import check_choice, shown
-from torcharm.units import MEASURED, PRESSURE, is_absolute, unit_named
+from torcharm.units import MEASURED, PRESSURE, TIME, is_absolute, unit_named
 
 Columns = str | Mapping[str, str | int]
 """`"time=Time:s, force=4"` or `{"time": "Time:s", "force": 4}`: names or numbers from 1, perhaps with a unit."""
 
+EPOCH = (1e9, 2.5e9)
+"""Seconds since 1970 of the years 2001 to 2049: no run is as long, so that such times name their own unit."""
 _OPTION = re.compile(r"(?:^|,)\s*([A-Za-z_]+)\s*=")
 _ABSOLUTE = re.compile(r"(?<![a-z])abs(?![a-z])|absolut")
 _COMPRESSIVE = re.compile(r"compressi|stauchung|druckkraft")
@@ -152,6 +156,7 @@ def _column(sheet: Sheet, header: Header, quantity: str, choice: Choice, default
             f"columns: {quantity}: must be left without a unit or be in {named[0]}, which {sheet.source} names in line "
             f"{header.line}, {header.shown}, got {said}"
         )
+    default = (quantity == "time" and _epoch_unit(sheet, index)) or default
     unit, unknown = said or "".join(named), "" if named else "".join(header.units[index][:1])
     if not unit and (unknown or not default):
         raise ValueError(
@@ -172,6 +177,14 @@ def _column(sheet: Sheet, header: Header, quantity: str, choice: Choice, default
         sure=compressive or lengthening or quantity in ("contraction", "length"),
         absolute=quantity == "pressure" and absolute,
     )
+
+
+def _epoch_unit(sheet: Sheet, index: int) -> str:
+    """The unit of times that count from 1970, which their size tells; "" of others."""
+    cells = (row[index] for row in sheet.rows if len(row) > index)
+    first = next(filter(math.isfinite, (number(cell, sheet.decimal) for cell in cells)), 0.0)
+    seconds = {unit: first * TIME[unit] / TIME["s"] for unit in ("s", "ms", "µs", "ns")}
+    return next((unit for unit, since in seconds.items() if EPOCH[0] <= since <= EPOCH[1]), "")
 
 
 def _allowed(quantity: str) -> str:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from torcharm.characterise.cells import NUMBER, Row, decimal_sign, has_value, is_number, number, text_lines
+from torcharm.characterise.cells import NUMBER, Row, decimal_sign, dress, has_value, is_number, number, text_lines
 from torcharm.files import StrPath, read_file, without_collection
 
 Array = NDArray[np.float64]
@@ -49,6 +49,7 @@ class Sheet:
         places: the number of each row's line, counted from 1.
         width: cells of a line of numbers.
         numeric: of each of these, whether it mostly holds numbers.
+        dress: of each, what stands before and behind most of its numbers, as in `p: 12.5 kPa`; "" for nothing.
         decimal: the decimal sign, "." or ",".
         sure: whether numbers tell it; not so where each comma may stand between thousands.
         closing: the first line behind the numbers that is none; "" without one.
@@ -61,6 +62,7 @@ class Sheet:
     places: list[int]
     width: int
     numeric: tuple[bool, ...]
+    dress: tuple[tuple[str, str], ...]
     decimal: str
     sure: bool = True
     closing: str = ""
@@ -87,6 +89,8 @@ def read_sheet(path: StrPath, *, truncated: bool = False) -> Sheet:
     separator = max(SEPARATORS, key=lambda one: sum(map(_worth, _split(sample, one))))
     sampled = [row for row in _split(sample, separator) if _worth(row) > 0]
     width = Counter(map(len, sampled)).most_common(1)[0][0] if sampled else 0
+    own = tuple(_dress([row[c] for row in sampled if len(row) >= width]) for c in range(width))
+    sampled = _undressed(sampled, own)
     numeric = tuple(_is_numeric([row[c] for row in sampled if len(row) >= width]) for c in range(width))
     if sum(numeric) < 2:
         first = next(n for n, line in enumerate(lines, 1) if line.strip())
@@ -94,8 +98,8 @@ def read_sheet(path: StrPath, *, truncated: bool = False) -> Sheet:
             f"{source}: line {first}: must be followed by lines of two or more numbers each, got "
             f"{short(lines[first - 1])} and none"
         )
-    pairs = [(n, row) for n, row in enumerate(_split(lines, separator), 1) if any(row)]
-    sheet = Sheet(source, (), [], [], width, numeric, *decimal_sign(sampled, separator))
+    pairs = [(n, row) for n, row in enumerate(_undressed(_split(lines, separator), own), 1) if any(row)]
+    sheet = Sheet(source, (), [], [], width, numeric, own, *decimal_sign(sampled, separator))
     first, last = _extent([row for _, row in pairs], sheet)
     sheet = replace(
         sheet,
@@ -211,7 +215,7 @@ def _split(lines: Sequence[str], separator: str) -> list[Row]:
 
 def _worth(row: Row) -> int:
     """How well a separator splits a line: numbers count, words cost; a line of a single number is none."""
-    count = sum(map(is_number, row))
+    count = sum(1 for cell in row if is_number(cell) or any(dress(cell)))
     return 0 if count < 2 else max(1, 2 * count - sum(1 for cell in row if cell.strip()))
 
 
@@ -219,6 +223,23 @@ def _is_numeric(column: Row) -> bool:
     """Whether more than half of the cells that have a value hold numbers."""
     filled = [cell for cell in column if has_value(cell)]
     return 2 * sum(map(is_number, filled)) > len(filled)
+
+
+def _dress(column: Row) -> tuple[str, str]:
+    """What stands before and behind the numbers of more than half of the cells that have a value."""
+    filled = [cell for cell in column if has_value(cell)]
+    own, times = Counter(map(dress, filled)).most_common(1)[0] if filled else (("", ""), 0)
+    return own if 2 * times > len(filled) else ("", "")
+
+
+def _undressed(rows: list[Row], dresses: Sequence[tuple[str, str]]) -> list[Row]:
+    """The rows, numbers without what stands before and behind them."""
+    for place, (label, unit) in enumerate(dresses):
+        for row in rows if label or unit else ():
+            if len(row) > place and row[place].startswith(label) and row[place].endswith(unit):
+                bare = row[place].removeprefix(label).removesuffix(unit)
+                row[place] = bare if is_number(bare) else row[place]
+    return rows
 
 
 def _extent(rows: Sequence[Row], sheet: Sheet) -> tuple[int, int]:

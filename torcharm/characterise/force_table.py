@@ -21,6 +21,8 @@ from torcharm.units import PRESSURE, unit_named
 
 _HEAD = re.compile(r"\s*([-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*[(\[]?\s*([^\d\s()\[\]]*[^()\[\]]*?)\s*[)\]]?\s*")
 """`2`, `2 bar`, `2 [bar]`."""
+_INSIDE = re.compile(r"(?<!\d_)([-+]?(?<![\d.,])\d[\d.,]*)\s*([^\W\d_]+)")
+"""A number and its unit among words, as in `force at 2 bar [N]`."""
 
 
 def read_table(
@@ -66,11 +68,11 @@ def read_table(
     pressure, taken_off = gauge_pressure(pressure, sheet.source, pressures)
     strain = strains_of(sheet, stretch, gauge_length, strain)
     signs = known_signs(forces, stretch, positive, "pull" if quantity == "contraction" else "push")
-    force, words = settled(signs, strain, pressure, force, sheet.source)
+    strain, force, words = settled(signs, strain, pressure, force, sheet.source)
     guessed = () if stretch.named else (f"names no unit of {quantity}: read as parts of 1",)
     said = noted(sheet.source, (*notes, *left_out, *guessed, *forces.notes, *taken_off))
     run, name = np.zeros(len(force), np.int64), Path(sheet.source).name
-    return Recording(strain, pressure, force, run, (name,), (("positive forces", words), *said))
+    return Recording(strain, pressure, force, run, (name,), (*words, *said))
 
 
 def _long(sheet: Sheet, said: Mapping[str, Choice]) -> tuple[Sheet, tuple[str, ...]]:
@@ -79,7 +81,7 @@ def _long(sheet: Sheet, said: Mapping[str, Choice]) -> tuple[Sheet, tuple[str, .
     A table that is one already stays what it is. Notes say what was left out and assumed.
     """
     line, heading = sheet.above[-1] if sheet.above else (0, [])
-    heads = [_HEAD.fullmatch(cell) for cell in (heading + [""] * sheet.width)[1 : sheet.width]]
+    heads = [_head(cell) for cell in (heading + [""] * sheet.width)[1 : sheet.width]]
     if "force" in said or not all(heads):
         return sheet, ()
     units = {head[2] for head in heads if head and head[2]}
@@ -100,8 +102,8 @@ def _long(sheet: Sheet, said: Mapping[str, Choice]) -> tuple[Sheet, tuple[str, .
     lacking = len(places) * len(across) - len(cells)
     notes = (*notes, *([f"{lacking} cell{'s' * (lacking > 1)} without a value left out"] if lacking else []))
     titles = [cell for _, row in sheet.above[:-1] for cell in row]
-    texts = [a or b for cell in (*titles, heading[0]) for a, b in BRACKETS.findall(cell)]
-    of_force = next((text for text in texts if unit_named(text, "force")), "")
+    texts = [a or b for cell in (*titles, *heading) for a, b in BRACKETS.findall(cell)]
+    of_force = next((text for text in (*texts, sheet.dress[1][1]) if unit_named(text, "force")), "")
     names = [*_names(sheet, said, "".join(units)), f"force [{of_force or 'N'}]"]
     long = replace(
         sheet,
@@ -110,11 +112,18 @@ def _long(sheet: Sheet, said: Mapping[str, Choice]) -> tuple[Sheet, tuple[str, .
         places=[place for place, _ in cells],
         width=3,
         numeric=(True,) * 3,
+        dress=(("", ""),) * 3,
         decimal=".",
         sure=True,
         cut=False,
     )
     return long, (*notes, *([] if of_force else ["names no unit of forces: read in N"]))
+
+
+def _head(cell: str) -> re.Match[str] | None:
+    """The number and the unit of a column's pressure or strain; a pressure may stand among words, once."""
+    inside = [found for found in _INSIDE.finditer(cell) if unit_named(found[2], "pressure")]
+    return _HEAD.fullmatch(cell) or (inside[0] if len(inside) == 1 else None)
 
 
 def _names(sheet: Sheet, said: Mapping[str, Choice], unit: str) -> Row:
@@ -131,4 +140,5 @@ def _names(sheet: Sheet, said: Mapping[str, Choice], unit: str) -> Row:
             f'--columns says it, as in "contraction={2 if lead else 1}:%"'
         )
     across = corner[other:] or (told["2"] if lead == "pressure" else "pressure")
-    return [corner[:other], f"{BRACKETS.sub('', across)} [{unit}]" if unit else across]
+    lines = f"{corner[:other]} [{sheet.dress[0][1].strip()}]" if sheet.dress[0][1] else corner[:other]
+    return [lines, f"{BRACKETS.sub('', across)} [{unit}]" if unit else across]

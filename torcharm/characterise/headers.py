@@ -43,7 +43,7 @@ class Header:
     Attributes:
         line: of the names.
         names: of each column; "" where there is none.
-        units: of each column, the texts in the row of units and in brackets; seconds alone for moments.
+        units: of each column, the texts behind numbers, in the row of units and in brackets; of moments seconds alone.
     """
 
     line: int
@@ -68,12 +68,13 @@ def header_of(sheet: Sheet) -> Header:
     names: Row = []
     if rows and sum(1 for cell in rows[0][1] if cell.strip() and not is_number(cell)) > 1:
         line, names = rows[0][0], _without_comment(rows[0][1], sheet.width)
-    blank = [""] * sheet.width
+    names, blank = names or [label.strip(" :=\t") for label, _ in sheet.dress], [""] * sheet.width
     named, below = (tuple(map(_joined, (row + blank)[: sheet.width])) for row in (names, units))
     texts = []
     for index, name in enumerate(named):
         first = [row[index] for row in sheet.rows[:20] if len(row) > index and has_value(row[index])]
-        found = (below[index].strip("()[] "), *((a or b).strip() for a, b in BRACKETS.findall(name)))
+        inside = [(a or b).strip() for a, b in BRACKETS.findall(name)]
+        found = (sheet.dress[index][1].strip(), below[index].strip("()[] "), *inside)
         texts.append(("s",) if any(map(is_moment, first)) else tuple(filter(None, found)))
     return Header(line, named, tuple(texts))
 

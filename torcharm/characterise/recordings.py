@@ -7,21 +7,23 @@ and whatever was left out, averaged or assumed is told in the record's notes.
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
+from torcharm.characterise.cells import number
 from torcharm.characterise.columns import Column, Columns, choices, find_columns
 from torcharm.characterise.delimited import Sheet, numbers, read_sheet
 from torcharm.characterise.headers import header_of
 from torcharm.characterise.signs import OTHER, Signs, known_signs
-from torcharm.characterise.stretch import strains_of, stretch_quantity
+from torcharm.characterise.stretch import STRETCHES, strains_of, stretch_quantity
 from torcharm.files import StrPath
 from torcharm.inputs import check_choice
-from torcharm.units import PRESSURE
+from torcharm.units import LENGTH, PRESSURE
 
 Array = NDArray[np.float64]
 if TYPE_CHECKING:
@@ -35,6 +37,8 @@ BACKWARD_STEPS = 3.0
 """By how many usual steps a clock may go back and still be averaged; beyond, samples are out of order."""
 MOST_BACKWARD = 0.05
 """Of all samples, how many may do so; three always may."""
+MOST_ROWS = 2000
+"""Of a file, evenly spread, tell as much of its columns as all."""
 SURROUNDINGS = 101.325
 """The standard atmosphere [kPa], which is taken off absolute pressures."""
 PSI_LOG = ("Time", "Pressure")
@@ -52,6 +56,8 @@ class TesterRecord:
         source: the file.
         notes: what was left out, averaged or assumed.
         signs: of the file's forces and strains, and how they are known.
+        gauge_length: [m] that strains were read by; None: they are the file's own.
+        beside: what columns of the file tell of strain, extension [m] and pressure [kPa], whether read or not.
     """
 
     time: Float[Floats, " n"]
@@ -60,6 +66,8 @@ class TesterRecord:
     source: str
     notes: tuple[str, ...] = ()
     signs: Signs = Signs()  # noqa: RUF009
+    gauge_length: float | None = None
+    beside: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +130,8 @@ def read_tester(
     strain = strains_of(sheet, found[stretch], gauge_length, table[stretch])
     signs = known_signs(found["force"], found[stretch], positive, "pull")
     tension = 1.0 if signs.positive == "pull" else -1.0
-    return TesterRecord(table["time"], strain, tension * table["force"], sheet.source, notes, signs)
+    force, beside = tension * table["force"], _beside(sheet, columns)
+    return TesterRecord(table["time"], strain, force, sheet.source, notes, signs, gauge_length, beside)
 
 
 def read_pressure(
@@ -183,6 +192,19 @@ def gauge_pressure(pressure: Array, source: str, column: Column) -> tuple[Array,
     note = f"pressures are absolute: {SURROUNDINGS:g} kPa of the surroundings taken off, assumed"
     warnings.warn(f"{source}: {note}", stacklevel=3)
     return pressure - SURROUNDINGS, (note,)
+
+
+def _beside(sheet: Sheet, columns: Columns | None) -> dict[str, Array]:
+    """Strains, extensions [m] and pressures [kPa] that a header names, of some lines; no stretch if a person does."""
+    rows = [row for row in sheet.rows[:: 1 + len(sheet.rows) // MOST_ROWS] if len(row) >= sheet.width]
+    found = {}
+    for quantity in ("pressure",) if set(STRETCHES) & set(choices(columns)) else ("strain", "extension", "pressure"):
+        with suppress(ValueError):  # none that is one without doubt
+            own = find_columns(sheet, (quantity,), None)[quantity]
+            values = own.factor * np.array([number(row[own.index], sheet.decimal) for row in rows])
+            if (own.unit in LENGTH) == (quantity == "extension"):
+                found[quantity] = values - SURROUNDINGS * own.absolute
+    return found
 
 
 def _in_time(sheet: Sheet, columns: Mapping[str, Column]) -> tuple[dict[str, Array], tuple[str, ...]]:

@@ -83,10 +83,13 @@ def known_signs(force: Column, stretch: Column, positive: str | None, usual: str
     return Signs(positive or "push", SAID if positive else NAMED, stretch.sure)
 
 
-def settled(signs: Signs, strain: Array, pressure: Array, force: Array, source: str) -> tuple[Array, str]:
-    """Forces, positive where they push, and how their sense is known, for the record.
+def settled(
+    signs: Signs, strain: Array, pressure: Array, force: Array, source: str
+) -> tuple[Array, Array, tuple[tuple[str, str], ...]]:
+    """Strains, positive where longer; forces, positive where they push; and how both are known, for the record.
 
-    What nobody says and no name tells is what samples tell (see `positive_forces`), or else assumed.
+    What nobody says and no name tells is what samples tell (see `positive_forces`), or else assumed. Strains that no
+    name tells the sense of count shortening where forces, whose sense is said or named, tell so.
 
     Args:
         signs: what is known.
@@ -98,22 +101,28 @@ def settled(signs: Signs, strain: Array, pressure: Array, force: Array, source: 
     """
     told, way = positive_forces(strain, pressure, force), signs.positive
     words = f"{way}, {signs.known}"
+    sure = signs.longer or strain.min() < -LEAST_STRAIN
+    shorter = not sure and signs.known != ASSUMED and told == OTHER[way]
     if signs.known == ASSUMED:
-        sure = signs.longer or strain.min() < -LEAST_STRAIN
         if not sure and told == "push" and force.mean() > 0:
             raise ValueError(
                 f"{source}: must be told what it is of, as strains are above 0 and forces fall with them: a muscle "
-                "that contracts and pulls (--columns names the contraction: contraction=1), or a bellows that extends "
-                "and pushes (--positive push)"
+                "that contracts and pulls (--positive pull), or a bellows that extends and pushes (--positive push)"
             )
         way = told or way
         why = "as what is stretched pulls back" if told else ASSUMED
         words = f"{way}, {why} (--positive {OTHER[way]} takes them the other way)"
-    elif told == OTHER[way]:
+    elif told == OTHER[way] and not shorter:
         less = "pulls less the more it is stretched" if way == "pull" else "pushes less the more it is squeezed"
         warnings.warn(
             f"{source}: positive forces {way}, {signs.known}, but then it {less}: is the sign of forces, or that of "
             "strains, another? --columns names strains that count shortening: contraction=1",
             stacklevel=4,
         )
-    return (-force if way == "pull" else force) + 0.0, words  # 0 is added to turn -0.0 into 0
+    strains = "shorter, as forces fall with them" if shorter else "longer, assumed"
+    # 0 is added to turn -0.0 into 0.
+    return (
+        (-strain if shorter else strain) + 0.0,
+        (-force if way == "pull" else force) + 0.0,
+        (("positive forces", words), *(() if sure else (("positive strains", strains),))),
+    )

@@ -156,7 +156,7 @@ def fit(
     if table is not None:
         from torcharm.characterise.force_table import read_table
 
-        recording = read_table(table, unit, **layout)
+        found, recording = [], read_table(table, unit, **layout)
     else:
         layout |= {"truncated": truncated}
         of_logs = {"unit": unit, "columns": pressure_columns if logs else columns, "truncated": truncated}
@@ -166,7 +166,7 @@ def fit(
     recording = by_depth(recording) if vacuum else recording
     how = {"loss": loss, "monotonic": monotonic, "max_pressure": max_pressure, "bending_stiffness": bending}
     compared, fitted = _fitted(recording, model or ("best" if table else "polynomial"), degree, how)
-    warn_of_doubts(fitted, recording)
+    warn_of_doubts(fitted, recording, found)
     report(fitted, recording, compared)
     outputs.save(_outputs(fitted, recording, out, figure))
     _paste(out)
