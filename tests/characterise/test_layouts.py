@@ -89,6 +89,43 @@ def test_one_file_with_a_header(fit):
     assert_found(fit("--tester", "tester.txt", *FIT, tester=text))
 
 
+def hint(said):
+    """The columns that a message says to paste."""
+    return re.search(r'--columns[^"]*"([^"]+)"', said)[1]
+
+
+@pytest.mark.parametrize(
+    ("header", "factors"),
+    [
+        ("t,eps,F,p", (1e-3, 1, 1, 1)),
+        ("time,strain,force,pressure", (1, 100, 1, 0.01)),
+        ("Time (s),Strain (%),Force (N),Channel 4", (1e-3, 100, 1, 1)),
+        ("a,b,c,d", (1e-3, 80, 1, 1)),
+        ("", (1, 80, 1, 1)),
+    ],
+)
+def test_what_is_pasted_fits_the_file(fit, header, factors):
+    columns = [layouts.TIME, layouts.STRAIN, layouts.PULL, layouts.pressure_at(layouts.TIME)]
+    order, more = ((0, 2, 1, 3), ["--gauge-length", "80 mm"]) if header in ("", "a,b,c,d") else ((0, 1, 2, 3), [])
+    columns = [factor * own for factor, own in zip(factors, columns, strict=True)]
+    rows = layouts.lines(*(columns[k] for k in order), formats=["{:.9f}"] * 4)
+    text, said = layouts.text([header] if header else [], rows), ""
+    for options in ((), *[("--columns",)] * 3):
+        pasted = [hint(said)] if options else []
+        found = fit("--tester", "tester.txt", *FIT, *more, *options, *pasted, tester=text)
+        if not isinstance(found, str):
+            break
+        said = found
+    assert_found(found)
+
+
+def test_a_sensors_reading_is_no_force(fit):
+    text = layouts.REFERENCE.replace("(N)", "(mV)")
+    said = fit(*RUN, tester=text, log=layouts.REFERENCE_LOG)
+    assert "must hold forces, got a sensor's reading in mV: convert it in the file" in said
+    assert "--columns" not in said
+
+
 def test_notes_say_what_was_left_out_averaged_and_assumed(fit):
     model, shown = fit(
         *RUN, tester=layouts.TESTERS["words in three lines"][0], log=layouts.LOGS["two samples in one line"][0]
@@ -265,7 +302,7 @@ def test_what_may_contract_or_extend_is_asked_about(fit, name, more):
         (("%", ""), r"table.txt: strains must be above -1, .* from contraction .* --columns .*\"contraction=1:%\""),
         (
             (" bar", ""),
-            r"table.txt: line 1: the unit of pressure must be one of .*\"pressure=2:kPa\", or --unit",
+            r"table.txt: line 1: the unit of pressure must be one of .*\"pressure=2:bar\", or --unit",
         ),
         (("contraction", "wear"), r"table.txt: line 1: must begin with what the first column holds, .*'wear \[%\]'"),
         (("\n5;", "\n5;x"), r"table.txt: line 3: must be 8 cells with finite numbers .*"),

@@ -65,7 +65,7 @@ def test_pressure_units(tmp_path, unit, factor):
     ("head", "got"), [("time_s,pressure\n", "got none in 'time_s,pressure'"), ("", "got none in no header")]
 )
 def test_pressures_of_no_unit_are_refused_but_in_the_papers_layout(tmp_path, head, got):
-    with pytest.raises(ValueError, match=rf"the unit of pressure must be one of kPa, .*{got}; .*=2:kPa\", or --unit"):
+    with pytest.raises(ValueError, match=rf"the unit of pressure must be one of kPa, .*{got}; .*=2:bar\", or --unit"):
         ta.read_pressure(log(tmp_path, head=head))
     np.testing.assert_array_equal(ta.read_pressure(log(tmp_path, head=head), "kPa").pressure, [0, 3, 5, 5.5])
 

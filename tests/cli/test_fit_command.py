@@ -52,6 +52,17 @@ def fit(runs, *more):
     return result
 
 
+def test_pressures_of_the_tester_that_are_not_the_logs_are_told(runs, tmp_path):
+    csv, log = runs[:2]
+    rows = csv.read_text().splitlines()
+    other = [f'{row},"{0.01 * i}"' for i, row in enumerate(rows[2:])]
+    both = tmp_path / "both.csv"
+    both.write_text("\n".join([f"{rows[0]},Pressure", f"{rows[1]},(kPa)", *other, ""]))
+    said = "its own pressures reach 24.99 kPa, those of"
+    assert said in " ".join(fit([both, log], "--out", tmp_path / "m.toml").output.split())
+    assert said not in " ".join(fit([csv, log], "--out", tmp_path / "m.toml").output.split())
+
+
 def test_a_fit_from_files_to_file(runs, tmp_path):
     out, figure = tmp_path / "bellows.toml", tmp_path / "fit.png"
     result = fit(runs, "--out", out, "--figure", figure, "--max-pressure", 50)

@@ -5,15 +5,22 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from torcharm.characterise.cells import number
-from torcharm.characterise.delimited import Sheet
-from torcharm.characterise.headers import Header, base, candidates, header_of, named_units, plain
+from torcharm.characterise.delimited import Sheet, values_of
+from torcharm.characterise.headers import STRESS, Header, base, candidates, header_of, named_units, plain
 from torcharm.inputs import check_choice, shown
 from torcharm.units import MEASURED, PRESSURE, TIME, is_absolute, unit_named
 
 Columns = str | Mapping[str, str | int]
 """`"time=Time:s, force=4"` or `{"time": "Time:s", "force": 4}`: names or numbers from 1, perhaps with a unit."""
 
+_ELECTRICAL = re.compile(r"[mµ]?v(?:olts?|dc)?|mv/v|m?a|counts?|adc|digits?|ticks|raw", re.IGNORECASE)
+"""What sensors give, and no unit of what they measure."""
+_LIKELY = {"time": (2.0, "s", "ms"), "pressure": (12.0, "bar", "kPa"), "force": (math.inf, "N", "")}
+_LIKELY |= {"strain": (1.0, "mm/mm", "%"), "contraction": (1.0, "mm/mm", "%")}
+"""The units that examples in messages name: the first up to so large a number, or step of times; of lengths mm."""
 EPOCH = (1e9, 2.5e9)
 """Seconds since 1970 of the years 2001 to 2049: no run is as long, so that such times name their own unit."""
 _OPTION = re.compile(r"(?:^|,)\s*([A-Za-z_]+)\s*=")
@@ -95,7 +102,11 @@ def find_columns(
         )
     found: dict[str, Column] = {}
     for quantity in quantities:
-        own = _column(sheet, header, quantity, said.get(quantity, Choice()), (defaults or {}).get(quantity, ""))
+        try:
+            own = _column(sheet, header, quantity, said.get(quantity, Choice()), (defaults or {}).get(quantity, ""))
+        except _UnclearError as error:
+            hint, of_unit = example(sheet, quantities, columns, defaults or {}), "unit of pressure" in str(error)
+            raise ValueError(f'{error}; --columns says it, as in "{hint}"{", or --unit" * of_unit}') from None
         other = next((name for name, column in found.items() if column.index == own.index), None)
         if other:
             raise ValueError(
@@ -145,7 +156,7 @@ def _choice(quantity: str, text: str) -> Choice:
 
 
 def _column(sheet: Sheet, header: Header, quantity: str, choice: Choice, default: str) -> Column:
-    where, example = f"{sheet.source}: line {header.line}", next(iter(MEASURED[quantity]))
+    where = f"{sheet.source}: line {header.line}"
     index = _chosen(sheet, header, quantity, choice.column) if choice.column else _only(sheet, header, quantity)
     named = named_units(header, index, quantity)
     if len(named) > 1:
@@ -159,10 +170,13 @@ def _column(sheet: Sheet, header: Header, quantity: str, choice: Choice, default
     default = (quantity == "time" and _epoch_unit(sheet, index)) or default
     unit, unknown = said or "".join(named), "" if named else "".join(header.units[index][:1])
     if not unit and (unknown or not default):
-        raise ValueError(
-            f"{where}: {_allowed(quantity)}, got {repr(unknown) if unknown else 'none'} in {header.shown}; --columns "
-            f'says it, as in "{quantity}={index + 1}:{example}"{", or --unit" * (quantity == "pressure")}'
-        )
+        if _ELECTRICAL.fullmatch(unknown):
+            raise ValueError(
+                f"{where}: column {index + 1}, {header.names[index]!r}, must hold {quantity}s, got a sensor's reading "
+                f"in {unknown}: convert it in the file"
+            )
+        got = repr(unknown) if unknown else "none"
+        raise _UnclearError(f"{where}: {_allowed(quantity)}, got {got} in {header.shown}")
     name = header.names[index].lower()
     words = [*header.units[index], *re.split(r"[_,;/\s]", name)]
     absolute = bool(_ABSOLUTE.search(name)) or any(map(is_absolute, words)) or choice.absolute
@@ -214,8 +228,37 @@ def _only(sheet: Sheet, header: Header, quantity: str) -> int:
     found = candidates(sheet, header, quantity)
     if len(found) != 1:
         which = " and ".join(repr(header.names[i]) for i in found) or f"none in {header.shown}"
-        raise ValueError(
+        raise _UnclearError(
             f"{sheet.source}: line {header.line}: must name one column of {quantity}, whose cells are numbers, got "
-            f'{which}; --columns says which by name or number, as in "{quantity}=1:{next(iter(MEASURED[quantity]))}"'
+            f"{which}"
         )
     return found[0]
+
+
+class _UnclearError(ValueError):
+    """What a file leaves open, and a person may tell."""
+
+
+def example(sheet: Sheet, quantities: Sequence[str], columns: Columns | None, defaults: Mapping[str, str]) -> str:
+    """What a person may say of columns to have all of these quantities: what is said, and what else is lacking.
+
+    That is a column, where the header does not name one, and a likely unit, where nothing tells it.
+    """
+    header, said, found = header_of(sheet), choices(columns), dict[int, str]()
+    for quantity in {**said, **dict.fromkeys(quantities)}:
+        own, known = said.get(quantity, Choice()), candidates(sheet, header, quantity)
+        others = {i for q in MEASURED if q not in (quantity, *said) for i in candidates(sheet, header, q)}
+        others |= {i for i, name in enumerate(header.names) if re.search(STRESS, base(name))} | set(found)
+        free = [i for i in range(sheet.width) if sheet.numeric[i] and i not in others]
+        index = _chosen(sheet, header, quantity, own.column) if own.column else next(iter([*known, *free]), None)
+        if index is None:
+            return f"{quantity}=?"
+        unit = f"{own.unit}{' abs' * own.absolute}" if own.unit else ""
+        if not unit and not named_units(header, index, quantity) and quantity not in defaults:
+            values = values_of([row[index] for row in sheet.rows if len(row) > index], sheet.decimal)
+            size = np.nanmedian(np.diff(values)) if quantity == "time" else np.nanmax(np.abs(values))
+            most, small, large = _LIKELY.get(quantity, (math.inf, "mm", ""))
+            unit = "?" if header.units[index] else large if size > most else small
+        if unit or own.column or len(known) != 1:
+            found[index] = f"{quantity}={index + 1}{f':{unit}' if unit else ''}"
+    return ",".join(found.values())

@@ -141,7 +141,7 @@ def numbers(sheet: Sheet, columns: Sequence[int], *, sparse: bool = False) -> tu
             f"{sheet.source}: line {sheet.places[-1]}: is the last line, must be followed by whole lines of numbers"
         )
     whole = [row if _is_whole(row, sheet.width) else [LACKING] * sheet.width for row in rows]
-    table = np.stack([_values([row[k] for row in whole], sheet.decimal) for k in columns], -1)
+    table = np.stack([values_of([row[k] for row in whole], sheet.decimal) for k in columns], -1)
     words = np.zeros(len(rows), bool)
     words[[k for k in np.flatnonzero(np.isinf(table).any(-1)) if _is_words(rows[k], alone=True)]] = True
     void = words | (np.isnan(table).any(-1) & (not sparse) & ~np.isinf(table).any(-1))
@@ -156,7 +156,7 @@ def numbers(sheet: Sheet, columns: Sequence[int], *, sparse: bool = False) -> tu
     return table[~bad & ~void], places[~bad & ~void].tolist(), (*said, *left_out)
 
 
-def _values(cells: Row, decimal: str) -> Array:
+def values_of(cells: Row, decimal: str) -> Array:
     """The numbers (n) of a column, as of `cells.number`."""
     if decimal == "." or not any("." in cell for cell in cells):
         try:

@@ -58,7 +58,7 @@ def read_table(
         if value is not None:
             check_choice(name, value, allowed)
     sheet, notes = _long(read_sheet(path), choices(columns))
-    quantity = stretch_quantity(sheet, columns, gauge_length)
+    quantity = stretch_quantity(sheet, columns, gauge_length, ("pressure", "force"))
     defaults = {"strain": "mm/mm", "contraction": "mm/mm"} | ({} if unit is None else {"pressure": unit})
     found = find_columns(sheet, (quantity, "pressure", "force"), columns, defaults)
     stretch, pressures, forces = found.values()

@@ -21,7 +21,7 @@ _SYMBOLS = {"time": ("t",), "strain": ("ε", "eps", "epsilon"), "force": ("f",),
 """What they are called alone."""
 _SET_POINT = re.compile(r"set ?point|target|command|demand|desired|reference|\bref\b|\bset\b|\bsp\b|soll")
 """What was asked for is no measurement."""
-_STRESS = r"stress|spannung|modul"
+STRESS = r"stress|spannung|modul"
 """What testers give in units of pressure, and is none."""
 _TOLD_BY_UNIT = ("time", "force", "pressure")
 """Quantities whose units are those of nothing else that a bench records."""
@@ -91,7 +91,7 @@ def candidates(sheet: Sheet, header: Header, quantity: str) -> list[int]:
         found = [i for i in found if not any(unit in LENGTH for unit in named_units(header, i, quantity))] or found
     if found or quantity not in _TOLD_BY_UNIT:
         return found
-    others = "|".join([_STRESS, *(pattern for other, pattern in NAMES.items() if other != quantity)])
+    others = "|".join([STRESS, *(pattern for other, pattern in NAMES.items() if other != quantity)])
     return [i for i in own if named_units(header, i, quantity) and not re.search(others, own[i])]
 
 

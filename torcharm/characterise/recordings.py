@@ -15,9 +15,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from torcharm.characterise.cells import number
 from torcharm.characterise.columns import Column, Columns, choices, find_columns
-from torcharm.characterise.delimited import Sheet, numbers, read_sheet
+from torcharm.characterise.delimited import Sheet, numbers, read_sheet, values_of
 from torcharm.characterise.headers import header_of
 from torcharm.characterise.signs import OTHER, Signs, known_signs
 from torcharm.characterise.stretch import STRETCHES, strains_of, stretch_quantity
@@ -37,8 +36,6 @@ BACKWARD_STEPS = 3.0
 """By how many usual steps a clock may go back and still be averaged; beyond, samples are out of order."""
 MOST_BACKWARD = 0.05
 """Of all samples, how many may do so; three always may."""
-MOST_ROWS = 2000
-"""Of a file, evenly spread, tell as much of its columns as all."""
 SURROUNDINGS = 101.325
 """The standard atmosphere [kPa], which is taken off absolute pressures."""
 PSI_LOG = ("Time", "Pressure")
@@ -124,7 +121,7 @@ def read_tester(
     if positive is not None:
         check_choice("positive", positive, OTHER)
     sheet = read_sheet(path, truncated=truncated)
-    stretch = stretch_quantity(sheet, columns, gauge_length)
+    stretch = stretch_quantity(sheet, columns, gauge_length, ("time", "force"))
     found = find_columns(sheet, ("time", "force", stretch), columns)
     table, notes = _in_time(sheet, found)
     strain = strains_of(sheet, found[stretch], gauge_length, table[stretch])
@@ -195,13 +192,13 @@ def gauge_pressure(pressure: Array, source: str, column: Column) -> tuple[Array,
 
 
 def _beside(sheet: Sheet, columns: Columns | None) -> dict[str, Array]:
-    """Strains, extensions [m] and pressures [kPa] that a header names, of some lines; no stretch if a person does."""
-    rows = [row for row in sheet.rows[:: 1 + len(sheet.rows) // MOST_ROWS] if len(row) >= sheet.width]
+    """Strains, extensions [m] and pressures [kPa] that a header names, read or not; no stretch if a person does."""
+    rows = [row for row in sheet.rows if len(row) >= sheet.width]
     found = {}
     for quantity in ("pressure",) if set(STRETCHES) & set(choices(columns)) else ("strain", "extension", "pressure"):
         with suppress(ValueError):  # none that is one without doubt
             own = find_columns(sheet, (quantity,), None)[quantity]
-            values = own.factor * np.array([number(row[own.index], sheet.decimal) for row in rows])
+            values = own.factor * values_of([row[own.index] for row in rows], sheet.decimal)
             if (own.unit in LENGTH) == (quantity == "extension"):
                 found[quantity] = values - SURROUNDINGS * own.absolute
     return found

@@ -1,10 +1,11 @@
 """How far a file says that actuators are stretched: as strains, or as lengths over a gauge length."""
 
 import warnings
+from collections.abc import Sequence
 
 import numpy as np
 
-from torcharm.characterise.columns import Column, Columns, choices, has_column
+from torcharm.characterise.columns import Column, Columns, choices, example, has_column
 from torcharm.characterise.delimited import Array, Sheet
 from torcharm.characterise.headers import header_of
 from torcharm.inputs import check_number
@@ -20,8 +21,14 @@ LONGEST_GAUGE = 3.0
 """A gauge length [m] beyond which metres were hardly meant."""
 
 
-def stretch_quantity(sheet: Sheet, columns: Columns | None, gauge_length: float | None) -> str:
+def stretch_quantity(sheet: Sheet, columns: Columns | None, gauge_length: float | None, others: Sequence[str]) -> str:
     """Which of strain, contraction, extension and length a file is read by: with a gauge length, by lengths first.
+
+    Args:
+        sheet: of a file.
+        columns: what a person says of them.
+        gauge_length: of the actuators [m], if it is said.
+        others: quantities that are read, too, for the message.
 
     Raises:
         ValueError: a gauge length is no such length; two of them are named by a person, or none by the file.
@@ -42,7 +49,8 @@ def stretch_quantity(sheet: Sheet, columns: Columns | None, gauge_length: float 
         header = header_of(sheet)
         raise ValueError(
             f"{sheet.source}: line {header.line}: must name one column of strain, contraction, extension or length, "
-            f'got none in {header.shown}; --columns says which by name or number, as in "extension=2:mm"'
+            f"got none in {header.shown}; --columns says which by name or number, as in "
+            f'"{example(sheet, (*others, "extension"), columns, {})}"'
         )
     return found[0]
 
