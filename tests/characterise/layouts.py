@@ -311,6 +311,10 @@ LOGS = {
         text([f"t={row} psi" for row in lines(STAMPS, pressure_at(STAMPS) / PSI, separator=" ms; p=")]),
         [],
     ),
+    "names, numbers and units between blanks": (
+        text([f"T: {row} psi" for row in lines(STAMPS, pressure_at(STAMPS) / PSI, separator=" ms P: ")]),
+        [],
+    ),
     "minutes and seconds": (
         text("Time,Pressure (kPa)", [f"00:{row}" for row in lines(STAMPS / 1000, pressure_at(STAMPS))]),
         [],

@@ -35,6 +35,7 @@ SHOWN = 60
 """Characters of a line that messages show."""
 
 _WIDE_GAP, _LETTER = re.compile(r"\s{2,}|\t"), re.compile(r"[^\W\d_]{2}")
+_LABEL = re.compile(r"\s+(?=[^\W\d_]\w*\s*[:=]\s*[-+.\d])")
 _GLUED = re.compile(rf"(?P<name>.*?[^\d.,+-])(?P<number>{NUMBER})\"?")
 
 
@@ -206,11 +207,14 @@ def _split(lines: Sequence[str], separator: str) -> list[Row]:
         return [next(csv.reader([line], delimiter=separator, skipinitialspace=True), []) for line in lines]
     if any('"' in line for line in lines):
         lines = [line.replace('"', "") for line in lines]
-    # Names and units of several words stand further apart than words do.
-    return [
-        _WIDE_GAP.split(line.strip()) if _WIDE_GAP.search(line.strip()) and _LETTER.search(line) else line.split()
-        for line in lines
-    ]
+    return [_words(line.strip()) for line in lines]
+
+
+def _words(line: str) -> Row:
+    """Cells between blanks: before names as `p: 12.5 kPa` has one; of several words, which stand further apart."""
+    if _LABEL.search(line):
+        return _LABEL.split(line)
+    return _WIDE_GAP.split(line) if _WIDE_GAP.search(line) and _LETTER.search(line) else line.split()
 
 
 def _worth(row: Row) -> int:
