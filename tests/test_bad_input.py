@@ -197,7 +197,7 @@ CASES = {
     "ta.BendingFunction(3, 50.0)": ("function", "3"),
     # characterisation
     "ta.fit_force_model('a', [1.0], [1.0])": ("strain", "'a'"),
-    "ta.fit_force_model([1.0, None], [1.0, 2.0], [1.0, 2.0])": ("strain", "nan"),
+    "ta.fit_force_model([1.0, None], [1.0, 2.0], [1.0, 2.0])": ("strain", "[1.0, None]"),
     "ta.fit_force_model([[1.0], [2.0, 3.0]], [1.0], [1.0])": ("strain", "[[1.0], [2.0, 3.0]]"),
     "ta.fit_force_model([1.0], [1.0], [1.0], degree='three')": ("degree", "'three'"),
     "ta.fit_force_model([1.0], [1.0], [1.0], loss=None)": ("loss", "None"),

@@ -139,7 +139,7 @@ def test_cells_without_samples_are_bridged():
     [
         ({"strains": (0.1,)}, "strains: must be two or more finite numbers that increase"),
         ({"pressures": (0.0, 2.0, 1.0)}, "pressures: must be two or more finite numbers that increase"),
-        ({"forces": ((1.0, 2.0),)}, r"forces: must be 2 rows \(strains\) of 2 \(pressures\), got 1 rows of \[2\]"),
+        ({"forces": ((1.0, 2.0),)}, r"forces: must be 2 rows \(strains\) of 2 \(pressures\), got 1 rows of 2"),
         ({"forces": ((1.0, 2.0), (1.0, float("nan")))}, "forces: must be finite"),
         ({"max_pressure": 0.0}, "max_pressure: must be finite and above 0"),
     ],

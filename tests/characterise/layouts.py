@@ -229,49 +229,11 @@ TESTERS = {
     ),
     "forces in grams": (text("millis,load_g,stroke_um", lines(TIME, PULL / 9.80665e-3, 1000 * EXTENSION)),
         ["--gauge-length", "80 mm"]),
-    "a line about the file between names and units": (
-        text(["Zeit\tKraft S2M\tWeg WA100\tDruck P3", "T0 = 01.05.2021 12:00:00\tSR = 10 Hz", "s\tN\tmm\tbar"],
-             lines(TIME / 1000, PULL, EXTENSION, 0 * TIME, separator="\t", decimal=",")),
-        ["--gauge-length", "80 mm"],
-    ),
-    "a row of units with a name": (
-        text(["Channel;Time;Load (g);Strain", "Unit;min;;%"],
-             [f"{k};{row}" for k, row in enumerate(lines(TIME / 6e4, PULL / 9.80665e-3, 100 * STRAIN, separator=";",
-              formats=["{:.9f}"] * 3))]),
-        [],
-    ),
-    "an object of JSON in each line": (
-        text(["{" + row + "}" for row in lines(TIME, 100 * STRAIN, PULL, separator=", ",
-              formats=['"t_ms": {:.6f}', '"strain_pct": {:.6f}', '"force_N": {:.6f}'])]),
-        [],
-    ),
     "blanks, and forces that push": (
         text("Time[ms]  Strain[%]  Force[N]", lines(TIME, 100 * STRAIN, -PULL, separator="   ")),
         ["--positive", "push"],
     ),
 }  # fmt: skip
-
-
-def labview(names, units, columns, dimension="Time"):
-    """A measurement file of LabVIEW: two headers, the second with a cell for each channel."""
-    cells = {
-        "Samples": [f"{len(TIME)}"] * len(names),
-        "Date": ["2021/05/01"] * len(names),
-        "Time": ["12:00:00.1234567890123456789"] * len(names),
-        "Y_Unit_Label": units,
-        "X_Dimension": [dimension] * len(names),
-        "X0": ["0.0000000000000000E+0"] * len(names),
-        "Delta_X": ["0.100000"] * len(names),
-    }
-    return text(
-        ["LabVIEW Measurement\t", "Writer_Version\t2", "Reader_Version\t2", "Separator\tTab", "Decimal_Separator\t.",
-         "Multi_Headings\tNo", "X_Columns\tOne", "Time_Pref\tRelative", "Operator\tme", "Date\t2021/05/01",
-         "Time\t12:00:00.1234567890123456789", "***End_of_Header***\t", "\t", f"Channels\t{len(names)}"],
-        ["\t".join([label, *row, ""]) for label, row in cells.items()],
-        ["***End_of_Header***" + "\t" * len(names), "\t".join(["X_Value", *names, "Comment"])],
-        [row + "\t" for row in lines(TIME / 1000, *columns, separator="\t")],
-        end="\r\n",
-    )  # fmt: skip
 
 
 def log(header, factor=1 / PSI, clock=1.0, *, separator=",", end="\n", closing="Logging end", shift=0.0, digits=6):
@@ -349,6 +311,10 @@ LOGS = {
         text([f"t={row} psi" for row in lines(STAMPS, pressure_at(STAMPS) / PSI, separator=" ms; p=")]),
         [],
     ),
+    "names, numbers and units between blanks": (
+        text([f"T: {row} psi" for row in lines(STAMPS, pressure_at(STAMPS) / PSI, separator=" ms P: ")]),
+        [],
+    ),
     "minutes and seconds": (
         text("Time,Pressure (kPa)", [f"00:{row}" for row in lines(STAMPS / 1000, pressure_at(STAMPS))]),
         [],
@@ -399,7 +365,6 @@ FORCES_AT = text(
         for e in _STRAINS
     ],
 )
-STACKED = text("Force [N];;;;;;;", "contraction [%];pressure [bar];;;;;;", ";0;1;2;3;4;5;6", WIDE.splitlines()[1:])
 MILLIMETRES = text(
     "shortening [mm];" + WIDE.splitlines()[0].partition(";")[2],
     [f"{2 * int(row.split(';')[0])};{row.partition(';')[2]}" for row in WIDE.splitlines()[1:]],
@@ -412,14 +377,6 @@ TURNED = text(
     ["Pull (force) [kN]", "pressure [MPa] \\ contraction [%]," + ",".join(f"{-100 * e:.0f}" for e in _STRAINS)],
     [",".join([f"{p / 1000:.1f}", *(f"{-muscle(e, p) / 1000:.7f}" for e in _STRAINS)]) for p in _PRESSURES],
 )
-
-
-def across(corner, unit):
-    """A table with a line for each pressure [bar] and a column for each contraction [%]."""
-    return text(
-        ",".join([corner, *(f"{-100 * e:g}{unit}" for e in _STRAINS)]),
-        [",".join([f"{p / 100:g}", *(f"{-muscle(e, p):.3f}" for e in _STRAINS)]) for p in _PRESSURES],
-    )
 
 
 def data_sheet_muscle(contraction, pressure):

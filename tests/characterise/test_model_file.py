@@ -49,6 +49,15 @@ def test_a_round_trip_changes_nothing(name, tmp_path):
     assert (tmp_path / "again.toml").read_bytes() == path.read_bytes()
 
 
+def test_tensors_are_kept_as_their_numbers(tmp_path):
+    half = torch.tensor(0.5, requires_grad=True)
+    model = ta.Bellows(force_scale=5 * half, bending_stiffness=ta.LinearBending(-half, 30.0))
+    ta.save_actuator(tmp_path / "m.toml", model)
+    assert ta.load_actuator(tmp_path / "m.toml") == ta.Bellows(
+        force_scale=2.5, bending_stiffness=ta.LinearBending(-0.5, 30.0)
+    )
+
+
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
 

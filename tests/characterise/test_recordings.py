@@ -10,7 +10,6 @@ import pytest
 
 import torcharm as ta
 from torcharm.characterise import recordings
-from torcharm.characterise.alignment import by_depth
 from torcharm.characterise.misfit import smooth
 from torcharm.characterise.recordings import PressureRecord
 
@@ -66,7 +65,7 @@ def test_pressure_units(tmp_path, unit, factor):
     ("head", "got"), [("time_s,pressure\n", "got none in 'time_s,pressure'"), ("", "got none in no header")]
 )
 def test_pressures_of_no_unit_are_refused_but_in_the_papers_layout(tmp_path, head, got):
-    with pytest.raises(ValueError, match=rf"the unit of pressure must be one of kPa, .*{got}; .*=.*:bar\", or --unit"):
+    with pytest.raises(ValueError, match=rf"the unit of pressure must be one of kPa, .*{got}; .*=2:bar\", or --unit"):
         ta.read_pressure(log(tmp_path, head=head))
     np.testing.assert_array_equal(ta.read_pressure(log(tmp_path, head=head), "kPa").pressure, [0, 3, 5, 5.5])
 
@@ -83,20 +82,7 @@ def test_a_plausible_pressure_is_none(tmp_path):
         ta.read_pressure(log(tmp_path))
 
 
-def test_pressures_that_rest_at_the_atmosphere_are_asked_about_and_read_if_said_to_be_absolute(tmp_path):
-    path = log(tmp_path, ["0,101.4", "10,121.3", "20,141.3"], head="Time (ms),Pressure (kPa)\n")
-    asked = r"are they absolute\? --columns \"pressure=2:kPa abs\" says so"
-    at_rest, elsewhere, under_pressure = (
-        ta.read_tester(csv_file(tmp_path, [f'"{10 * k}","0","{first + 5 * k}","{rest - 3 * k}"' for k in range(3)]))
-        for first, rest in ((0, 0.1), (5, 0.1), (0, -40))
-    )
-    with pytest.warns(UserWarning, match="never below 101.4 kPa, where the actuator has no force: " + asked):
-        ta.align(at_rest, ta.read_pressure(path), smoothing=0, offset=0)
-    with pytest.warns(UserWarning, match="pressures are never below 101.4 kPa: " + asked):
-        ta.align(elsewhere, ta.read_pressure(path), smoothing=0, offset=0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        ta.align(under_pressure, ta.read_pressure(path), smoothing=0, offset=0)
+def test_pressures_are_read_as_absolute_if_they_are_said_or_named_so(tmp_path):
     named = log(tmp_path, ["0,1014", "10,1213", "20,1413"], head="time_ms,pressure_mbar_abs\n")
     with pytest.warns(UserWarning, match=r"101.325 kPa of the surroundings taken off, assumed"):
         np.testing.assert_allclose(ta.read_pressure(named).pressure, [0.075, 19.975, 39.975])
@@ -112,40 +98,19 @@ def test_a_strain_that_is_none_is_a_warning(tmp_path):
         ta.read_tester(path)
 
 
-@pytest.mark.parametrize(
-    ("first", "message"),
-    [
-        (304, "must count from the actuators' own length, got 3.8 to 3.9, never near 0: is this a position"),
-        (-82, "must be above -1, at which no length is left, got -1.0"),
-    ],
-)
-def test_positions_are_no_extensions(tmp_path, first, message):
-    rows = [f"{k},{first + 2 * k},{k}" for k in range(5)]
+def test_positions_are_no_extensions(tmp_path):
+    rows = [f"{k},{2 * k - 82},{k}" for k in range(5)]
     path = write(tmp_path / "t.csv", "\n".join(["Time (s),Position (mm),Force (N)", *rows, ""]))
-    with pytest.raises(ValueError, match=f"t.csv: strains {message}"):
+    with pytest.raises(ValueError, match=r"t.csv: strains must be above -1, .* and at most 5, got -1.0"):
         ta.read_tester(path, gauge_length=0.08)
-
-
-def test_a_gauge_length_that_is_not_the_files_own_is_a_warning(tmp_path, recwarn):
-    rows = [f"{k},{2 * k},{100 * 2 * k / 60:.4f},{k}" for k in range(8)]
-    path = write(tmp_path / "t.csv", "\n".join(["Time (s),Extension (mm),Strain (%),Force (N)", *rows, ""]))
-    assert np.allclose(ta.read_tester(path, gauge_length=0.06).strain, ta.read_tester(path).strain, atol=1e-6)
-    assert not recwarn.list
-    with pytest.warns(UserWarning, match=r"t.csv: its own strains mean a gauge length of 60 mm, got 80 mm"):
-        found = ta.read_tester(path, gauge_length=0.08)
-    assert np.allclose(found.strain, 2e-3 * np.arange(8) / 0.08)
+    with pytest.warns(UserWarning, match="strains are 4.67 to 4.78, those of soft actuators near 0 at rest"):
+        ta.read_tester(write(path, path.read_text().replace(",-", ",3")), gauge_length=0.08)
 
 
 @pytest.mark.parametrize("strains", [(0, -80, 10), (40, 60, 80), (0, 60, 140)])
 def test_strains_of_no_soft_actuator_are_a_warning(tmp_path, strains):
     path = csv_file(tmp_path, [f'"{20 * k}","{0.6 * e}","{e}","1"' for k, e in enumerate(strains)])
     with pytest.warns(UserWarning, match=r"strains are .* those of soft actuators near 0 .* whole lengths .length="):
-        ta.read_tester(path)
-
-
-def test_strains_and_displacements_that_contradict_each_other_are_a_warning(tmp_path):
-    path = csv_file(tmp_path, [f'"{20 * k}","{k}","{(7 * k) % 5}","1"' for k in range(9)])
-    with pytest.warns(UserWarning, match="its strains and its lengths do not go together: .* are columns swapped"):
         ta.read_tester(path)
 
 
@@ -159,9 +124,9 @@ def test_lengths_count_from_the_gauge_length(tmp_path, name):
         ta.read_tester(path)
 
 
-def test_an_implausible_strain_is_a_warning(tmp_path):
+def test_percents_that_are_said_to_be_parts_of_1_are_refused(tmp_path):
     path = csv_file(tmp_path, ['"0","0","0","1"', '"20","0","66.8","1"'], HEAD.replace("(%)", "(mm/mm)"))
-    with pytest.warns(UserWarning, match=r"tester.csv: strains are 0 to 66.8, those of"):
+    with pytest.raises(ValueError, match=r"tester.csv: strains must be .* at most 5, got 0 to 66.8 from strain in mm"):
         ta.read_tester(path)
 
 
@@ -170,7 +135,7 @@ BAD_TESTERS = {
     "no rows": (HEAD, "line 1: must be followed by lines of two or more numbers each"),
     "unit": (
         HEAD.replace("(N)", "(kPa)") + "\r\n".join(ROWS) + "\r\n",
-        r"line 1: must name one column of force, got none in",
+        r"line 1: must name one column of force, .* got none in",
     ),
     "inf": (
         HEAD + "\r\n".join([ROWS[0], '"20.0","0.6","1.0","inf"', ROWS[2]]) + "\r\n",
@@ -289,28 +254,6 @@ def test_pauses_of_the_log():
     times = found.strain * run.time[-1] / 0.5
     assert not ((times > 1001) & (times < 1999)).any()
     assert len(found.strain) == ((run.time <= 990) | (run.time >= 2010)).sum() == 149
-
-
-def test_a_log_that_pauses_often_does_so_by_design():
-    run, pressure = records()
-    kept = pressure.time % 500 < 200
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        ta.align(run, PressureRecord(pressure.time[kept], pressure.pressure[kept], "p.txt"), smoothing=0, offset=0)
-
-
-def test_absolute_pressures_of_a_vacuum_are_asked_about():
-    time = np.arange(400) * 100.0
-    strain, depth = 0.13 * np.sin(time / 1800), 20 * (1 - np.cos(time / 2600))
-    run = recordings.TesterRecord(time, strain, 60 * strain + 1.2 * depth, "t.csv")
-    log = PressureRecord(time, 101.325 - depth, "p.txt", as_absolute='--columns "pressure=2:kPa abs"')
-    asked = r"never above 101.3 kPa, where the actuator has no force: are they absolute\? .* says so, beside --vacuum"
-    with pytest.warns(UserWarning, match=asked):
-        read = ta.align(run, log, smoothing=0, offset=0)
-    with pytest.raises(
-        ValueError, match=r"--vacuum: must stand with pressures below 0, got 61.\d+ to 101.3 kPa: .* abs"
-    ):
-        by_depth(read)
 
 
 def test_a_log_in_seconds_that_is_read_in_milliseconds():

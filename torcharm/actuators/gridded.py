@@ -127,14 +127,12 @@ def grid_axis(name: str, value: Any) -> Row:
 
 def _forces(value: Any, strains: int, pressures: int) -> tuple[Row, ...]:
     try:
-        rows = tuple(tuple(float(x) for x in row) for row in value)
+        rows = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"forces: must be rows of numbers, got {shown(value)}") from None
-    if len(rows) != strains or any(len(row) != pressures for row in rows):
-        sizes = sorted({len(row) for row in rows})
-        raise ValueError(
-            f"forces: must be {strains} rows (strains) of {pressures} (pressures), got {len(rows)} rows of {sizes}"
-        )
+        raise ValueError(f"forces: must be rows of numbers, all as long, got {shown(value)}") from None
+    if rows.shape != (strains, pressures):
+        got = " rows of ".join(map(str, rows.shape)) or shown(value)
+        raise ValueError(f"forces: must be {strains} rows (strains) of {pressures} (pressures), got {got}")
     if not np.isfinite(rows).all():
         raise ValueError("forces: must be finite, got one that is not")
-    return rows
+    return tuple(map(tuple, rows.tolist()))

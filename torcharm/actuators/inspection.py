@@ -1,6 +1,5 @@
 """What may be believed of a model from how it is written, and which models are the same."""
 
-from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from functools import cached_property
 from typing import Any
@@ -19,20 +18,9 @@ def written_out(model: object, name: str, of: str = "force") -> bool:
     was set on the object itself, only if the member was, too. Members that a model merely forwards to
     another object (by `__getattr__`) do not count.
     """
-    own = getattr(model, "__dict__", {})
-    classes = type(model).__mro__
-    if name not in own and of not in own:  # as of most models: one class holds both, or none holds the member
-        for kind in classes:
-            held = kind.__dict__
-            if name in held or of in held:
-                if name in held and of in held and "_is_protocol" not in held:
-                    return held[name] is not None and not getattr(held[of], "__isabstractmethod__", False)
-                break
-        else:
-            return False
-    defining = [place for place, _ in _definitions(classes, of)]
-    declaring = [place for place, _ in _definitions(classes, name)]
-    if of in own and not any(field for _, field in _definitions(classes, of)):
+    own, kind = getattr(model, "__dict__", {}), type(model)
+    defining, declaring = _definitions(kind, of), _definitions(kind, name)
+    if of in own and of not in getattr(kind, "__dataclass_fields__", {}):
         return name in own and not declaring
     if not defining or getattr(model, name, None) is None:
         return False
@@ -41,17 +29,16 @@ def written_out(model: object, name: str, of: str = "force") -> bool:
     return name in own and len(defining) == 1  # set in a constructor: whose, cannot be told once a class overrides
 
 
-def _definitions(classes: tuple[type, ...], name: str) -> Iterator[tuple[int, bool]]:
-    """Places among classes, from the most derived, of those that define a member; and whether as a field."""
-    for place, kind in enumerate(classes):
-        field = vars(kind).get("__dataclass_fields__", {}).get(name)
-        inherited = any(vars(base).get("__dataclass_fields__", {}).get(name) is field for base in classes[place + 1 :])
-        if field is not None and not inherited:
-            yield place, True
-        elif name in vars(kind):
-            member = vars(kind)[name]
-            if not (vars(kind).get("_is_protocol", False) or getattr(member, "__isabstractmethod__", False)):
-                yield place, False
+def _definitions(kind: type, name: str) -> tuple[int, ...]:
+    """Which of a class and its bases, from the most derived, define a member: as a field, or not as abstract."""
+    found, classes = [], kind.__mro__
+    for place, one in enumerate(classes):
+        field, *inherited = (vars(each).get("__dataclass_fields__", {}).get(name) for each in classes[place:])
+        if field is not None and not any(field is other for other in inherited):
+            found.append(place)
+        elif name in vars(one) and not vars(one).get("_is_protocol", False):
+            found += [place] * (not getattr(vars(one)[name], "__isabstractmethod__", False))
+    return tuple(found)
 
 
 def follows(model: object, kind: type, *names: str) -> bool:

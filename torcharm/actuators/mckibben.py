@@ -22,19 +22,19 @@ _NEVER = 1e30  # a pressure [kPa] that no muscle sees; finite, so that no gradie
 _TRACE = 1e-30  # a pressure [kPa] as good as none
 
 
-def _extension(x: Tensor) -> Tensor:
-    """E(ε): passive force in extension [N]."""
-    return ((_E3 * x + _E2) * x + _E1) * x
+_EXTENSION = (_E1, _E2, _E3)
+"""E, the passive force in extension [N], by powers 1, 2, … of the strain."""
+_COMPRESSION = (21.92761236, 126.11975, 320.5906703, 265.2968218)
+"""C, the passive force in contraction [N]."""
+_THRESHOLD = (-395.9792747, -1032.874471, 5991.799518, 34610.2847)
+"""Z, the pressure [kPa] from which the contracted muscle pulls."""
 
 
-def _compression(x: Tensor) -> Tensor:
-    """C(ε): passive force in contraction [N]."""
-    return (((265.2968218 * x + 320.5906703) * x + 126.11975) * x + 21.92761236) * x
-
-
-def _threshold(x: Tensor) -> Tensor:
-    """Z(ε): pressure [kPa] from which the contracted muscle pulls."""
-    return (((34610.2847 * x + 5991.799518) * x - 1032.874471) * x - 395.9792747) * x
+def _polynomial(coefficients: tuple[float, ...], x: Tensor) -> Tensor:
+    total = coefficients[-1] * x
+    for coefficient in reversed(coefficients[:-1]):
+        total = (total + coefficient) * x
+    return total
 
 
 def _recovery(x: Tensor) -> Tensor:
@@ -42,16 +42,15 @@ def _recovery(x: Tensor) -> Tensor:
     return _S1 * (_S2 + x).square()
 
 
-_CONTRACTION = (
-    (0.0, 21.92761236, 126.11975, 320.5906703, 265.2968218),
-    (21.92761236, 2 * 126.11975, 3 * 320.5906703, 4 * 265.2968218, 0.0),
-    (0.0, -395.9792747, -1032.874471, 5991.799518, 34610.2847),
-    (-395.9792747, -2 * 1032.874471, 3 * 5991.799518, 4 * 34610.2847, 0.0),
+_CONTRACTION = tuple(
+    powers
+    for own in (_COMPRESSION, _THRESHOLD)
+    for powers in ((0.0, *own), (*(power * c for power, c in enumerate(own, 1)), 0.0))
 )
-"""C, C', Z and Z' by powers of the strain."""
+"""C, C', Z and Z' by powers 0, 1, … of the strain."""
 _AT_LIM = torch.tensor(_STRAIN_LIM, dtype=torch.float64)
 _RECOVERY_LIM = _recovery(_AT_LIM).item()
-_RISE_LIM = (_compression(_AT_LIM) / _recovery(_AT_LIM) + _threshold(_AT_LIM)).item()
+_RISE_LIM = (_polynomial(_COMPRESSION, _AT_LIM) / _recovery(_AT_LIM) + _polynomial(_THRESHOLD, _AT_LIM)).item()
 _RISE_RATE = _RECOVERY_LIM / (_STRAIN_LIM - _STRAIN_CRIT) ** 2
 
 
@@ -99,9 +98,9 @@ class McKibben(HoldsTensors):
         extended = strain >= 0
         extends = extended.to(strain.dtype)
         contracts = 1 - extends
-        compression, threshold = _compression(strain), _threshold(strain)
+        compression, threshold = _polynomial(_COMPRESSION, strain), _polynomial(_THRESHOLD, strain)
 
-        passive = _select(extended, _extension(strain), compression)
+        passive = _select(extended, _polynomial(_EXTENSION, strain), compression)
         pull_from = _select(extended, strain.new_tensor(_NEVER), threshold)
         pull_rate = contracts * (_A1 * (_A2 + strain).square())
         rise_rate, rise_from = _rise(strain, compression, threshold)
@@ -120,7 +119,7 @@ class McKibben(HoldsTensors):
 
         In extension there is none; there they divide a power of pressure that is steepest near 0.
         """
-        compression, threshold = _compression(strain), _threshold(strain)
+        compression, threshold = _polynomial(_COMPRESSION, strain), _polynomial(_THRESHOLD, strain)
         kinks = torch.stack((_rise(strain, compression, threshold)[1], threshold))
         most = plain_number(self.max_pressure)
         ladder = strain.new_tensor((most / 64, most / 8)).view(-1, *[1] * strain.ndim)

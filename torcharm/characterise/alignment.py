@@ -10,15 +10,15 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 
 from torcharm.characterise.misfit import smoothed, usually_smoothed, warn_of_slipped_clocks
-from torcharm.characterise.recordings import Array, Floats, Lines, PressureRecord, TesterRecord, ask_if_absolute
+from torcharm.characterise.recordings import Array, Floats, PressureRecord, TesterRecord
 from torcharm.characterise.signs import settled
 from torcharm.inputs import check_count, check_number
 
 MOST_LEVELS = 40
 """Distinct strains, or pressures, of what counts as a table; a recording has thousands."""
 
-PAUSE, RARE, MISSED = 20.0, 3, 0.01
-"""In usual steps of a log, its pauses; how many are no design; and of the tester's stamps, how many in them count."""
+PAUSE, MISSED = 20.0, 0.01
+"""In usual steps of a log, its pauses; and of the tester's stamps, how many in them count."""
 TOO_SHORT = 0.01
 """Of a run, a log that lasts no longer is in another unit of time, or of another run."""
 
@@ -41,7 +41,6 @@ class Recording:
         run: (n) which run each sample comes from, counted from 0; within a run samples are in order of time.
         sources: each run's files.
         settings: how they were read, for the record: names and values.
-        line: (n) the number of each sample's line in its run's first file; None for samples that come from none.
     """
 
     strain: Float[Floats, " n"]
@@ -50,12 +49,11 @@ class Recording:
     run: NDArray[np.int64]
     sources: tuple[str, ...]
     settings: Settings = ()
-    line: Lines = None
 
-    def place(self, index: int) -> str:
-        """Where a sample comes from: file and line."""
-        source = self.sources[int(self.run[index])].split(", ")[0]
-        return f"{source}, {f'sample {index + 1}' if self.line is None else f'line {self.line[index]}'}"
+    def only(self, kept: NDArray[np.bool_]) -> "Recording":
+        """Some of its samples."""
+        columns = {name: getattr(self, name)[kept] for name in ("strain", "pressure", "force", "run")}
+        return replace(self, **columns)
 
 
 def align(
@@ -103,34 +101,31 @@ def align(
     if offset is None and log.source != tester.source:
         warn_of_slipped_clocks(tester, log, logged)
     tension = 1.0 if tester.signs.positive == "pull" else -1.0
-    strain, force, signs = settled(
-        tester.signs, tester.strain[kept], pressure, tension * tester.force[kept], tester.source
-    )
-    ask_if_absolute(log.source, log.as_absolute, strain, pressure, force)
+    strain = tester.strain[kept]
+    strain, force, words = settled(tester.signs, strain, pressure, tension * tester.force[kept], tester.source)
     settings: Settings = (
         ("actuators in parallel", float(count)),
         ("smoothing of pressure, ms", float(smoothing)),
         ("offset of the log, ms", float(shift)),
         *(() if max_gap is None else (("longest pause of the log, ms", float(max_gap)),)),
-        *signs,
+        *words,
         *noted(tester.source, tester.notes),
         *(noted(log.source, log.notes) if log.source != tester.source else ()),
     )
-    return Recording(
-        strain,
-        pressure,
-        force / count,
-        np.zeros(len(force), np.int64),
-        (", ".join(dict.fromkeys((Path(tester.source).name, Path(log.source).name))),),
-        settings,
-        None if tester.line is None else tester.line[kept],
-    )
+    sources = ", ".join(dict.fromkeys((Path(tester.source).name, Path(log.source).name)))
+    return Recording(strain, pressure, force / count, np.zeros(len(force), np.int64), (sources,), settings)
 
 
 def _kept(
     tester: TesterRecord, log: PressureRecord, clock: Array, offset: float, max_gap: float | None
 ) -> NDArray[np.bool_]:
     """Which of the tester's stamps the log has, too, on the tester's clock."""
+    logged, ran = clock[-1] - clock[0], tester.time[-1] - tester.time[0]
+    if logged < TOO_SHORT * ran:
+        raise ValueError(
+            f"{log.source}: lasts {logged:g} ms, and {tester.source} {ran:g} ms, must be of the same run: is the unit "
+            'of time right? --pressure-columns says it, as in "time=1:s"'
+        )
     kept = (tester.time >= clock[0]) & (tester.time <= clock[-1])
     if not kept.any():
         raise ValueError(
@@ -138,36 +133,21 @@ def _kept(
             f"{tester.time[0]:.10g} to {tester.time[-1]:.10g} ms, the log from {clock[0]:.15g} to {clock[-1]:.15g} ms; "
             f"an offset of {offset + tester.time[0] - clock[0]:.15g} ms (--offset) would start both at once"
         )
-    logged, ran = clock[-1] - clock[0], tester.time[-1] - tester.time[0]
-    if logged < TOO_SHORT * ran:
-        raise ValueError(
-            f"{log.source}: lasts {logged:g} ms, and {tester.source} {ran:g} ms, must be of the same run: is the unit "
-            'of time right? --pressure-columns says it, as in "time=1:s"'
-        )
-    after = np.searchsorted(clock, tester.time).clip(1, len(clock) - 1)
-    gap = clock[after] - clock[after - 1]
-    if max_gap is None:
-        _warn_of_pauses(log, kept & (gap > PAUSE * float(np.median(np.diff(clock)))), tester)
-    else:
+    steps = np.diff(clock)
+    gap = steps[np.searchsorted(clock, tester.time).clip(1, len(clock) - 1) - 1]
+    paused = kept & (gap > PAUSE * float(np.median(steps)))
+    if max_gap is not None:
         kept &= gap <= max_gap
         if not kept.any():
             raise ValueError(f"max_gap: leaves no sample of {tester.source} and {log.source}, got {max_gap:g} ms")
+    elif paused.sum() > MISSED * len(paused):
+        warnings.warn(
+            f"{log.source}: has no pressures for {gap[paused].max() / 1e3:.3g} s, usually one each "
+            f"{np.median(steps) / 1e3:.3g} s: in such pauses {paused.sum()} samples of {tester.source} have what lies "
+            f"between the ends: --max-gap {gap[paused].min() / 2:.0f} leaves them out",
+            stacklevel=3,
+        )
     return kept
-
-
-def _warn_of_pauses(log: PressureRecord, inside: NDArray[np.bool_], tester: TesterRecord) -> None:
-    """Warn of the tester's stamps inside pauses of the log, unless it pauses often, as those do that save in blocks."""
-    steps = np.diff(log.time)
-    longest = float(steps.max())
-    if inside.sum() < MISSED * len(inside) or (steps > longest / 2).sum() > RARE:
-        return
-    usual = float(np.median(steps))
-    warnings.warn(
-        f"{log.source}: has no pressures for {longest / 1e3:.3g} s, usually one each {usual / 1e3:.3g} s: in "
-        f"such pauses {inside.sum()} samples of {tester.source} have what lies between the ends: --max-gap "
-        f"{longest / 2:.0f} leaves them out",
-        stacklevel=4,
-    )
 
 
 def noted(source: str, notes: Sequence[str]) -> tuple[tuple[str, str], ...]:
@@ -209,7 +189,6 @@ def pool(recordings: Sequence[Recording]) -> Recording:
         np.concatenate([one.run + start for one, start in zip(recordings, starts, strict=True)]),
         tuple(source for one in recordings for source in one.sources),
         (*shared, *own),
-        None if any(one.line is None for one in recordings) else np.concatenate([one.line for one in recordings]),
     )
 
 

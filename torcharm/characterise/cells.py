@@ -1,9 +1,10 @@
-"""Cells that hold numbers: told from words, and read with the decimal sign of their file."""
+"""Lines and cells of text files: in whatever encoding, and read with the decimal sign of their file."""
 
 import math
 import re
 from collections.abc import Sequence
-from datetime import date
+from contextlib import suppress
+from datetime import datetime
 
 from torcharm.units import MEASURED, unit_named
 
@@ -17,20 +18,36 @@ _GROUPED = {
 }
 """Numbers with a sign between thousands, none of which begins with 0: `0,515` has a decimal comma."""
 _BETWEEN_THOUSANDS = re.compile(r"(?<=\d)['\u00a0\u202f](?=\d{3})")
-_DRESSED = re.compile(
-    rf"(?P<label>\s*[^\W\d_][^:=,;]{{0,30}}?\s*[:=]\s*)?{NUMBER}(?P<unit>\s*[^\d\s.,;:+-][^\d,;:]{{0,11}}?)?\s*"
-)
 _NO_VALUE = re.compile(
     r"[-–—*?.]*|#?n/?a[!?]?|#num!|#value!|nan|null|none|ol|o\.l\.?|ovld|ovrfl?|over|overload|overflow|over ?range|open",
     re.IGNORECASE,
 )
 """What loggers and spreadsheets write where there was no value."""
-_DAY = r"(?P<a>\d{1,4})(?P<sign>[-/.])(?P<b>\d{1,2})(?P=sign)(?P<c>\d{1,4})"
-_MOMENT = re.compile(
-    rf"\s*(?:{_DAY}[T\s]\s*)?(?:(?P<h>\d{{1,2}}):(?=\d+:)|(?=\d+:\d+[.,]))(?P<min>\d{{1,2}}):(?P<s>\d{{1,2}}(?:[.,]\d+)?)\s*(?P<half>[AaPp])?[Mm]?"
-    r"(?P<zone>Z|[+-]\d\d:?\d\d)?\s*"
+_DRESSED = re.compile(
+    rf"(?P<label>\s*[^\W\d_][^:=,;]{{0,30}}?\s*[:=]\s*)?{NUMBER}(?P<unit>\s*[^\d\s.,;:+-][^\d,;:]{{0,11}}?)?\s*"
 )
-EPOCH_DAY = date(1970, 1, 1).toordinal()
+_MOMENT = re.compile(
+    r"(?:(?P<a>\d{1,4})(?P<sign>[-/.])(?P<b>\d{1,2})(?P=sign)(?P<c>\d{1,4})[T\s]\s*)?"
+    r"(?P<clock>\d{1,2}:\d{1,2}(?::\d{1,2})?(?:[.,]\d+)?)\s*(?P<half>[AaPp][Mm])?(?P<zone>Z|[+-]\d\d:?\d\d)?"
+)
+
+
+def text_lines(source: str, data: bytes) -> tuple[list[str], bool]:
+    """A file's lines by any ending, and whether the last one is ended."""
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        text = data.decode("utf-16", errors="replace")
+    elif b"\0" in data:
+        line = data[: data.index(b"\0")].count(b"\n") + 1
+        raise ValueError(f"{source}: line {line}: must be text, as CSV is, got a byte 0, as of a program's own format")
+    else:
+        try:
+            text = data.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = data.decode("cp1252", errors="replace")
+    # CR, CR LF and the loggers' CR CR LF end one line each.
+    lines = (re.sub("\r+\n?", "\n", text) if "\r" in text else text).split("\n")
+    ended = not lines[-1].strip()
+    return lines[:-1] if lines[-1] == "" else lines, ended
 
 
 def is_number(cell: str) -> bool:
@@ -39,8 +56,8 @@ def is_number(cell: str) -> bool:
 
 
 def is_moment(cell: str) -> bool:
-    """Whether a cell holds a time: `2024-05-01T12:00:01`, `12:00:01`, or minutes and seconds as `00:01.5`."""
-    return ":" in cell and _MOMENT.fullmatch(cell) is not None
+    """Whether a cell holds a time of day, minutes and seconds, or a day and a time."""
+    return ":" in cell and math.isfinite(_seconds(cell))
 
 
 def has_value(cell: str) -> bool:
@@ -51,9 +68,7 @@ def has_value(cell: str) -> bool:
 def dress(cell: str) -> tuple[str, str]:
     """What stands before a cell's number, a name, and what behind it, a unit, as in `p: 12.5 kPa`; "" for nothing."""
     found = None if cell[:1].isdigit() and cell[-1:].isdigit() else _DRESSED.fullmatch(cell)
-    if found is None:
-        return "", ""
-    label, unit = found["label"] or "", found["unit"] or ""
+    label, unit = ("", "") if found is None else (found["label"] or "", found["unit"] or "")
     return (label, unit) if not unit or any(unit_named(unit, quantity) for quantity in MEASURED) else ("", "")
 
 
@@ -77,44 +92,40 @@ def decimal_sign(rows: Sequence[Row], separator: str) -> tuple[str, bool]:
     return "." if decimal_points or (separator == "," and grouped) else ",", not grouped
 
 
-def number(cell: str, decimal: str, *, sparse: bool = False) -> float:
-    """A cell's number, in seconds for a moment: NaN for none that is finite.
-
-    Where cells may be empty NaN is for those, and for what stands for no value, and inf for what is no number.
-    """
+def number(cell: str, decimal: str) -> float:
+    """A cell's number, in seconds for a moment: NaN where it has no value, infinite where that is no number."""
     cell = cell.strip()
-    other = "," if decimal == "." else "."
-    none = math.inf if sparse else math.nan
-    if sparse and not has_value(cell):
+    if not has_value(cell):
         return math.nan
     if ":" in cell:
-        return _seconds(cell, none)
-    if other in cell:
-        if not _GROUPED[other].fullmatch(cell):
-            return none
+        return _seconds(cell)
+    other = "," if decimal == "." else "."
+    if _GROUPED[other].fullmatch(cell):
         cell = cell.replace(other, "")
-    try:
-        found = float(_BETWEEN_THOUSANDS.sub("", cell).replace(",", "."))
-    except ValueError:
-        return none
-    return found if math.isfinite(found) else none
+    if other not in cell:
+        with suppress(ValueError):
+            return float(_BETWEEN_THOUSANDS.sub("", cell).replace(",", "."))
+    return math.inf
 
 
-def _seconds(cell: str, none: float) -> float:
-    """Seconds since 1970 of a moment; since midnight without a date, or with one that may be read in two ways."""
-    found = _MOMENT.fullmatch(cell)
+def _seconds(cell: str) -> float:
+    """Seconds since 1970 of a moment, or since midnight without a day; infinite where it is none.
+
+    Days stand as 2024-05-01, 2024/5/1 or 1.5.2024; that of 5/1/2024, which may be in May or in January, is left out.
+    """
+    found = _MOMENT.fullmatch(cell.strip())
     if found is None:
-        return none
-    hour, minute, second = int(found["h"] or 0), int(found["min"]), float(found["s"].replace(",", "."))
+        return math.inf
+    first, middle, last = found["a"] or "", found["b"], found["c"]
+    day = (first, middle, last) if len(first) == 4 else (last, middle, first)
+    year, month, date = map(int, day) if len(first) == 4 or found["sign"] == "." else (1970, 1, 1)
+    year += 2000 * (year < 100)
+    clock = [float(part) for part in found["clock"].replace(",", ".").split(":")]
+    hour, minute, second = clock if len(clock) == 3 else (*clock, 0.0) if first else (0.0, *clock)
     if found["half"]:
-        hour = hour % 12 + (12 if found["half"] in "Pp" else 0)
-    days = 0
-    if found["sign"] and (len(found["a"]) == 4 or found["sign"] == "."):
-        year, month, day = (int(found[part]) for part in ("abc" if len(found["a"]) == 4 else "cba"))
-        try:
-            days = date(year + (2000 if year < 100 else 0), month, day).toordinal() - EPOCH_DAY
-        except ValueError:
-            return none
-    zone = found["zone"] or "Z"
-    ahead = 0 if zone == "Z" else int(zone[0] + "1") * (60 * int(zone[1:3]) + int(zone[-2:]))
-    return 60.0 * (60 * (24 * days + hour) + minute - ahead) + second
+        hour = hour % 12 + 12 * (found["half"][0] in "Pp")
+    try:
+        start = datetime.fromisoformat(f"{year:04}-{month:02}-{date:02}T00:00{found['zone'] or 'Z'}")
+    except ValueError:
+        return math.inf
+    return start.timestamp() + 3600 * hour + 60 * minute + second

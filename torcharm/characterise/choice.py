@@ -5,9 +5,8 @@ follow the samples that they were given: a grid follows anything.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -30,8 +29,8 @@ BLOCKS = 5
 """Parts of a single run, one after the other in time, that are left out in turn."""
 ALIKE = 1.1
 """Errors within this factor of the least are alike: the model of fewest numbers is taken then."""
-SHARED = ("max_pressure", "bending_stiffness", "provenance")
-"""Options of polynomials that a grid has, too; it is fitted by least squares, and not held monotonic."""
+SHARED = ("max_pressure", "bending_stiffness")
+"""Options of polynomials that a grid has, too."""
 EXACT = 1e-3
 """Of the largest force, an error that is as good as none: tables are printed to about as much."""
 
@@ -60,15 +59,21 @@ def fit_kind(recording: Recording, kind: str, degree: int = 3, **options: Any) -
         recording: to fit to.
         kind: polynomial, mckibben or gridded.
         degree: of the polynomial.
-        **options: of `fit_force_model`; a grid takes those on limits, bending and provenance.
+        **options: of `fit_force_model`; a grid takes those on limits, bending and provenance alone.
 
     Raises:
         ValueError: unknown kind; or as for `fit_force_model` and `fit_gridded_model`.
     """
+    check_choice("model", kind, _kinds(options))
     own = (*provenance_of(recording), *options.pop("provenance", ()))
-    fitters = _fitters(recording, degree, provenance=own, **options)
-    check_choice("model", kind, fitters)
-    return fitters[kind](recording.strain, recording.pressure, recording.force, run=recording.run)
+    samples = recording.strain, recording.pressure, recording.force
+    if kind == "gridded":
+        shared = {key: options[key] for key in SHARED if options.get(key) is not None}
+        return fit_gridded_model(*samples, *map(_axis, samples[:2]), provenance=own, **shared)
+    if is_table(recording):
+        options["correlated"] = 1
+    terms = MCKIBBEN if kind == "mckibben" else None
+    return fit_force_model(*samples, degree, run=recording.run, terms=terms, provenance=own, **options)
 
 
 def best_fit(recording: Recording, degree: int = 3, **options: Any) -> tuple[list[Candidate], Actuator]:
@@ -95,9 +100,10 @@ def best_fit(recording: Recording, degree: int = 3, **options: Any) -> tuple[lis
     grid = [len(_axis(values)) for values in (recording.strain, recording.pressure)]
     counts = {"mckibben": len(MCKIBBEN), "polynomial": len(exponents(degree)), "gridded": math.prod(grid)}
     left_out, found = list(_left_out(recording)), []
-    for kind, fitter in _fitters(recording, degree, **options).items():
+    for kind in _kinds(options):
         try:
-            found.append(Candidate(kind, counts[kind], _error(recording, fitter, left_out)))
+            squares = [_squared_errors(recording, out, kind, degree, options) for out in left_out]
+            found.append(Candidate(kind, counts[kind], math.sqrt(float(np.concatenate(squares).mean()))))
         except ValueError as error:
             found.append(Candidate(kind, counts[kind], math.inf, str(error)))
     least = max(ALIKE * min(one.rmse for one in found), EXACT * float(np.abs(recording.force).max()))
@@ -109,17 +115,10 @@ def best_fit(recording: Recording, degree: int = 3, **options: Any) -> tuple[lis
     return found, fit_kind(recording, found[0].kind, degree, provenance=own, **options)
 
 
-def _fitters(recording: Recording, degree: int, **options: Any) -> dict[str, Callable[..., Actuator]]:
-    """What fits each kind of model to strains, pressures and forces."""
-    if is_table(recording):
-        options["correlated"] = 1
-    shared = {key: options[key] for key in SHARED if options.get(key) is not None}
-    found: dict[str, Callable[..., Actuator]] = {
-        "mckibben": partial(fit_force_model, terms=MCKIBBEN, **options),
-        "polynomial": partial(fit_force_model, degree=degree, **options),
-    }
+def _kinds(options: Mapping[str, Any]) -> list[str]:
+    """The kinds that options of polynomials leave: a grid is neither robust nor held monotonic."""
     free = not options.get("monotonic") and options.get("loss", "linear") == "linear"
-    return found | ({"gridded": partial(_fit_grid, **shared)} if free else {})
+    return ["mckibben", "polynomial", *(["gridded"] if free else [])]
 
 
 def _left_out(recording: Recording) -> Iterator[NDArray[np.bool_]]:
@@ -127,23 +126,24 @@ def _left_out(recording: Recording) -> Iterator[NDArray[np.bool_]]:
     if int(recording.run.max()) > 0:
         yield from (recording.run == run for run in range(int(recording.run.max()) + 1))
     elif is_table(recording):
-        for values in (recording.strain, recording.pressure):
-            yield from (values == level for level in np.unique(values)[1:-1])
+        levels = [
+            (values, level) for values in (recording.strain, recording.pressure) for level in np.unique(values)[1:-1]
+        ]
+        if not levels:
+            raise ValueError("strain, pressure: must take three values each for any to be left out")
+        yield from (values == level for values, level in levels)
     else:
         part = np.arange(len(recording.force)) * BLOCKS // len(recording.force)
         yield from (part == block for block in range(BLOCKS))
 
 
-def _error(recording: Recording, fitter: Callable[..., Actuator], left_out: Sequence[NDArray[np.bool_]]) -> float:
-    """Root mean square [N] of predicted forces' errors."""
-    squares, count = 0.0, 0
-    for out in left_out:
-        model = fitter(recording.strain[~out], recording.pressure[~out], recording.force[~out])
-        residual = recording.force[out] - forces(model, recording.strain[out], recording.pressure[out])
-        squares, count = squares + float(residual @ residual), count + len(residual)
-    if not count:
-        raise ValueError("strain, pressure: must take three values each for any to be left out")
-    return math.sqrt(squares / count)
+def _squared_errors(
+    recording: Recording, out: NDArray[np.bool_], kind: str, degree: int, options: dict[str, Any]
+) -> Array:
+    """Of the forces [N²] that are left out, as a model of the others predicts them."""
+    model = fit_kind(recording.only(~out), kind, degree, **options)
+    squares: Array = (recording.force[out] - forces(model, recording.strain[out], recording.pressure[out])) ** 2
+    return squares
 
 
 @torch.no_grad()
@@ -156,7 +156,3 @@ def _axis(values: Array) -> Array:
     """Grid lines: the distinct values of a table, else evenly over their range."""
     levels = np.unique(values)
     return levels if len(levels) <= MOST_LEVELS else np.linspace(levels[0], levels[-1], GRID)
-
-
-def _fit_grid(strain: Array, pressure: Array, force: Array, run: object = None, **options: Any) -> Actuator:
-    return fit_gridded_model(strain, pressure, force, _axis(strain), _axis(pressure), **options)

@@ -7,37 +7,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torcharm.characterise.cells import is_number, number
-from torcharm.characterise.column_names import NAMES, STRESS, candidates, is_compressive, is_sure, named_units
-from torcharm.characterise.delimited import Array, Sheet, short
-from torcharm.characterise.headers import Header, base, header_of, plain
+from torcharm.characterise.cells import number
+from torcharm.characterise.delimited import Sheet, values_of
+from torcharm.characterise.headers import STRESS, Header, base, candidates, header_of, named_units, plain
 from torcharm.inputs import check_choice, shown
-from torcharm.units import MEASURED, PRESSURE, is_absolute, unit_named
+from torcharm.units import MEASURED, PRESSURE, TIME, is_absolute, unit_named
 
 Columns = str | Mapping[str, str | int]
 """`"time=Time:s, force=4"` or `{"time": "Time:s", "force": 4}`: names or numbers from 1, perhaps with a unit."""
 
 _ELECTRICAL = re.compile(r"[mµ]?v(?:olts?|dc)?|mv/v|m?a|counts?|adc|digits?|ticks|raw", re.IGNORECASE)
 """What sensors give, and no unit of what they measure."""
-_ABSOLUTE = re.compile(r"(?<![a-z])abs(?![a-z])|absolut")
-_LIKELY: dict[str, tuple[tuple[float, str], ...]] = {
-    "strain": ((1.0, "mm/mm"), (math.inf, "%")),
-    "contraction": ((1.0, "mm/mm"), (math.inf, "%")),
-    "extension": ((1e3, "mm"), (math.inf, "µm")),
-    "length": ((1e3, "mm"), (math.inf, "µm")),
-    "pressure": ((12.0, "bar"), (1.2e3, "kPa"), (1.2e4, "mbar"), (math.inf, "Pa")),
-    "force": ((math.inf, "N"),),
-}
-"""The units that examples in messages name, each up to the largest number that it is likely for."""
-_LIKE_A_UNIT = re.compile(r"[^\s\d]+(?:\d[^\s\d]+)?")
-"""What stands in a unit's place and is no channel's name."""
-_PASTED = re.compile(r"[^\"$`\\!]+")
-"""Names that any shell takes as they are between double quotes."""
-VARIED = 0.1
-"""Of the range of a column's numbers, what that of one named alike must reach to be as likely."""
-LONGEST_STEP = 2.0
-"""Steps of times [s], above which they are rather in ms: benches sample more often."""
+_LIKELY = {"time": (2.0, "s", "ms"), "pressure": (12.0, "bar", "kPa"), "force": (math.inf, "N", "")}
+_LIKELY |= {"strain": (1.0, "mm/mm", "%"), "contraction": (1.0, "mm/mm", "%")}
+"""The units that examples in messages name: the first up to so large a number, or step of times; of lengths mm."""
+EPOCH = (1e9, 2.5e9)
+"""Seconds since 1970 of the years 2001 to 2049: no run is as long, so that such times name their own unit."""
 _OPTION = re.compile(r"(?:^|,)\s*([A-Za-z_]+)\s*=")
+_ABSOLUTE = re.compile(r"(?<![a-z])abs(?![a-z])|absolut")
+_COMPRESSIVE = re.compile(r"compressi|stauchung|druckkraft")
+"""What a tester names so is positive where it squeezes: such strains and extensions shorten, such forces push."""
+_LENGTHENING = re.compile(r"extension|elongation|verlängerung|tensile|tension|dehnung")
+"""What is positive where longer; strokes and positions count either way."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +37,8 @@ class Column:
 
     Attributes:
         index: counted from 0.
-        unit: canonical; "" if neither the file nor a person named it, and no default holds.
-        named: whether the file or a person named it.
+        unit: canonical.
+        named: whether the file or a person named it; else it is a default.
         compressive: whether it is named so: positive where it squeezes.
         sure: whether its name tells which way a stretch counts.
         absolute: whether its pressures are named so: counted from none, and not from that of the surroundings.
@@ -62,11 +53,6 @@ class Column:
     absolute: bool = False
 
     @property
-    def as_absolute(self) -> str:
-        """How a person says that it holds absolute pressures."""
-        return f'"pressure={self.index + 1}:{self.unit} abs"'
-
-    @property
     def notes(self) -> tuple[str, ...]:
         """What may surprise of its unit: a force in g is the weight of so many."""
         mass = {"gf": "g", "kgf": "kg"}.get(self.unit)
@@ -77,27 +63,23 @@ class Column:
         """One of its unit in torcharm's."""
         return MEASURED[self.quantity][self.unit]
 
-    def check_unit(self, said: str | None, source: str, option: str) -> None:
+    def check_unit(self, said: str | None, source: str) -> None:
         """Raise a ValueError if a person says another unit of pressures than was named."""
         if said is not None and self.named and self.factor != PRESSURE[said]:
-            raise ValueError(f"unit: must be left out or be {self.unit}, which {source} or {option} names, got {said}")
+            raise ValueError(f"unit: must be left out or be {self.unit}, which {source} or --columns names, got {said}")
 
 
 @dataclass(frozen=True)
 class Choice:
     """What a person says of a column: its name or number, "" for none, and its unit, None for none."""
 
-    column: str
-    unit: str | None
+    column: str = ""
+    unit: str | None = None
     absolute: bool = False
 
 
 def find_columns(
-    sheet: Sheet,
-    quantities: Sequence[str],
-    columns: Columns | None,
-    defaults: Mapping[str, str] | None = None,
-    option: str = "--columns",
+    sheet: Sheet, quantities: Sequence[str], columns: Columns | None, defaults: Mapping[str, str] | None = None
 ) -> dict[str, Column]:
     """The column of each quantity, and its unit.
 
@@ -106,38 +88,38 @@ def find_columns(
         quantities: of `units.MEASURED`.
         columns: what a person says of them.
         defaults: units where nobody names one.
-        option: of the command that says it, for messages.
 
     Raises:
         ValueError: a column is not found, or more than one; its unit is not known; or the file and a person differ.
     """
     header, said = header_of(sheet), choices(columns)
-    check_one_header(sheet, header)
-    if not all(own.column.isdigit() for own in said.values()) or len(said) < len(quantities):
-        _check_names(sheet, header)
-    try:
-        found = {q: _column(sheet, header, q, said.get(q), (defaults or {}).get(q, "")) for q in quantities}
-    except _UnclearError as error:
-        hint, of_pressure = example(sheet, quantities, columns, defaults), "unit of pressure" in str(error)
-        raise ValueError(f'{error}; {option} says it, perhaps as in "{hint}"{", or --unit" * of_pressure}') from None
-    taken: dict[int, str] = {}
-    for quantity, column in found.items():
-        if taken.setdefault(column.index, quantity) != quantity:
+    last = max((i for i, name in enumerate(header.names) if name), default=sheet.width)
+    by_number = all(own.column.isdigit() for own in said.values()) and len(said) >= len(quantities)
+    if any(sheet.numeric[last + 1 :]) and not by_number:
+        raise ValueError(
+            f"{sheet.source}: line {header.line}: must name all {sheet.width} columns, got {last + 1} names, "
+            f"{header.shown}: are there decimal commas between commas? If not, --columns tells them by numbers"
+        )
+    found: dict[str, Column] = {}
+    for quantity in quantities:
+        try:
+            own = _column(sheet, header, quantity, said.get(quantity, Choice()), (defaults or {}).get(quantity, ""))
+        except _UnclearError as error:
+            hint, of_unit = example(sheet, quantities, columns, defaults or {}), "unit of pressure" in str(error)
+            raise ValueError(f'{error}; --columns says it, as in "{hint}"{", or --unit" * of_unit}') from None
+        other = next((name for name, column in found.items() if column.index == own.index), None)
+        if other:
             raise ValueError(
-                f"{sheet.source}: line {header.line}: {quantity} must be in another column than "
-                f"{taken[column.index]}, got {column.index + 1} for both; {option} says which"
+                f"{sheet.source}: line {header.line}: {quantity} must be in another column than {other}, got "
+                f"{own.index + 1} for both; --columns says which"
             )
+        found[quantity] = own
     return found
 
 
 def has_column(sheet: Sheet, quantity: str, columns: Columns | None) -> bool:
     """Whether a quantity is said to have a column, or the header names one or more."""
     return quantity in choices(columns) or bool(candidates(sheet, header_of(sheet), quantity))
-
-
-def told(columns: Columns | None) -> list[str]:
-    """The quantities of which a person says something."""
-    return list(choices(columns))
 
 
 def choices(columns: Columns | None) -> dict[str, Choice]:
@@ -170,48 +152,53 @@ def _choice(quantity: str, text: str) -> Choice:
         raise ValueError(f"columns: {quantity}: {_allowed(quantity)}, got {shown(last)}")
     if not text:
         raise ValueError(f"columns: {quantity}: must be a column's name or number, got none")
-    return Choice(text, None)
+    return Choice(text)
 
 
-def _column(sheet: Sheet, header: Header, quantity: str, choice: Choice | None, default: str) -> Column:
-    if choice is not None and choice.column:
-        index = _chosen(sheet, header, quantity, choice.column)
-    else:
-        found = candidates(sheet, header, quantity)
-        if len(found) != 1:
-            raise _not_one(sheet, header, quantity, found)
-        (index,) = found
-    named, unknown = named_units(header, index, quantity)
-    if _ELECTRICAL.fullmatch(unknown):
-        raise ValueError(
-            f"{sheet.source}: line {header.line}: column {index + 1}, {header.names[index]!r}, must hold {quantity}s, "
-            f"got a sensor's reading in {unknown}: convert it in the file"
-        )
+def _column(sheet: Sheet, header: Header, quantity: str, choice: Choice, default: str) -> Column:
     where = f"{sheet.source}: line {header.line}"
+    index = _chosen(sheet, header, quantity, choice.column) if choice.column else _only(sheet, header, quantity)
+    named = named_units(header, index, quantity)
     if len(named) > 1:
         raise ValueError(f"{where}: must name one unit of {quantity}, got {' and '.join(named)}")
-    said = choice.unit if choice is not None else None
+    said = choice.unit
     if said is not None and named and MEASURED[quantity][said] != MEASURED[quantity][named[0]]:
         raise ValueError(
             f"columns: {quantity}: must be left without a unit or be in {named[0]}, which {sheet.source} names in line "
             f"{header.line}, {header.shown}, got {said}"
         )
-    unit = said or (named[0] if named else "")
+    default = (quantity == "time" and _epoch_unit(sheet, index)) or default
+    unit, unknown = said or "".join(named), "" if named else "".join(header.units[index][:1])
     if not unit and (unknown or not default):
-        got = f"{unknown!r} in {header.shown}" if unknown else f"none in {header.shown}"
-        raise _UnclearError(f"{where}: {_allowed(quantity)}, got {got}")
+        if _ELECTRICAL.fullmatch(unknown):
+            raise ValueError(
+                f"{where}: column {index + 1}, {header.names[index]!r}, must hold {quantity}s, got a sensor's reading "
+                f"in {unknown}: convert it in the file"
+            )
+        got = repr(unknown) if unknown else "none"
+        raise _UnclearError(f"{where}: {_allowed(quantity)}, got {got} in {header.shown}")
     name = header.names[index].lower()
-    texts = [*header.unit_texts(index), *re.split(r"[_,;/\s]", name)]
-    absolute = bool(_ABSOLUTE.search(name)) or any(map(is_absolute, texts)) or (choice is not None and choice.absolute)
+    words = [*header.units[index], *re.split(r"[_,;/\s]", name)]
+    absolute = bool(_ABSOLUTE.search(name)) or any(map(is_absolute, words)) or choice.absolute
+    compressive = _COMPRESSIVE.search(name) is not None
+    lengthening = _LENGTHENING.search(name) is not None or (quantity == "extension" and choice != Choice())
     return Column(
         quantity,
         index,
         unit or default,
         bool(unit),
-        compressive=is_compressive(name),
-        sure=is_sure(quantity, name) or (quantity == "extension" and choice is not None),
+        compressive=compressive,
+        sure=compressive or lengthening or quantity in ("contraction", "length"),
         absolute=quantity == "pressure" and absolute,
     )
+
+
+def _epoch_unit(sheet: Sheet, index: int) -> str:
+    """The unit of times that count from 1970, which their size tells; "" of others."""
+    cells = (row[index] for row in sheet.rows if len(row) > index)
+    first = next(filter(math.isfinite, (number(cell, sheet.decimal) for cell in cells)), 0.0)
+    seconds = {unit: first * TIME[unit] / TIME["s"] for unit in ("s", "ms", "µs", "ns")}
+    return next((unit for unit, since in seconds.items() if EPOCH[0] <= since <= EPOCH[1]), "")
 
 
 def _allowed(quantity: str) -> str:
@@ -221,14 +208,13 @@ def _allowed(quantity: str) -> str:
 def _chosen(sheet: Sheet, header: Header, quantity: str, text: str) -> int:
     """The place of a column by its number, or by its name with or without unit."""
     if text.isdigit() and text not in header.names:
-        if not 1 <= int(text) <= sheet.form.width:
+        if not 1 <= int(text) <= sheet.width:
             raise ValueError(
-                f"columns: {quantity}: must be from 1 to {sheet.form.width}, as many as {sheet.source} has, got {text}"
+                f"columns: {quantity}: must be from 1 to {sheet.width}, as many as {sheet.source} has, got {text}"
             )
         return int(text) - 1
-    names = {"name": [plain(name) for name in header.names], "short": [base(name) for name in header.names]}
-    for own in names.values():
-        found = [i for i, name in enumerate(own) if name and name == plain(text)]
+    for form in (plain, base):
+        found = [i for i, name in enumerate(header.names) if name and form(name) == plain(text)]
         if len(found) == 1:
             return found[0]
     raise ValueError(
@@ -237,94 +223,42 @@ def _chosen(sheet: Sheet, header: Header, quantity: str, text: str) -> int:
     )
 
 
+def _only(sheet: Sheet, header: Header, quantity: str) -> int:
+    """The place of the one column that the header names for a quantity."""
+    found = candidates(sheet, header, quantity)
+    if len(found) != 1:
+        which = " and ".join(repr(header.names[i]) for i in found) or f"none in {header.shown}"
+        raise _UnclearError(
+            f"{sheet.source}: line {header.line}: must name one column of {quantity}, whose cells are numbers, got "
+            f"{which}"
+        )
+    return found[0]
+
+
 class _UnclearError(ValueError):
-    """What a file leaves open, and an option tells."""
+    """What a file leaves open, and a person may tell."""
 
 
-def _not_one(sheet: Sheet, header: Header, quantity: str, found: Sequence[int]) -> ValueError:
-    which = " and ".join(repr(header.names[i]) for i in found) or header.none
-    words = next((i for i, name in enumerate(header.names) if re.search(NAMES[quantity], base(name))), None)
-    if not found and words is not None and not sheet.form.numeric[words]:
-        place, row = next((p, r) for p, r in zip(sheet.places, sheet.rows, strict=True) if len(r) > words)
-        return ValueError(
-            f"{sheet.source}: line {place}: must hold numbers, or times as 12:00:01.5, in column {words + 1}, "
-            f"{header.names[words]!r}, got {short(row[words])}: is another column of {quantity}?"
-        )
-    return _UnclearError(f"{sheet.source}: line {header.line}: must name one column of {quantity}, got {which}")
+def example(sheet: Sheet, quantities: Sequence[str], columns: Columns | None, defaults: Mapping[str, str]) -> str:
+    """What a person may say of columns to have all of these quantities: what is said, and what else is lacking.
 
-
-def example(
-    sheet: Sheet, quantities: Sequence[str], columns: Columns | None, defaults: Mapping[str, str] | None = None
-) -> str:
-    """What a person may say of columns to have all of these quantities: what is said, and what is lacking.
-
-    That is columns, where a header does not name one, and likely units, where neither it nor a default does.
+    That is a column, where the header does not name one, and a likely unit, where nothing tells it.
     """
-    header, said = header_of(sheet), choices(columns)
-    found: dict[int, str] = {}
+    header, said, found = header_of(sheet), choices(columns), dict[int, str]()
     for quantity in {**said, **dict.fromkeys(quantities)}:
-        own, named = said.get(quantity, Choice("", None)), candidates(sheet, header, quantity)
-        known = [_chosen(sheet, header, quantity, own.column)] if own.column else named
-        others = {i for q in MEASURED if q not in (quantity, *said) for i in candidates(sheet, header, q)} | set(found)
-        others |= {i for i, name in enumerate(header.names) if re.search(STRESS, base(name))}
-        free = [i for i, numeric in enumerate(sheet.form.numeric) if numeric and i not in others]
-        free.sort(key=lambda i: not named_units(header, i, quantity)[0])
-        if not known and not free:
+        own, known = said.get(quantity, Choice()), candidates(sheet, header, quantity)
+        others = {i for q in MEASURED if q not in (quantity, *said) for i in candidates(sheet, header, q)}
+        others |= {i for i, name in enumerate(header.names) if re.search(STRESS, base(name))} | set(found)
+        free = [i for i in range(sheet.width) if sheet.numeric[i] and i not in others]
+        index = _chosen(sheet, header, quantity, own.column) if own.column else next(iter([*known, *free]), None)
+        if index is None:
             return f"{quantity}=?"
-        # Of a few alike what is measured varies: a supply's pressure, and forces to the side, hardly do.
-        spread = {i: float(np.ptp(values_of(sheet, i))) for i in known[: len(known) * (len(known) > 1)]}
-        index = next((i for i in spread if spread[i] >= VARIED * max(spread.values())), (known or free)[0])
-        unit, (units, unknown) = own.unit and f"{own.unit}{' abs' * own.absolute}", named_units(header, index, quantity)
-        if not unit and not units and quantity == "time":  # minutes and hours are no units unless they end a name
-            unit = unit_named(re.split(r"[_\s]", header.names[index])[-1], quantity) or ""
-        if not unit and not units and quantity not in (defaults or {}):
-            unit = "?" if _LIKE_A_UNIT.fullmatch(unknown) else _likely_unit(quantity, values_of(sheet, index))
-        if unit or own.column or len(named) != 1:
-            found[index] = f"{quantity}={_pasted(header, index)}{f':{unit}' if unit else ''}"
+        unit = f"{own.unit}{' abs' * own.absolute}" if own.unit else ""
+        if not unit and not named_units(header, index, quantity) and quantity not in defaults:
+            values = values_of([row[index] for row in sheet.rows if len(row) > index], sheet.decimal)
+            size = np.nanmedian(np.diff(values)) if quantity == "time" else np.nanmax(np.abs(values))
+            most, small, large = _LIKELY.get(quantity, (math.inf, "mm", ""))
+            unit = "?" if header.units[index] else large if size > most else small
+        if unit or own.column or len(known) != 1:
+            found[index] = f"{quantity}={index + 1}{f':{unit}' if unit else ''}"
     return ",".join(found.values())
-
-
-def _pasted(header: Header, index: int) -> str | int:
-    """The name of a column, or its number where a name is none, or none alone, or no shell takes it as it is."""
-    name = header.names[index]
-    return name if _PASTED.fullmatch(name) and header.names.count(name) == 1 else index + 1
-
-
-def values_of(sheet: Sheet, index: int, most: int | None = None) -> Array:
-    """The numbers of a column, NaN where there is none; of the first lines alone, where so many do."""
-    return np.array([number(row[index], sheet.form.decimal) for row in sheet.rows[:most] if len(row) > index])
-
-
-def _likely_unit(quantity: str, values: Array) -> str:
-    """The unit that numbers are likely to be in; times by the steps between them."""
-    if quantity == "time":
-        return "ms" if np.nanmedian(np.abs(np.diff(values))) > LONGEST_STEP else "s"
-    return next(unit for most, unit in _LIKELY[quantity] if not np.nanmax(np.abs(values)) > most)
-
-
-def _check_names(sheet: Sheet, header: Header) -> None:
-    """Raise a ValueError about a header of fewer names than there are columns, as nobody knows which are named."""
-    last = max((i for i, name in enumerate(header.names) if name), default=sheet.form.width)
-    if any(sheet.form.numeric[last + 1 :]):
-        raise ValueError(
-            f"{sheet.source}: line {header.line}: must name all {sheet.form.width} columns, got {last + 1} names, "
-            f"{header.shown}: are there decimal commas between commas? If not, --columns tells them by numbers"
-        )
-
-
-def check_one_header(sheet: Sheet, header: Header, *, least: int = 2) -> None:
-    """Raise a ValueError about a line of words among the numbers that names columns, so many at least, otherwise."""
-    known = [_words(header.names), _words(header.units)]
-    for place, row in zip(sheet.places, sheet.rows, strict=True):
-        if not row or not row[0][:1].isalpha() or _words(row) in known or any(map(is_number, row)):
-            continue
-        if sum(any(re.search(pattern, base(cell)) for pattern in NAMES.values()) for cell in row) >= least:
-            raise ValueError(
-                f"{sheet.source}: line {place}: must not name columns otherwise than line {header.line}, "
-                f"{header.shown}, got {short(','.join(row))}: are two recordings or tables in one file?"
-            )
-
-
-def _words(cells: Sequence[str]) -> list[str]:
-    """What cells hold, without those that are empty."""
-    return [word for cell in cells if (word := plain(cell))]

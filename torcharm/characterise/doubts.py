@@ -9,9 +9,10 @@ from torcharm.actuators.measured import Measured
 from torcharm.actuators.polynomial import PolynomialActuator
 from torcharm.actuators.protocol import Actuator
 from torcharm.characterise.alignment import Recording, is_table
-from torcharm.characterise.choice import Candidate, forces
+from torcharm.characterise.choice import forces
 from torcharm.characterise.least_squares import MAD, Array, Monomials, exponents, least_squares_loss
 from torcharm.characterise.misfit import USUAL_DEGREE
+from torcharm.characterise.recordings import PressureRecord, TesterRecord
 
 THIN = 0.2
 """Of the box of strains and pressures, what share samples must cover to tell what each of the two does."""
@@ -23,10 +24,17 @@ FORCES = (0.05, 1e4)
 STUCK, MORE_OFF, AT_LEAST = 0.02, 1.5, 10
 """Of the samples, how many at the highest pressure, how much worse than others they fit, and how many at least, tell
 of a sensor at its end."""
+ATMOSPHERE = (80.0, 108.0)
+"""Between these [kPa] lies that of the surroundings; pressures that are never beyond it are perhaps absolute."""
+NEAR_REST, NO_FORCE = 0.02, 0.1
+"""Strains, and shares of pressures' range, that are those at rest; of the largest force, what share is none."""
+CONTRADICTING = 0.02
+"""Of the largest force, by how much forces at one strain and pressure may differ: presses and hysteresis do as much."""
+ALIKE, SAME_GAUGE, OTHER_PRESSURE = 0.9, 0.01, 0.2
+"""The squared correlation of a file's strains and extensions, at least: grips slip. By which shares two gauge lengths
+may differ, as files round strains, and the highest pressures of a run's two files."""
 LOW = 0.9
 """R² below which strain and pressure hardly tell the force."""
-FAR_OFF = 0.1
-"""Of a table's largest force, how far off samples that were left out may be predicted."""
 UNBALANCED, LEAST_REST = 0.7, 0.005
 """Of the root mean square that a fit leaves, what one with a force at rest may leave to doubt the load cell; and of the
 range of forces, what the fit must leave."""
@@ -35,34 +43,56 @@ WINDOW = 11
 SPIKE, SPIKE_OF_RMSE, SPIKE_OF_FORCE = 10.0, 5.0, 0.02
 """By so many of the usual distances from that median a spike stands out, so many root mean squares of residuals, and so
 much of the largest force."""
-SMOOTH = ((0, 0), *exponents(4))
-"""Powers of strain and pressure in what the numbers of a table are compared to: they are few, and in no order."""
 
 
-def warn_of_doubts(model: Actuator, recording: Recording, compared: Sequence[Candidate] = ()) -> None:
-    """A warning for each thing that is doubtful.
-
-    Args:
-        model: that was fitted.
-        recording: to which.
-        compared: kinds of models, the one taken first; none if the kind was given.
-    """
+def warn_of_doubts(
+    model: Actuator, recording: Recording, files: Sequence[tuple[TesterRecord, PressureRecord]] = ()
+) -> None:
+    """A warning for each thing that is doubtful about a model, the recording that it was fitted to, and its files."""
     residual = recording.force - forces(model, recording.strain, recording.pressure)
-    off = _unbalanced(recording), _low(recording, residual), _far_off(recording, compared), _spikes(recording, residual)
-    given = _size(recording), _clipped(recording), _undetermined(model, recording, residual)
-    for doubt in (*off, *given, _beyond(model)):
+    for doubt in (
+        _unbalanced(recording),
+        _low(recording, residual),
+        _contradicting(recording),
+        _spikes(recording, residual),
+        _size(recording),
+        _absolute(recording),
+        _clipped(recording),
+        _undetermined(model, recording, residual),
+        _beyond(model),
+        *(_other_strains(tester) for tester, _ in files),
+        *(_other_pressures(*both) for both in files),
+    ):
         if doubt:
             warnings.warn(doubt, stacklevel=2)
 
 
 def _size(recording: Recording) -> str:
-    low, high = FORCES
+    """Whether the largest force is none of a soft actuator."""
     most = float(np.quantile(np.abs(recording.force), 0.99))  # spikes are told as such
-    if low <= most <= high:
+    if FORCES[0] <= most <= FORCES[1]:
         return ""
     return (
-        f"forces of one actuator reach {most:.3g} N, those of soft ones {low:g} to {high:g} N: are the unit of force "
-        "and the number of actuators right?"
+        f"forces of one actuator reach {most:.3g} N, those of soft ones {FORCES[0]:g} to {FORCES[1]:g} N: are the unit "
+        "of force and the number of actuators right?"
+    )
+
+
+def _absolute(recording: Recording) -> str:
+    """Whether pressures end at that of the surroundings, and no force at rest tells that this is a pressure."""
+    strain, pressure, force = recording.strain, recording.pressure, np.abs(recording.force)
+    low, high = float(pressure.min()), float(pressure.max())
+    end = next((end for end in (low, high) if ATMOSPHERE[0] <= end <= ATMOSPHERE[1]), None)
+    if end is None or low < NEAR_REST * high:
+        return ""
+    at_rest = (np.abs(strain) <= NEAR_REST) & (np.abs(pressure - end) <= NEAR_REST * (high - low))
+    none = bool(at_rest.any()) and float(force[at_rest].mean()) < NO_FORCE * float(force.max())
+    if not none and (at_rest.any() or end != low or is_table(recording)):  # tables may begin at any pressure
+        return ""
+    return (
+        f"pressures are never {'below' if end == low else 'above'} {end:.4g} kPa"
+        f"{', where the actuator has no force' * none}: are they absolute? --columns or --pressure-columns says so: "
+        f'"pressure=2:kPa abs"{", beside --vacuum" * (end != low)}'
     )
 
 
@@ -81,6 +111,58 @@ def _clipped(recording: Recording) -> str:
     return (
         f"{top.sum()} samples are at exactly {pressure.max():.4g} kPa, the highest pressure, while forces change by "
         f"{own:.2g} N more than strains tell: was the pressure clipped, as the sensor or the logger reached its end?"
+    )
+
+
+def _contradicting(recording: Recording) -> str:
+    """Whether a table has several forces at one strain and pressure."""
+    if not is_table(recording):
+        return ""
+    strain, pressure, force = recording.strain, recording.pressure, recording.force
+    order = np.lexsort((force, pressure, strain))
+    same = (np.diff(strain[order]) == 0) & (np.diff(pressure[order]) == 0)
+    apart = np.diff(force[order]) * same
+    many, worst = (apart > CONTRADICTING * np.abs(force).max()).sum(), int(apart.argmax())
+    if not many:
+        return ""
+    a, b = sorted(order[worst : worst + 2])
+    return (
+        f"samples {a + 1} and {b + 1} of {recording.sources[0]} contradict each other: {force[a]:.4g} and "
+        f"{force[b]:.4g} N at strain {strain[a]:.3g} and {pressure[a]:.4g} kPa; {many} such in all"
+    )
+
+
+def _other_strains(tester: TesterRecord) -> str:
+    """Whether a file's strains and lengths do not go together, or mean another gauge length than was given."""
+    both = [tester.beside[name] for name in ("strain", "extension") if name in tester.beside]
+    finite = np.isfinite(both).all(0)
+    if len(both) < 2 or not finite.any():
+        return ""
+    strain, extension = (values[finite] - values[finite].mean() for values in both)
+    together, own, other = float(strain @ extension), float(strain @ strain), float(extension @ extension)
+    if together**2 < ALIKE * own * other:
+        return (
+            f"{tester.source}: its strains and its lengths do not go together: is the header right, or are columns "
+            "swapped? --columns says which is which"
+        )
+    given, meant = tester.gauge_length, abs(together) / max(own, 1e-300)
+    if given is None or not own or abs(meant / given - 1.0) <= SAME_GAUGE:
+        return ""
+    return (
+        f"{tester.source}: its own strains mean a gauge length of {1e3 * meant:.4g} mm, got {1e3 * given:.4g} mm, "
+        "which is taken"
+    )
+
+
+def _other_pressures(tester: TesterRecord, log: PressureRecord) -> str:
+    """Whether the tester's file has pressures, too, whose highest is another than the log's."""
+    own = tester.beside.get("pressure", np.empty(0))
+    most, logged = float(own[np.isfinite(own)].max(initial=-np.inf)), float(log.pressure.max())
+    if log.source == tester.source or most < 0 or abs(most - logged) <= OTHER_PRESSURE * max(most, logged):
+        return ""
+    return (
+        f"{tester.source}: its own pressures reach {most:.4g} kPa, those of {log.source} {logged:.4g} kPa, which "
+        "are taken: are their units right, and are they of one run?"
     )
 
 
@@ -154,55 +236,28 @@ def _unbalanced(recording: Recording) -> str:
     )
 
 
-def _far_off(recording: Recording, compared: Sequence[Candidate]) -> str:
-    most = float(np.abs(recording.force).max())
-    if not compared or not is_table(recording) or compared[0].rmse <= FAR_OFF * most:
-        return ""
-    return (
-        f"samples left out are predicted {100 * compared[0].rmse / most:.2g} % of the largest force off: the table is "
-        "too coarse, or a number in it is wrong"
-    )
-
-
 def _spikes(recording: Recording, residual: Array) -> str:
-    """The samples that stand out from those about them."""
-    table = is_table(recording)
-    if len(residual) < (2 * len(SMOOTH) if table else WINDOW):
+    """The samples of runs whose residuals stand out from the median of those before and after."""
+    from scipy.ndimage import median_filter
+
+    if is_table(recording) or len(residual) < WINDOW:
         return ""
-    out = _off_others(recording) if table else _off_neighbours(recording, residual)
-    usual = MAD * float(np.median(np.abs(out)))
+    out = np.zeros_like(residual)
+    for own in (recording.run == run for run in np.unique(recording.run)):
+        out[own] = residual[own] - median_filter(residual[own], WINDOW, mode="nearest")
     rmse = float(np.sqrt((residual**2).mean()))
-    of_rmse = 0.0 if table else SPIKE_OF_RMSE * rmse  # of few numbers one alone makes most of it
-    least = max(SPIKE * usual, of_rmse, SPIKE_OF_FORCE * float(np.abs(recording.force).max()))
+    usual = MAD * float(np.median(np.abs(out)))
+    least = max(SPIKE * usual, SPIKE_OF_RMSE * rmse, SPIKE_OF_FORCE * float(np.abs(recording.force).max()))
     found = np.flatnonzero(np.abs(out) > least)
     if not len(found):
         return ""
     worst = int(found[np.abs(out[found]).argmax()])
     which = "a sample stands" if len(found) == 1 else f"{len(found)} samples stand"
     return (
-        f"{which} out from those about, {recording.place(worst)} the most, by {abs(out[worst]):.3g} N at strain "
-        f"{recording.strain[worst]:.3g} and {recording.pressure[worst]:.4g} kPa (RMSE {rmse:.3g} N): --loss huber "
-        "bears such"
+        f"{which} out from those about, sample {worst + 1} of {recording.sources[recording.run[worst]]} the most, by "
+        f"{abs(out[worst]):.3g} N at strain {recording.strain[worst]:.3g} and {recording.pressure[worst]:.4g} kPa "
+        f"(RMSE {rmse:.3g} N): --loss huber bears such"
     )
-
-
-def _off_neighbours(recording: Recording, residual: Array) -> Array:
-    """By how much residuals of runs are off the median of those before and after."""
-    from scipy.ndimage import median_filter
-
-    out = np.zeros_like(residual)
-    for own in (recording.run == run for run in np.unique(recording.run)):
-        out[own] = residual[own] - median_filter(residual[own], WINDOW, mode="nearest")
-    return out
-
-
-def _off_others(recording: Recording) -> Array:
-    """By how much each force of a table is off the smooth function that best fits all others."""
-    monomials = Monomials.for_data(SMOOTH, recording.strain, recording.pressure)
-    basis, _ = np.linalg.qr(monomials.values(recording.strain, recording.pressure))
-    own = recording.force - basis @ (basis.T @ recording.force)
-    left: Array = own / np.maximum(1 - (basis**2).sum(1), 1e-3)
-    return left
 
 
 def _beyond(model: Actuator) -> str:

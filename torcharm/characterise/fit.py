@@ -5,14 +5,13 @@
 The model is a polynomial actuator, ready for any arm; `model.quality` says how far to trust it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
-from torch import Tensor
 
 from torcharm.actuators.bending import Bending, LinearBending
 from torcharm.actuators.measured import SLACK, Measured, Provenance, measured_region
@@ -27,22 +26,18 @@ from torcharm.characterise.least_squares import (
     correlation_length,
     covariance,
     exponents,
-    rising_constraints,
+    held_monotonic,
     robust,
 )
 from torcharm.characterise.monotonicity import Monotonicity, monotonicity
 from torcharm.characterise.signs import LEAST_STRAIN
-from torcharm.inputs import TensorLike, check_choice, check_count, check_number, shown
+from torcharm.inputs import TensorLike, as_floating, check_choice, check_count, check_finite, check_number
 
 HIGHEST_DEGREE = 9
 VACUUM_SHARE = 0.1
 """Of the range of pressures, how much may lie below 0: more than the zero of any sensor is off."""
 LEAST_PRESSURE = 0.1
 """A range of pressures [kPa] below which samples differ by noise alone, as `LEAST_STRAIN` is of strains."""
-MARGIN = 1e-4
-"""A constrained fit's slope is at least so much of its mean slope."""
-
-Constraints = tuple[Array, Array]
 
 
 @dataclass(frozen=True)
@@ -161,34 +156,34 @@ def fit_force_model(
         >>> [(i, j, round(c, 3)) for i, j, c in ta.fit_force_model(strain, pressure, force, degree=1).coefficients]
         [(1, 0, -30.0), (0, 1, 0.9)]
     """
-    data = _Data.checked(strain, pressure, force, run)
-    total = _check_options(degree, loss, loss_scale, correlated, max_pressure)
-    powers = terms or exponents(total)
-    check_informative(data.strain, data.pressure, data.force)
-    top = float(data.pressure.max()) if max_pressure is None else max_pressure
-    options: dict[str, Any] = {"loss": loss, "scale": loss_scale, "monotonic": monotonic, "top": top}
-    fit = _fit(data, powers, **options)
-    length = correlation_length(fit.solution.residual, data.runs) if correlated is None else correlated
-    spread = fit.covariance(data, loss, length)
-    strains = float(data.strain.min()), float(data.strain.max())
-    pressures = characterised_pressures(data.pressure)
-    coefficients = tuple((i, j, float(c)) for (i, j), c in zip(powers, fit.coefficients, strict=True))
+    x, y, f = checked_samples(strain, pressure, force)
+    runs = _runs(run, len(f))
+    _check_options(degree, loss, loss_scale, correlated, max_pressure)
+    powers = terms or exponents(int(degree))
+    check_informative(x, y, f)
+    top = float(y.max()) if max_pressure is None else max_pressure
+    fitter = partial(_fit, powers=powers, loss=loss, scale=loss_scale, monotonic=monotonic, top=top)
+    monomials, found = fitter(x, y, f)
+    length = correlation_length(found.residual, runs) if correlated is None else correlated
+    spread = covariance(found, runs, length) / np.outer(monomials.scale, monomials.scale)
+    strains, pressures = (float(x.min()), float(x.max())), characterised_pressures(y)
+    values = (found.coefficients / monomials.scale).tolist()
+    coefficients = tuple((i, j, c) for (i, j), c in zip(powers, values, strict=True))
     shape = monotonicity(PolynomialActuator(coefficients, strains, pressures, max(pressures[1], 1e-9)))
     if max_pressure is None:
         max_pressure = shape.up_to if shape.up_to > pressures[0] else pressures[1]
     quality = FitQuality(
-        samples=len(data.force),
-        runs=len(data.runs),
-        r_squared=_r_squared(data.force, fit.solution.residual),
-        rmse=_rmse(fit.solution.residual),
+        samples=len(f),
+        runs=len(runs),
+        **_errors(f, found.residual),
         standard_errors=tuple(np.sqrt(np.diag(spread)).tolist()),
-        covariance=tuple(tuple(row) for row in spread.tolist()),
+        covariance=tuple(map(tuple, spread.tolist())),
         correlation_length=length,
-        force_range=(float(data.force.min()), float(data.force.max())),
+        force_range=(float(f.min()), float(f.max())),
         loss=loss,
-        loss_scale=0.0 if loss == "linear" else fit.scale,
+        loss_scale=0.0 if loss == "linear" else found.scale,
         constrained=monotonic,
-        hold_out=_hold_out(data, powers, options),
+        hold_out=_hold_out(x, y, f, runs, fitter),
         monotonicity=shape,
     )
     return FittedActuator(
@@ -198,7 +193,7 @@ def fit_force_model(
         max_pressure,
         known_bending(bending_stiffness),
         quality=quality,
-        region=measured_region(data.strain, data.pressure.clip(min=0)),
+        region=measured_region(x, y.clip(min=0)),
         provenance=provenance,
     )
 
@@ -264,34 +259,17 @@ def provenance_of(recording: Recording) -> Provenance:
     return (("torcharm", __version__), *files, *recording.settings)
 
 
-@dataclass(frozen=True)
-class _Data:
-    """n samples, runs one after another."""
-
-    strain: Array
-    pressure: Array
-    force: Array
-    runs: tuple[slice, ...]
-
-    @classmethod
-    def checked(cls, strain: TensorLike, pressure: TensorLike, force: TensorLike, run: TensorLike | None) -> "_Data":
-        columns = checked_samples(strain, pressure, force)
-        count = len(columns[0])
-        labels = np.zeros(count) if run is None else _column("run", run)
-        if len(labels) != count:
-            raise ValueError(f"run: must hold one label for each of {count} samples, got {len(labels)}")
-        edges = [0, *(np.flatnonzero(np.diff(labels)) + 1).tolist(), count]
-        runs = tuple(slice(a, b) for a, b in pairwise(edges))
-        if len(np.unique(labels)) < len(runs):
-            raise ValueError("run: samples of one run must stand together, got labels that come back")
-        return cls(*columns, runs)
-
-    def only(self, runs: Sequence[int]) -> "_Data":
-        """The samples of some runs."""
-        index = [np.arange(self.runs[k].start, self.runs[k].stop) for k in runs]
-        chosen, edges = np.concatenate(index), np.cumsum([0, *map(len, index)]).tolist()
-        slices = tuple(slice(a, b) for a, b in pairwise(edges))
-        return _Data(self.strain[chosen], self.pressure[chosen], self.force[chosen], slices)
+def _runs(labels: TensorLike | None, count: int) -> list[slice]:
+    """Where each run's samples are, which stand together."""
+    if labels is None:
+        return [slice(0, count)]
+    own = _column("run", labels)
+    if len(own) != count:
+        raise ValueError(f"run: must hold one label for each of {count} samples, got {len(own)}")
+    edges = [0, *(np.flatnonzero(np.diff(own)) + 1).tolist(), count]
+    if len(np.unique(own)) < len(edges) - 1:
+        raise ValueError("run: samples of one run must stand together, got labels that come back")
+    return [slice(*ends) for ends in pairwise(edges)]
 
 
 def checked_samples(strain: TensorLike, pressure: TensorLike, force: TensorLike) -> tuple[Array, Array, Array]:
@@ -308,22 +286,15 @@ def checked_samples(strain: TensorLike, pressure: TensorLike, force: TensorLike)
     return x, y, f
 
 
-def _column(name: str, value: Any) -> Array:
-    if isinstance(value, Tensor):
-        value = value.detach().cpu().numpy()
-    try:
-        column: Array = np.asarray(value, dtype=np.float64).ravel()
-    except (TypeError, ValueError):
-        raise ValueError(f"{name}: must be numbers, got {shown(value)}") from None
-    bad = ~np.isfinite(column)
-    if bad.any():
-        raise ValueError(f"{name}: must be finite, got {column[bad][0]} at sample {int(bad.argmax())}")
-    return column
+def _column(name: str, value: TensorLike) -> Array:
+    (tensor,) = as_floating(**{name: value})
+    check_finite(name, tensor)
+    return tensor.detach().cpu().double().flatten().numpy()
 
 
 def _check_options(
     degree: int, loss: str, loss_scale: float | None, correlated: int | None, max_pressure: float | None
-) -> int:
+) -> None:
     if check_count("degree", degree, 1) > HIGHEST_DEGREE:
         raise ValueError(f"degree: must be at most {HIGHEST_DEGREE}, got {degree}")
     check_choice("loss", loss, LOSSES)
@@ -332,68 +303,48 @@ def _check_options(
             check_number(name, value, 0.0, strict=True)
     if correlated is not None:
         check_count("correlated", correlated, 1)
-    return int(degree)
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """A solution for scaled monomials, and what it takes to use it."""
-
-    monomials: Monomials
-    matrix: Array
-    solution: Solution
-    weight: Array
-    scale: float
-
-    @property
-    def coefficients(self) -> Array:
-        return self.solution.coefficients / self.monomials.scale
-
-    def covariance(self, data: _Data, loss: str, length: int) -> Array:
-        spread = covariance(self.matrix, self.solution, self.weight, loss, self.scale, data.runs, length)
-        return spread / np.outer(self.monomials.scale, self.monomials.scale)
 
 
 def _fit(
-    data: _Data, powers: tuple[tuple[int, int], ...], loss: str, scale: float | None, monotonic: bool, top: float
-) -> _Fit:
-    monomials = Monomials.for_data(powers, data.strain, data.pressure)
-    matrix = monomials.values(data.strain, data.pressure)
-    none: Constraints = np.empty((0, len(powers))), np.empty(0)
-    free = robust(matrix, data.force, loss, scale, none)
+    strain: Array,
+    pressure: Array,
+    force: Array,
+    *,
+    powers: Powers,
+    loss: str,
+    scale: float | None,
+    monotonic: bool,
+    top: float,
+) -> tuple[Monomials, Solution]:
+    """Scaled monomials and their coefficients."""
+    monomials = Monomials.for_data(powers, strain, pressure)
+    matrix = monomials.values(strain, pressure)
+    free = robust(matrix, force, loss, scale)
     if not monotonic:
-        return _Fit(monomials, matrix, *free)
-    box = (float(data.strain.min()), float(data.strain.max())), (0.0, top)
-    grid = np.meshgrid(*(np.linspace(*ends, 41) for ends in box))
-    slope = monomials.slopes(grid[0].ravel(), grid[1].ravel()) @ free[0].coefficients
-    sign = 1.0 if slope.mean() >= 0 else -1.0
-    margin = max(MARGIN * abs(float(slope.mean())), float(np.finfo(np.float64).tiny))
-
-    def constrained(constraints: Constraints) -> Array:
-        return robust(matrix, data.force, loss, free[2] if loss != "linear" else None, constraints)[0].coefficients
-
-    constraints = rising_constraints(monomials, box, constrained, sign, margin)
-    return _Fit(monomials, matrix, *robust(matrix, data.force, loss, free[2], constraints))
+        return monomials, free
+    box = (float(strain.min()), float(strain.max())), (0.0, top)
+    return monomials, held_monotonic(monomials, free, box, partial(robust, matrix, force, loss, free.scale))
 
 
-def _hold_out(data: _Data, powers: tuple[tuple[int, int], ...], options: dict[str, Any]) -> tuple[HoldOut, ...]:
+def _hold_out(
+    strain: Array, pressure: Array, force: Array, runs: Sequence[slice], fitter: Callable[..., Any]
+) -> tuple[HoldOut, ...]:
     """Each run, predicted from the others; a run that the others cannot predict has no entry."""
     found = []
-    for index in range(len(data.runs) if len(data.runs) > 1 else 0):
-        rest, own = data.only([k for k in range(len(data.runs)) if k != index]), data.only([index])
+    for index, own in enumerate(runs if len(runs) > 1 else []):
+        rest = np.ones(len(force), bool)
+        rest[own] = False
         try:
-            fit = _fit(rest, powers, **options)
+            monomials, fit = fitter(strain[rest], pressure[rest], force[rest])
         except ValueError:  # too few strains or pressures are left
             continue
-        residual = own.force - fit.monomials.values(own.strain, own.pressure) @ fit.solution.coefficients
-        found.append(HoldOut(index, len(own.force), _r_squared(own.force, residual), _rmse(residual)))
+        residual = force[own] - monomials.values(strain[own], pressure[own]) @ fit.coefficients
+        found.append(HoldOut(index, len(residual), **_errors(force[own], residual)))
     return tuple(found)
 
 
-def _r_squared(force: NDArray[np.float64], residual: NDArray[np.float64]) -> float:
+def _errors(force: Array, residual: Array) -> dict[str, float]:
+    """R² and RMSE [N]."""
     total = float(((force - force.mean()) ** 2).sum())
-    return 1 - float(residual @ residual) / total if total > 0 else 0.0
-
-
-def _rmse(residual: NDArray[np.float64]) -> float:
-    return float(np.sqrt(np.mean(residual**2)))
+    share = 1 - float(residual @ residual) / total if total > 0 else 0.0
+    return {"r_squared": share, "rmse": float(np.sqrt(np.mean(residual**2)))}

@@ -1,77 +1,112 @@
-"""What stands above a file's numbers: the names of columns, and their units."""
+"""What stands above a file's numbers: the names of columns and their units, and which quantity each may hold."""
 
 import re
 from dataclasses import dataclass
 
 from torcharm.characterise.cells import Row, has_value, is_moment, is_number
 from torcharm.characterise.delimited import Sheet, short
-from torcharm.units import MEASURED, unit_named
+from torcharm.units import LENGTH, MEASURED, unit_named
 
+NAMES = {
+    "time": r"timestamp|\btime|elapsed(?! cycle)|millis|micros|zeit|\bx value",
+    "strain": r"strain|dehnung|stauchung",
+    "contraction": r"contraction|shortening|kontraktion|verkürzung",
+    "extension": r"extension|displacement|elongation|crosshead|stroke|position|travel|weg\b|traverse|verlängerung",
+    "length": r"length|height|länge\b|höhe\b",
+    "force": r"force|load|kraft",
+    "pressure": r"pressure|druck(?!kraft)",
+}
+"""What the names of columns hold, in lower case and without units."""
+_SYMBOLS = {"time": ("t",), "strain": ("ε", "eps", "epsilon"), "force": ("f",), "pressure": ("p",)}
+"""What they are called alone."""
+_SET_POINT = re.compile(r"set ?point|target|command|demand|desired|reference|\bref\b|\bset\b|\bsp\b|soll")
+"""What was asked for is no measurement."""
+STRESS = r"stress|spannung|modul"
+"""What testers give in units of pressure, and is none."""
+_TOLD_BY_UNIT = ("time", "force", "pressure")
+"""Quantities whose units are those of nothing else that a bench records."""
+_PREFERRED_ALONE = ("time", "extension", "force")
+"""Of which the column of that name alone is taken among several: others, such as a cycle's time, follow it."""
+_AMBIGUOUS = ("min", "h", "1", "-", "in", "strain")
+"""What names a unit in brackets, or in a row of units, but may mean something else as a word of a name."""
+_BETWEEN_WORDS = re.compile(r"[\s_,;/]|(?<=[a-z]{3})(?=[A-Z])")
+"""Also in `TimeMs`, but not in `kPa` and `mmHg`."""
 _GAUGE_OR_NOT = re.compile(r"((?:pa|bar|psi|atm|²))\s?\((g|gauge|rel\.?|ü|a|abs\.?|absolute?)\)", re.IGNORECASE)
 """A unit of pressure, and behind it in brackets of its own from where it counts, as in `bar(g)`."""
-_UNIT_LABEL = re.compile(r"(?:y[ _])?(?:units?|einheit(?:en)?)(?:[ _]label)?\s*:?", re.IGNORECASE)
-"""What stands before a row of units, as in `Unit:` and LabVIEW's `Y_Unit_Label`."""
 BRACKETS = re.compile(r"\(([^()]*)\)|\[([^\[\]]*)\]")
 
 
 @dataclass(frozen=True)
 class Header:
-    """The names of columns and the texts that stand for their units; "" where there is none.
+    """The names of columns, and what stands for their units.
 
     Attributes:
         line: of the names.
-        names, units: of each column, above the numbers.
-        behind: the unit that stands behind each number of a column; seconds for moments.
-        moments: whether a column holds times of day.
+        names: of each column; "" where there is none.
+        units: of each column, the texts behind numbers, in the row of units and in brackets; of moments seconds alone.
     """
 
     line: int
     names: tuple[str, ...]
-    units: tuple[str, ...]
-    behind: tuple[str, ...]
-    moments: tuple[bool, ...]
+    units: tuple[tuple[str, ...], ...]
 
     @property
     def shown(self) -> str:
         """The names as they stand, shortened."""
         return short(",".join(self.names)) if any(self.names) else "no header"
 
-    @property
-    def none(self) -> str:
-        """That none of the names is one that is looked for."""
-        return f"none in {self.shown}" if any(self.names) else "no names"
-
-    def unit_texts(self, index: int) -> list[str]:
-        """What stands behind each number, in the row of units, or in brackets; of moments seconds alone."""
-        if self.moments[index]:
-            return [self.behind[index]]
-        inside = [(a or b).strip() for a, b in BRACKETS.findall(self.names[index])]
-        return [text for text in (self.behind[index].strip(), self.units[index].strip("()[] "), *inside) if text]
-
 
 def header_of(sheet: Sheet) -> Header:
     """The names and units above the numbers; the former may hold the latter."""
-    rows = [(place, row) for place, row in reversed(sheet.above[-4:]) if not _UNIT_LABEL.fullmatch(row[0].strip())]
-    rows = [(place, row) for place, row in rows if _is_unit_row(row) or sum(bool(cell.strip()) for cell in row) > 1]
-    units = _labelled_units(sheet)
+    rows = [
+        (n, row)
+        for n, row in reversed(sheet.above[-4:])
+        if _is_unit_row(row) or sum(1 for own in row if own.strip()) > 1
+    ]
     line = rows[0][0] if rows else 1
-    if rows and _is_unit_row(rows[0][1]):
-        units = rows.pop(0)[1]
+    units = rows.pop(0)[1] if rows and _is_unit_row(rows[0][1]) else []
     names: Row = []
-    words = [sum(1 for cell in row if cell.strip() and not is_number(cell)) for _, row in rows]
-    if rows and words[0] >= 2:
-        # A line about the file may stand between names and numbers: it fills fewer cells.
-        enough = sum(sheet.form.numeric) - 1
-        line, names = next((own for own, count in zip(rows, words, strict=True) if count >= enough), rows[0])
-        names = _without_comment(names, sheet.form.width)
-    width, (labels, units_behind) = sheet.form.width, zip(*sheet.form.dress, strict=True)
-    if not names:
-        names = [label.strip(" :=\t") for label in labels]
-    filled = [tuple(map(_joined, (row + [""] * width)[:width])) for row in (names, units)]
-    first = [[row[c] for row in sheet.rows[:20] if len(row) > c and has_value(row[c])] for c in range(width)]
-    moments = tuple(bool(cells) and any(map(is_moment, cells)) for cells in first)
-    behind = tuple("s" if moment else unit for unit, moment in zip(units_behind, moments, strict=True))
-    return Header(line, filled[0], filled[1], behind, moments)
+    if rows and sum(1 for cell in rows[0][1] if cell.strip() and not is_number(cell)) > 1:
+        line, names = rows[0][0], _without_comment(rows[0][1], sheet.width)
+    names, blank = names or [label.strip(" :=\t") for label, _ in sheet.dress], [""] * sheet.width
+    named, below = (tuple(map(_joined, (row + blank)[: sheet.width])) for row in (names, units))
+    texts = []
+    for index, name in enumerate(named):
+        first = [row[index] for row in sheet.rows[:20] if len(row) > index and has_value(row[index])]
+        inside = [(a or b).strip() for a, b in BRACKETS.findall(name)]
+        found = (sheet.dress[index][1].strip(), below[index].strip("()[] "), *inside)
+        texts.append(("s",) if any(map(is_moment, first)) else tuple(filter(None, found)))
+    return Header(line, named, tuple(texts))
+
+
+def candidates(sheet: Sheet, header: Header, quantity: str) -> list[int]:
+    """Columns of numbers that may hold a quantity: by name, those named so alone first; or else by unit."""
+    numeric = [i for i in range(sheet.width) if sheet.numeric[i] and not _is_foreign(header.units[i], quantity)]
+    own = {i: name for i in numeric if not _SET_POINT.search(name := base(header.names[i]))}
+    found = [i for i, name in own.items() if re.search(NAMES[quantity], name) or name in _SYMBOLS.get(quantity, ())]
+    if len(found) > 1 and quantity in _PREFERRED_ALONE:
+        alone = [i for i in found if re.fullmatch(f"(?:{NAMES[quantity]})s?", own[i])]
+        return alone if len(alone) == 1 else found
+    if quantity == "strain":  # those that are lengths of the gauge go last
+        found = [i for i in found if not any(unit in LENGTH for unit in named_units(header, i, quantity))] or found
+    if found or quantity not in _TOLD_BY_UNIT:
+        return found
+    others = "|".join([STRESS, *(pattern for other, pattern in NAMES.items() if other != quantity)])
+    return [i for i in own if named_units(header, i, quantity) and not re.search(others, own[i])]
+
+
+def named_units(header: Header, index: int, quantity: str) -> list[str]:
+    """The units of a quantity that a column's header names: in brackets or below, or else among the words of a name."""
+    found = [unit for text in header.units[index] if (unit := unit_named(text, quantity))]
+    if not found:
+        words = _BETWEEN_WORDS.split(BRACKETS.sub(" ", header.names[index]))
+        found = [unit for w in words if w.lower() not in _AMBIGUOUS and (unit := unit_named(w, quantity))]
+    return list(dict.fromkeys(found))
+
+
+def _is_foreign(texts: tuple[str, ...], quantity: str) -> bool:
+    """Whether a column's header names a unit of another quantity, and none of this."""
+    return not any(unit_named(t, quantity) for t in texts) and any(unit_named(t, q) for t in texts for q in MEASURED)
 
 
 def _without_comment(names: Row, width: int) -> Row:
@@ -82,20 +117,12 @@ def _without_comment(names: Row, width: int) -> Row:
     return names
 
 
-def _labelled_units(sheet: Sheet) -> Row:
-    """The last row that names itself one of units; LabVIEW has seconds before it, where its `X_Dimension` is time."""
-    row = next((row for _, row in reversed(sheet.above) if _UNIT_LABEL.fullmatch(row[0].strip())), [])
-    timed = any(own[0].strip() == "X_Dimension" and "Time" in own for _, own in sheet.above)
-    return ["s" if timed else "", *row[1:]] if row or timed else []
-
-
 def _is_unit_row(row: Row) -> bool:
+    """Whether all that stands in a row are units, or in brackets."""
     filled = [cell.strip() for cell in row if cell.strip()]
-    return bool(filled) and all(_is_unit(cell) for cell in filled)
-
-
-def _is_unit(cell: str) -> bool:
-    return BRACKETS.fullmatch(cell) is not None or any(unit_named(cell, quantity) for quantity in MEASURED)
+    return bool(filled) and all(
+        BRACKETS.fullmatch(cell) or any(unit_named(cell, quantity) for quantity in MEASURED) for cell in filled
+    )
 
 
 def plain(name: str) -> str:

@@ -5,7 +5,7 @@ Hanson's least-distance problem, which scipy's `nnls` solves exactly; a robust o
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +13,26 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Powers = tuple[tuple[int, int], ...]
 
-LOSSES = ("linear", "huber", "soft_l1", "cauchy")
+Ends = tuple[float, float]
+Constraints = tuple[Array, Array]
+"""G (C, K) and h (C) of `G θ ≥ h`."""
+
+LOSSES: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
+    "linear": (np.ones_like, np.ones_like),
+    "huber": (lambda z: 1 / np.sqrt(np.maximum(z, 1.0)), lambda z: (z <= 1).astype(np.float64)),
+    "soft_l1": (lambda z: 1 / np.sqrt(1 + z), lambda z: (1 + z) ** -1.5),
+    "cauchy": (lambda z: 1 / (1 + z), lambda z: (1 - z) / (1 + z) ** 2),
+}
+"""By name, of `z = (r/s)²`: the weight ρ' of a squared residual, and how fast `ρ' r` grows with r."""
 ROUNDS = 100
 SETTLED = 1e-10
 """By so much of the force's size may the last round still move a robust fit."""
 DEPENDENT = 1e-10
 """Below so much of its column a pivot says that the data do not determine the coefficients."""
+MARGIN = 1e-4
+"""The slope of a fit that is held monotonic is at least so much of its mean slope."""
+FINE = 81
+"""Strains, and pressures, of the grid on which it is looked at."""
 INLIERS = 1.345
 """Robust losses bend at so many standard deviations: 95 % as efficient as least squares on Gaussian noise."""
 MAD = 1.4826
@@ -93,26 +107,41 @@ class Solution:
     """Coefficients of scaled monomials, and what they were solved from.
 
     Attributes:
+        matrix: (n, K).
         coefficients: (K).
         residual: (n) [N].
-        triangle: (K, K) R of the weighted matrix.
         active: (A, K) constraints that hold with equality.
+        loss, scale [N]: of residuals.
     """
 
+    matrix: Array
     coefficients: Array
     residual: Array
-    triangle: Array
     active: Array
+    loss: str = "linear"
+    scale: float = 1.0
+
+    @property
+    def weight(self) -> Array:
+        """(n) of the squares of residuals."""
+        return LOSSES[self.loss][0]((self.residual / self.scale) ** 2)
+
+    @property
+    def hessian(self) -> Array:
+        """(K, K) of half the loss."""
+        curved = LOSSES[self.loss][1]((self.residual / self.scale) ** 2)
+        product: Array = self.matrix.T @ (self.matrix * curved[:, None])
+        return product
 
 
-def solve(matrix: Array, force: Array, weight: Array | None, constraints: tuple[Array, Array]) -> Solution:
+def solve(matrix: Array, force: Array, weight: Array | None = None, constraints: Constraints | None = None) -> Solution:
     """The coefficients of least weighted squares subject to `G θ ≥ h`.
 
     Args:
         matrix: (n, K).
         force: (n).
         weight: (n) of the squares; None for ones.
-        constraints: G (C, K) and h (C); C may be 0.
+        constraints: None for none.
 
     Raises:
         ValueError: the data do not determine the coefficients, or the constraints contradict each other.
@@ -131,12 +160,11 @@ def solve(matrix: Array, force: Array, weight: Array | None, constraints: tuple[
             f"strain, pressure: must vary enough to determine {count} coefficients, got {len(rows)} samples that do "
             "not; take a lower degree or record more strains and pressures"
         )
-    bound, level = constraints
-    free = solve_triangular(triangle, right)
-    if not len(bound) or (bound @ free >= level).all():
-        return Solution(free, force - matrix @ free, triangle, bound[:0])
-    theta, held = _least_distance(triangle, free, bound, level)
-    return Solution(theta, force - matrix @ theta, triangle, bound[held])
+    bound, level = constraints or (np.empty((0, count)), np.empty(0))
+    theta, held = solve_triangular(triangle, right), np.zeros(len(bound), bool)
+    if not (bound @ theta >= level).all():
+        theta, held = _least_distance(triangle, theta, bound, level)
+    return Solution(matrix, theta, force - matrix @ theta, bound[held])
 
 
 def _least_distance(triangle: Array, free: Array, bound: Array, level: Array) -> tuple[Array, NDArray[np.bool_]]:
@@ -160,85 +188,53 @@ def _least_distance(triangle: Array, free: Array, bound: Array, level: Array) ->
 
 
 def robust(
-    matrix: Array, force: Array, loss: str, scale: float | None, constraints: tuple[Array, Array]
-) -> tuple[Solution, Array, float]:
+    matrix: Array, force: Array, loss: str, scale: float | None = None, constraints: Constraints | None = None
+) -> Solution:
     """A fit under a loss of residuals r, `Σ s² ρ((r/s)²)` as of scipy's `least_squares`, by weighted fits repeated.
-
-    Returns:
-        The solution, the weights ρ' (n) of its squares, and s [N].
 
     Raises:
         ValueError: as for `solve`; or the rounds do not settle.
     """
     found = solve(matrix, force, None, constraints)
     if loss == "linear":
-        return found, np.ones_like(force), 1.0
+        return found
     size = max(float(np.abs(force).max()), float(np.finfo(np.float64).tiny))
     if scale is None:
         spread: float = np.median(np.abs(found.residual)).item()
         scale = max(INLIERS * MAD * spread, 1e-9 * size)
     for _ in range(ROUNDS):
-        weight = _weight(found.residual, loss, scale)
-        following = solve(matrix, force, weight, constraints)
-        moved = np.abs(following.residual - found.residual).max()
-        found = following
-        if moved <= SETTLED * size:
-            return found, _weight(found.residual, loss, scale), scale
+        before = replace(found, loss=loss, scale=scale)
+        found = solve(matrix, force, before.weight, constraints)
+        if np.abs(found.residual - before.residual).max() <= SETTLED * size:
+            return replace(found, loss=loss, scale=scale)
     raise ValueError(f"loss: the fit with {loss!r} did not settle in {ROUNDS} rounds; take 'huber' or a larger scale")
 
 
-def _weight(residual: Array, loss: str, scale: float) -> Array:
-    z = (residual / scale) ** 2
-    if loss == "huber":
-        return 1 / np.sqrt(np.maximum(z, 1.0))
-    return 1 / np.sqrt(1 + z) if loss == "soft_l1" else 1 / (1 + z)
-
-
-def _stiffness(residual: Array, loss: str, scale: float) -> Array:
-    """How fast the weighted residual `ρ' r` grows with r: the Hessian's weights."""
-    z = (residual / scale) ** 2
-    if loss == "huber":
-        return (z <= 1).astype(np.float64)
-    if loss == "soft_l1":
-        return (1 + z) ** -1.5
-    return (1 - z) / (1 + z) ** 2 if loss == "cauchy" else np.ones_like(z)
-
-
-def covariance(
-    matrix: Array, found: Solution, weight: Array, loss: str, scale: float, runs: Sequence[slice], length: int
-) -> Array:
+def covariance(found: Solution, runs: Sequence[slice], length: int) -> Array:
     """The coefficients' covariance (K, K), robust to noise that is uneven and correlated in time.
 
     The sandwich `H⁻¹ S H⁻¹` with Newey and West's S: products of scores up to `length - 1` samples apart in the
     same run count, with weights that fall linearly (Bartlett). It is worked out as a mean over all windows of
     `length` samples. Constraints that hold with equality are taken as if they were to hold in every repetition.
     """
-    score = matrix * (weight * found.residual)[:, None]
-    spread = np.zeros((matrix.shape[1],) * 2)
+    from scipy.linalg import null_space
+
+    count, size = found.matrix.shape
+    score = found.matrix * (found.weight * found.residual)[:, None]
+    spread = np.zeros((size, size))
     for run in runs:
         own = score[run]
-        total = np.vstack((np.zeros((1, own.shape[1])), own.cumsum(0)))
+        total = np.vstack((np.zeros((1, size)), own.cumsum(0)))
         reach = min(length, len(own))
         low = np.clip(np.arange(1 - reach, len(own)), 0, None)
         high = np.clip(np.arange(1, len(own) + reach), None, len(own))
         window = total[high] - total[low]
         spread += window.T @ window / reach
-    curved = _stiffness(found.residual, loss, scale)
-    hessian = matrix.T @ (matrix * curved[:, None]) if loss != "linear" else found.triangle.T @ found.triangle
-    free = _null_space(found.active, len(hessian))
-    inverse = np.linalg.pinv(free.T @ hessian @ free, hermitian=True)
-    half = free @ inverse @ free.T
-    count, used = matrix.shape[0], free.shape[1]
-    result: Array = half @ spread @ half * (count / max(count - used, 1))
+    active = found.active / np.linalg.norm(found.active, axis=1, keepdims=True)
+    free = null_space(active) if len(active) else np.eye(size)
+    half = free @ np.linalg.pinv(free.T @ found.hessian @ free, hermitian=True) @ free.T
+    result: Array = half @ spread @ half * (count / max(count - free.shape[1], 1))
     return (result + result.T) / 2
-
-
-def _null_space(active: Array, count: int) -> Array:
-    if not len(active):
-        return np.eye(count)
-    from scipy.linalg import null_space
-
-    return null_space(active / np.linalg.norm(active, axis=1, keepdims=True))
 
 
 def correlation_length(residual: Array, runs: Sequence[slice]) -> int:
@@ -254,42 +250,38 @@ def correlation_length(residual: Array, runs: Sequence[slice]) -> int:
     return max(1, min(round(1.1447 * (alpha * len(residual)) ** (1 / 3)), shortest // 4))
 
 
-def rising_constraints(
-    monomials: Monomials,
-    box: tuple[tuple[float, float], tuple[float, float]],
-    fit: Callable[[tuple[Array, Array]], Array],
-    sign: float,
-    margin: float,
-) -> tuple[Array, Array]:
-    """Constraints under which `sign` times the slope in pressure is at least `margin` all over a box.
+def held_monotonic(
+    monomials: Monomials, free: Solution, box: tuple[Ends, Ends], fit: Callable[[Constraints], Solution]
+) -> Solution:
+    """The fit whose slope in pressure has one sign all over a box, that which the free fit's mean slope has there.
 
-    Points are added where the fit under the former ones falls short, until it does so nowhere on a fine grid.
+    It is held at points that are added where the fit under the former ones falls short, until it does so nowhere on a
+    fine grid.
 
     Args:
         monomials: of the polynomial.
+        free: without constraints.
         box: ranges of strain and pressure.
-        fit: from constraints to coefficients of scaled monomials.
-        sign: 1 for rising, -1 for falling.
-        margin: [N/kPa], above 0.
+        fit: under constraints.
 
     Raises:
         ValueError: it never ends, or as for `fit`.
     """
-    coarse, fine = (_slope_grid(monomials, box, sign, count) for count in (9, 81))
-    used = coarse
+    mean = float((_slope_grid(monomials, box, 41) @ free.coefficients).mean())
+    margin = max(MARGIN * abs(mean), float(np.finfo(np.float64).tiny))
+    used, fine = ((1 if mean >= 0 else -1) * _slope_grid(monomials, box, count) for count in (9, FINE))
+    along = np.arange(FINE)
     for _ in range(ROUNDS):
-        level = np.full(len(used), margin)
-        slope = fine @ fit((used, level))
-        short = slope.reshape(81, 81)
-        if short.min() >= 0.5 * margin:
-            return used, level
-        worst = np.unique(np.concatenate((short.argmin(0) * 81 + np.arange(81), np.arange(81) * 81 + short.argmin(1))))
+        found = fit((used, np.full(len(used), margin)))
+        slope = fine @ found.coefficients
+        if slope.min() >= 0.5 * margin:
+            return found
+        grid = slope.reshape(FINE, FINE)
+        worst = np.unique(np.concatenate((grid.argmin(0) * FINE + along, along * FINE + grid.argmin(1))))
         used = np.concatenate((used, fine[worst[slope[worst] < 0.5 * margin]]))
     raise ValueError(f"monotonic: the constrained fit did not settle in {ROUNDS} rounds")
 
 
-def _slope_grid(
-    monomials: Monomials, box: tuple[tuple[float, float], tuple[float, float]], sign: float, count: int
-) -> Array:
+def _slope_grid(monomials: Monomials, box: tuple[Ends, Ends], count: int) -> Array:
     strain, pressure = np.meshgrid(*(np.linspace(*ends, count) for ends in box), indexing="ij")
-    return sign * monomials.slopes(strain.ravel(), pressure.ravel())
+    return monomials.slopes(strain.ravel(), pressure.ravel())

@@ -6,9 +6,11 @@ quality and provenance. Floats are written so that they read back exactly: a rou
 
 import re
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, fields, is_dataclass
+from dataclasses import MISSING, asdict, fields, is_dataclass
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
+
+from torch import Tensor
 
 from torcharm.actuators.bending import Bending, ConstantBending, LinearBending
 from torcharm.actuators.gridded import GriddedActuator
@@ -20,7 +22,7 @@ from torcharm.actuators.shipped import SHIPPED, model_of
 from torcharm.characterise.fit import FittedActuator
 from torcharm.characterise.toml_text import read_toml, toml_entry, toml_value
 from torcharm.files import StrPath, atomic_write, read_file
-from torcharm.inputs import shown
+from torcharm.inputs import check_choice, plain_number, shown
 
 _HEAD, _END = "# A torcharm force model. Its last line is: # end", "# end"
 _OPEN_END = re.compile(r"=\s*[\w.+-]*\d$")
@@ -61,17 +63,18 @@ def save_actuator(path: StrPath, model: Actuator | str) -> None:
 
 def actuator_text(model: Actuator) -> str:
     """The text of a force model's file; errors as for `save_actuator`."""
-    kind = next((name for name, kind in KINDS.items() if type(model) is kind), None)
-    if kind is None:
+    kind = type(model)
+    if kind not in KINDS.values():
         raise ValueError(f"model: must be one of {', '.join(k.__name__ for k in KINDS.values())}, got {shown(model)}")
-    values = {f.name: getattr(model, f.name) for f in fields(model) if f.init}  # type: ignore[arg-type]
+    values = {f.name: getattr(model, f.name) for f in fields(kind) if f.init}  # type: ignore[arg-type]
     tables: dict[str, Any] = {"units": UNITS}
     bending = values["bending_stiffness"]
     if isinstance(bending, Bending):
         name = next((name for name, kind in BENDINGS.items() if type(bending) is kind), None)
         if name is None:
-            raise ValueError(f"bending_stiffness: a file holds a number or a {_names(BENDINGS)}, got {shown(bending)}")
-        tables["bending"] = {"kind": name, **_plain(bending)}
+            allowed = ", ".join(BENDINGS)
+            raise ValueError(f"bending_stiffness: a file holds a number or a {allowed}, got {shown(bending)}")
+        tables["bending"] = {"kind": name, **vars(bending)}
         del values["bending_stiffness"]
     if isinstance(model, Measured):
         provenance, quality = values.pop("provenance"), values.pop("quality", None)
@@ -82,8 +85,8 @@ def actuator_text(model: Actuator) -> str:
         if not model.region:
             del values["region"]
         if quality is not None:
-            tables["quality"] = _plain(quality)
-    head = [_HEAD, f"kind = {toml_value(kind)}", *_entries(values)]
+            tables["quality"] = asdict(quality)
+    head = [_HEAD, f"kind = {toml_value(model.name)}", *_entries(values)]  # type: ignore[attr-defined]
     rest = [line for name, table in tables.items() for line in _section(name, table)]
     if isinstance(bending, LinearBending) and bending.assumed:
         rest.insert(rest.index("[bending]"), ASSUMED)
@@ -126,67 +129,51 @@ def load_actuator(path: StrPath) -> Actuator:
 
 
 def _model(raw: dict[str, Any]) -> Actuator:
-    kind = KINDS[_choice("kind", raw.pop("kind", None), KINDS)]
+    name = raw.pop("kind", None)
+    check_choice("kind", name, KINDS)
     units = raw.pop("units", UNITS)
-    for name, unit in units.items() if isinstance(units, dict) else [("", units)]:
-        if unit != UNITS.get(name):
-            raise ValueError(f"units.{name}: must be among {UNITS}, got {shown(unit)}")
+    for quantity, unit in units.items() if isinstance(units, dict) else [("", units)]:
+        if unit != UNITS.get(quantity):
+            raise ValueError(f"units.{quantity}: must be among {UNITS}, got {shown(unit)}")
     if "bending" in raw:
         if "bending_stiffness" in raw:
             raise ValueError("bending: must not stand beside bending_stiffness, got both")
         raw["bending_stiffness"] = _bending(raw.pop("bending"))
-    if issubclass(kind, Measured):
+    if issubclass(KINDS[name], Measured):
         provenance = raw.pop("provenance", {})
         if not isinstance(provenance, dict) or not all(isinstance(v, str | int | float) for v in provenance.values()):
             raise ValueError(f"provenance: must be a table of texts and numbers, got {shown(provenance)}")
         raw["provenance"] = tuple(provenance.items())
-    model: Actuator = _build(kind, raw, "")
+    model: Actuator = _build(KINDS[name], raw, "")
     return model
 
 
 def _bending(raw: Any) -> Bending:
     if not isinstance(raw, dict):
         raise ValueError(f"bending: must be a table, got {shown(raw)}")
-    kind = BENDINGS[_choice("bending.kind", raw.pop("kind", None), BENDINGS)]
-    model: Bending = _build(kind, raw, "bending.")
+    name = raw.pop("kind", None)
+    check_choice("bending.kind", name, BENDINGS)
+    model: Bending = _build(BENDINGS[name], raw, "bending.")
     return model
 
 
-def _choice(field: str, value: Any, allowed: Mapping[str, Any]) -> str:
-    if not isinstance(value, str) or value not in allowed:
-        raise ValueError(f"{field}: must be one of {_names(allowed)}, got {shown(value)}")
-    return value
-
-
-def _names(allowed: Mapping[str, Any]) -> str:
-    return ", ".join(allowed)
-
-
-# Dataclasses to plain tables and back, by their annotations.
-
-
-def _plain(value: Any) -> Any:
-    """A dataclass as a dictionary, without what is None."""
-    if is_dataclass(value):
-        return {f.name: _plain(v) for f in fields(value) if (v := getattr(value, f.name)) is not None}
-    return [_plain(item) for item in value] if isinstance(value, tuple | list) else value
+# Dataclasses from plain tables, by their annotations; and tables to lines.
 
 
 def _build(kind: type[Any], raw: dict[str, Any], prefix: str) -> Any:
     """A dataclass from a table; ValueErrors of its own constructor pass."""
-    own: dict[str, Field[Any]] = {f.name: f for f in fields(kind) if f.init}
+    own, hints = {f.name: f for f in fields(kind) if f.init}, get_type_hints(kind)
     for name in raw:
         if name not in own:
             raise ValueError(f"{prefix}{name}: unknown, allowed: {', '.join(own)}")
+    values = {name: None for name, f in own.items() if f.default is MISSING and NoneType in get_args(hints[name])}
     for name, f in own.items():
-        optional = f.default is not MISSING or NoneType in get_args(get_type_hints(kind)[name])
-        if name not in raw and not optional:
+        if name in raw:
+            values[name] = _value(raw[name], hints[name], f"{prefix}{name}")
+        elif name not in values and f.default is MISSING:
             raise ValueError(f"{prefix}{name}: missing")
-    hints = get_type_hints(kind)
-    values = {name: _value(raw[name], hints[name], f"{prefix}{name}") for name in raw}
-    missing = {name: None for name, f in own.items() if name not in raw and f.default is MISSING}
     try:
-        return kind(**values, **missing)
+        return kind(**values)
     except ValueError as error:
         raise ValueError(f"{prefix}{error}") from None
 
@@ -195,18 +182,16 @@ def _value(raw: Any, hint: Any, field: str) -> Any:
     """A plain value as its annotation asks for it."""
     origin = get_origin(hint)
     if origin in (Union, UnionType):
-        choices = [choice for choice in get_args(hint) if choice is not NoneType]
-        if any(choice is Bending for choice in choices):  # made already, or a number
-            return raw if isinstance(raw, Bending) else _value(raw, float, field)
-        if set(choices) == {str, float}:
-            return raw if isinstance(raw, str) else _value(raw, float, field)
-        return _value(raw, choices[0], field)
+        kinds = [kind for kind in get_args(hint) if kind is not NoneType]
+        if any(kind in (str, Bending) and isinstance(raw, kind) for kind in kinds):
+            return raw
+        return _value(raw, float if float in kinds else kinds[0], field)
     if origin is tuple:
-        kinds = get_args(hint)
-        if not isinstance(raw, list | tuple) or (kinds[-1] is not ... and len(raw) != len(kinds)):
-            size = "" if kinds[-1] is ... else f" of {len(kinds)}"
+        parts = get_args(hint)
+        if not isinstance(raw, list | tuple) or (parts[-1] is not ... and len(raw) != len(parts)):
+            size = "" if parts[-1] is ... else f" of {len(parts)}"
             raise ValueError(f"{field}: must be a list{size}, got {shown(raw)}")
-        each = [kinds[0]] * len(raw) if kinds[-1] is ... else kinds
+        each = [parts[0]] * len(raw) if parts[-1] is ... else parts
         return tuple(_value(item, kind, field) for item, kind in zip(raw, each, strict=True))
     if is_dataclass(hint):
         if not isinstance(raw, dict):
@@ -228,4 +213,5 @@ def _section(name: str, table: Mapping[str, Any]) -> list[str]:
 
 
 def _entries(values: Mapping[str, Any]) -> list[str]:
-    return [toml_entry(key, value) for key, value in values.items() if value is not None]
+    plain = {key: plain_number(value) if isinstance(value, Tensor) else value for key, value in values.items()}
+    return [toml_entry(key, value) for key, value in plain.items() if value is not None]

@@ -7,53 +7,37 @@ and whatever was left out, averaged or assumed is told in the record's notes.
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from torcharm.characterise.columns import Column, Columns, find_columns, told, values_of
-from torcharm.characterise.delimited import Sheet, check_damage, numbers, read_sheet
+from torcharm.characterise.columns import Column, Columns, choices, find_columns
+from torcharm.characterise.delimited import Sheet, numbers, read_sheet, values_of
 from torcharm.characterise.headers import header_of
-from torcharm.characterise.signs import PLAIN, Signs
-from torcharm.characterise.stretch import (
-    check_other_stretch,
-    check_strains,
-    known_signs,
-    strains_of,
-    stretch_quantity,
-)
+from torcharm.characterise.signs import OTHER, Signs, known_signs
+from torcharm.characterise.stretch import STRETCHES, strains_of, stretch_quantity
 from torcharm.files import StrPath
 from torcharm.inputs import check_choice
-from torcharm.units import PRESSURE
+from torcharm.units import LENGTH, PRESSURE
 
 Array = NDArray[np.float64]
 if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 else:
     Floats = np.ndarray
-Lines = NDArray[np.int64] | None
 
 PLAUSIBLE_PRESSURE = (20.0, 1000.0)
 """Between these [kPa] lies the highest pressure of a recording, or its unit is doubted."""
-ATMOSPHERE = (80.0, 108.0)
-"""Between these [kPa] lies the pressure of the surroundings: a log that is never below is perhaps absolute."""
-NEAR_REST, NO_FORCE = 0.02, 0.1
-"""Strains, and shares of pressures' range, that are those at rest; of the largest force, what share is none."""
 BACKWARD_STEPS = 3.0
 """By how many usual steps a clock may go back and still be averaged; beyond, samples are out of order."""
 MOST_BACKWARD = 0.05
 """Of all samples, how many may do so; three always may."""
-EPOCH = (1e9, 2.5e9)
-"""Seconds since 1970 of the years 2001 to 2049: no run is as long, so that such times name their own unit."""
-POSITIVE = ("pull", "push")
-"""What positive forces of a file may do."""
 SURROUNDINGS = 101.325
 """The standard atmosphere [kPa], which is taken off absolute pressures."""
-CLOCK = {"time": "ms"}
-"""The unit of a pressure log's times that name none."""
 PSI_LOG = ("Time", "Pressure")
 """The whole header of the logs published with the paper, whose pressures are in psi; others have to name their unit."""
 
@@ -69,7 +53,8 @@ class TesterRecord:
         source: the file.
         notes: what was left out, averaged or assumed.
         signs: of the file's forces and strains, and how they are known.
-        line: (n) the number of each sample's line in the file; None for records that come from none.
+        gauge_length: [m] that strains were read by; None: they are the file's own.
+        beside: what columns of the file tell of strain, extension [m] and pressure [kPa], whether read or not.
     """
 
     time: Float[Floats, " n"]
@@ -77,8 +62,9 @@ class TesterRecord:
     force: Float[Floats, " n"]
     source: str
     notes: tuple[str, ...] = ()
-    signs: Signs = PLAIN
-    line: Lines = None
+    signs: Signs = Signs()  # noqa: RUF009
+    gauge_length: float | None = None
+    beside: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,14 +76,12 @@ class PressureRecord:
         pressure: (n) gauge pressure [kPa].
         source: the file.
         notes: what was left out, averaged or assumed.
-        as_absolute: the option that says that the file's pressures count from none; "" where that is known.
     """
 
     time: Float[Floats, " n"]
     pressure: Float[Floats, " n"]
     source: str
     notes: tuple[str, ...] = ()
-    as_absolute: str = ""
 
 
 def read_tester(
@@ -134,7 +118,17 @@ def read_tester(
         >>> ta.read_tester(path, gauge_length=0.08).strain.tolist()
         [0.0, 0.05, 0.1]
     """
-    return as_tester_record(read_sheet(path), columns, gauge_length, positive=positive, truncated=truncated)
+    if positive is not None:
+        check_choice("positive", positive, OTHER)
+    sheet = read_sheet(path, truncated=truncated)
+    stretch = stretch_quantity(sheet, columns, gauge_length, ("time", "force"))
+    found = find_columns(sheet, ("time", "force", stretch), columns)
+    table, notes = _in_time(sheet, found)
+    strain = strains_of(sheet, found[stretch], gauge_length, table[stretch])
+    signs = known_signs(found["force"], found[stretch], positive, "pull")
+    tension = 1.0 if signs.positive == "pull" else -1.0
+    force, beside = tension * table["force"], _beside(sheet, columns)
+    return TesterRecord(table["time"], strain, force, sheet.source, notes, signs, gauge_length, beside)
 
 
 def read_pressure(
@@ -143,10 +137,9 @@ def read_pressure(
     """Read time and pressure of a log, or of a file with more columns.
 
     Units are those that the file names, else ms and `unit`; a header of Time and Pressure alone, as the paper's
-    recordings have it, means psi. Times like seconds since 1970 are such. Without a
-    header, the first of two columns is the time. A highest pressure that is implausible for a soft actuator (outside 20
-    to 1000 kPa) is a warning: it tells of a wrong unit. A log without a closing line, such as "Logging end", is read
-    and noted.
+    recordings have it, means psi. Without a header, the first of two columns is the time. A highest pressure that is
+    implausible for a soft actuator (outside 20 to 1000 kPa) is a warning: it tells of a wrong unit. A log without a
+    closing line, such as "Logging end", is read and noted.
 
     Args:
         path: the file.
@@ -167,74 +160,26 @@ def read_pressure(
     """
     if unit is not None:
         check_choice("unit", unit, PRESSURE)
-    return as_pressure_record(read_sheet(path), unit, columns, truncated=truncated)
-
-
-def as_tester_record(
-    sheet: Sheet,
-    columns: Columns | None,
-    gauge_length: float | None,
-    *,
-    positive: str | None = None,
-    truncated: bool = False,
-) -> TesterRecord:
-    """`read_tester` of a file that is read."""
-    if positive is not None:
-        check_choice("positive", positive, POSITIVE)
-    check_damage(sheet, truncated=truncated)
-    stretch = stretch_quantity(sheet, columns, gauge_length)
-    found = find_columns(sheet, ("time", "force", stretch), columns, _clock_unit(sheet, columns))
-    table, line, notes = _in_time(sheet, found)
-    strain = strains_of(sheet, found[stretch], gauge_length, table[stretch])
-    check_other_stretch(sheet, found[stretch], columns, gauge_length)
-    check_strains(sheet.source, strain, found[stretch])
-    signs = known_signs(found[stretch], squeezes=found["force"].compressive, positive=positive, usual="pull")
-    tension = 1.0 if signs.positive == "pull" else -1.0
-    return TesterRecord(table["time"], strain, tension * table["force"], sheet.source, notes, signs, line)
-
-
-def as_pressure_record(
-    sheet: Sheet,
-    unit: str | None,
-    columns: Columns | None,
-    *,
-    truncated: bool = False,
-    alone: bool = True,
-    option: str = "--columns",
-) -> PressureRecord:
-    """`read_pressure` of a file that is read.
-
-    Args:
-        sheet, unit, columns, truncated: as there.
-        alone: whether it is a logger's own, which may leave units to be known; a tester's file names them.
-        option: of the command that names columns, for messages.
-    """
-    if unit is not None:
-        check_choice("unit", unit, PRESSURE)
-    check_damage(sheet, truncated=truncated)
-    numeric = [place for place, own in enumerate(sheet.form.numeric, 1) if own]
-    if not told(columns) and not sheet.above and len(numeric) == 2:
+    sheet = read_sheet(path, truncated=truncated)
+    numeric = [place for place, own in enumerate(sheet.numeric, 1) if own]
+    if not choices(columns) and not sheet.above and len(numeric) == 2:
         columns = {"time": numeric[0], "pressure": numeric[1]}
-    usual = unit or ("psi" if alone and header_of(sheet).names == PSI_LOG else None)
-    defaults = (CLOCK if alone else {}) | ({"pressure": usual} if usual else {}) | _clock_unit(sheet, columns)
-    found = find_columns(sheet, ("time", "pressure"), columns, defaults, option)
-    pressure = found["pressure"]
-    pressure.check_unit(unit, sheet.source, option)
-    table, _, notes = _in_time(sheet, found)
-    table["pressure"], taken_off = gauge_pressure(table["pressure"], sheet.source, pressure)
-    notes = (*notes, *taken_off)
-    if not sheet.closing and len(found) == sheet.form.width:
-        notes = (*notes, "has no closing line, taken as whole")
+    usual = unit or ("psi" if header_of(sheet).names == PSI_LOG else None)
+    defaults = {"time": "ms"} | ({"pressure": usual} if usual else {})
+    found = find_columns(sheet, ("time", "pressure"), columns, defaults)
+    found["pressure"].check_unit(unit, sheet.source)
+    table, notes = _in_time(sheet, found)
+    pressure, taken_off = gauge_pressure(table["pressure"], sheet.source, found["pressure"])
+    whole = sheet.closing or len(found) < sheet.width
+    notes = (*notes, *taken_off, *(() if whole else ("has no closing line, taken as whole",)))
     low, high = PLAUSIBLE_PRESSURE
-    most = float(table["pressure"].max())
-    if not low <= most <= high and table["pressure"].min() > -low:
+    if not low <= pressure.max() <= high and pressure.min() > -low:
         warnings.warn(
-            f"{sheet.source}: pressures reach {most:.3g} kPa when read as {pressure.unit}, soft actuators are driven "
-            f"to {low:g} to {high:g} kPa: is the unit right?",
-            stacklevel=3,
+            f"{sheet.source}: pressures reach {pressure.max():.3g} kPa when read as {found['pressure'].unit}, soft "
+            f"actuators are driven to {low:g} to {high:g} kPa: is the unit right?",
+            stacklevel=2,
         )
-    as_absolute = "" if pressure.absolute else f"{option} {pressure.as_absolute}"
-    return PressureRecord(table["time"], table["pressure"], sheet.source, notes, as_absolute)
+    return PressureRecord(table["time"], pressure, sheet.source, notes)
 
 
 def gauge_pressure(pressure: Array, source: str, column: Column) -> tuple[Array, tuple[str, ...]]:
@@ -242,71 +187,36 @@ def gauge_pressure(pressure: Array, source: str, column: Column) -> tuple[Array,
     if not column.absolute:
         return pressure, ()
     note = f"pressures are absolute: {SURROUNDINGS:g} kPa of the surroundings taken off, assumed"
-    warnings.warn(f"{source}: {note}", stacklevel=4)
+    warnings.warn(f"{source}: {note}", stacklevel=3)
     return pressure - SURROUNDINGS, (note,)
 
 
-def ask_if_absolute(
-    source: str, option: str, strain: Array, pressure: Array, force: Array, *, rests: bool = True
-) -> None:
-    """Warn where pressures are never below that of the surroundings, or never above it and never near 0, unless forces
-    tell that this is a pressure.
-
-    At its own length an actuator has a force if it is under pressure, and none at that of the surroundings.
-
-    Args:
-        source: the file.
-        option: what says that its pressures are absolute; "" where that is known.
-        strain, pressure [kPa], force: (n).
-        rests: whether it is asked where forces tell nothing: runs rest at some time, tables may begin at any pressure.
-    """
-    low, high = float(pressure.min()), float(pressure.max())
-    ends = [end for end in (low, high) if ATMOSPHERE[0] <= end <= ATMOSPHERE[1]]
-    if not option or not ends or low < NEAR_REST * high:
-        return
-    evacuated = ends[0] != low
-    at_rest = (np.abs(strain) <= NEAR_REST) & (np.abs(pressure - ends[0]) <= NEAR_REST * np.ptp(pressure))
-    none = bool(at_rest.any()) and float(np.abs(force[at_rest]).mean()) < NO_FORCE * float(np.abs(force).max())
-    if none or (rests and not evacuated and not at_rest.any()):
-        why = ", where the actuator has no force" if none else ""
-        warnings.warn(
-            f"{source}: pressures are never {'above' if evacuated else 'below'} {ends[0]:.4g} kPa{why}: are they "
-            f"absolute? {option} says so{', beside --vacuum' if evacuated else ''}",
-            stacklevel=4,
-        )
+def _beside(sheet: Sheet, columns: Columns | None) -> dict[str, Array]:
+    """Strains, extensions [m] and pressures [kPa] that a header names, read or not; no stretch if a person does."""
+    rows = [row for row in sheet.rows if len(row) >= sheet.width]
+    found = {}
+    for quantity in ("pressure",) if set(STRETCHES) & set(choices(columns)) else ("strain", "extension", "pressure"):
+        with suppress(ValueError):  # none that is one without doubt
+            own = find_columns(sheet, (quantity,), None)[quantity]
+            values = own.factor * values_of([row[own.index] for row in rows], sheet.decimal)
+            if (own.unit in LENGTH) == (quantity == "extension"):
+                found[quantity] = values - SURROUNDINGS * own.absolute
+    return found
 
 
-def _clock_unit(sheet: Sheet, columns: Columns | None) -> dict[str, str]:
-    """The unit of times that count from 1970, whose size names it; nothing of others."""
-    try:
-        found = find_columns(sheet, ("time",), columns, CLOCK)
-    except ValueError:  # is told when all columns are looked for
-        return {}
-    first = next(filter(np.isfinite, values_of(sheet, found["time"].index, 50)), np.nan)
-    sizes = {"s": 1.0, "ms": 1e3, "µs": 1e6, "ns": 1e9}
-    return next(({"time": unit} for unit, size in sizes.items() if EPOCH[0] <= first / size <= EPOCH[1]), {})
-
-
-def _in_time(
-    sheet: Sheet, columns: Mapping[str, Column]
-) -> tuple[dict[str, Array], NDArray[np.int64], tuple[str, ...]]:
-    """Columns in torcharm's units, time in ms strictly increasing, their lines, and what was done to get there."""
-    table, places, notes = numbers(sheet, [column.index for column in columns.values()])
+def _in_time(sheet: Sheet, columns: Mapping[str, Column]) -> tuple[dict[str, Array], tuple[str, ...]]:
+    """Columns in torcharm's units, time in ms strictly increasing, and what was done to get there."""
+    table, places, left_out = numbers(sheet, [column.index for column in columns.values()])
     table = table * [column.factor for column in columns.values()]
     guessed = [f"{c.quantity} in {c.unit}" for c in columns.values() if not c.named]
-    notes = (*notes, *([f"names no unit: read {' and '.join(guessed)}"] if guessed else []))
-    notes = (*notes, *(note for column in columns.values() for note in column.notes))
-    order = list(columns).index("time")
-    steps = np.diff(table[:, order])
-    if not (steps <= 0).any():
-        return dict(zip(columns, table.T, strict=True)), np.array(places), notes
-    _check_clock(sheet.source, table[:, order], places)
-    averaged = _averaged(np.column_stack((table, places)), order)
-    notes = (
-        *notes,
-        f"{len(table) - len(averaged)} of {len(table)} stamps repeat or step back, averaged with those before them",
-    )
-    return dict(zip(columns, averaged[:, :-1].T, strict=True)), averaged[:, -1].astype(np.int64), notes
+    notes = [*left_out, *([f"names no unit: read {' and '.join(guessed)}"] if guessed else [])]
+    notes += [note for column in columns.values() for note in column.notes]
+    order, count = list(columns).index("time"), len(table)
+    if (np.diff(table[:, order]) <= 0).any():
+        _check_clock(sheet.source, table[:, order], places)
+        table = _averaged(table, order)
+        notes.append(f"{count - len(table)} of {count} stamps repeat or step back, averaged with those before them")
+    return dict(zip(columns, table.T, strict=True)), tuple(notes)
 
 
 def _check_clock(source: str, time: Array, places: list[int]) -> None:

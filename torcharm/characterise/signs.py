@@ -6,10 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from torcharm.characterise.columns import Column
 from torcharm.characterise.least_squares import Monomials, exponents
 
 Array = NDArray[np.float64]
 
+OTHER = {"pull": "push", "push": "pull"}
 SAID, NAMED, ASSUMED = "as said", "as its name says", "assumed"
 """How the sense of positive forces is known."""
 LEAST_STRAIN = 1e-3
@@ -62,12 +64,6 @@ def positive_forces(strain: Array, pressure: Array, force: Array) -> str:
     return "pull" if mean > 0 else "push"
 
 
-def _pulls(strain: Array, pressure: Array, push: Array) -> bool:
-    """Whether what pushes falls with pressure, by a plane through the samples."""
-    plane = np.column_stack((np.ones_like(strain), strain, pressure))
-    return bool(np.linalg.lstsq(plane, push, rcond=None)[0][2] < 0)
-
-
 @dataclass(frozen=True)
 class Signs:
     """What is known of the signs of a file before its samples are looked at.
@@ -75,18 +71,19 @@ class Signs:
     Attributes:
         positive: what positive forces do, "pull" or "push".
         known: how that is known: `SAID`, `NAMED` or `ASSUMED`.
-        longer: whether positive strains are surely longer: their column's name, or strains below 0, say so.
-        shortening: how a person says that they are shorter.
+        longer: whether positive strains are surely longer, as their column's name says.
     """
 
     positive: str = "pull"
     known: str = SAID
     longer: bool = True
-    shortening: str = ""
 
 
-PLAIN = Signs()
-"""Of samples that stand in torcharm's signs, but for tension."""
+def known_signs(force: Column, stretch: Column, positive: str | None, usual: str) -> Signs:
+    """What a person and the names of columns tell of signs, squeezing forces' among them; else forces do the usual."""
+    if positive is None and not force.compressive:
+        return Signs(usual, ASSUMED, stretch.sure)
+    return Signs(positive or "push", SAID if positive else NAMED, stretch.sure)
 
 
 def settled(
@@ -94,7 +91,8 @@ def settled(
 ) -> tuple[Array, Array, tuple[tuple[str, str], ...]]:
     """Strains, positive where longer; forces, positive where they push; and how both are known, for the record.
 
-    What nobody says and no name tells is what samples tell (see `positive_forces`), or else assumed.
+    What nobody says and no name tells is what samples tell (see `positive_forces`), or else assumed. Strains that no
+    name tells the sense of count shortening where forces, whose sense is said or named, tell so.
 
     Args:
         signs: what is known.
@@ -104,29 +102,24 @@ def settled(
     Raises:
         ValueError: samples may be of a muscle that contracts and pulls, or of a bellows that extends and pushes.
     """
-    told, way, other = positive_forces(strain, pressure, force), signs.positive, {"pull": "push", "push": "pull"}
-    sure = signs.longer or strain.min() < -LEAST_STRAIN
-    if not sure and signs.known == ASSUMED and told == "push" and force.mean() > 0:
-        raise ValueError(
-            f"{source}: must be told what it is of, as strains are above 0 and forces fall with them: a muscle that "
-            "contracts and pulls (--positive pull), or a bellows that extends and pushes (--positive push)"
-        )
-    shorter = not sure and signs.known != ASSUMED and told == other[way]
+    told, way = positive_forces(strain, pressure, force), signs.positive
     words = f"{way}, {signs.known}"
+    sure = signs.longer or strain.min() < -LEAST_STRAIN
+    shorter = not sure and signs.known != ASSUMED and told == OTHER[way]
     if signs.known == ASSUMED:
+        if not sure and told == "push" and force.mean() > 0:
+            raise ValueError(
+                f"{source}: must be told what it is of, as strains are above 0 and forces fall with them: a muscle "
+                "that contracts and pulls (--positive pull), or a bellows that extends and pushes (--positive push)"
+            )
         way = told or way
         why = "as what is stretched pulls back" if told else ASSUMED
-        words = f"{way}, {why} (--positive {other[way]} takes them the other way)"
-        if not signs.longer and _pulls(strain, pressure, -force if way == "pull" else force):
-            words += (
-                "; so pressure makes it pull, as a muscle does; of a bellows whose strains count compression: "
-                f"--columns {signs.shortening}"
-            )
-    elif told == other[way] and not shorter:
+        words = f"{way}, {why} (--positive {OTHER[way]} takes them the other way)"
+    elif told == OTHER[way] and not shorter:
         less = "pulls less the more it is stretched" if way == "pull" else "pushes less the more it is squeezed"
         warnings.warn(
             f"{source}: positive forces {way}, {signs.known}, but then it {less}: is the sign of forces, or that of "
-            "strains, another?",
+            "strains, another? --columns names strains that count shortening: contraction=1",
             stacklevel=4,
         )
     strains = "shorter, as forces fall with them" if shorter else "longer, assumed"

@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torcharm.actuators.bending import Bending, Number
 from torcharm.actuators.deviation import added_force
 from torcharm.actuators.inspection import follows
 from torcharm.actuators.polynomial import PolynomialActuator
@@ -42,25 +42,10 @@ class TensorPolynomial(HoldsTensors):
             raise ValueError(f"like: must be a polynomial that does not override its force, got {shown(self.like)}")
         check_tensor("coefficients", self.coefficients, len(self.like.coefficients))
 
-    @property
-    def bending_stiffness(self) -> Number | Bending:
-        """As of `like`."""
-        return self.like.bending_stiffness
-
-    @property
-    def max_pressure(self) -> Number:
-        """As of `like`."""
-        return self.like.max_pressure
-
-    @property
-    def strain_range(self) -> tuple[float, float]:
-        """As of `like`."""
-        return self.like.strain_range
-
-    @property
-    def pressure_range(self) -> tuple[float, float]:
-        """As of `like`."""
-        return self.like.pressure_range
+    bending_stiffness = property(attrgetter("like.bending_stiffness"))
+    max_pressure = property(attrgetter("like.max_pressure"))
+    strain_range = property(attrgetter("like.strain_range"))
+    pressure_range = property(attrgetter("like.pressure_range"))
 
     @property
     def pressure_degree(self) -> int:
@@ -109,8 +94,7 @@ def standard_deviation(
     check_tensor("covariance", spread, len(coefficients), len(coefficients))
     if not values.requires_grad:
         raise ValueError("values: must depend on the coefficients, got a tensor without gradient")
-    flat = values.flatten()
-    rows = [torch.autograd.grad(value, coefficients, retain_graph=True)[0] for value in flat]
+    rows = [torch.autograd.grad(value, coefficients, retain_graph=True)[0] for value in values.flatten()]
     gradient = torch.stack(rows)
     variance = ((gradient @ spread.to(gradient)) * gradient).sum(-1)
     return variance.clamp(min=0).sqrt().view(values.shape)

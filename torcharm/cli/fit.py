@@ -4,7 +4,7 @@ import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,11 +19,8 @@ if TYPE_CHECKING:
     from torcharm.actuators import Actuator
     from torcharm.characterise.alignment import Recording
     from torcharm.characterise.choice import Candidate
-    from torcharm.characterise.delimited import Sheet
     from torcharm.characterise.recordings import PressureRecord, TesterRecord
 
-OTHER_PRESSURE = 0.2
-"""By which share the highest pressures of a run's two files may differ."""
 KINDS = ("best", "polynomial", "mckibben", "gridded")
 
 
@@ -144,36 +141,34 @@ def fit(
     from torcharm.characterise.alignment import by_depth
     from torcharm.characterise.doubts import warn_of_doubts
 
-    given = _Given(
-        testers=instron or [],
-        logs=pressure or [],
-        table=table,
-        offsets=offset or [],
-        search=find_offset,
-        columns=columns,
-        log_columns=pressure_columns,
-        gauge_length=gauge_length,
-        positive=positive,
-        unit=unit,
-        truncated=truncated,
-    )
-    given.check(out)
-    sheets = given.sheets()
+    testers, logs, offsets = instron or [], pressure or [], offset or []
     of_runs = {"--actuators": actuators, "--smoothing": smoothing, "--offset": offset, "--find-offset": find_offset}
     of_runs |= {"--max-gap": max_gap, "--truncated": truncated or None}
     _check_needed(of_runs if table else {}, "a --table")
     _check_needed({} if pressure else {"--pressure-columns": pressure_columns}, "no --pressure")
     without = model in ("mckibben", "gridded") and find_offset is None
     _check_needed({"--degree": degree} if without else {}, f"--model {model}")
-    degree = 3 if degree is None else degree
+    _check_files(testers, logs, table, out)
+    _check_offsets(offsets, find_offset, len(testers))
+    layout: dict[str, Any] = {"columns": columns, "positive": positive, "gauge_length": _length(gauge_length)}
     alignment = {"actuators": 1 if actuators is None else actuators, "smoothing": smoothing, "max_gap": max_gap}
-    recording = given.recording(sheets, degree, alignment)
+    degree = 3 if degree is None else degree
+    if table is not None:
+        from torcharm.characterise.force_table import read_table
+
+        found, recording = [], read_table(table, unit, **layout)
+    else:
+        layout |= {"truncated": truncated}
+        of_logs = {"unit": unit, "columns": pressure_columns if logs else columns, "truncated": truncated}
+        pairs = zip(testers, logs or testers, strict=True)
+        found = [_records(*files, layout, of_logs) for files in pairs]
+        recording = _aligned(found, offsets, find_offset, degree, alignment)
     recording = by_depth(recording) if vacuum else recording
     how = {"loss": loss, "monotonic": monotonic, "max_pressure": max_pressure, "bending_stiffness": bending}
-    compared, found = _fitted(recording, model or ("best" if table else "polynomial"), degree, how)
-    warn_of_doubts(found, recording, compared)
-    report(found, recording, compared)
-    outputs.save(_outputs(found, recording, out, figure))
+    compared, fitted = _fitted(recording, model or ("best" if table else "polynomial"), degree, how)
+    warn_of_doubts(fitted, recording, found)
+    report(fitted, recording, compared)
+    outputs.save(_outputs(fitted, recording, out, figure))
     _paste(out)
 
 
@@ -184,131 +179,80 @@ def _check_needed(options: Mapping[str, object], where: str) -> None:
             raise ValueError(f"{name}: must be left out with {where}, for which it means nothing, got {shown(value)}")
 
 
-@dataclass(frozen=True)
-class _Given:
-    """Files of runs or a table, and what is said of their clocks and of their layout."""
+def _check_files(testers: Sequence[Path], logs: Sequence[Path], table: Path | None, out: Path) -> None:
+    """Raise a ValueError unless the files fit each other, and what is to be written costs no other file."""
+    from torcharm.characterise.model_file import load_actuator
 
-    testers: Sequence[Path]
-    logs: Sequence[Path]
-    table: Path | None
-    offsets: Sequence[float]
-    search: float | None
-    columns: str | None
-    log_columns: str | None
-    gauge_length: str | None
-    positive: str | None
-    unit: str | None
-    truncated: bool
-
-    def check(self, out: Path) -> None:
-        """Raise a ValueError unless the options fit each other, and what is to be written costs no other file."""
-        from torcharm.characterise.model_file import load_actuator
-
-        if self.table is not None and (self.testers or self.logs):
-            raise ValueError("--table: must stand without --instron and --pressure, got both")
-        if self.table is None and not self.testers:
-            raise ValueError("--instron: is missing, must name a tester's file; or --table a table of forces")
-        if self.logs and len(self.testers) != len(self.logs):
-            raise ValueError(
-                f"--pressure: must be given once for each --instron, got {count(len(self.logs), 'log')} for "
-                f"{count(len(self.testers), 'run')}"
-            )
-        for path in (*self.testers, *self.logs, self.table or out.parent):
-            if path.resolve() == out.resolve():
-                raise ValueError(f"--out: {out}: is one of the recordings, must be another file")
-        if out.is_file() and out.stat().st_size:
-            try:
-                load_actuator(out)
-            except ValueError:  # a study, say, is not to be lost
-                raise ValueError(f"--out: {out}: is there and is no force model, must be another file") from None
-        if self.search is not None and self.offsets:
-            raise ValueError("--find-offset: must not stand beside --offset, got both")
-        if len(self.offsets) > 1 and len(self.offsets) != len(self.testers):
-            raise ValueError(
-                f"--offset: must be given once, or once for each of {len(self.testers)} runs, got {len(self.offsets)}"
-            )
-
-    def sheets(self) -> "list[Sheet]":
-        """All files as they are, the testers' before the logs': damage is told before all else."""
-        from torcharm.characterise.delimited import check_damage, read_sheet
-
-        found = [read_sheet(path) for path in (*self.testers, *self.logs, *([self.table] if self.table else []))]
-        for sheet in found:
-            check_damage(sheet, truncated=self.truncated)
-        return found
-
-    def recording(self, sheets: "Sequence[Sheet]", degree: int, options: dict[str, Any]) -> "Recording":
-        """The samples of the table, or of all runs, pressures on the tester's clock."""
-        from torcharm.characterise.alignment import align, pool
-        from torcharm.characterise.force_table import read_table
-        from torcharm.characterise.offset import estimate_offset
-        from torcharm.units import LENGTH
-
-        given = self.gauge_length
-        length = None if given is None else numbers("--gauge-length", given, [LENGTH])[0]
-        if self.table is not None:
-            how: dict[str, Any] = {"columns": self.columns, "gauge_length": length}
-            return read_table(self.table, self.unit, positive=self.positive, **how)
-        runs, number = [], len(self.testers)
-        logs: Sequence[Sheet | None] = sheets[number:] or [None] * number
-        offsets = self.offsets if len(self.offsets) > 1 else [*self.offsets, None][:1] * number
-        for sheet, log_sheet, shift in zip(sheets[:number], logs, offsets, strict=True):
-            tester, log = self.run(sheet, log_sheet, length)
-            if self.search is None:
-                runs.append(align(tester, log, offset=shift, **options))
-                continue
-            search: dict[str, Any] = {"degree": degree, "search": 1e3 * self.search}
-            search |= {} if options["smoothing"] is None else {"smoothing": options["smoothing"]}
-            found = estimate_offset(tester, log, **search)
-            run = align(tester, log, offset=found.offset, **options)
-            runs.append(replace(run, settings=(*run.settings, ("certainty of the offset", found.words))))
-        return pool(runs)
-
-    def run(self, sheet: "Sheet", log: "Sheet | None", length: float | None) -> tuple["TesterRecord", "PressureRecord"]:
-        """What the tester and the logger wrote."""
-        from torcharm.characterise.columns import example, has_column
-        from torcharm.characterise.recordings import as_pressure_record, as_tester_record
-
-        tester = as_tester_record(sheet, self.columns, length, positive=self.positive, truncated=self.truncated)
-        if log is not None:
-            own = self.log(log)
-            _compare_pressures(sheet, own)
-        elif has_column(sheet, "pressure", self.columns):
-            own = as_pressure_record(sheet, self.unit, self.columns, truncated=self.truncated, alone=False)
-        else:
-            raise ValueError(
-                f"--pressure: is missing, as {sheet.source} names no column of pressure; must be its log, or --columns "
-                f'names one, as in "{example(sheet, ("pressure",), self.columns)}"'
-            )
-        return tester, own
-
-    def log(self, sheet: "Sheet") -> "PressureRecord":
-        """What the logger wrote; errors about columns name its own option."""
-        from torcharm.characterise.recordings import as_pressure_record
-
-        option = "--pressure-columns"
-        try:
-            return as_pressure_record(sheet, self.unit, self.log_columns, truncated=self.truncated, option=option)
-        except ValueError as error:
-            raise ValueError(re.sub("^columns:", f"{option}:", str(error))) from None
-
-
-def _compare_pressures(sheet: "Sheet", log: "PressureRecord") -> None:
-    """Warn where the tester's file has pressures, too, whose highest is another than the log's."""
-    from torcharm.characterise.recordings import as_pressure_record
-
-    try:
-        with warnings.catch_warnings(action="ignore"):  # what is doubtful about it does not count
-            own = as_pressure_record(sheet, None, None, truncated=True, alone=False)
-    except ValueError:  # it has none, or not as surely
-        return
-    highest, logged = float(own.pressure.max()), float(log.pressure.max())
-    if abs(highest - logged) > OTHER_PRESSURE * max(highest, logged):
-        warnings.warn(
-            f"{sheet.source}: its own pressures reach {highest:.4g} kPa, those of {log.source} {logged:.4g} kPa, which "
-            "are taken: are their units right, and are they of one run?",
-            stacklevel=2,
+    if table is not None and (testers or logs):
+        raise ValueError("--table: must stand without --instron and --pressure, got both")
+    if table is None and not testers:
+        raise ValueError("--instron: is missing, must name a tester's file; or --table a table of forces")
+    if logs and len(testers) != len(logs):
+        raise ValueError(
+            f"--pressure: must be given once for each --instron, got {count(len(logs), 'log')} for "
+            f"{count(len(testers), 'run')}"
         )
+    if out.resolve() in [path.resolve() for path in (*testers, *logs, *([table] if table else []))]:
+        raise ValueError(f"--out: {out}: is one of the recordings, must be another file")
+    if out.is_file() and out.stat().st_size:
+        try:
+            load_actuator(out)
+        except ValueError:  # a study, say, is not to be lost
+            raise ValueError(f"--out: {out}: is there and is no force model, must be another file") from None
+
+
+def _check_offsets(offsets: Sequence[float], search: float | None, runs: int) -> None:
+    """Raise a ValueError unless offsets are given or looked for, and are as many as runs, or one for all."""
+    if search is not None and offsets:
+        raise ValueError("--find-offset: must not stand beside --offset, got both")
+    if len(offsets) not in (0, 1, runs):
+        raise ValueError(f"--offset: must be given once, or once for each of {runs} runs, got {len(offsets)}")
+
+
+def _length(given: str | None) -> float | None:
+    """The gauge length [m]."""
+    from torcharm.units import LENGTH
+
+    return None if given is None else numbers("--gauge-length", given, [LENGTH])[0]
+
+
+def _records(
+    tester: Path, log: Path, of_testers: dict[str, Any], of_logs: dict[str, Any]
+) -> tuple["TesterRecord", "PressureRecord"]:
+    """What the tester and the logger of a run wrote, or the tester both; errors about columns name the log's option."""
+    from torcharm.characterise.recordings import read_pressure, read_tester
+
+    record = read_tester(tester, **of_testers)
+    try:
+        return record, read_pressure(log, **of_logs)
+    except ValueError as error:
+        if log == tester:
+            raise ValueError(f"{error}; or --pressure names its log") from None
+        raise ValueError(re.sub("^columns(?=:)|--columns", "--pressure-columns", str(error))) from None
+
+
+def _aligned(
+    found: Sequence[tuple["TesterRecord", "PressureRecord"]],
+    offsets: Sequence[float],
+    search: float | None,
+    degree: int,
+    options: dict[str, Any],
+) -> "Recording":
+    """The samples of all runs, pressures on the testers' clocks, by offsets that are given or looked for."""
+    from torcharm.characterise.alignment import align, pool
+    from torcharm.characterise.offset import estimate_offset
+
+    runs = []
+    shifts = offsets if len(offsets) > 1 else [*offsets, None][:1] * len(found)
+    for records, shift in zip(found, shifts, strict=True):
+        if search is None:
+            runs.append(align(*records, offset=shift, **options))
+            continue
+        smoothed = {} if options["smoothing"] is None else {"smoothing": options["smoothing"]}
+        best = estimate_offset(*records, degree=degree, search=1e3 * search, **smoothed)
+        run = align(*records, offset=best.offset, **options)
+        runs.append(replace(run, settings=(*run.settings, ("certainty of the offset", best.words))))
+    return pool(runs)
 
 
 def _fitted(

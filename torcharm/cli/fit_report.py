@@ -64,8 +64,7 @@ def _quality(model: "Actuator", recording: "Recording") -> Iterator[str]:
     worst, most = float(np.abs(residual).max()), float(np.abs(recording.force).max())
     quality = model.quality if isinstance(model, FittedActuator) else None
     rmse, spread = float(np.sqrt((residual**2).mean())), float(recording.force.std())
-    r_squared = quality.r_squared if quality else 1 - (rmse / spread) ** 2
-    yield f"R² {r_squared:.5f}, RMSE {rmse:.3g} N, {count(len(residual), 'sample')}"
+    yield f"R² {1 - (rmse / spread) ** 2:.5f}, RMSE {rmse:.3g} N, {count(len(residual), 'sample')}"
     yield f"At most {worst:.3g} N off, {100 * worst / most:.2g} % of the largest force"
     for held in quality.hold_out if quality else ():
         yield f"Run {held.run + 1} from the others: R² {held.r_squared:.5f}, RMSE {held.rmse:.3g} N"
