@@ -164,3 +164,21 @@ def test_seeds_hardly_change_a_converged_search():
         apart += int(((one.shape_error - other.shape_error).abs() > 1e-3)[both].sum())
     assert compared > 60
     assert apart <= 0.02 * compared
+
+
+def test_a_converged_search_is_near_enough_or_three_others_come_as_close():
+    doubted = 0
+    for arm in random_arms(6, 4):
+        task = ta.Task(ta.affine_curvature(-2.0, 2.0, nodes=6), ta.sample_loads(20, (20, 20, 3)))
+        found = ta.search_pressure(arm, task)
+        each = found.shape_error[:, None] * (found.start_cost / found.cost[:, None]).sqrt()
+        as_close = ((each - found.shape_error[:, None]).abs() <= 3 * 5e-4 * 0.5).sum(-1) > 3  # three steps apart at most
+        near = found.shape_error <= 5e-3 * 0.5
+        assert bool((as_close | near)[found.converged].all())
+        doubted += int((found.continued & ~as_close & ~near).sum())
+    assert doubted > 3
+
+
+def test_a_search_from_one_start_needs_no_other():
+    task = planar_task(20)
+    assert int(ta.search_pressure(ta.antagonistic_arm(), task, starts=1).converged.sum()) > 5

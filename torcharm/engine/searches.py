@@ -50,10 +50,9 @@ LOT = 4
 AGREE, AGREES, AGREES_AT_KINK = 6, 2, 1
 """What descents must count together that end where others have, before the rest is spared; what one counts, and one
 that is held up there, as at a kink of a force model: from elsewhere there may be a way on."""
-NEARLY_SAME, CONFIRM = 2e-3, 3
-"""Difference of two shapes, as of `move_size`, below which their tips differ by a thousandth of the arm's length or so;
-and how many descents must end so near to the best for it to be converged: valleys are flat where actuators work against
-each other."""
+CONFIRM, NEARLY_SAME = 3, 5e-4
+"""How many descents must end nearly as close as the best for it to be converged; and the difference of mean errors over
+the arm's length that is meant: valleys are flat where actuators work against each other."""
 NEEDS_NO_OTHER = 5e-3
 """Mean error over the arm's length below which one descent is enough: no other minimum can be better by more."""
 NOWHERE, AGREED, AGREED_AT_KINK, ELSEWHERE, BEST_UNDER_WAY, BEST_ENDED = range(6)
@@ -147,7 +146,7 @@ def _begin(problem, work, search, fit, b, s, shape, pool, above):  # type: ignor
 @part
 def _descend_and_load(problem, work, search, b, begun, at_end, start, tolerance):  # type: ignore[no-untyped-def]
     """Descend from the first slot, and load the arm at the end; returns what came of it, what that costs, and whether
-    it is nearly the shape that was best.
+    it is nearly as close as the best.
 
     Args:
         begun: slot of the point that was loaded, where the descent begins.
@@ -157,8 +156,8 @@ def _descend_and_load(problem, work, search, b, begun, at_end, start, tolerance)
     end, ended = descend(problem, work, b, 0, 1, False, points.known[BEST, HALF_COST], STEPS)
     if not math.isfinite(points.known[end, HALF_COST]):
         return NOWHERE, math.inf, False
-    gap = distance_of(problem, work, b, end, BEST) if at_end else math.inf
-    if gap <= SAME_SHAPE:
+    best = mean_error(problem, work, b, BEST) if at_end else math.inf
+    if at_end and distance_of(problem, work, b, end, BEST) <= SAME_SHAPE:
         return AGREED if ended == OPTIMUM else AGREED_AT_KINK, points.known[BEST, HALF_COST], True
     how = reach_and_keep(problem, work, search, b, end, ENDED, start, tolerance)
     same = how != FAILED and distance_of(problem, work, b, end, ENDED) <= SAME_SHAPE
@@ -172,7 +171,7 @@ def _descend_and_load(problem, work, search, b, begun, at_end, start, tolerance)
         keep_point(work, search, BEST, ENDED)
         there = same and ended != RUNNING and ended != STABILITY_ENDS
         came = BEST_ENDED if there else BEST_UNDER_WAY
-    return came, value, same and gap <= NEARLY_SAME
+    return came, value, same and abs(mean_error(problem, work, b, ENDED) - best) <= NEARLY_SAME
 
 
 @part

@@ -53,7 +53,7 @@ class PressureSearch(Outcome):
         optimality: (*batch) the largest entry of the cost's projected gradient, by normalised pressures [m²]. At a
             kink of a force model it does not vanish.
         converged: (*batch) whether it is a stable equilibrium along one branch from zero load, the descent to it came
-            to its end, three others ended nearly there (or its mean error is below a 200th of the arm's length), and
+            to its end, three others ended nearly as close (or its mean error is below a 200th of the arm's length), and
             none led to a better one that continuation does not reach.
         continued: (*batch) whether continuation from zero load reaches it along one branch.
         stable: (*batch) whether the task is possible, and the arm stays there.
@@ -150,7 +150,7 @@ def search_pressure(
     and from pressures that are promising to first order there or spread over the box, until four descents end in the
     same shape, seven at a kink of a force model; and then from where one pressure of the best is at its other end. One
     that will not come below the best that is known is given up. Where fewer than three others (or fewer than all, of
-    fewer starts) end nearly where the best does, the answer is not `converged`, unless its mean error is below a 200th
+    fewer starts) end nearly as close as the best, the answer is not `converged`, unless its mean error is below a 200th
     of the arm's length: more starts may find a better one.
     Ends are confirmed by continuation. Under compression it may lead elsewhere: an arm buckles to one side or to the
     other, and the best pressures often lie where that is decided. There the cost jumps. The boundary is found by
