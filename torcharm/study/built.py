@@ -1,6 +1,5 @@
 """What is found of a study's arms as they are built, as tables and as rows of a file."""
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
