@@ -28,7 +28,7 @@ SLACK = 1e-7
 FEASIBLE = 2e-8
 """By how much [m] one may be broken by what counts as feasible: less than the slack, more than the tolerance."""
 ACTIVE = 1e-4
-"""Constraints with less room [m], and bounds with less of their range, count as met with equality."""
+"""Constraints with less slack [m], and bounds with less of their range, count as met with equality."""
 STIFF = 1e4
 """Price of breaking a constraint by a metre, in squared distances of points: above what any constraint is worth."""
 SPACING_ADVICE = "lessen the spacing (optimise.spacing) or diameters, or widen the bounds (optimise.bounds)"
@@ -54,7 +54,7 @@ class Constraints:
     gap: Array
     names: tuple[str, ...]
 
-    def room(self, x: Array) -> Array:
+    def slack(self, x: Array) -> Array:
         """g (..., L + P) [m] at x (..., 3 M)."""
         return np.concatenate((x @ self.rows.T + self.constant, np.hypot(*self._apart(x)) - self.gap), -1)
 
@@ -112,14 +112,14 @@ class FeasibleDesigns:
         x = np.concatenate((radius * cos, radius * sin, length))
         y = cos[:, None] * along_radius - (radius * sin)[:, None] * along_angle
         z = sin[:, None] * along_radius + (radius * cos)[:, None] * along_angle
-        return self.constraints.room(x), self.constraints.slope(x) @ np.concatenate((y, z, along_length))
+        return self.constraints.slack(x), self.constraints.slope(x) @ np.concatenate((y, z, along_length))
 
     def allows(self, points: Array) -> Any:
         """Whether each of points (n, F) breaks no constraint and no bound: (n,) of True and False."""
         radius, angle, length, _ = np.moveaxis(self.free(points), -2, 0)
-        room = self.constraints.room(np.concatenate((radius * np.cos(angle), radius * np.sin(angle), length), -1))
+        slack = self.constraints.slack(np.concatenate((radius * np.cos(angle), radius * np.sin(angle), length), -1))
         inside = ((points >= -FEASIBLE) & (points <= 1 + FEASIBLE)).all(-1)
-        return (room >= -FEASIBLE).all(-1) & inside
+        return (slack >= -FEASIBLE).all(-1) & inside
 
     @property
     def order(self) -> tuple[tuple[int, ...], ...]:
@@ -152,7 +152,7 @@ class FeasibleDesigns:
         """
         from scipy.optimize import minimize
 
-        room = {
+        slack = {
             "type": "ineq",
             "fun": lambda u: self.constraint_values(u[: self.dimension])[0] - SLACK + u[self.dimension :].sum(),
             "jac": lambda u: np.pad(
@@ -165,7 +165,7 @@ class FeasibleDesigns:
             jac=True,
             method="SLSQP",
             bounds=[(0.0, 1.0)] * self.dimension + [(0.0, None)] * elastic,
-            constraints=[room] if self.names else [],
+            constraints=[slack] if self.names else [],
             options={"maxiter": iterations, "ftol": tolerance},
         )
 

@@ -199,9 +199,9 @@ class _Run:
     def count(self) -> int:
         return sum(map(len, self.batches))
 
-    def add(self, place: Array) -> None:
+    def add(self, normalised: Array) -> None:
         """Solve the states at normalised pressures."""
-        for part in np.split(place, range(AT_ONCE, len(place), AT_ONCE)):
+        for part in np.split(normalised, range(AT_ONCE, len(normalised), AT_ONCE)):
             if len(part):
                 self.batches.append(solve_states(self.scene, part))
             if self.callback is not None and self.callback(self.count, self.wanted) is True:
@@ -215,9 +215,9 @@ class _Run:
             return
         corners = np.array(list(product((0.0, 1.0), repeat=size))) if 2**size <= count // 4 else np.zeros((0, size))
         inside = spread_points(count - len(corners), size, seed) * (1 + 2 * OVERHANG) - OVERHANG
-        place = np.zeros((count, len(driven)))
-        place[:, driven] = np.concatenate((corners, inside.clip(0, 1)))
-        self.add(place)
+        first = np.zeros((count, len(driven)))
+        first[:, driven] = np.concatenate((corners, inside.clip(0, 1)))
+        self.add(first)
 
     def resolve(self, worst: int) -> None:
         """Choose the resolutions, unless one is given; again the finer, of states no worse than a code."""
@@ -229,7 +229,7 @@ class _Run:
     def mix(self, until: int, seed: int) -> None:
         """Solve states between pairs of those reached, or if none is, all over the box; up to so many in all."""
         states = joined(self.batches)
-        own = states.place[states.code == REACHED].numpy()
+        own = states.normalised[states.code == REACHED].numpy()
         if not len(own):
             self.spread(until, seed + 1)
             return
@@ -242,7 +242,7 @@ class _Run:
         assert self.resolutions is not None
         one, length = np.ones(self.scene.arm.actuator_count), float(self.scene.arm.neutral_length)
         for share, resolution, region in (
-            (IN_RANGE, self.resolutions[0], ((REACHED,), *_range_of_places(self.scene), True)),
+            (IN_RANGE, self.resolutions[0], ((REACHED,), *_range_of_pressures(self.scene), True)),
             (1.0, self.resolutions[1], ((REACHED, EXCLUDED), 0 * one, one, False)),
         ):
             least = self.schedule.unseen * length
@@ -262,7 +262,7 @@ class _Run:
             for further in range(FURTHER):
                 if further:
                     push = frontier.push_on(states, push, (end - self.count) // 2)
-                self.add(push.place)
+                self.add(push.normalised)
                 states = joined(self.batches)
             if most < small or (hasty and few):
                 break
@@ -279,7 +279,7 @@ class _Run:
         scene = self.scene
         return Workspace(
             states.tip_pose,
-            states.place * scene.arm.max_pressure,
+            states.normalised * scene.arm.max_pressure,
             states.twists,
             states.code,
             states.strain_excess,
@@ -316,12 +316,12 @@ def _resolution(states: Batch, scene: Problem, worst: int, spread: int | None = 
     return float(max(denser * np.quantile(away, TYPICAL), least))
 
 
-def _range_of_places(scene: Problem) -> tuple[Array, Array]:
+def _range_of_pressures(scene: Problem) -> tuple[Array, Array]:
     """(M,) the lowest and the highest normalised pressure in range."""
     limit = scene.arm.max_pressure
     ranges = limit.new_tensor([[plain_number(end) for end in model.pressure_range] for model in scene.arm.actuators])
-    places = torch.where(limit[:, None] > 0, ranges / limit[:, None], 0.0).clamp(0.0, 1.0)
-    return places[:, 0].numpy(), places[:, 1].numpy()
+    within = torch.where(limit[:, None] > 0, ranges / limit[:, None], 0.0).clamp(0.0, 1.0)
+    return within[:, 0].numpy(), within[:, 1].numpy()
 
 
 def _checked(arm: Any, payload: Any, gravity: Any, nodes: Any, base_pose: Any, wrench_at: Any) -> Problem:

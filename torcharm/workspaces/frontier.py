@@ -45,21 +45,21 @@ class Pushes:
     """Attempts to get beyond the boundary.
 
     Attributes:
-        place: (b, M) normalised pressures.
+        normalised: (b, M) normalised pressures.
         normal: (b, D) out of the region.
         goal: (b, D) where they would like to get [m].
         height: (b,) where along it the boundary is, as far as is known [m].
         gain: (b,) how far beyond that they should come [m].
     """
 
-    place: Array
+    normalised: Array
     normal: Array
     goal: Array
     height: Array
     gain: Array
 
     def __len__(self) -> int:
-        return len(self.place)
+        return len(self.normalised)
 
     def at(self, index: Indices) -> "Pushes":
         """Some of them."""
@@ -123,7 +123,7 @@ class Frontier:
         corners = facets.T  # each facet is tried from all of them
         many = [np.tile(one, (len(corners), 1)) for one in (goal, half)]
         found = self._attempts(states, corners.ravel(), *many)
-        place, promised = (part.reshape(*corners.shape, part.shape[-1]) for part in found)
+        normalised, promised = (part.reshape(*corners.shape, part.shape[-1]) for part in found)
         best = (promised * normal).sum(2).argmax(0), np.arange(len(facets))
         gain = (promised[best] * normal).sum(1) - height
         chosen = self._worthwhile(promised[best], gain, most)
@@ -132,7 +132,7 @@ class Frontier:
             self.tries[keys[facet]] = TRIES
         for facet in still[chosen]:
             self.tries[keys[facet]] = self.tries.get(keys[facet], 0) + 1
-        return Pushes(place[best][chosen], normal[chosen], goal[chosen], height[chosen], gain[chosen])
+        return Pushes(normalised[best][chosen], normal[chosen], goal[chosen], height[chosen], gain[chosen])
 
     def push_on(self, states: Batch, last: Pushes, most: int) -> Pushes:
         """Further attempts from where the last ones got to, the last of the states: onwards from those that gained,
@@ -146,18 +146,22 @@ class Frontier:
         gained = np.isin(code, self.codes) & (height - last.height > self.least_gain)
         height = np.where(gained, height, last.height)
         goal = np.where(gained[:, None], position + self.resolution * normal, last.goal)
-        place, promised = self._attempts(states, index, goal, np.where(gained, 1.0, CORRECTED)[:, None])
+        normalised, promised = self._attempts(states, index, goal, np.where(gained, 1.0, CORRECTED)[:, None])
         gain = (promised * normal).sum(1) - height
         chosen = self._worthwhile(promised, gain, most)
-        return Pushes(place[chosen], normal[chosen], goal[chosen], height[chosen], gain[chosen])
+        return Pushes(normalised[chosen], normal[chosen], goal[chosen], height[chosen], gain[chosen])
 
     def _attempts(self, states: Batch, source: Indices, goal: Array, part: Array) -> tuple[Array, Array]:
         """(b, M) normalised pressures that should take tips from states to goals (b, D), and where slopes see them
         end (b, D)."""
-        slopes, start, place = self.slopes.of(states, source), states.position[source], states.place.numpy()[source]
+        slopes, start, normalised = (
+            self.slopes.of(states, source),
+            states.position[source],
+            states.normalised.numpy()[source],
+        )
         longest = LONGEST_IN_RANGE if self.in_range else LONGEST_STEP
-        step = self._steps(place, slopes, goal - start, longest * part)
-        return (place + step).clip(self.low, self.high), start + (slopes.tip @ step[..., None])[..., 0]
+        step = self._steps(normalised, slopes, goal - start, longest * part)
+        return (normalised + step).clip(self.low, self.high), start + (slopes.tip @ step[..., None])[..., 0]
 
     def _worthwhile(self, promised: Array, gain: Array, most: int) -> Indices:
         """The attempts whose gain is enough, so many at most; of several to one place the best."""
@@ -168,16 +172,16 @@ class Frontier:
         first = np.sort(np.unique(np.concatenate((level, cell), 1), axis=0, return_index=True)[1])
         return np.asarray(order[first[:most]])
 
-    def _steps(self, place: Array, slopes: Slopes, way: Array, longest: Array) -> Array:
+    def _steps(self, normalised: Array, slopes: Slopes, way: Array, longest: Array) -> Array:
         """(F, M) that move the tip by a way (F, D), as nearly as slopes and limits allow."""
-        low, high = np.maximum(self.low, place - longest), np.minimum(self.high, place + longest)
+        low, high = np.maximum(self.low, normalised - longest), np.minimum(self.high, normalised + longest)
         width = high - low
         tip = slopes.tip * width[:, None]
         gradient, curvature = -(tip.swapaxes(1, 2) @ way[..., None])[..., 0], tip.swapaxes(1, 2) @ tip
         beyond, slope = slopes.beyond + MARGIN, slopes.beyond_slope * width[:, None]
-        start = np.where(width > 0, (place - low) / np.where(width > 0, width, 1.0), 0.0)
+        start = np.where(width > 0, (normalised - low) / np.where(width > 0, width, 1.0), 0.0)
         weight, met = (self.resolution / MARGIN) ** 2, np.zeros(beyond.shape, dtype=bool)
-        step, unsettled = np.zeros(place.shape), np.arange(len(place))
+        step, unsettled = np.zeros(normalised.shape), np.arange(len(normalised))
         for _ in range(PASSES if self.in_range else 1):
             held = slope[unsettled] * met[unsettled, :, None]
             step[unsettled] = box_steps(

@@ -34,21 +34,21 @@ class Batch:
     """S states, in float64.
 
     Attributes:
-        place: (S, M) normalised pressures.
+        normalised: (S, M) normalised pressures.
         twists: (S, N, K).
         tip_pose: (S, 3) or (S, 4, 4).
         code: (S,) indices into `STATES`.
         strain_excess: (S,) the largest strain beyond its characterised range.
     """
 
-    place: Tensor
+    normalised: Tensor
     twists: Tensor
     tip_pose: Tensor
     code: Tensor
     strain_excess: Tensor
 
     def __len__(self) -> int:
-        return len(self.place)
+        return len(self.normalised)
 
     @property
     def position(self) -> Array:
@@ -67,16 +67,16 @@ def position_of(pose: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def solve_states(scene: Problem, place: Array) -> Batch:
+def solve_states(scene: Problem, normalised: Array) -> Batch:
     """The states at normalised pressures (S, M) of a scene: the arm and what loads it."""
-    places = torch.from_numpy(place)
-    found = solved(at_places(scene, places))
-    return Batch(places, found.twists, found.poses[:, -1], _codes(found), found.strain_excess)
+    tried = torch.from_numpy(normalised)
+    found = solved(at_pressures(scene, tried))
+    return Batch(tried, found.twists, found.poses[:, -1], _codes(found), found.strain_excess)
 
 
-def at_places(scene: Problem, place: Tensor) -> Problem:
+def at_pressures(scene: Problem, normalised: Tensor) -> Problem:
     """The scene at normalised pressures (S, M)."""
-    return replace(scene, pressure=place * scene.arm.max_pressure, batch=(len(place),))
+    return replace(scene, pressure=normalised * scene.arm.max_pressure, batch=(len(normalised),))
 
 
 def _codes(found: Equilibrium) -> Tensor:
@@ -138,7 +138,7 @@ class KnownSlopes:
         """Of states at an index (b,) into all that there are."""
         new = np.unique(index[~self.known[index]])
         if len(new) or self.slopes is None:
-            found = slopes_of(self.scene, states.place[new], states.twists[new])
+            found = slopes_of(self.scene, states.normalised[new], states.twists[new])
             parts = found.tip, found.beyond, found.beyond_slope
             self.slopes = self.slopes or tuple(np.empty((len(self.known), *part.shape[1:])) for part in parts)
             for every, part in zip(self.slopes, parts, strict=True):
@@ -147,9 +147,9 @@ class KnownSlopes:
         return Slopes(*(every[index] for every in self.slopes))
 
 
-def slopes_of(scene: Problem, place: Tensor, twists: Tensor) -> Slopes:
+def slopes_of(scene: Problem, normalised: Tensor, twists: Tensor) -> Slopes:
     """The slopes at states, by their normalised pressures (b, M) and twists (b, N, K)."""
-    problem = at_places(scene, place)
+    problem = at_pressures(scene, normalised)
     rate = pressure_sensitivity(problem, twists) * scene.arm.max_pressure[:, None, None]
     beyond, slope = _range_slopes(problem, twists, rate)
     return Slopes(_tip_slope(scene, twists, rate).numpy(), beyond.numpy(), slope.numpy())
