@@ -71,7 +71,7 @@ def fit_kind(recording: Recording, kind: str, degree: int = 3, **options: Any) -
         shared = {key: options[key] for key in SHARED if options.get(key) is not None}
         return fit_gridded_model(*samples, *map(_axis, samples[:2]), provenance=own, **shared)
     if is_table(recording):
-        options["correlated"] = 1
+        options.setdefault("correlated", 1)
     terms = MCKIBBEN if kind == "mckibben" else None
     return fit_force_model(*samples, degree, run=recording.run, terms=terms, provenance=own, **options)
 

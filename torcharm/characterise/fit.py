@@ -16,7 +16,7 @@ import numpy as np
 from torcharm.actuators.bending import Bending, LinearBending
 from torcharm.actuators.measured import SLACK, Measured, Provenance, measured_region
 from torcharm.actuators.polynomial import PAPER_BENDING_STIFFNESS, PolynomialActuator
-from torcharm.characterise.alignment import Recording
+from torcharm.characterise.alignment import Recording, is_table
 from torcharm.characterise.least_squares import (
     LOSSES,
     Array,
@@ -246,6 +246,8 @@ def fit_recording(recording: Recording, degree: int = 3, **options: Any) -> Fitt
         [-30.0, 0.9]
     """
     own = (*provenance_of(recording), *options.pop("provenance", ()))
+    if is_table(recording):
+        options.setdefault("correlated", 1)
     return fit_force_model(
         recording.strain, recording.pressure, recording.force, degree, run=recording.run, provenance=own, **options
     )

@@ -17,7 +17,7 @@ from torcharm.design.objective import Objective, Problem, counted, shape_lengths
 from torcharm.design.result import OptimisedDesign, compared_words, reached_words, yield_words
 from torcharm.design.space import Arm, Array, DesignSpace, fitting_tasks, given_values, one_of_batch
 from torcharm.design.task_errors import TaskErrors, predicted, searched
-from torcharm.design.tolerance import tolerance as built_arms
+from torcharm.design.tolerance import tolerance as tolerance_of
 from torcharm.design.tolerance_result import BuiltArms
 from torcharm.inputs import check_count, check_number, shown
 from torcharm.task import Task
@@ -212,7 +212,7 @@ def _built(
         return None
     options: dict[str, Any] = {"seed": robust.seed + 1, "tolerance": tolerance, "pose_cost": cost}
     options |= vars(robust.scatter) | {"compensated": robust.compensated}
-    return built_arms(given, problem.tasks, **options), built_arms(best, problem.tasks, **options)
+    return tolerance_of(given, problem.tasks, **options), tolerance_of(best, problem.tasks, **options)
 
 
 @dataclass(frozen=True, eq=False)

@@ -132,7 +132,8 @@ def compared_words(before: TaskErrors, after: TaskErrors, over: str) -> str:
     gap = ", "
     if new > old:
         gains = after.out_of_range < before.out_of_range or after.lost < before.lost
-        words += ", which is more" if gains else ", which is more, but less far beyond the range"
+        nearer = not gains and float(after.beyond.amax()) < float(before.beyond.amax())
+        words += ", which is more, but less far beyond the range" if nearer else ", which is more"
         gap = ", but " if gains else gap
     for name, first, last in (
         ("out of range", before.out_of_range, after.out_of_range),

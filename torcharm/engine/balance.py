@@ -12,7 +12,7 @@ from torcharm.engine.sections import Drive, Sections
 
 @by_reference
 class Balance(NamedTuple):
-    """Poses, sections, residual and factors of one arm, written anew for each: one a thread."""
+    """Poses, sections, residual and factors of one arm, written anew for each. Letters are those of `newton_step`."""
 
     drive: Drive
     sections: Sections

@@ -47,7 +47,7 @@ class Search(NamedTuple):
     edge_factor: Float64[Array, "1"]
     edge_normal: Float64[Array, "M"]
     edge_shift: Float64[Array, "M N C"]
-    way: Float64[Array, "M"]
+    way: Float64[Array, "M"]  # the direction away from it, along bounds of the box
 
 
 @part
@@ -78,8 +78,8 @@ def reach_and_keep(problem, work, search, b, at, to, start, tolerance):  # type:
 
 @part
 def keep_lost(problem, work, search, b, at, begun):  # type: ignore[no-untyped-def]
-    """Keep the end of a descent, and where it began, among those that are lost, unless it is worse than all or there:
-    whether it is."""
+    """Keep the end of a descent, and where it began, among those that are lost, unless it is worse than all; whether it
+    was among them before."""
     points, worst = work.points, FIRST_LOST
     for j in range(FIRST_LOST, FIRST_LOST + LOST):
         gap = 0.0

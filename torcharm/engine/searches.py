@@ -61,11 +61,11 @@ that is known, but where the arm moves on, or is about to lose its stability; or
 
 FAR_BELOW = 0.5
 """Of the best cost: a lost end below that is worth loading the arm around it."""
-NEARBY, NEARER, CLOSER = 0.02, 0.75, 40
-"""How far around it, in normalised pressures, by which factor each try is nearer than the last, and how many
-are tried between the best of these and the end."""
+NEARBY, NEARER, TRIES_BETWEEN = 0.02, 0.75, 40
+"""How far around it, in normalised pressures, by which factor each try is nearer than the last, and how many are made
+between the best of these and the end."""
 HALFWAY = 0.5
-"""Part of the way from the best to the end that is tried first; each failure makes it shorter by that factor."""
+"""Part of the way from the best to the end that is tried first; each failure makes it shorter by the factor NEARER."""
 
 
 @by_reference
@@ -76,7 +76,7 @@ class Searches(NamedTuple):
     twists: Float64[Array, "B N K"]  # the equilibria there
     half_cost: Float64[Array, "B"]  # [m²], infinite where none was found
     how: Int64[Array, "B"]  # they are reached, as of `find_equilibrium`
-    at_end: Bool[Array, "B"]  # whether others confirm it, and none led to a better one that is not reached
+    confirmed: Bool[Array, "B"]  # whether others confirm it, and none led to a better one that is not reached
     optimality: Float64[Array, "B"]  # the largest entry of the cost's projected gradient [m²]
     start_cost: Float64[Array, "B starts"]  # what each came to [m²]; infinite where it failed, NaN where it was spared
 
@@ -231,7 +231,7 @@ def _load_nearby(problem, work, search, b, j, pool, start, tolerance):  # type: 
     """Load the arm ever closer around a lost end, and between it and the best of them: beside it the arm may
     be led there."""
     points, reach_out, found, step = work.points, NEARBY, False, HALFWAY
-    for q in range(len(pool) + CLOSER):
+    for q in range(len(pool) + TRIES_BETWEEN):
         around = q < len(pool)
         reach_out *= NEARER
         for m in range(pool.shape[1]):
@@ -302,7 +302,7 @@ def search_all(problem, shape, pool, spread, rounds, start, tolerance, first, la
     for b in range(first, last):
         for snaps in range(2):  # where no branch is found to the full load at any start, arms may snap
             work.path.stays[0] = snaps == 0
-            out.at_end[b] = _search(problem, work, search, fit, b, shape[b], pool, spread, rounds, start, tolerance)
+            out.confirmed[b] = _search(problem, work, search, fit, b, shape[b], pool, spread, rounds, start, tolerance)
             if math.isfinite(points.known[BEST, HALF_COST]):
                 break
         copy_row(out.normalised[b], points.normalised[BEST])

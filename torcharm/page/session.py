@@ -24,7 +24,7 @@ from torcharm.page.state import State, as_given, with_force, with_shape
 from torcharm.plot._common import Array
 
 Change = Callable[[State], State]
-SAID = ("", "plan", "save", "load", "drag tip")
+SAID = ("", "plan", "save", "load study", "drag tip")
 """Changes that say themselves what came of them, and those without a control."""
 STEPS_BACK = 200
 """States that can be undone."""

@@ -214,4 +214,4 @@ class View:
             self._tell(f"Loaded {self._out}.")
             return found
 
-        self.session.move("load", read)
+        self.session.move("load study", read)

@@ -106,7 +106,7 @@ def _search(task: _Task, points: Numbers, method: str, out: Searches) -> None:
             continue
         best, same = value, abs(value - float(answer.fun)) <= SAME_COST * (1.0 + value)
         out.normalised[b], out.twists[b], out.half_cost[b] = normalised, twists, 0.5 * value
-        out.how[b], out.at_end[b] = how, bool(answer.success) and same and how in (CONTINUED, WARM)
+        out.how[b], out.confirmed[b] = how, bool(answer.success) and same and how in (CONTINUED, WARM)
     if np.isfinite(best):
         task.warm = out.twists[b][None]
         slope, normalised = task.slope(out.normalised[b]), out.normalised[b]

@@ -218,7 +218,7 @@ def _result(prepared: Prepared, plain: Prepared, found: Searches) -> PressureSea
     normalised, twists = plain.shaped(found.normalised), plain.shaped(found.twists)
     stable = plain.shaped(stays_at(plain, found.normalised, found.twists, found.how != FAILED)) & prepared.possible
     continued = plain.shaped(found.how == CONTINUED) & stable
-    converged = plain.shaped(found.at_end) & continued
+    converged = plain.shaped(found.confirmed) & continued
     errors = errors_at(prepared, normalised, twists, converged, stable)
     return outcome(
         PressureSearch,

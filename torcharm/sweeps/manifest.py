@@ -98,7 +98,7 @@ def check_same(folder: StrPath, there: Manifest, problem: Mapping[str, str], sha
     differing = [name for name in dict.fromkeys((*other, *here)) if here.get(name) != other.get(name)]
     if not differing:
         return
-    short = [name for name in differing if max(len(str(one.get(name))) for one in (here, other)) <= SHORTEST_DIGEST]
+    short = [name for name in differing if max(len(str(one.get(name))) for one in (here, other)) <= LONGEST_TOLD]
     told = [
         f"{name} ({other.get(name)} there, {here.get(name)} given)" if name in short else name for name in differing
     ]
@@ -108,7 +108,7 @@ def check_same(folder: StrPath, there: Manifest, problem: Mapping[str, str], sha
     )
 
 
-SHORTEST_DIGEST = 15
+LONGEST_TOLD = 15
 """Texts up to this length are told: they say something, which digests and whole spaces do not."""
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
-MADE_UP = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / np.pi), "kPa": ("kPa", 1.0)}
+FILE_UNITS = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / np.pi), "kPa": ("kPa", 1.0)}
 """Unit and factor of columns of free values, by the unit that they have in the library."""
 
 
@@ -131,7 +131,7 @@ class SweepResult:
         """Columns of free values, which follow from the index and are in no file; of tied actuators the first one's."""
         free = self.manifest.design_points.free
         return tuple(
-            f"{field}_{'_'.join(str(index + 1) for index in own)}_{MADE_UP[UNITS[field]][0]}"
+            f"{field}_{'_'.join(str(index + 1) for index in own)}_{FILE_UNITS[UNITS[field]][0]}"
             for field, own in zip(free.fields, free.members, strict=True)
         )
 
@@ -243,7 +243,7 @@ class SweepResult:
         points = self.manifest.design_points
         values = points.values(indices)
         return {
-            column: MADE_UP[UNITS[field]][1] * values[:, FIELDS.index(field), own[0]]
+            column: FILE_UNITS[UNITS[field]][1] * values[:, FIELDS.index(field), own[0]]
             for column, field, own in zip(self.free_values, points.free.fields, points.free.members, strict=True)
         }
 
