@@ -93,11 +93,14 @@ def test_options_replace_the_table_of_the_study(study):
         (["--radii", "1"], "--radii: must be at most 0.1 m (is it in millimetres?), got 1"),
         (["--force", "500 %"], "--force: must be at most 1 (is it in percent?), got 5"),
         (["--length", "-1 mm"], "--length: must be at least 0, got"),
-        (["--force", "5 %", "--correlated", "force=2"], "--correlated.force: must be at most 1, got 2"),
-        (["--force", "5 %", "--correlated", "force"], "--correlated.force: must be a number [1]"),
+        (["--force", "5 %", "--correlated", "force=2"], "--correlated force: must be at most 1, got 2"),
+        (
+            ["--force", "5 %", "--correlated", "force"],
+            "--correlated: must be what is scattered and a number, such as force=1, got",
+        ),
         (
             ["--force", "5 %", "--correlated", "x=1"],
-            "--correlated.x: unknown key; allowed: radii, length, limits, force, force_",
+            "--correlated x: unknown key; allowed: radii, length, limits, force, force_",
         ),
         (["--radii", "1 mm", "--samples", "1"], "--samples: must be at least 2, got 1"),
         (["--radii", "1 mm", "--out", "built.toml"], "--out: built.toml: must end in"),

@@ -47,12 +47,12 @@ def test_attempts_that_left_the_range_are_corrected_from_where_they_landed():
     one = np.ones(arm.actuator_count)
     frontier = Frontier(KnownSlopes(scene, 10_000), 0.02, 0.01, 1e-4, (REACHED,), 0 * one, one, True)
     push = frontier.push(states, 100)
-    tried = solve_states(scene, push.place)
+    tried = solve_states(scene, push.normalised)
     missed = tried.code.numpy() == EXCLUDED
     states = joined((states, tried))
     again = frontier.push_on(states, push, 100)
     corrected = [any((goal == own).all() for own in push.goal[missed]) for goal in again.goal]
-    landed = solve_states(scene, again.place[corrected])
+    landed = solve_states(scene, again.normalised[corrected])
     gained = (landed.position * again.normal[corrected]).sum(1) > again.height[corrected]
     assert missed.sum() > 5
     assert sum(corrected) > 5

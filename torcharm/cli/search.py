@@ -37,7 +37,7 @@ def search(
     ] = None,
     method: Annotated[str, typer.Option(help="multistart, or scipy (the paper's, slow).")] = "multistart",
     starts: Annotated[
-        int | None, typer.Option(help="Places to start from, for each load.", show_default="8, scipy 1")
+        int | None, typer.Option(help="Places to start from, for each load.", show_default="12, scipy 1")
     ] = None,
     weights: Annotated[str, typer.Option(help="Of the nodes: ramp, uniform, tip.")] = "ramp",
 ) -> None:
@@ -82,17 +82,17 @@ def _search(plan: "Study", task: "NamedTask", how: dict[str, Any], work: Work) -
     firsts = range(0, math.prod(task.task.batch_shape), BLOCKS[how["method"]])
 
     def searched(arm: "NamedArm", task: "NamedTask", told: Told) -> "Iterator[StudyResult]":
-        parts, interrupted = [], False
+        parts, ended = [], None
         try:
             for done, first in enumerate(firsts, 1):
                 parts.append(search_pressure(arm.design, task.task.part(slice(first, first + firsts.step)), **how))
                 told(done)
-        except KeyboardInterrupt:
-            interrupted = True
+        except (KeyboardInterrupt, ValueError) as error:
+            ended = error
         if parts:
             yield _judged(arm, task, parts, plan.settings)
-        if interrupted:
-            raise KeyboardInterrupt
+        if ended is not None:
+            raise ended
 
     return work.each(task.name, [(arm, task) for arm in plan.arms_of(task)], searched, len(firsts))
 

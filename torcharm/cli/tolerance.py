@@ -107,6 +107,9 @@ def _manufacture(plan: "Study", given: dict[str, Any], correlated: Sequence[str]
     if given.keys() - KEPT - {"distribution"}:
         table = {key: table[key] for key in KEPT & table.keys()}
     table |= {key: bare(value) if isinstance(value, str) else value for key, value in given.items()}
+    for text in correlated:
+        if "=" not in text:
+            raise ValueError(f"--correlated: must be what is scattered and a number, such as force=1, got {text}")
     alike = (text.partition("=") for text in correlated)
     own = {name.strip().replace("-", "_"): bare(number) for name, _, number in alike}
     table["correlated"] = {**table.get("correlated", {}), **own}
@@ -114,7 +117,7 @@ def _manufacture(plan: "Study", given: dict[str, Any], correlated: Sequence[str]
         how: Manufacture = validated(ToleranceTable, table).build()
     except ValueError as error:
         field, words = str(error).split(":", 1)
-        raise ValueError(f"--{field.replace('_', '-')}:{words}") from None
+        raise ValueError(f"--{field.replace('_', '-').replace('.', ' ')}:{words}") from None
     if how.scatter is None:
         raise ValueError(
             "tolerance: must say what is scattered: by options such as --radii '1 mm' --force '5 %', "

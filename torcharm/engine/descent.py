@@ -60,11 +60,15 @@ started, as there was no equilibrium."""
 
 @part
 def mean_error(problem, work, b, at):  # type: ignore[no-untyped-def]
-    """The mean error of a slot over the arm's length."""
-    weight = 0.0
-    for i in range(problem.goal.weight.shape[1]):
-        weight += problem.goal.weight[b, i, 0]
-    return math.sqrt(2.0 * work.points.known[at, HALF_COST] / max(weight, 1e-300)) / problem.scale.length[b]
+    """The mean error of a slot over the arm's length, by the weight of what counts most at each pose."""
+    weights, length, total = problem.goal.weight, problem.scale.length[b], 0.0
+    linear = (weights.shape[2] + 1) // 2  # components of a position; a turn is as long as it moves the arm's end
+    for i in range(weights.shape[1]):
+        most = 0.0
+        for e in range(weights.shape[2]):
+            most = max(most, weights[b, i, e] if e < linear else weights[b, i, e] / length**2)
+        total += most
+    return math.sqrt(2.0 * work.points.known[at, HALF_COST] / max(total, 1e-300)) / length
 
 
 @part

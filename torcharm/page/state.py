@@ -194,7 +194,8 @@ def with_force(state: State, force: Sequence[float]) -> State:
     """The force of the tip load (x, y, z) within its range, of which the plane takes two; moments stay."""
     most = tip_range(state)
     for component, value in enumerate(force[: state.named_arm.design.dimension]):
-        state = with_tip(state, component, min(max(value, -most[component]), most[component]))
+        if math.isfinite(value):
+            state = with_tip(state, component, min(max(value, -most[component]), most[component]))
     return state
 
 
