@@ -26,7 +26,7 @@ DAY = 12 * 3600 + 1.5
         ("12:00:01.5 AM", 1.5),
         ("01:00:00 pm", 13 * 3600),
         ("02:01.5", 121.5),
-        ("2:01", 121.0),
+        ("2024-05-01 12:01", NOON + 58.5),
         ("9:00:01.5", 9 * 3600 + 1.5),
         ("5/1/2024 12:00:01.5", DAY),  # May or January: the day is left out
     ],
@@ -42,7 +42,7 @@ def test_moments_over_a_year_are_those_of_the_standard_library():
         assert number(moment.isoformat(), ",") == pytest.approx(moment.timestamp(), abs=1e-6)
 
 
-@pytest.mark.parametrize("cell", ["2024-05-01", "12:00:01.5.2", "a:b:c", "2024-05 12:00:00"])
+@pytest.mark.parametrize("cell", ["2024-05-01", "12:00:01.5.2", "a:b:c", "2024-05 12:00:00", "12:01", "2:01 PM"])
 def test_what_is_no_moment(cell):
     assert not is_number(cell)
 

@@ -40,7 +40,7 @@ def test_a_good_fit_has_none(noise):
 
 def test_spikes_are_told_by_file_sample_and_size():
     (said,) = doubts(recording(spikes=[(1400, 35.0)]))
-    assert "a sample stands out from those about, sample 1401 of b.csv the most, by 35" in said
+    assert "a sample stands out from those about, sample 401 of b.csv the most, by 35" in said
     (said,) = doubts(recording(spikes=[(300, -20.0), (301, -30.0), (1400, 20.0)]))
     assert "3 samples stand out" in said
     assert "sample 302 of a.csv, a.txt the most, by 29.7 N" in said
@@ -146,8 +146,11 @@ def test_forces_of_a_table_that_contradict_each_other_are_told():
     assert not doubts(table, degree=3)
     table.force[42] += 0.1 * np.abs(table.force).max()
     (said,) = (one for one in doubts(table, degree=3) if "contradict" in one)
-    assert "samples 9 and 43 of t.csv contradict each other" in said
+    assert "sample 9 of t.csv and sample 43 of t.csv contradict each other" in said
     assert said.endswith("1 such in all")
+    pooled = replace(table, run=np.repeat([0, 1], [40, 3]), sources=("t.csv", "u.csv"))
+    (said,) = (one for one in doubts(pooled, degree=3) if "contradict" in one)
+    assert "sample 9 of t.csv and sample 3 of u.csv contradict each other" in said
 
 
 def files_told(tmp_path, header, *rows, gauge=None):

@@ -103,7 +103,7 @@ def test_positions_are_no_extensions(tmp_path):
     path = write(tmp_path / "t.csv", "\n".join(["Time (s),Position (mm),Force (N)", *rows, ""]))
     with pytest.raises(ValueError, match=r"t.csv: strains must be above -1, .* and at most 5, got -1.0"):
         ta.read_tester(path, gauge_length=0.08)
-    with pytest.warns(UserWarning, match="strains are 4.67 to 4.78, those of soft actuators near 0 at rest"):
+    with pytest.raises(ValueError, match=r"t.csv: strains must count from the actuators' own length, got 4.67 to 4.78"):
         ta.read_tester(write(path, path.read_text().replace(",-", ",3")), gauge_length=0.08)
 
 
@@ -122,6 +122,29 @@ def test_lengths_count_from_the_gauge_length(tmp_path, name):
     np.testing.assert_allclose(said.strain, [0, 0.1, -0.05], atol=1e-15)
     with pytest.raises(ValueError, match=r"gauge_length: is missing, .* gives lengths in mm and no strains"):
         ta.read_tester(path)
+
+
+def test_a_second_header_that_swaps_columns_is_refused(tmp_path):
+    rows = [f"{k},{0.01 * k},{k}" for k in range(40)]
+    lines = ["Time (s),Strain (mm/mm),Force (N)", *rows[:20], "Time (s),Force (N),Strain (mm/mm)", *rows[20:], ""]
+    path = write(tmp_path / "t.csv", "\n".join(lines))
+    message = r"t.csv: line 22: must not name columns otherwise than line 1, .* two recordings or tables in one file\?"
+    with pytest.raises(ValueError, match=message):
+        ta.read_tester(path)
+    with pytest.warns(UserWarning, match="line 22 of words or with empty cells passed over"):
+        assert len(ta.read_tester(write(path, "\n".join([*lines[:21], lines[0], *lines[22:]]))).force) == 40
+    table = write(
+        tmp_path / "s.csv", "contraction [%];0 bar;1 bar\n0;0;40\n10;-5;30\nextension [%];0 bar;1 bar\n20;5;50\n"
+    )
+    with pytest.raises(ValueError, match=r"s.csv: line 4: must not name columns otherwise than line 1"):
+        ta.read_table(table)
+
+
+@pytest.mark.parametrize("head", ["Compressive force [N]\ncontraction [%]", "contraction [%] / Druckkraft [N]"])
+def test_a_tables_forces_that_are_named_compressive_push(tmp_path, head):
+    table = ta.read_table(write(tmp_path / "s.csv", f"{head};0 bar;1 bar\n0;0;40\n10;-5;30\n"))
+    assert table.force.tolist() == [0, 40, -5, 30]
+    assert dict(table.settings)["positive forces"] == "push, as its name says"
 
 
 def test_percents_that_are_said_to_be_parts_of_1_are_refused(tmp_path):

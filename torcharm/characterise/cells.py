@@ -28,7 +28,8 @@ _DRESSED = re.compile(
 )
 _MOMENT = re.compile(
     r"(?:(?P<a>\d{1,4})(?P<sign>[-/.])(?P<b>\d{1,2})(?P=sign)(?P<c>\d{1,4})[T\s]\s*)?"
-    r"(?P<clock>\d{1,2}:\d{1,2}(?::\d{1,2})?(?:[.,]\d+)?)\s*(?P<half>[AaPp][Mm])?(?P<zone>Z|[+-]\d\d:?\d\d)?"
+    r"(?(a)|(?=\d+:\d+[:.,]))(?P<clock>\d{1,2}:\d{1,2}(?::\d{1,2})?(?:[.,]\d+)?)"
+    r"\s*(?P<half>[AaPp][Mm])?(?P<zone>Z|[+-]\d\d:?\d\d)?"
 )
 
 
@@ -111,6 +112,7 @@ def number(cell: str, decimal: str) -> float:
 def _seconds(cell: str) -> float:
     """Seconds since 1970 of a moment, or since midnight without a day; infinite where it is none.
 
+    Two parts without a day are minutes and seconds with a fraction alone: nothing tells others from hours and minutes.
     Days stand as 2024-05-01, 2024/5/1 or 1.5.2024; that of 5/1/2024, which may be in May or in January, is left out.
     """
     found = _MOMENT.fullmatch(cell.strip())

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torcharm.characterise.cells import number
-from torcharm.characterise.delimited import Sheet, values_of
-from torcharm.characterise.headers import STRESS, Header, base, candidates, header_of, named_units, plain
+from torcharm.characterise.cells import is_number, number
+from torcharm.characterise.delimited import Sheet, short, values_of
+from torcharm.characterise.headers import NAMES, STRESS, Header, base, candidates, header_of, named_units, plain
 from torcharm.inputs import check_choice, shown
 from torcharm.units import MEASURED, PRESSURE, TIME, is_absolute, unit_named
 
@@ -25,7 +25,7 @@ EPOCH = (1e9, 2.5e9)
 """Seconds since 1970 of the years 2001 to 2049: no run is as long, so that such times name their own unit."""
 _OPTION = re.compile(r"(?:^|,)\s*([A-Za-z_]+)\s*=")
 _ABSOLUTE = re.compile(r"(?<![a-z])abs(?![a-z])|absolut")
-_COMPRESSIVE = re.compile(r"compressi|stauchung|druckkraft")
+COMPRESSIVE = re.compile(r"compressi|stauchung|druckkraft")
 """What a tester names so is positive where it squeezes: such strains and extensions shorten, such forces push."""
 _LENGTHENING = re.compile(r"extension|elongation|verlängerung|tensile|tension|dehnung")
 """What is positive where longer; strokes and positions count either way."""
@@ -93,6 +93,7 @@ def find_columns(
         ValueError: a column is not found, or more than one; its unit is not known; or the file and a person differ.
     """
     header, said = header_of(sheet), choices(columns)
+    check_one_header(sheet)
     last = max((i for i, name in enumerate(header.names) if name), default=sheet.width)
     by_number = all(own.column.isdigit() for own in said.values()) and len(said) >= len(quantities)
     if any(sheet.numeric[last + 1 :]) and not by_number:
@@ -115,6 +116,24 @@ def find_columns(
             )
         found[quantity] = own
     return found
+
+
+def check_one_header(sheet: Sheet, *, least: int = 2) -> None:
+    """Raise a ValueError about a line of words among the numbers that names columns, so many at least, otherwise."""
+    header, known = header_of(sheet), [_words(row) for _, row in sheet.above]
+    for place, row in zip(sheet.places, sheet.rows, strict=True):
+        if not row or not row[0][:1].isalpha() or any(map(is_number, row)) or _words(row) in known:
+            continue
+        if sum(any(re.search(pattern, base(cell)) for pattern in NAMES.values()) for cell in row) >= least:
+            raise ValueError(
+                f"{sheet.source}: line {place}: must not name columns otherwise than line {header.line}, "
+                f"{header.shown}, got {short(','.join(row))}: are two recordings or tables in one file?"
+            )
+
+
+def _words(cells: Sequence[str]) -> list[str]:
+    """What cells hold, without those that are empty."""
+    return [word for cell in cells if (word := plain(cell))]
 
 
 def has_column(sheet: Sheet, quantity: str, columns: Columns | None) -> bool:
@@ -180,7 +199,7 @@ def _column(sheet: Sheet, header: Header, quantity: str, choice: Choice, default
     name = header.names[index].lower()
     words = [*header.units[index], *re.split(r"[_,;/\s]", name)]
     absolute = bool(_ABSOLUTE.search(name)) or any(map(is_absolute, words)) or choice.absolute
-    compressive = _COMPRESSIVE.search(name) is not None
+    compressive = COMPRESSIVE.search(name) is not None
     lengthening = _LENGTHENING.search(name) is not None or (quantity == "extension" and choice != Choice())
     return Column(
         quantity,

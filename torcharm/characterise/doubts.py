@@ -125,11 +125,17 @@ def _contradicting(recording: Recording) -> str:
     many, worst = (apart > CONTRADICTING * np.abs(force).max()).sum(), int(apart.argmax())
     if not many:
         return ""
-    a, b = sorted(order[worst : worst + 2])
+    a, b = sorted(order[worst : worst + 2].tolist())
     return (
-        f"samples {a + 1} and {b + 1} of {recording.sources[0]} contradict each other: {force[a]:.4g} and "
+        f"{_sample(recording, a)} and {_sample(recording, b)} contradict each other: {force[a]:.4g} and "
         f"{force[b]:.4g} N at strain {strain[a]:.3g} and {pressure[a]:.4g} kPa; {many} such in all"
     )
+
+
+def _sample(recording: Recording, index: int) -> str:
+    """`sample 3 of b.csv`, counted from 1 in its run."""
+    run = recording.run[index]
+    return f"sample {index - int((recording.run == run).argmax()) + 1} of {recording.sources[run]}"
 
 
 def _other_strains(tester: TesterRecord) -> str:
@@ -254,7 +260,7 @@ def _spikes(recording: Recording, residual: Array) -> str:
     worst = int(found[np.abs(out[found]).argmax()])
     which = "a sample stands" if len(found) == 1 else f"{len(found)} samples stand"
     return (
-        f"{which} out from those about, sample {worst + 1} of {recording.sources[recording.run[worst]]} the most, by "
+        f"{which} out from those about, {_sample(recording, worst)} the most, by "
         f"{abs(out[worst]):.3g} N at strain {recording.strain[worst]:.3g} and {recording.pressure[worst]:.4g} kPa "
         f"(RMSE {rmse:.3g} N): --loss huber bears such"
     )

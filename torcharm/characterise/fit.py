@@ -31,7 +31,7 @@ from torcharm.characterise.least_squares import (
 )
 from torcharm.characterise.monotonicity import Monotonicity, monotonicity
 from torcharm.characterise.signs import LEAST_STRAIN
-from torcharm.inputs import TensorLike, as_floating, check_choice, check_count, check_finite, check_number
+from torcharm.inputs import TensorLike, as_floating, check_choice, check_count, check_number
 
 HIGHEST_DEGREE = 9
 VACUUM_SHARE = 0.1
@@ -290,8 +290,11 @@ def checked_samples(strain: TensorLike, pressure: TensorLike, force: TensorLike)
 
 def _column(name: str, value: TensorLike) -> Array:
     (tensor,) = as_floating(**{name: value})
-    check_finite(name, tensor)
-    return tensor.detach().cpu().double().flatten().numpy()
+    column: Array = tensor.detach().cpu().double().flatten().numpy()
+    bad = ~np.isfinite(column)
+    if bad.any():
+        raise ValueError(f"{name}: must be finite, got {column[bad][0]} at sample {int(bad.argmax()) + 1}")
+    return column
 
 
 def _check_options(

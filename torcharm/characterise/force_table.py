@@ -9,7 +9,7 @@ import numpy as np
 
 from torcharm.characterise.alignment import Recording, noted
 from torcharm.characterise.cells import Row, number
-from torcharm.characterise.columns import Choice, Columns, choices, find_columns
+from torcharm.characterise.columns import COMPRESSIVE, Choice, Columns, check_one_header, choices, find_columns
 from torcharm.characterise.delimited import Sheet, numbers, read_sheet
 from torcharm.characterise.headers import BRACKETS, NAMES
 from torcharm.characterise.recordings import gauge_pressure
@@ -92,6 +92,7 @@ def _long(sheet: Sheet, said: Mapping[str, Choice]) -> tuple[Sheet, tuple[str, .
     across = [repr(number(head[1], sheet.decimal)) for head in heads if head]
     if len(set(across)) < len(across):
         raise ValueError(f"{sheet.source}: line {line}: must name each of its columns once, got {', '.join(across)}")
+    check_one_header(sheet, least=1)
     table, places, notes = numbers(sheet, range(sheet.width), sparse=True)
     cells = [
         (place, [repr(first), head, repr(force)])
@@ -104,7 +105,8 @@ def _long(sheet: Sheet, said: Mapping[str, Choice]) -> tuple[Sheet, tuple[str, .
     titles = [cell for _, row in sheet.above[:-1] for cell in row]
     texts = [a or b for cell in (*titles, *heading) for a, b in BRACKETS.findall(cell)]
     of_force = next((text for text in (*texts, sheet.dress[1][1]) if unit_named(text, "force")), "")
-    names = [*_names(sheet, said, "".join(units)), f"force [{of_force or 'N'}]"]
+    squeezes = " (compressive)" * any(COMPRESSIVE.search(cell.lower()) for cell in (*titles, *heading))
+    names = [*_names(sheet, said, "".join(units)), f"force [{of_force or 'N'}]{squeezes}"]
     long = replace(
         sheet,
         above=((line, names),),

@@ -15,6 +15,8 @@ STRETCHES = ("strain", "contraction", "extension", "length")
 PLAUSIBLE_STRAIN, LEAST_STRAIN, NEAR_REST = (-0.6, 1.0), 0.02, 0.3
 """Between the first lie the strains of soft actuators; the largest is more than the second, the least no more than the
 third: else percents were taken for parts of 1 or these for percents, positions for extensions, forces for strains."""
+FAR_FROM_REST = 3.0
+"""In widths of their range, how far from 0 lengths all lie that are positions, if further than the gauge length."""
 MOST_STRAIN = 5.0
 """What no soft actuator reaches: larger numbers are percents."""
 LONGEST_GAUGE = 3.0
@@ -83,6 +85,12 @@ def strains_of(sheet: Sheet, stretch: Column, gauge_length: float | None, values
             f'"{stretch.quantity}={stretch.index + 1}:%"'
         )
     (low, high), size = PLAUSIBLE_STRAIN, np.abs(strain)
+    if is_length and size.min() > max(1.0, FAR_FROM_REST * float(np.ptp(strain))):
+        raise ValueError(
+            f"{source}: strains must count from the actuators' own length, got {strain.min():.3g} to "
+            f"{strain.max():.3g}, never near 0: is this a position or a whole length (length=), or is the gauge "
+            "length wrong?"
+        )
     if not low <= strain.min() <= strain.max() <= high or size.max() < LEAST_STRAIN or size.min() > NEAR_REST:
         cells = ", are the cells parts of 1" if size.max() < LEAST_STRAIN and stretch.unit == "%" else ""
         warnings.warn(
