@@ -15,6 +15,7 @@ from standard_error import without_notice
 
 import torcharm as ta
 from torcharm import cli, study
+from torcharm.files import check_writable
 
 STUDY = """
 name = "files"
@@ -220,6 +221,25 @@ def test_a_link_is_followed_and_permissions_are_kept(tmp_path):
     assert link.is_symlink()
     assert ta.load_actuator(target) == ta.McKibben()
     assert target.stat().st_mode & 0o777 == 0o640
+
+
+@posix
+@pytest.mark.parametrize("name", ["plain", "x.json"])
+def test_the_asked_ending_chooses_the_format_through_a_link(folder, monkeypatch, name):
+    (folder / "link.csv").symlink_to(folder / name)
+    assert not command(monkeypatch, "evaluate", "study.toml", "--out", "link.csv")
+    assert (folder / name).read_text().startswith("arm,task,load,")
+
+
+@posix
+def test_names_with_a_nul_and_protected_pipes_are_refused(folder, monkeypatch):
+    with pytest.raises(ValueError, match="--out: a\0b.csv: cannot be written, embedded null"):
+        check_writable("a\0b.csv", "--out")
+    os.mkfifo("pipe")
+    check_writable("pipe")
+    monkeypatch.setattr(os, "access", lambda *_: False)  # root may do all
+    with pytest.raises(ValueError, match="pipe: cannot be written, Permission denied"):
+        check_writable("pipe")
 
 
 @posix

@@ -5,6 +5,7 @@ reads sees the old file or the new one. What is read must be a regular file of b
 device or a folder given by mistake is refused in a sentence rather than waited for.
 """
 
+import errno
 import gc
 import os
 import secrets
@@ -71,7 +72,13 @@ def check_writable(path: StrPath, name: str = "") -> None:
     prefix = f"{name}: {path}" if name else f"{path}"
     if os.path.isdir(path):
         raise ValueError(f"{prefix}: is a directory, must be a file")
-    if not os.path.isdir(os.path.dirname(os.path.realpath(path))):
+    try:
+        folder = os.path.dirname(os.path.realpath(path))
+        if is_stream(path) and not os.access(path, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    except (OSError, ValueError) as error:  # the latter of names that hold a NUL
+        raise ValueError(f"{prefix}: cannot be written, {_reason(error)}") from None
+    if not os.path.isdir(folder):
         raise ValueError(f"{prefix}: the directory {Path(path).parent} does not exist")
     try:
         if os.path.isfile(path):

@@ -70,6 +70,8 @@ def test_ties_make_symmetric_arms() -> None:
     torch.testing.assert_close(designs.radii, -designs.radii.flip(-1))
     torch.testing.assert_close(designs.length, designs.length.flip(-1))
     torch.testing.assert_close(designs.max_pressure, designs.max_pressure.flip(-1))
+    groups = _designs(DesignSpace(tied=np.array([[0, 3], [1, 2]])))
+    torch.testing.assert_close(groups.radii[:, :2], -groups.radii[:, 2:].flip(-1))
     designs = _designs(DesignSpace(tied=((0, 3),), in_range=False))
     torch.testing.assert_close(designs.radii[:, 0], -designs.radii[:, 3])
     assert float((designs.radii[:, 1] + designs.radii[:, 2]).abs().max()) > 1e-3

@@ -655,7 +655,17 @@ BAD_STUDIES = {
         "did you mean edges?",
     ),
     "one sample": (bad_settings("samples = 1"), "evaluate.samples: must be at least 2, got 1"),
-    "too many samples": (bad_settings('hull = "edges"\nsamples = 9000'), "evaluate.samples: must be at most 1000"),
+    "too many samples": (
+        bad_settings('hull = "edges"\nsamples = 900000'),
+        "evaluate.samples: must make at most 5e+07 numbers at once, got ",
+        "from 900000 samples, 4 actuators, 10 nodes",
+    ),
+    "too many loads of many nodes": (
+        study_text(
+            task='shape = { kind = "affine", slope = -3, intercept = 3, nodes = 100 }\nloads = { count = 900000 }'
+        ),
+        "loads.count: must make at most 5e+07 numbers at once, got 9e+07 from 900000 loads, 100 nodes",
+    ),
     "samples of exact sets": (
         bad_settings("samples = 9"),
         "evaluate.samples: must be left out for hull='exact' and distance='gjk', which is exact, got 9",
@@ -779,3 +789,9 @@ def test_no_such_base_names_those_that_are():
     text = example_text().replace('# base_pose = "hanging" ', 'base_pose = "uprigt" #')
     with pytest.raises(ValueError, match=r"base_pose: must be one of hanging, .*did you mean upright"):
         parse_study(text)
+
+
+def test_a_limit_may_be_free_and_fixed_by_its_bounds():
+    bounds = 'free = ["radii", "max_pressure"]\nbounds = { max_pressure = [50, 50] }'
+    space = parse_study(f"{study_text()}\n[optimise]\n{bounds}").optimisation.space
+    assert space.bounds == {"max_pressure": (50.0, 50.0)}

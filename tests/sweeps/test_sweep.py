@@ -202,6 +202,7 @@ def test_pictures_have_units_and_count_every_feasible_design(swept):
     marginals = swept.plot()
     assert [axes.get_xlabel() for axes in marginals.axes] == ["absolute [N]", "relative [N]", "size [mm]"]
     assert swept.plot("radii_1").axes[0].get_xlabel() == "radii 1 [mm]"
+    assert len(swept.plot("not_excluded").axes) == 1, "a column of whole numbers"
 
 
 def test_progress_is_told(tmp_path):

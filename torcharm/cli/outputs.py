@@ -70,7 +70,7 @@ def rows(out: Path | None, found: Sequence[Mapping[str, Any]]) -> Iterator[Outpu
     from torcharm.study import write_rows
 
     if out is not None:
-        yield out, lambda path: write_rows(path, found), f" ({count(len(found), 'row')})."
+        yield out, lambda path: write_rows(path, found, out.suffix), f" ({count(len(found), 'row')})."
 
 
 def by_task(tasks: Sequence[Task], found: Sequence[Any]) -> list[tuple[Task, list[Any]]]:

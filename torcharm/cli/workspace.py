@@ -64,6 +64,8 @@ def workspace(
     plan = example_study() if study is None else read_study(study)
     chosen = arms_named(plan, arm)
     _check_figure(chosen, figure, payload, show)
+    if payload is not None and "," not in payload:  # a wrench may fit some of the arms
+        _payload(payload, chosen[0].design.dimension)
     how, work, started = {"nodes": nodes, "base_pose": base, "gravity": gravity}, Work(), time.perf_counter()
     found = find_workspaces(chosen, payload, states, how, work)
     if found:
@@ -104,17 +106,20 @@ def find_workspaces(
 
 def _payload(text: str, dimension: int) -> float | list[float]:
     """A mass [kg] or a wrench [N, N·m]."""
+    from torcharm.inputs import check_number
     from torcharm.study.units import WRENCHES
     from torcharm.units import MASS
 
     if "," in text:
-        return numbers("--payload", text, list(WRENCHES[dimension].values()))
+        found = numbers("--payload", text, list(WRENCHES[dimension].values()))
+        return [check_number("--payload", one) for one in found]
     try:
-        return numbers("--payload", text, [MASS])[0]
+        mass = numbers("--payload", text, [MASS])[0]
     except ValueError as error:
         example = "0, -2, 0" if dimension == 2 else "0, -2, 0, 0, 0, 0"
         several = f"force and moment as numbers separated by commas, 3 in the plane and 6 in space: {example}"
         raise ValueError(f"{error}; or {several}") from None
+    return check_number("--payload", mass, 0.0, unit="kg")
 
 
 def _report(found: "Found", seconds: float) -> None:

@@ -274,7 +274,8 @@ def tied_groups(space: DesignSpace, name: str, given: Array, segment: ArmDesign)
     """Actuators of a segment of values (4, M) that share one free value of a field, and with which sign."""
     tie = space.tied.get(name) if isinstance(space.tied, Mapping) else space.tied
     planar, count = segment.dimension == 2, segment.actuator_count
-    if tie == "mirror":
+    word = tie if isinstance(tie, str) else None
+    if word == "mirror":
         opposite = name == "angles" or (name == "radii" and planar)
         pairs = [[index, count - 1 - index] for index in range(count // 2)]
         groups = [(pair, np.array([-1.0, 1.0] if opposite else [1.0, 1.0])) for pair in pairs]
@@ -282,12 +283,12 @@ def tied_groups(space: DesignSpace, name: str, given: Array, segment: ArmDesign)
             groups.append(([count // 2], np.ones(1)))
     else:
         signs = np.ones(count)
-        if tie == "equal":
+        if word == "equal":
             alike = [list(range(count))]
-        elif tie == "ring" or (tie is None and not planar):
+        elif word == "ring" or (tie is None and not planar):
             alike = _rings(name, given, segment)
         else:
-            alike = _checked_groups(() if tie in (None, "none") else tie, count)
+            alike = _checked_groups(() if tie is None or word == "none" else tie, count)
             if name == "radii" and planar:
                 signs[[index for group in alike if len(group) > 1 for index in group if given[0, index] < 0]] = -1
         groups = [(group, signs[group]) for group in alike]

@@ -10,9 +10,11 @@ from torcharm.attainability import check_measure
 from torcharm.characterise.toml_text import read_toml
 from torcharm.files import read_file
 from torcharm.study.arm_tables import NamedTable, make_arm
-from torcharm.study.data import Study
+from torcharm.study.data import NamedArm, NamedTask, Settings, Study
 from torcharm.study.fields import field_path, one_line, shown_value, validated, within
 from torcharm.study.tables import StudyTable, arms_named
+from torcharm.study.task_tables import check_values
+from torcharm.wrench_sets.vertex_sets import CURVE_SAMPLES, EDGE_SAMPLES
 
 
 def load_study(path: str | PathLike[str]) -> Study:
@@ -96,6 +98,8 @@ def _study(table: StudyTable, folder: Path) -> Study:
             )
         with within("evaluate", arm.name):
             check_measure(arm.design, settings.hull, settings.samples, settings.distance, settings.signed)
+            for its_task in plain.tasks_of(arm):
+                _check_size(arm, its_task, settings)
     with within("tolerance"):
         manufacture = table.tolerance.build()
     with within("optimise"):
@@ -105,6 +109,20 @@ def _study(table: StudyTable, folder: Path) -> Study:
         with within(field_path(["plan", index]), wanted.name):
             plans.append(wanted.build(arms))
     return replace(plain, optimisation=optimisation, manufacture=manufacture, plans=tuple(plans))
+
+
+def _check_size(arm: NamedArm, task: NamedTask, settings: Settings) -> None:
+    """Refuse samples of sets that no memory holds."""
+    actuators, nodes = arm.design.actuator_count, task.task.nodes
+    if settings.hull == "edges":
+        count = settings.samples or EDGE_SAMPLES
+        vertices = 2**actuators + actuators * 2 ** (actuators - 1) * (count - 2)
+    elif settings.distance != "gjk":
+        count = settings.samples or CURVE_SAMPLES
+        vertices = actuators * count
+    else:
+        return
+    check_values("samples", vertices * nodes, f"{count} samples, {actuators} actuators, {nodes} nodes")
 
 
 def _check_unique(section: str, tables: Sequence[NamedTable]) -> None:

@@ -142,7 +142,7 @@ def _example(result: StudyResult) -> tuple[int, str, str] | None:
     return index + 1, most, reasons[index]
 
 
-def write_results(path: str | PathLike[str], results: Sequence[StudyResult]) -> int:
+def write_results(path: str | PathLike[str], results: Sequence[StudyResult], ending: str | None = None) -> int:
     """Write a row for every arm, task and load by `write_rows`; returns their number.
 
     Columns: arm; task; load, counted from 1; force_x_N, force_y_N and moment_Nm at the tip (in space six); verdict and
@@ -156,10 +156,10 @@ def write_results(path: str | PathLike[str], results: Sequence[StudyResult]) -> 
         ValueError: the ending is none of `RESULT_FORMATS`.
         OSError: the file cannot be written.
     """
-    return write_rows(path, [row for result in results for row in result_rows(result)])
+    return write_rows(path, [row for result in results for row in result_rows(result)], ending)
 
 
-def write_rows(path: str | PathLike[str], rows: Sequence[Mapping[str, Any]]) -> int:
+def write_rows(path: str | PathLike[str], rows: Sequence[Mapping[str, Any]], ending: str | None = None) -> int:
     """Write the rows of a table, as CSV or JSON by its ending; returns their number. All commands write by it.
 
     The file appears whole, and what was there stays if it cannot be written. In CSV, texts that a spreadsheet would
@@ -172,15 +172,17 @@ def write_rows(path: str | PathLike[str], rows: Sequence[Mapping[str, Any]]) -> 
     Args:
         path: of the file; a stream gets CSV.
         rows: cells by the names of their columns, which need not be the same in all rows.
+        ending: by which the format is chosen, such as ".csv"; None takes that of the path.
 
     Raises:
         ValueError: the ending is none of `RESULT_FORMATS`.
         OSError: the file cannot be written.
     """
-    ending = "csv" if is_stream(path) else Path(path).suffix.lower().removeprefix(".")
-    if ending not in RESULT_FORMATS:
-        raise ValueError(f"{path}: must end in .{' or .'.join(RESULT_FORMATS)}, got {ending or 'no ending'}")
-    text = f"{json.dumps(list(rows), indent=1)}\n" if ending == "json" else csv_text(rows)
+    given = Path(path).suffix if ending is None else ending
+    kind = "csv" if is_stream(path) else given.lower().removeprefix(".")
+    if kind not in RESULT_FORMATS:
+        raise ValueError(f"{path}: must end in .{' or .'.join(RESULT_FORMATS)}, got {kind or 'no ending'}")
+    text = f"{json.dumps(list(rows), indent=1)}\n" if kind == "json" else csv_text(rows)
     with atomic_write(path) as partial:
         partial.write_text(text, encoding="utf-8", newline="")
     return len(rows)

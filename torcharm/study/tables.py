@@ -46,7 +46,7 @@ from torcharm.study.units import (
     NotNegativeShare,
     PositiveAngle,
     PositiveLength,
-    PressureRange,
+    Pressure,
     in_unit,
 )
 from torcharm.units import SHARE
@@ -75,7 +75,7 @@ class EvaluateTable(Table):
     """How far the tip may be turned for a task to be held; 5 degrees."""
     hull: Annotated[str, one_of(HULLS)] = Field(default=Settings.hull, examples=["edges"])
     """Attainable sets exactly, or by points on edges as in the paper."""
-    samples: Annotated[int, Field(ge=2, le=1000)] | None = Field(default=Settings.samples, examples=[3])
+    samples: Annotated[int, Field(ge=2, le=1_000_000)] | None = Field(default=Settings.samples, examples=[3])
     """Points on each edge or curve, for hull = "edges" or a distance other than "gjk"."""
     distance: Annotated[str, one_of(DISTANCES)] = Field(default=Settings.distance, examples=["scipy"])
     """How distances are solved: "gjk" is exact, "qpth" a differentiable QP layer, "scipy" slow."""
@@ -110,7 +110,7 @@ class BoundsTable(Table):
     side."""
     length: Annotated[LengthRange, _lengths_up_to(LONGEST)] | None = Field(default=None, examples=[[0.3, 0.7]])
     """Of each actuator. Without it, from half to one and a half times the given."""
-    max_pressure: PressureRange | None = Field(default=None, examples=[[0.0, 50.0]])
+    max_pressure: Annotated[list[Pressure], ENDS] | None = Field(default=None, examples=[[0.0, 50.0]])
     """Of each limit, where max_pressure is free. Without it, from 0 to the arm's own."""
 
 

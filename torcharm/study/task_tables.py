@@ -35,6 +35,8 @@ from torcharm.study.pose_tables import BasePose, check_columns, read_base
 from torcharm.study.units import Angle, Load, Mass, PositiveLength, Twist
 from torcharm.task import WRENCH_PLACES, Task, sample_loads
 
+MOST_VALUES = 50_000_000
+"""Numbers that one tensor of a study may hold (400 MB); past it, a key was struck once too often."""
 SHAPE_IS = {3: "in the plane, as the shape is (a direction makes it one in space)", 6: "in space, as the shape is"}
 """By the number of columns of a shape, why what stands beside it must be in the plane or in space."""
 
@@ -243,7 +245,7 @@ class LoadedTable(WeighedTable):
         columns, nodes = segments[0].shape[-1], [len(twists) for twists in segments]
         task = Task(
             torch.cat(segments),
-            self._tip_loads(columns),
+            self._tip_loads(columns, sum(nodes)),
             read_base(self.base_pose, columns, SHAPE_IS),
             self.load(None, columns, len(nodes), SHAPE_IS),
             self.wrench_at,
@@ -251,12 +253,13 @@ class LoadedTable(WeighedTable):
         )
         return NamedTask(self.name, task, tuple(self.arms or ()))
 
-    def _tip_loads(self, columns: int) -> Tensor:
+    def _tip_loads(self, columns: int, nodes: int) -> Tensor:
         """(L, columns)"""
         if self.loads is None:
             return torch.zeros(1, columns, dtype=torch.float64)
         if isinstance(self.loads, DrawnLoads):
             check_columns("loads.scale", len(self.loads.scale), columns, SHAPE_IS)
+            check_values("loads.count", self.loads.count * nodes, f"{self.loads.count} loads, {nodes} nodes")
             return sample_loads(self.loads.count, self.loads.scale, self.loads.seed)
         for path, load in listed("loads", self.loads):
             check_columns(path, len(load), columns, SHAPE_IS)
@@ -323,3 +326,9 @@ class TwistTask(LoadedTable):
 
 
 TaskTable: Any = by_key({"shape": ShapedTask, "twists": TwistTask})
+
+
+def check_values(name: str, count: int, given: str) -> None:
+    """Raise unless a tensor of so many values can be held."""
+    if count > MOST_VALUES:
+        raise ValueError(f"{name}: must make at most {MOST_VALUES:.0e} numbers at once, got {count:.0e} from {given}")

@@ -62,7 +62,7 @@ def bin_edges(blocks: Blocks, name: str, bins: int) -> Edges:
     """Of so many bins from the least to the largest finite value of a column; by their ratio, evenly in logarithm."""
     low, high = np.inf, -np.inf
     for block in blocks((name, "feasible")):
-        known = block[name][block["feasible"] & np.isfinite(block[name])]
+        known = block[name][block["feasible"] & np.isfinite(block[name])].astype(np.float64)
         low, high = float(known.min(initial=low)), float(known.max(initial=high))
     if low > high:
         raise ValueError(f"column: must hold something finite to be drawn, and {name} does not")
