@@ -39,11 +39,7 @@ def symmetries(arm: Arm, models: Sequence[Actuator], tasks: Sequence[Task], spac
     turns = "angles" in space.free and "angles" not in space.bounds and space.tied != "mirror"
     for turn in _candidates(arm):
         order = _order(arm, turn, space)
-        if (
-            order is None
-            or order in found
-            or (isinstance(space.tied, str) and space.tied == "mirror" and order != found[0][::-1])
-        ):
+        if order is None or order in found or (space.tied == "mirror" and order != found[0][::-1]):
             continue
         if (turns and bool(torch.linalg.det(turn) > 0)) or _alike(_rows(tasks), _rows(tasks, turn)):
             found.append(order)
