@@ -4,6 +4,7 @@ import pytest
 import torch
 
 import torcharm as ta
+from torcharm.actuators.deviation import ForceDeviation
 from torcharm.pressure.starts import spread_points
 
 ARMS = {"antagonistic": ta.antagonistic_arm, "bellows": ta.bellows_arm}
@@ -183,3 +184,17 @@ def test_a_converged_search_is_near_enough_or_three_others_come_as_close():
 def test_a_search_from_one_start_needs_no_other():
     task = planar_task(20)
     assert int(ta.search_pressure(ta.antagonistic_arm(), task, starts=1).converged.sum()) > 5
+
+
+def test_scipy_meets_each_built_arm_with_its_own_forces():
+    """Factors on forces, and what is added to them, are of each design, as its offsets are."""
+    arm = ta.ArmDesign(torch.tensor([[-0.04, 0.04]] * 2, dtype=torch.float64), 0.4, ["bellows"] * 2)
+    scale = torch.tensor([[1.0, 1.0], [1.6, 1.3]], dtype=torch.float64)
+    built = arm.with_deviation(ForceDeviation(scale, torch.ones_like(scale), ((0, 0),), (scale - 1,)))
+    task = ta.Task(ta.constant_curvature(0.4, 0.46, 4), [0.5, 0.0, 0.0])
+    both = ta.search_pressure(built, task, "scipy", progress=False)
+    for index in range(2):
+        alone = ta.search_pressure(built[index], task, "scipy", progress=False)
+        torch.testing.assert_close(both.pressure[index], alone.pressure, rtol=1e-5, atol=1e-4)
+        torch.testing.assert_close(both.cost[index], alone.cost, rtol=1e-6, atol=1e-12)
+    assert float((both.pressure[0] - both.pressure[1]).abs().max()) > 1.0

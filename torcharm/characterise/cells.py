@@ -96,6 +96,9 @@ def decimal_sign(rows: Sequence[Row], separator: str) -> tuple[str, bool]:
 def number(cell: str, decimal: str) -> float:
     """A cell's number, in seconds for a moment: NaN where it has no value, infinite where that is no number."""
     cell = cell.strip()
+    if decimal == ".":  # what Python reads as a number is one, as nearly all cells of long files are
+        with suppress(ValueError):
+            return float(cell)
     if not has_value(cell):
         return math.nan
     if ":" in cell:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from torcharm.actuators.protocol import Actuator
 from torcharm.characterise.alignment import MOST_LEVELS, Recording, is_table
-from torcharm.characterise.fit import fit_force_model, provenance_of
+from torcharm.characterise.fit import fit_recording, provenance_of
 from torcharm.characterise.gridded_fit import fit_gridded_model
 from torcharm.characterise.least_squares import Array, Powers, exponents
 from torcharm.inputs import check_choice
@@ -65,15 +65,12 @@ def fit_kind(recording: Recording, kind: str, degree: int = 3, **options: Any) -
         ValueError: unknown kind; or as for `fit_force_model` and `fit_gridded_model`.
     """
     check_choice("model", kind, _kinds(options))
+    if kind != "gridded":
+        return fit_recording(recording, degree, terms=MCKIBBEN if kind == "mckibben" else None, **options)
     own = (*provenance_of(recording), *options.pop("provenance", ()))
     samples = recording.strain, recording.pressure, recording.force
-    if kind == "gridded":
-        shared = {key: options[key] for key in SHARED if options.get(key) is not None}
-        return fit_gridded_model(*samples, *map(_axis, samples[:2]), provenance=own, **shared)
-    if is_table(recording):
-        options.setdefault("correlated", 1)
-    terms = MCKIBBEN if kind == "mckibben" else None
-    return fit_force_model(*samples, degree, run=recording.run, terms=terms, provenance=own, **options)
+    shared = {key: options[key] for key in SHARED if options.get(key) is not None}
+    return fit_gridded_model(*samples, *map(_axis, samples[:2]), provenance=own, **shared)
 
 
 def best_fit(recording: Recording, degree: int = 3, **options: Any) -> tuple[list[Candidate], Actuator]:

@@ -93,7 +93,6 @@ def find_columns(
         ValueError: a column is not found, or more than one; its unit is not known; or the file and a person differ.
     """
     header, said = header_of(sheet), choices(columns)
-    check_one_header(sheet)
     last = max((i for i, name in enumerate(header.names) if name), default=sheet.width)
     by_number = all(own.column.isdigit() for own in said.values()) and len(said) >= len(quantities)
     if any(sheet.numeric[last + 1 :]) and not by_number:

@@ -168,15 +168,7 @@ def values_of(cells: Row, decimal: str) -> Array:
         else:
             if np.isfinite(found).all():
                 return found
-    return np.array([_number(cell, decimal) for cell in cells])
-
-
-def _number(cell: str, decimal: str) -> float:
-    """As `cells.number`, soon for what Python reads as one: most cells of long files are plain."""
-    try:
-        return float(cell) if decimal == "." else number(cell, decimal)
-    except ValueError:
-        return number(cell, decimal)
+    return np.array([number(cell, decimal) for cell in cells])
 
 
 def _check_few(sheet: Sheet, bad: list[int], columns: Sequence[int], *, none_left: bool) -> None:

@@ -63,6 +63,7 @@ def read_table(
     found = find_columns(sheet, (quantity, "pressure", "force"), columns, defaults)
     stretch, pressures, forces = found.values()
     pressures.check_unit(unit, sheet.source)
+    check_one_header(sheet)
     table, _, left_out = numbers(sheet, [column.index for column in found.values()])
     strain, pressure, force = (table * [column.factor for column in found.values()]).T
     pressure, taken_off = gauge_pressure(pressure, sheet.source, pressures)

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from torcharm.characterise.columns import Column, Columns, choices, find_columns
+from torcharm.characterise.columns import Column, Columns, check_one_header, choices, find_columns
 from torcharm.characterise.delimited import Sheet, numbers, read_sheet, values_of
 from torcharm.characterise.headers import header_of
 from torcharm.characterise.signs import OTHER, Signs, known_signs
@@ -206,6 +206,7 @@ def _beside(sheet: Sheet, columns: Columns | None) -> dict[str, Array]:
 
 def _in_time(sheet: Sheet, columns: Mapping[str, Column]) -> tuple[dict[str, Array], tuple[str, ...]]:
     """Columns in torcharm's units, time in ms strictly increasing, and what was done to get there."""
+    check_one_header(sheet)
     table, places, left_out = numbers(sheet, [column.index for column in columns.values()])
     table = table * [column.factor for column in columns.values()]
     guessed = [f"{c.quantity} in {c.unit}" for c in columns.values() if not c.named]

@@ -75,10 +75,13 @@ def tolerance(
         "limits": limits,
         "force": force,
         "force_offset": force_offset,
+        "bending": bending,
+        "model_covariance": model_covariance or None,
+        "distribution": "uniform" if uniform else None,
+        "compensated": compensated or None,
+        "samples": samples,
+        "seed": seed,
     }
-    given |= {"force_offset": force_offset, "bending": bending, "model_covariance": model_covariance or None}
-    given |= {"distribution": "uniform" if uniform else None, "compensated": compensated or None}
-    given |= {"samples": samples, "seed": seed}
     how = _manufacture(plan, {key: value for key, value in given.items() if value is not None}, correlated or [])
     figures, work = outputs.numbered("--figure", figure, len(plan.tasks)), Work()
     plan = plan if study is None else asked_about(plan)

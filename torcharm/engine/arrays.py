@@ -24,6 +24,13 @@ def make(kind: type[T], sizes: Mapping[str, int], **given: Any) -> T:
     return kind(**given, **{name: make_one() for name, make_one in makers})
 
 
+def row_of(record: T, b: int) -> T:
+    """Of a named tuple of B arms one of them, as B = 1: its row of each field whose shape begins with B."""
+    shapes = {name: getattr(one, "dim_str", "").split() for name, one in type(record).__annotations__.items()}
+    rows = {name: getattr(record, name)[b : b + 1] for name, shape in shapes.items() if shape[:1] == ["B"]}
+    return record._replace(**rows)  # type: ignore[attr-defined, no-any-return]
+
+
 @lru_cache(maxsize=256)
 def _makers(kind: Any, sizes: Sizes, given: tuple[str, ...]) -> list[tuple[str, Callable[[], Any]]]:
     """What makes each field that is not given."""

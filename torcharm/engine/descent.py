@@ -62,7 +62,7 @@ started, as there was no equilibrium."""
 def mean_error(problem, work, b, at):  # type: ignore[no-untyped-def]
     """The mean error of a slot over the arm's length, by the weight of what counts most at each pose."""
     weights, length, total = problem.goal.weight, problem.scale.length[b], 0.0
-    linear = (weights.shape[2] + 1) // 2  # components of a position; a turn is as long as it moves the arm's end
+    linear = (weights.shape[2] + 1) // 2  # components of a position; a turn counts by how far it moves the arm's end
     for i in range(weights.shape[1]):
         most = 0.0
         for e in range(weights.shape[2]):

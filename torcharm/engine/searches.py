@@ -228,8 +228,8 @@ def _try_other_ends(problem, work, search, b, at_end, start, tolerance):  # type
 
 @part
 def _load_nearby(problem, work, search, b, j, pool, start, tolerance):  # type: ignore[no-untyped-def]
-    """Load the arm ever closer around a lost end, and between it and the best of them: beside it the arm may
-    be led there."""
+    """Load the arm ever closer around a lost end, and between it and the best of them: beside it the arm may be led
+    there."""
     points, reach_out, found, step = work.points, NEARBY, False, HALFWAY
     for q in range(len(pool) + TRIES_BETWEEN):
         around = q < len(pool)

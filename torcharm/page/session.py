@@ -94,13 +94,13 @@ class Session:
 
     def plan(self) -> None:
         """Look for a shape through the tip that the arm can hold, beside all else; one at a time."""
-        self._tell("Planning a shape through this tip that the arm can hold, for some seconds.")
-        self._start_beside("plan", planned, self._take_plan)
+        words = "Planning a shape through this tip that the arm can hold, for some seconds."
+        self._start_beside("plan", words, planned, self._take_plan)
 
     def sweep(self) -> None:
         """Find where the tip can be under the load, beside all else; it is shown until arm or load change."""
-        self._tell("Looking for where the tip can be under this load, for some seconds.")
-        self._start_beside("workspace", swept, self._take_workspace)
+        words = "Looking for where the tip can be under this load, for some seconds."
+        self._start_beside("workspace", words, swept, self._take_workspace)
 
     def wait(self, seconds: float) -> bool:
         """Until all changes are shown, or for so long; whether they are."""
@@ -167,7 +167,9 @@ class Session:
         if not self._closed:
             self._show(replace(self._last, region=self._reach[1] if known and self._reach else None))
 
-    def _start_beside(self, name: str, work: Callable[[State], tuple[Any, str]], take: Callable[..., None]) -> None:
+    def _start_beside(
+        self, name: str, begun: str, work: Callable[[State], tuple[Any, str]], take: Callable[..., None]
+    ) -> None:
         """Do some work on the state as it is, and take what it finds, or None, and says; of a name one at a time."""
         asked = self.state
 
@@ -181,6 +183,7 @@ class Session:
             take(asked, found, words)
 
         if self._beside[name].acquire(blocking=False):
+            self._tell(begun)
             threading.Thread(target=run, name=f"torcharm {name}", daemon=False).start()
 
     def _take_plan(self, asked: State, twists: Tensor | None, words: str) -> None:

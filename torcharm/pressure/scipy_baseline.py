@@ -5,6 +5,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torcharm.engine.arrays import row_of
 from torcharm.engine.continuation import CONTINUED, FAILED, WARM
 from torcharm.engine.pose_error import NO_GOAL
 from torcharm.engine.pressure_model import Problem as EngineProblem
@@ -84,11 +85,8 @@ class _Task:
 
 def _row(packed: EngineProblem, b: int) -> EngineProblem:
     """One of the problems."""
-    arms, loads, row = packed.arms, packed.loads, slice(b, b + 1)
-    each = {name: getattr(arms, name)[row] for name in ("y", "z", "neutral", "torsion", "link")}
-    load = {name: getattr(loads, name)[row] for name in ("base", "wrench", "offset", "weight")}
-    scale = packed.scale._replace(**{name: value[row] for name, value in packed.scale._asdict().items()})
-    return EngineProblem(arms._replace(**each), loads._replace(**load), scale, NO_GOAL, packed.limit[row])
+    arms, loads, scale = (row_of(record, b) for record in (packed.arms, packed.loads, packed.scale))
+    return EngineProblem(arms, loads, scale, NO_GOAL, packed.limit[b : b + 1])
 
 
 def _search(task: _Task, points: Numbers, method: str, out: Searches) -> None:

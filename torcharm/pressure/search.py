@@ -34,10 +34,9 @@ ROUNDS = 4
 """Ends of descents that continuation does not reach, from which a search goes on along a boundary."""
 WORDS = ("converged", "not converged", "snapped", "not found", "impossible")
 """What may be said of a search. Not converged: an equilibrium that is reached, but the descent did not come to its end,
-or leads on to where continuation does not follow: the pressure then is next to a jump; or too few descents agree, so
-that others might come closer. Snapped: the arm gets there by a
-snap, not along one branch from zero load. Not found: no start led to a stable equilibrium. Impossible:
-the task's shape leaves an actuator no length."""
+or leads on to where continuation does not follow, so that the pressure is next to a jump; or too few others come as
+close, so that more might come closer. Snapped: the arm gets there by a snap, not along one branch from zero load. Not
+found: no start led to a stable equilibrium. Impossible: the task's shape leaves an actuator no length."""
 LESS_COMPRESSION = "a lower load, a stiffer arm, or antagonists that push and pull against each other"
 """What keeps an arm from buckling, for a person who may change it."""
 
@@ -152,6 +151,7 @@ def search_pressure(
     that will not come below the best that is known is given up. Where fewer than three others (or fewer than all, of
     fewer starts) end nearly as close as the best, the answer is not `converged`, unless its mean error is below a 200th
     of the arm's length: more starts may find a better one.
+
     Ends are confirmed by continuation. Under compression it may lead elsewhere: an arm buckles to one side or to the
     other, and the best pressures often lie where that is decided. There the cost jumps. The boundary is found by
     Newton's method, as where the equilibria on the way bifurcate, and the search goes on along it; where that stays far
@@ -246,10 +246,10 @@ def _found(prepared: Prepared, starts: int, rounds: int, seed: int) -> Searches:
     slots = LOADED + len(pool) // LOT + len(spread_out)
     sizes = sizes_of(problem.arms, slots=slots, starts=starts, pool=len(pool))
 
-    def work(first: int, last: int) -> None:
+    def search_some(first: int, last: int) -> None:
         work, search = make(Work, sizes, pressure=pressure), make(Search, sizes)
         fit, draws = make(Fit, sizes, weight=prepared.wrench_weights), pool.numpy()
         search_all(problem, shape, draws, spread_out, rounds, start, TOLERANCE, first, last, work, search, fit, out)
 
-    spread(len(shape), work)
+    spread(len(shape), search_some)
     return out

@@ -1,5 +1,6 @@
 """What the tables of a study's tasks may hold, and the tasks that come of them."""
 
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, ClassVar
 
@@ -231,9 +232,9 @@ class LoadedTable(WeighedTable):
     wrench_at: Annotated[str, one_of(WRENCH_PLACES)] = Field(default="middle", examples=["start"])
     """Where on its element a node's wrench is taken; the start is the paper's, and less exact."""
 
+    @abstractmethod
     def segments(self, in_space: bool) -> list[Tensor]:
         """Twists of each segment; what is straight may be in space or in the plane."""
-        raise NotImplementedError
 
     def build(self, in_space: bool = False) -> NamedTask:
         """The task, for arms in space or in the plane."""
