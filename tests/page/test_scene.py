@@ -82,6 +82,10 @@ def test_a_set_in_the_plane_is_its_outline():
     force, least, _, required = outline(outside)
     assert (force[-1], required[-1]) == (9.0, 0.5)
     assert np.isnan(least[-1])
+    upright = NodeSet(0, np.array([[0.5, -2.0], [0.5, 3.0]]), np.array([1.0, 0.0]), False)
+    force, least, largest, _ = outline(upright)  # pressures change the moment alone
+    assert (force.tolist(), least[0], largest[0]) == ([0.5, 1.0], -2.0, 3.0)
+    assert np.isnan(largest[1])
 
 
 def test_axes_hold_all_and_hardly_move():

@@ -75,10 +75,10 @@ def outline(shown: NodeSet) -> tuple[Array, Array, Array, Array]:
     """
     corners, (force, moment) = shown.corners, shown.required
     forces, way = np.unique(np.append(corners[:, 0], force)), np.roll(corners, -1, 0) - corners
-    with np.errstate(divide="ignore", invalid="ignore"):  # where a side goes straight up, its neighbours tell
-        share = (forces[:, None] - corners[:, 0]) / way[:, 0]
-        moments = corners[:, 1] + share * way[:, 1]
-    crossed = (share >= 0) & (share <= 1)
+    upright = way[:, 0] == 0  # of such a side its start alone counts
+    share = (forces[:, None] - corners[:, 0]) / np.where(upright, 1.0, way[:, 0])
+    moments = corners[:, 1] + share * way[:, 1]
+    crossed = np.where(upright, share == 0, (share >= 0) & (share <= 1))
     least, largest = (
         np.where(crossed.any(1), further(np.where(crossed, moments, beyond), axis=1), np.nan)
         for further, beyond in ((np.min, np.inf), (np.max, -np.inf))
