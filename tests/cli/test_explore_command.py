@@ -74,7 +74,7 @@ def test_it_serves_until_interrupted_and_says_where_and_what_it_writes(study, tm
         process.send_signal(signal.SIGINT)
         assert process.stdout.read() == "Ended.\n"
         assert "Traceback" not in process.stderr.read()
-        assert process.wait(30) == 0
+        assert process.wait(120) == 0
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs signals")

@@ -227,7 +227,6 @@ def _slider(
 
 def _number(key: str, folder: str, label: str, count: int, hint: str, write: Callable[[State, int], State]) -> Control:
     """One of so many, shown from 1, which a state has from 0 in a field of the key's name."""
-
     return Control(
         key,
         (folder,),
