@@ -202,6 +202,11 @@ def rebuilt(arm: ArmDesign | ArmSeries, segments: Sequence[ArmDesign]) -> ArmDes
     return ArmSeries(tuple(segments), arm.links) if isinstance(arm, ArmSeries) else segments[0]
 
 
+def segments_of(arm: ArmDesign | ArmSeries) -> tuple[tuple[ArmDesign, ...], tuple[RigidLink | None, ...]]:
+    """The segments of an arm, and the link or None behind each."""
+    return (arm.segments, arm.links) if isinstance(arm, ArmSeries) else ((arm,), (None,))
+
+
 def with_slices(segments: Sequence[ArmDesign]) -> Iterator[tuple[ArmDesign, slice]]:
     """Each segment, and the slice of its actuators among those of all."""
     first = 0

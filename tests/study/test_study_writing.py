@@ -7,8 +7,8 @@ import pytest
 import torch
 
 import torcharm as ta
+from torcharm.arm_series import segments_of
 from torcharm.characterise.model_file import save_actuator
-from torcharm.statics.balance import segments_of
 from torcharm.study import arm_to_toml, load_study, parse_study
 
 REST = '\n[[task]]\nname = "t"\n'

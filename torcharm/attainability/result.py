@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries
+from torcharm.arm_series import ArmSeries, segments_of
 from torcharm.attainability.questions import question
 from torcharm.attainability.reasons import NO_CENTRELINE, at_limits, differences, missing, one_design, out_of_range
 from torcharm.attainability.verdict import VERDICTS, PoseTolerance, judge, over_tolerance
 from torcharm.inputs import HoldsTensors, Tabular
-from torcharm.statics.balance import segments_of
 from torcharm.task import Task
 
 if TYPE_CHECKING:

@@ -86,9 +86,9 @@ def _optimise(plan: "Study", checkpoints: Sequence[Path], work: Work) -> "list[t
 
 
 def _tell(results: Found) -> None:
+    from torcharm.arm_series import segments_of
     from torcharm.design.rest import rest_words
     from torcharm.design.space import LEAST_SPACING
-    from torcharm.statics.balance import segments_of
 
     print_table(_errors(results))
     say()

@@ -33,8 +33,8 @@ def asked_about(study: "Study") -> "Study":
 
     That is limits that make sense in other units, actuators at one place, and a bending stiffness that was assumed.
     """
+    from torcharm.arm_series import segments_of
     from torcharm.attainability.questions import note_on_bending, question_about_limits, question_about_places
-    from torcharm.statics.balance import segments_of
 
     arms: dict[str, list[str]] = {}
     for arm in study.arms:

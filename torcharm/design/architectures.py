@@ -9,7 +9,7 @@ from typing import Any
 
 from torcharm.actuators import SHIPPED, Actuator
 from torcharm.arm import ArmDesign, find_model
-from torcharm.arm_series import rebuilt, with_slices
+from torcharm.arm_series import rebuilt, segments_of, with_slices
 from torcharm.attainability import PoseTolerance
 from torcharm.design.checkpoint import Checkpoint, describe
 from torcharm.design.descent import Callback, Progress, descend_all
@@ -20,7 +20,6 @@ from torcharm.design.result import OptimisedDesign
 from torcharm.design.space import Arm, DesignSpace
 from torcharm.design.symmetry import symmetries
 from torcharm.inputs import HoldsTensors, shown
-from torcharm.statics.balance import segments_of
 from torcharm.task import Task
 
 MOST_ARCHITECTURES = 4096

@@ -13,9 +13,9 @@ from torch import Tensor
 
 from torcharm.actuators import Actuator
 from torcharm.actuators.bending import active_moment, passive_moment
+from torcharm.arm_series import segments_of
 from torcharm.design.space import Arm, given_values
 from torcharm.files import atomic_write, check_writable, read_file
-from torcharm.statics.balance import segments_of
 from torcharm.task import Task
 
 KIND = "torcharm optimisation, 2"

@@ -18,9 +18,8 @@ import torch
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import rebuilt, with_slices
+from torcharm.arm_series import rebuilt, segments_of, with_slices
 from torcharm.design.space import UNITS, Arm, Array, DesignSpace, FreeValues, free_values, given_values, one_of_batch
-from torcharm.statics.balance import segments_of
 from torcharm.task import Task
 
 SLACK = 1e-7

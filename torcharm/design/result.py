@@ -7,13 +7,12 @@ import torch
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import rebuilt
+from torcharm.arm_series import rebuilt, segments_of
 from torcharm.design.objective import Objective
 from torcharm.design.space import Arm, DesignSpace
 from torcharm.design.task_errors import TaskErrors
 from torcharm.design.tolerance_result import BuiltArms
 from torcharm.inputs import HoldsTensors, three_digits
-from torcharm.statics.balance import segments_of
 
 
 @dataclass(frozen=True, eq=False, repr=False)

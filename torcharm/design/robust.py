@@ -13,11 +13,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm.arm_series import rebuilt
+from torcharm.arm_series import rebuilt, segments_of
 from torcharm.design.scatter import Scatter, Source, built_arms, normal_numbers, scattered
 from torcharm.design.space import Arm
 from torcharm.inputs import check_count, check_flag, check_number, shown
-from torcharm.statics.balance import segments_of
 
 
 @dataclass(frozen=True)

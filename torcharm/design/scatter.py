@@ -17,11 +17,10 @@ from torch import Tensor
 from torcharm.actuators.deviation import ForceDeviation
 from torcharm.actuators.protocol import is_moulded
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import rebuilt, with_slices
+from torcharm.arm_series import rebuilt, segments_of, with_slices
 from torcharm.characterise.fit import FittedActuator
 from torcharm.design.space import Arm, Array
 from torcharm.inputs import check_choice, check_flag, check_number, shown
-from torcharm.statics.balance import segments_of
 from torcharm.statics.cross_section import group_alike
 
 UNITS = {"radii": "m", "length": "m", "limits": "kPa", "force": "1", "force_offset": "N", "bending": "1"}

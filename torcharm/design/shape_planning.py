@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries
+from torcharm.arm_series import ArmSeries, segments_of
 from torcharm.attainability import Attainability, evaluate
 from torcharm.design.objective import Objective, task_values
 from torcharm.design.space import Arm, Array
@@ -19,7 +19,6 @@ from torcharm.equilibrium.solve import segment_counts, whole_load
 from torcharm.geometry import rod
 from torcharm.inputs import HoldsTensors, TensorLike, as_floating, check_count, check_finite, check_number, shown
 from torcharm.load import ExternalLoad
-from torcharm.statics.balance import segments_of
 from torcharm.task import Task, check_segments
 
 TIP_TOLERANCE = 1e-8

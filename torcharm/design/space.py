@@ -11,9 +11,8 @@ import torch
 from torcharm.actuators.inspection import same_model
 from torcharm.actuators.protocol import is_moulded
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries, rebuilt, with_slices
+from torcharm.arm_series import ArmSeries, rebuilt, segments_of, with_slices
 from torcharm.inputs import check_choice, check_flag, check_number, shown
-from torcharm.statics.balance import segments_of
 from torcharm.task import Task, for_each_task, task_list
 from torcharm.wrench_sets.design_task_grid import fitted
 

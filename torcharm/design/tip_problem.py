@@ -8,10 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torcharm.arm_series import segments_of
 from torcharm.design.space import Arm, Array
 from torcharm.geometry import rod, se3
 from torcharm.load import ExternalLoad
-from torcharm.statics.balance import link_ends, segments_of
+from torcharm.statics.balance import link_ends
 from torcharm.statics.external_load import HULL
 from torcharm.task import Task
 

@@ -18,13 +18,13 @@ from torcharm.actuators import Actuator
 from torcharm.actuators.bending import LinearBending, bending_model, linear_stiffness, reference_pressure
 from torcharm.actuators.inspection import follows
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries
+from torcharm.arm_series import ArmSeries, segments_of
 from torcharm.engine.arrays import Array
 from torcharm.engine.forces import Models, models_of
 from torcharm.engine.references import by_reference
 from torcharm.engine.tables import Tables, is_sampled, tables_of
 from torcharm.inputs import plain_number
-from torcharm.statics.balance import RIGID, segments_of, unknown_columns
+from torcharm.statics.balance import RIGID, unknown_columns
 
 POSE_NUMBERS = {2: 4, 3: 12}
 """P for an arm in the plane and in space."""

@@ -28,7 +28,7 @@ def row_of(record: T, b: int) -> T:
     """Of a named tuple of B arms one of them, as B = 1: its row of each field whose shape begins with B."""
     shapes = {name: getattr(one, "dim_str", "").split() for name, one in type(record).__annotations__.items()}
     rows = {name: getattr(record, name)[b : b + 1] for name, shape in shapes.items() if shape[:1] == ["B"]}
-    return record._replace(**rows)  # type: ignore[attr-defined, no-any-return]
+    return record._replace(**rows)  # type: ignore[attr-defined]  # named tuples have it
 
 
 @lru_cache(maxsize=256)

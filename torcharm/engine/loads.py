@@ -8,11 +8,10 @@ import torch
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries, RigidLink
+from torcharm.arm_series import ArmSeries, RigidLink, segments_of
 from torcharm.engine.arms import Loads, flat, pose_rows
 from torcharm.geometry import se2, se3
 from torcharm.load import GRAVITY, ExternalLoad, PointLoad
-from torcharm.statics.balance import segments_of
 from torcharm.statics.external_load import carrier, place_of
 
 

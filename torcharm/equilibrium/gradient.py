@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 
 from torcharm.actuators import want_gradients
+from torcharm.arm_series import segments_of
 from torcharm.engine.arms import numbers
 from torcharm.engine.questions import inverse
 from torcharm.equilibrium.problem import Problem
-from torcharm.statics.balance import segments_of
 
 AT_ONCE = 4096
 """Problems whose inverse matrices are held at once: 15 MB of 20 by 20."""

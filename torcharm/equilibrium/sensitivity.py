@@ -4,11 +4,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torcharm.arm_series import with_slices
+from torcharm.arm_series import segments_of, with_slices
 from torcharm.engine.arms import numbers
 from torcharm.engine.questions import solve
 from torcharm.equilibrium.problem import Problem
-from torcharm.statics.balance import segment_reaction, segments_of
+from torcharm.statics.balance import segment_reaction
 
 
 def pressure_sensitivity(problem: Problem, twists: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries
+from torcharm.arm_series import ArmSeries, segments_of
 from torcharm.engine.arms import flat
 from torcharm.engine.continuation import CONTINUED
 from torcharm.engine.questions import find
@@ -44,7 +44,7 @@ from torcharm.inputs import (
     shown,
 )
 from torcharm.load import ExternalLoad, check_tip
-from torcharm.statics.balance import link_ends, segments_of
+from torcharm.statics.balance import link_ends
 from torcharm.statics.external_load import arm_wrench
 from torcharm.task import WRENCH_AT, WRENCH_PLACES, check_segments
 

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torcharm.arm_series import with_slices
+from torcharm.arm_series import segments_of, with_slices
 from torcharm.engine.continuation import FAILED
 from torcharm.engine.path import Found
 from torcharm.engine.pressure_model import Problem as EngineProblem
@@ -15,7 +15,7 @@ from torcharm.engine.questions import inverse
 from torcharm.equilibrium.problem import Problem
 from torcharm.geometry.rod import actuator_lengths, strain
 from torcharm.inputs import plain_number
-from torcharm.statics.balance import segments_of, tilt_stiffness
+from torcharm.statics.balance import tilt_stiffness
 from torcharm.statics.cross_section import RANGE_SLACK, characterised_range, cross_sections
 
 EIGENVALUES_AT_ONCE = 4096

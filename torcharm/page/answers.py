@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torcharm.arm_series import segments_of
 from torcharm.attainability import Attainability, evaluate
 from torcharm.attainability.reasons import differences
 from torcharm.design.shape_planning import nearest_shape, plan_shape
@@ -21,7 +22,7 @@ from torcharm.page.state import BEST, State, design_of, pressure_of, task_of
 from torcharm.plot._common import Array, array
 from torcharm.pressure.at_pressure import error_at_pressure
 from torcharm.pressure.search import LESS_COMPRESSION
-from torcharm.statics.balance import link_ends, segments_of
+from torcharm.statics.balance import link_ends
 from torcharm.statics.external_load import HULL, task_wrench
 from torcharm.study.words import region_size
 from torcharm.task import Task

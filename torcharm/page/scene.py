@@ -14,6 +14,7 @@ from matplotlib import colormaps
 from numpy.typing import NDArray
 
 from torcharm.actuators import is_passive
+from torcharm.arm_series import segments_of
 from torcharm.design.space import Arm
 from torcharm.geometry.alpha_shape import AlphaShape
 from torcharm.inputs import three_digits
@@ -22,7 +23,6 @@ from torcharm.page.state import State, tip_range
 from torcharm.plot._common import Array, array
 from torcharm.plot._shapes import Centreline, centreline, skin_of, tubes
 from torcharm.plot.arms import loads_on
-from torcharm.statics.balance import segments_of
 from torcharm.wrench_sets.wrench_set import hull_faces
 
 Colour = tuple[int, int, int]

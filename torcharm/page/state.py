@@ -15,10 +15,9 @@ from torch import Tensor
 
 from torcharm.actuators import model_name
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import rebuilt, with_slices
+from torcharm.arm_series import rebuilt, segments_of, with_slices
 from torcharm.design.space import Arm
 from torcharm.load import GRAVITY, ExternalLoad, PointLoad
-from torcharm.statics.balance import segments_of
 from torcharm.study import NamedArm, NamedTask, Study
 from torcharm.task import Task
 

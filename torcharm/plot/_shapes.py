@@ -7,6 +7,7 @@ import numpy as np
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
+from torcharm.arm_series import segments_of
 from torcharm.attainability import Attainability
 from torcharm.attainability.reasons import NO_CENTRELINE, out_of_range
 from torcharm.design.space import Arm
@@ -17,7 +18,6 @@ from torcharm.load import ExternalLoad
 from torcharm.plot._common import SMOOTHING, Array, array
 from torcharm.pressure.predicted_error import PredictedError
 from torcharm.pressure.search import PressureSearch
-from torcharm.statics.balance import segments_of
 from torcharm.task import Task
 
 AROUND = 12

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torcharm.actuators import model_name
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import with_slices
+from torcharm.arm_series import segments_of, with_slices
 from torcharm.attainability import Attainability
 from torcharm.design.space import Arm
 from torcharm.geometry import se3
@@ -35,7 +35,6 @@ from torcharm.plot._common import (
     projection_of,
 )
 from torcharm.plot._shapes import AROUND, Centreline, Shape, centreline, task_of, tubes, twists_of
-from torcharm.statics.balance import segments_of
 from torcharm.task import Task
 
 TIP_WANTED = "tip pose wanted"

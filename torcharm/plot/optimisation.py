@@ -10,12 +10,11 @@ from matplotlib.ticker import MaxNLocator
 
 from torcharm.actuators import model_name
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import with_slices
+from torcharm.arm_series import segments_of, with_slices
 from torcharm.design.result import OptimisedDesign
 from torcharm.design.task_errors import TaskErrors
 from torcharm.inputs import three_digits
 from torcharm.plot._common import ATTAINABLE, PLAIN, UNATTAINABLE, array, kind_styles, legend_below, mark_inks
-from torcharm.statics.balance import segments_of
 
 FEW = 12
 """Tasks that are drawn one by one; more are a line each, in ascending order."""

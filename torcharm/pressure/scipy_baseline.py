@@ -85,7 +85,7 @@ class _Task:
 
 def _row(packed: EngineProblem, b: int) -> EngineProblem:
     """One of the problems."""
-    arms, loads, scale = (row_of(record, b) for record in (packed.arms, packed.loads, packed.scale))
+    arms, loads, scale = row_of(packed.arms, b), row_of(packed.loads, b), row_of(packed.scale, b)
     return EngineProblem(arms, loads, scale, NO_GOAL, packed.limit[b : b + 1])
 
 

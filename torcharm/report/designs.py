@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from torcharm.arm_series import segments_of
 from torcharm.attainability import VERDICTS
 from torcharm.inputs import three_digits
 from torcharm.plot import VERDICT_STYLES
 from torcharm.report.content import Column, Count
 from torcharm.report.svg import themed
-from torcharm.statics.balance import segments_of
 from torcharm.study import NamedArm, StudyResult, csv_text, summarise
 from torcharm.study.results import DEG, MM
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries, RigidLink, with_slices
+from torcharm.arm_series import ArmSeries, segments_of, with_slices
 from torcharm.load import ExternalLoad
 from torcharm.statics.cross_section import CrossSections, cross_sections
 from torcharm.statics.external_load import arm_wrench
@@ -19,11 +19,6 @@ from torcharm.statics.external_load import arm_wrench
 RIGID = 1e30
 """Stiffness against torsion [N·m²] of a segment that does not twist in an arm that does: by it no load of this world
 twists a segment by what rounding leaves of a number, and its products stay finite."""
-
-
-def segments_of(arm: ArmDesign | ArmSeries) -> tuple[tuple[ArmDesign, ...], tuple[RigidLink | None, ...]]:
-    """The segments of an arm, and the link or None behind each."""
-    return (arm.segments, arm.links) if isinstance(arm, ArmSeries) else ((arm,), (None,))
 
 
 def link_ends(arm: ArmDesign | ArmSeries) -> list[Tensor | None]:

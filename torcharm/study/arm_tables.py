@@ -9,10 +9,9 @@ from pydantic import Field
 
 from torcharm.actuators import Actuator
 from torcharm.arm import ArmDesign, ring
-from torcharm.arm_series import ArmSeries, RigidLink, series
+from torcharm.arm_series import ArmSeries, RigidLink, segments_of, series
 from torcharm.attainability.questions import question_about_arm
 from torcharm.ready_arms import antagonistic_arm, bellows_arm, mckibben_arm
-from torcharm.statics.balance import segments_of
 from torcharm.study.actuator_tables import ActuatorsTable, FileActuator
 from torcharm.study.data import NamedArm
 from torcharm.study.fields import (

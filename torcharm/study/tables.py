@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from torcharm.arm_series import segments_of
 from torcharm.attainability import CHOICES, PoseTolerance
 from torcharm.attainability.questions import LONGEST, WIDEST, question_about_lengths
 from torcharm.attainability.verdict import ROTATION
@@ -17,7 +18,6 @@ from torcharm.design.shape_planning import Smoothness
 from torcharm.design.space import FIELDS, TIES, DesignSpace
 from torcharm.design.tolerance import SAMPLES
 from torcharm.inputs import hint
-from torcharm.statics.balance import segments_of
 from torcharm.study.arm_tables import ArmTable
 from torcharm.study.data import Manufacture, NamedArm, NamedPlan, Optimisation, Settings
 from torcharm.study.fields import (

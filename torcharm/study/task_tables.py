@@ -8,11 +8,11 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from torcharm.arm_series import segments_of
 from torcharm.attainability.questions import question_about_shape
 from torcharm.geometry.rod import HANGING
 from torcharm.load import FRAMES, ExternalLoad, PointLoad
 from torcharm.shapes import affine_curvature, constant_curvature, cubic_curvature, helix
-from torcharm.statics.balance import segments_of
 from torcharm.study.arm_tables import NamedTable, Names, name_as
 from torcharm.study.data import NamedArm, NamedTask
 from torcharm.study.fields import (

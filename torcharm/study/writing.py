@@ -21,13 +21,12 @@ from torcharm.actuators import (
 )
 from torcharm.actuators.ready import USUAL_STRAINS
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries, RigidLink, with_slices
+from torcharm.arm_series import ArmSeries, RigidLink, segments_of, with_slices
 from torcharm.characterise.toml_text import toml_entry
 from torcharm.files import is_stream
 from torcharm.geometry.rod import HEADINGS, as_base
 from torcharm.inputs import plain_number, shown
 from torcharm.load import PointLoad
-from torcharm.statics.balance import segments_of
 from torcharm.study.actuator_tables import ActuatorTable
 from torcharm.study.arm_tables import NamedTable, SegmentTable
 from torcharm.study.data import NamedArm, NamedTask, Study

@@ -8,13 +8,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torcharm.arm_series import segments_of
 from torcharm.equilibrium.problem import Problem
 from torcharm.equilibrium.sensitivity import pressure_sensitivity
 from torcharm.equilibrium.solve import Equilibrium, solved
 from torcharm.equilibrium.stability import beyond_range
 from torcharm.geometry import rod
 from torcharm.load import ExternalLoad
-from torcharm.statics.balance import segments_of
 from torcharm.statics.cross_section import RANGE_SLACK
 from torcharm.task import Task
 from torcharm.wrench_sets.capacity import held_factor

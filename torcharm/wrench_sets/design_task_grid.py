@@ -10,10 +10,9 @@ import torch
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries, RigidLink
+from torcharm.arm_series import ArmSeries, RigidLink, segments_of
 from torcharm.inputs import refuse_transforms, shown
 from torcharm.load import ExternalLoad
-from torcharm.statics.balance import segments_of
 from torcharm.statics.cross_section import RANGE_SLACK, CrossSections, cross_sections, per_actuator
 from torcharm.statics.external_load import HULL, required_wrench
 from torcharm.task import Task

@@ -15,9 +15,8 @@ import torch
 from torch import Tensor
 
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries
+from torcharm.arm_series import ArmSeries, segments_of
 from torcharm.inputs import check_choice, check_count
-from torcharm.statics.balance import segments_of
 from torcharm.statics.cross_section import CrossSections, actuator_force
 from torcharm.wrench_sets.distance import NearestPoints
 from torcharm.wrench_sets.hull_distance import HullDistance

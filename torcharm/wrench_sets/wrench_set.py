@@ -14,10 +14,9 @@ from torch import Tensor
 
 from torcharm.actuators import is_linear_in_pressure, pressure_knots
 from torcharm.arm import ArmDesign
-from torcharm.arm_series import ArmSeries
+from torcharm.arm_series import ArmSeries, segments_of
 from torcharm.geometry.rod import check_segment_nodes
 from torcharm.inputs import HoldsTensors, check_tensor, shown
-from torcharm.statics.balance import segments_of
 from torcharm.statics.cross_section import CrossSections, cross_sections
 from torcharm.wrench_sets.design_task_grid import flat_segments
 from torcharm.wrench_sets.vertex_sets import EDGE_SAMPLES, check_sets, curve_points, edge_pressures, reactions
