@@ -261,7 +261,7 @@ def _search(problem, work, search, fit, b, shape, pool, spread, rounds, start, t
         points.known[j, HALF_COST] = math.inf
     points.known[BEST, HALF_COST] = math.inf
     at_end, sure = _multistart(problem, work, search, fit, b, shape, pool, spread, start, tolerance)
-    confirmed = points.known[BEST, HALF_COST]
+    multistart_cost = points.known[BEST, HALF_COST]
     if math.isfinite(points.known[BEST, HALF_COST]):
         at_end = _try_other_ends(problem, work, search, b, at_end, start, tolerance)
     work.path.stays[0] = False
@@ -281,7 +281,7 @@ def _search(problem, work, search, fit, b, shape, pool, spread, rounds, start, t
         before = points.known[BEST, HALF_COST]
         _load_nearby(problem, work, search, b, first_lost, pool, start, tolerance)
         at_end = at_end and not points.known[BEST, HALF_COST] < before
-    sure = sure and not points.known[BEST, HALF_COST] < (1.0 - WORTH) * confirmed
+    sure = sure and not points.known[BEST, HALF_COST] < (1.0 - WORTH) * multistart_cost
     sure = sure or mean_error(problem, work, b, BEST) <= NEEDS_NO_OTHER
     return at_end and sure and not lost < (1.0 - WORTH) * points.known[BEST, HALF_COST]
 
