@@ -21,6 +21,7 @@ from torch import Tensor
 
 import torcharm as ta
 from experiments.benchmark_search import figures, reference
+from experiments.benchmark_search.figures import DEFAULT
 from experiments.paper import paper_equilibrium, paper_task
 from experiments.rows import Measurement as Row, measurements_table, read_rows, write_rows
 
@@ -28,13 +29,12 @@ HERE = Path(__file__).parent
 ARMS = {"antagonistic": ta.antagonistic_arm(), "bellows-only": ta.bellows_arm()}
 OTHERS = {"antagonistic": reference.ANTAGONISTIC, "bellows-only": reference.BELLOWS}
 SHAPE = ta.affine_curvature(-3.0, 3.0, length=0.5, nodes=10)
-STARTS, ROUNDS = 8, 3
-"""The defaults of the search."""
-PLANS = ((1, 0), (STARTS, 0), (STARTS, ROUNDS))
+PLANS = ((1, 0), (DEFAULT[0], 0), DEFAULT)
+"""Starts and rounds of searches, the defaults the last."""
 PLANS_OF_SCIPY = (
     ("L-BFGS-B", 1, 100),
     ("SLSQP", 1, 100),
-    ("SLSQP", STARTS, 20),
+    ("SLSQP", 8, 20),
 )
 """Methods, starts and tasks."""
 SAME_COST = 1e-6
@@ -312,7 +312,7 @@ def load_code(arm: ta.ArmDesign) -> None:
 
 
 def timed_search(
-    arm: ta.ArmDesign, task: ta.Task, repeats: int, starts: int = STARTS, rounds: int = ROUNDS
+    arm: ta.ArmDesign, task: ta.Task, repeats: int, starts: int = DEFAULT[0], rounds: int = DEFAULT[1]
 ) -> tuple[ta.PressureSearch, float]:
     """What a search finds, and the median of its seconds for each task."""
     times = []
