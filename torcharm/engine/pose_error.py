@@ -81,6 +81,16 @@ def write_errors(arms, goal, balance, b, twist, change, directions, errors):  # 
 
 
 @part
+def tip_error(arms, goal, balance, b):  # type: ignore[no-untyped-def]
+    """How far the arm's end is from where it is to be [m], whatever that weighs."""
+    count, wanted = (2, 0) if arms.size == 3 else (3, 9)
+    square, last, place = 0.0, goal.pose.shape[1] - 1, balance.node.shape[1] - count
+    for k in range(count):
+        square += (goal.pose[b, last, wanted + k] - balance.node[last + 1, place + k]) ** 2
+    return math.sqrt(square)
+
+
+@part
 def _planar_error(goal, balance, b, i, turn, x, errors):  # type: ignore[no-untyped-def]
     """Write the change of an error by a motion; the first change is added to the error itself."""
     c, s, p_x, p_y = balance.node[i + 1, 0], balance.node[i + 1, 1], balance.node[i + 1, 2], balance.node[i + 1, 3]

@@ -19,7 +19,7 @@ from torcharm.engine.continuation import FAILED, find_equilibrium
 from torcharm.engine.copies import copy_row, copy_rows
 from torcharm.engine.newton_step import first_angular, solve, write_balance, write_shape
 from torcharm.engine.path import Path, Scale, move_size
-from torcharm.engine.pose_error import Errors, Goal, write_errors
+from torcharm.engine.pose_error import Errors, Goal, tip_error, write_errors
 from torcharm.engine.references import by_reference
 from torcharm.engine.sections import set_pressure, write_rates
 
@@ -32,9 +32,9 @@ EVALUATIONS, FEW_EVALUATIONS = 12, 5
 method takes one to four unless there is none."""
 SLOTS = 8
 """Points that are kept: where a descent is and where it tries to go, the best, and others on the way."""
-HALF_COST, LAST_MOVE, STABLE = range(3)
-"""What is known of a point: half the cost [m²]; the Newton step that led there, as of `move_size`; and 1 if the
-equilibrium is stable, with every length above 0."""
+HALF_COST, TIP_ERROR, LAST_MOVE, STABLE = range(4)
+"""What is known of a point: half the cost [m²]; how far the tip is off [m]; the Newton step that led there, as of
+`move_size`; and 1 if the equilibrium is stable, with every length above 0."""
 
 
 @by_reference
@@ -55,7 +55,7 @@ class Points(NamedTuple):
     normalised: Float64[Array, "slots M"]  # normalised pressures
     twists: Float64[Array, "slots N K"]
     rates: Float64[Array, "slots M N C"]  # of the unknowns by the normalised pressures
-    known: Float64[Array, "slots 3"]  # HALF_COST, LAST_MOVE and STABLE
+    known: Float64[Array, "slots 4"]  # HALF_COST, TIP_ERROR, LAST_MOVE and STABLE
     gradient: Float64[Array, "slots M"]  # [m²]
     curvature: Float64[Array, "slots M M"]  # Gauss and Newton's [m²]
 
@@ -208,6 +208,7 @@ def write_point(problem, work, b, at, size):  # type: ignore[no-untyped-def]
                 points.curvature[at, m - 1, k - 1] = points.curvature[at, k - 1, m - 1] = total
     stable = balance.pivots[0] == 0 and balance.pivots[1] == 0 and lengths_positive(arms, b, points.twists[at])
     points.known[at, LAST_MOVE], points.known[at, STABLE] = size, stable
+    points.known[at, TIP_ERROR] = tip_error(arms, problem.goal, balance, b)
 
 
 @part

@@ -23,6 +23,7 @@ from torcharm.engine.pressure_model import (
     EVALUATIONS,
     HALF_COST,
     STABLE,
+    TIP_ERROR,
     copy_point,
     distance_of,
     evaluate_point,
@@ -53,8 +54,13 @@ that is held up there, as at a kink of a force model: from elsewhere there may b
 CONFIRM, NEARLY_SAME = 3, 5e-4
 """How many descents must end nearly as close as the best for it to be converged; and the difference of mean errors over
 the arm's length that is meant: valleys are flat where actuators work against each other."""
-NEEDS_NO_OTHER = 5e-3
-"""Mean error over the arm's length below which one descent is enough: no other minimum can be better by more."""
+OTHER_TIP = 2e-3
+"""Difference of the tip's errors over the arm's length from which on a descent that ends nearly as close is a rival:
+which of the two is found may depend on where descents begin, so that neither is an answer."""
+NEEDS_NO_OTHER = 1e-5
+"""Mean error over the arm's length below which one descent is enough: no other end can be better by what one sees."""
+CONFIRMS, NEITHER, RIVALS = range(3)
+"""What an end says of the best one: it is as close, or nearly so; it is not; it is, but for the tip's error."""
 NOWHERE, AGREED, AGREED_AT_KINK, ELSEWHERE, BEST_UNDER_WAY, BEST_ENDED = range(6)
 """What came of a descent: no equilibrium; an end that is known, at an optimum or not; one that is no better; the best
 that is known, but where the arm moves on, or is about to lose its stability; or the best, at its end."""
@@ -144,9 +150,19 @@ def _begin(problem, work, search, fit, b, s, shape, pool, above):  # type: ignor
 
 
 @part
+def _says_of_best(problem, work, b):  # type: ignore[no-untyped-def]
+    """What the end of a descent says of the best point."""
+    if abs(mean_error(problem, work, b, ENDED) - mean_error(problem, work, b, BEST)) > NEARLY_SAME:
+        return NEITHER
+    known = work.points.known
+    apart = abs(known[ENDED, TIP_ERROR] - known[BEST, TIP_ERROR]) / problem.scale.length[b]
+    return RIVALS if apart > OTHER_TIP else CONFIRMS
+
+
+@part
 def _descend_and_load(problem, work, search, b, begun, at_end, start, tolerance):  # type: ignore[no-untyped-def]
-    """Descend from the first slot, and load the arm at the end; returns what came of it, what that costs, and whether
-    it is nearly as close as the best.
+    """Descend from the first slot, and load the arm at the end; returns what came of it, what that costs, and what it
+    says of the best.
 
     Args:
         begun: slot of the point that was loaded, where the descent begins.
@@ -155,32 +171,32 @@ def _descend_and_load(problem, work, search, b, begun, at_end, start, tolerance)
     points = work.points
     end, ended = descend(problem, work, b, 0, 1, False, points.known[BEST, HALF_COST], STEPS)
     if not math.isfinite(points.known[end, HALF_COST]):
-        return NOWHERE, math.inf, False
-    best = mean_error(problem, work, b, BEST) if at_end else math.inf
+        return NOWHERE, math.inf, NEITHER
     if at_end and distance_of(problem, work, b, end, BEST) <= SAME_SHAPE:
-        return AGREED if ended == OPTIMUM else AGREED_AT_KINK, points.known[BEST, HALF_COST], True
+        return AGREED if ended == OPTIMUM else AGREED_AT_KINK, points.known[BEST, HALF_COST], CONFIRMS
     how = reach_and_keep(problem, work, search, b, end, ENDED, start, tolerance)
     same = how != FAILED and distance_of(problem, work, b, end, ENDED) <= SAME_SHAPE
     came = ELSEWHERE
     if not same and keep_lost(problem, work, search, b, end, begun):
         came = AGREED
     if how == FAILED:
-        return came, math.inf, False
+        return came, math.inf, NEITHER
     value = points.known[ENDED, HALF_COST]
+    says = _says_of_best(problem, work, b) if same and at_end else NEITHER
     if not improves(work, BEST, ENDED):  # it may have begun at the best that is known
         keep_point(work, search, BEST, ENDED)
         there = same and ended != RUNNING and ended != STABILITY_ENDS
         came = BEST_ENDED if there else BEST_UNDER_WAY
-    return came, value, same and abs(mean_error(problem, work, b, ENDED) - best) <= NEARLY_SAME
+    return came, value, says
 
 
 @part
 def _multistart(problem, work, search, fit, b, shape, pool, spread, start, tolerance):  # type: ignore[no-untyped-def]
     """Descend from all starts, and confirm the ends; whether the best point is one, and whether enough confirm it."""
-    points, at_end, agreed, confirmed, above = work.points, False, 0, 0, -1.0
+    points, at_end, agreed, confirmed, rivals, above = work.points, False, 0, 0, 0, -1.0
     _load_many(problem, work, search, b, shape, pool, spread, start, tolerance)
     for s in range(len(search.start_cost)):
-        if agreed >= AGREE:
+        if agreed >= AGREE or (at_end and mean_error(problem, work, b, BEST) <= NEEDS_NO_OTHER):
             break
         search.start_cost[s] = math.inf
         begun = _begin(problem, work, search, fit, b, s, shape, pool, above)
@@ -188,13 +204,16 @@ def _multistart(problem, work, search, fit, b, shape, pool, spread, start, toler
             continue
         if s > 0:
             above = points.known[begun, HALF_COST]
-        came, value, confirms = _descend_and_load(problem, work, search, b, begun, at_end, start, tolerance)
+        came, value, says = _descend_and_load(problem, work, search, b, begun, at_end, start, tolerance)
         search.start_cost[s] = 2.0 * value
         agreed += AGREES * (came == AGREED) + AGREES_AT_KINK * (came == AGREED_AT_KINK)
         if came >= BEST_UNDER_WAY:  # none has agreed with this one yet
             at_end, agreed = came == BEST_ENDED, 0
-        confirmed = confirmed + 1 if confirms else 0 if came >= BEST_UNDER_WAY else confirmed
-    return at_end, confirmed >= min(CONFIRM, len(search.start_cost) - 1)  # of few descents few can confirm
+            if says == NEITHER:  # better than all others by what one sees
+                confirmed, rivals = 0, 0
+        confirmed, rivals = confirmed + (says == CONFIRMS), rivals + (says == RIVALS)
+    # of few descents few can confirm
+    return at_end, rivals == 0 and confirmed >= min(CONFIRM, len(search.start_cost) - 1)
 
 
 @part
@@ -202,9 +221,9 @@ def _try_other_ends(problem, work, search, b, at_end, start, tolerance):  # type
     """Descend from where one pressure of the best point is at its other end, as long as that leads to a better one.
 
     Minima lie in corners of the box, and the way from one to the next is often uphill. Returns whether the best point
-    is the end of a descent.
+    is the end of a descent, and whether it has no rival there.
     """
-    points, count = work.points, work.points.normalised.shape[1]
+    points, count, alone = work.points, work.points.normalised.shape[1], True
     for _ in range(count):
         points.known[NEAR, HALF_COST] = math.inf
         for other in range(count):
@@ -219,11 +238,12 @@ def _try_other_ends(problem, work, search, b, at_end, start, tolerance):  # type
             keep_point(work, search, BEST, NEAR)
             at_end = False
         copy_point(points, 0, NEAR)
-        came, _, _ = _descend_and_load(problem, work, search, b, NEAR, at_end, start, tolerance)
+        came, _, says = _descend_and_load(problem, work, search, b, NEAR, at_end, start, tolerance)
+        alone = alone and says != RIVALS
         if came < BEST_UNDER_WAY:
             break
         at_end = came == BEST_ENDED
-    return at_end
+    return at_end, alone
 
 
 @part
@@ -262,8 +282,9 @@ def _search(problem, work, search, fit, b, shape, pool, spread, rounds, start, t
     points.known[BEST, HALF_COST] = math.inf
     at_end, sure = _multistart(problem, work, search, fit, b, shape, pool, spread, start, tolerance)
     multistart_cost = points.known[BEST, HALF_COST]
-    if math.isfinite(points.known[BEST, HALF_COST]):
-        at_end = _try_other_ends(problem, work, search, b, at_end, start, tolerance)
+    if math.isfinite(multistart_cost) and mean_error(problem, work, b, BEST) > NEEDS_NO_OTHER:
+        at_end, alone = _try_other_ends(problem, work, search, b, at_end, start, tolerance)
+        sure = sure and alone
     work.path.stays[0] = False
     if rounds > 0 and not at_end and math.isfinite(points.known[BEST, HALF_COST]):
         at_end = release(problem, work, search, b, BEST, start, tolerance)

@@ -35,7 +35,7 @@ ROUNDS = 4
 WORDS = ("converged", "not converged", "snapped", "not found", "impossible")
 """What may be said of a search. Not converged: an equilibrium that is reached, but the descent did not come to its end,
 or leads on to where continuation does not follow, so that the pressure is next to a jump; or too few others come as
-close, so that more might come closer. Snapped: the arm gets there by a snap, not along one branch from zero load. Not
+close, so that more might come closer; or one that does has its tip elsewhere. Snapped: the arm gets there by a snap, not along one branch from zero load. Not
 found: no start led to a stable equilibrium. Impossible: the task's shape leaves an actuator no length."""
 LESS_COMPRESSION = "a lower load, a stiffer arm, or antagonists that push and pull against each other"
 """What keeps an arm from buckling, for a person who may change it."""
@@ -52,8 +52,8 @@ class PressureSearch(Outcome):
         optimality: (*batch) the largest entry of the cost's projected gradient, by normalised pressures [m²]. At a
             kink of a force model it does not vanish.
         converged: (*batch) whether it is a stable equilibrium along one branch from zero load, the descent to it came
-            to its end, three others ended nearly as close (or its mean error is below a 200th of the arm's length), and
-            none led to a better one that continuation does not reach.
+            to its end, three others ended nearly as close (unless nothing is left to gain), none of them with another
+            error of the tip, and none led to a better one that continuation does not reach.
         continued: (*batch) whether continuation from zero load reaches it along one branch.
         stable: (*batch) whether the task is possible, and the arm stays there.
         possible, strain_excess, in_range: as of `PredictedError`.
@@ -72,8 +72,8 @@ class PressureSearch(Outcome):
     DOUBTS: ClassVar[Mapping[str, str]] = {
         "snapped": "the arm gets there by a snap, so that it may end elsewhere: try to raise the pressures before the "
         f"load, {LESS_COMPRESSION}",
-        "not converged": "a stable shape that loading reaches, but next to a jump to another, or few descents agree on "
-        f"it: more starts may find a better pressure; else try {LESS_COMPRESSION}",
+        "not converged": "a stable shape that loading reaches, but next to a jump to another, or descents do not agree "
+        f"on it: more starts may find a better pressure; else try {LESS_COMPRESSION}",
         "not found": f"no start led to a stable equilibrium: try more starts, {LESS_COMPRESSION}",
     }
     """Why a task is left undecided, by the status, and what to try."""
@@ -149,8 +149,9 @@ def search_pressure(
     and from pressures that are promising to first order there or spread over the box, until four descents end in the
     same shape, seven at a kink of a force model; and then from where one pressure of the best is at its other end. One
     that will not come below the best that is known is given up. Where fewer than three others (or fewer than all, of
-    fewer starts) end nearly as close as the best, the answer is not `converged`, unless its mean error is below a 200th
-    of the arm's length: more starts may find a better one.
+    fewer starts) end nearly as close as the best, the answer is not `converged`: more starts may find a better one. Nor
+    is it where one does whose tip is off by more or less, by over a 500th of the arm's length: which of the two is
+    found is chance. One descent is enough where its mean error is below a 100,000th of that length.
 
     Ends are confirmed by continuation. Under compression it may lead elsewhere: an arm buckles to one side or to the
     other, and the best pressures often lie where that is decided. There the cost jumps. The boundary is found by
@@ -236,10 +237,10 @@ def _found(prepared: Prepared, starts: int, rounds: int, seed: int) -> Searches:
     """What the engine finds."""
     problem, shape, out = prepared.engine, prepared.start, nothing_found(prepared, starts)
     size = problem.limit.shape[1]
-    half = starts // 2
-    pool = torch.rand(LOT * (half + 2), size, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    few = starts // 3
+    pool = torch.rand(LOT * (few + 2), size, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
     pool = (1.2 * pool - 0.1).clamp(0, 1)  # the bounds are where optima like to be
-    spread_out = spread_points(max(half, 2), size, seed)
+    spread_out = spread_points(max(few, 2), size, seed)
     spread_out[1:] = np.clip(1.6 * spread_out[1:] - 0.3, 0.0, 1.0)
     spread_out[1] = 0.0  # no pressure at all
     start, pressure = np.zeros((0, *shape.shape[1:])), np.zeros_like(problem.limit)

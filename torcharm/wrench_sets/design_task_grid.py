@@ -89,7 +89,8 @@ def fitted(arm: object, task: object) -> tuple[Arm, Task]:
         raise ValueError(f"task: must be of the arm's dimension, {arm.dimension}, got {task.dimension}")
     segments, links = segments_of(arm)
     if len(task.segment_nodes or (0,)) != len(segments):
-        raise ValueError(f"segment_nodes: must hold one number for each of {len(segments)} segments, got {shown(task)}")
+        named = shown(task.segment_nodes) if task.segment_nodes else "none"
+        raise ValueError(f"segment_nodes: must hold one number for each of {len(segments)} segments, got {named}")
     _check_links(links)
     ours, theirs = segments[0].radii, task.twists
     if ours.device != theirs.device:
