@@ -35,8 +35,9 @@ ROUNDS = 4
 WORDS = ("converged", "not converged", "snapped", "not found", "impossible")
 """What may be said of a search. Not converged: an equilibrium that is reached, but the descent did not come to its end,
 or leads on to where continuation does not follow, so that the pressure is next to a jump; or too few others come as
-close, so that more might come closer; or one that does has its tip elsewhere. Snapped: the arm gets there by a snap, not along one branch from zero load. Not
-found: no start led to a stable equilibrium. Impossible: the task's shape leaves an actuator no length."""
+close, so that more might come closer; or one that does has its tip elsewhere. Snapped: the arm gets there by a snap,
+not along one branch from zero load. Not found: no start led to a stable equilibrium. Impossible: the task's shape
+leaves an actuator no length."""
 LESS_COMPRESSION = "a lower load, a stiffer arm, or antagonists that push and pull against each other"
 """What keeps an arm from buckling, for a person who may change it."""
 
