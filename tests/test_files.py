@@ -233,7 +233,7 @@ def test_the_asked_ending_chooses_the_format_through_a_link(folder, monkeypatch,
 
 @posix
 def test_names_with_a_nul_and_protected_pipes_are_refused(folder, monkeypatch):
-    with pytest.raises(ValueError, match=re.escape("--out: a\0b.csv: cannot be written, embedded null")):
+    with pytest.raises(ValueError, match=r"--out: a\0b.csv: cannot be written, .*embedded null"):
         check_writable("a\0b.csv", "--out")
     os.mkfifo("pipe")
     check_writable("pipe")

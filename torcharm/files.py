@@ -81,8 +81,9 @@ def check_writable(path: StrPath, name: str = "") -> None:
     if not os.path.isdir(folder):
         raise ValueError(f"{prefix}: the directory {Path(path).parent} does not exist")
     try:
-        if os.path.isfile(path):
-            open(path, "ab").close()  # a file that is protected is not replaced either
+        with suppress(FileNotFoundError):
+            if stat.S_ISREG(os.stat(path).st_mode):
+                open(path, "ab").close()  # a file that is protected is not replaced either
         with atomic_write(path):
             raise _Untouched
     except _Untouched:

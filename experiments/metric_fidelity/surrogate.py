@@ -5,7 +5,9 @@ at all nodes at once, sampled at some pressures: one simplex of weights for each
 E δz, and the cost is a sum of squares of an affine function of the weights.
 """
 
+import math
 from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
 import torch
@@ -22,8 +24,11 @@ REGULARISATION = 1e-8
 
 
 def qp_surrogate(arm: ta.ArmDesign, task: ta.Task) -> Tensor:
-    """The square root of the cost (L,) [m] of one design on the loads (L, 3) of one shape; NaN where qpth fails."""
+    """The square root of the cost (L,) [m] of one design on the loads (L, 3) of one shape; NaN where qpth fails, or
+    is not installed."""
     offset, columns = _affine(arm, task)
+    if find_spec("qpth") is None:  # it has no release for Python 3.13 and later
+        return torch.full_like(offset[:, 0], math.nan)
     count, size = arm.actuator_count, columns.shape[-1]
     gram = columns.mT @ columns
     scale = gram.diagonal(dim1=-2, dim2=-1).amax(-1)[:, None, None]
