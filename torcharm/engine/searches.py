@@ -57,8 +57,10 @@ the arm's length that is meant: valleys are flat where actuators work against ea
 OTHER_TIP = 2e-3
 """Difference of the tip's errors over the arm's length from which on a descent that ends nearly as close is a rival:
 which of the two is found may depend on where descents begin, so that neither is an answer."""
-NEEDS_NO_OTHER = 1e-5
-"""Mean error over the arm's length below which one descent is enough: no other end can be better by what one sees."""
+NEEDS_NO_OTHER = 1e-3
+"""Mean error over the arm's length below which none need confirm the best: no other end can be better by more."""
+NO_ERROR = 1e-5
+"""Mean error over the arm's length below which one descent is enough: there is nothing to gain."""
 CONFIRMS, NEITHER, RIVALS = range(3)
 """What an end says of the best one: it is as close, or nearly so; it is not; it is, but for the tip's error."""
 NOWHERE, AGREED, AGREED_AT_KINK, ELSEWHERE, BEST_UNDER_WAY, BEST_ENDED = range(6)
@@ -196,7 +198,7 @@ def _multistart(problem, work, search, fit, b, shape, pool, spread, start, toler
     points, at_end, agreed, confirmed, rivals, above = work.points, False, 0, 0, 0, -1.0
     _load_many(problem, work, search, b, shape, pool, spread, start, tolerance)
     for s in range(len(search.start_cost)):
-        if agreed >= AGREE or (at_end and mean_error(problem, work, b, BEST) <= NEEDS_NO_OTHER):
+        if agreed >= AGREE or (at_end and mean_error(problem, work, b, BEST) <= NO_ERROR):
             break
         search.start_cost[s] = math.inf
         begun = _begin(problem, work, search, fit, b, s, shape, pool, above)
@@ -282,7 +284,7 @@ def _search(problem, work, search, fit, b, shape, pool, spread, rounds, start, t
     points.known[BEST, HALF_COST] = math.inf
     at_end, sure = _multistart(problem, work, search, fit, b, shape, pool, spread, start, tolerance)
     multistart_cost = points.known[BEST, HALF_COST]
-    if math.isfinite(multistart_cost) and mean_error(problem, work, b, BEST) > NEEDS_NO_OTHER:
+    if math.isfinite(multistart_cost) and mean_error(problem, work, b, BEST) > NO_ERROR:
         at_end, alone = _try_other_ends(problem, work, search, b, at_end, start, tolerance)
         sure = sure and alone
     work.path.stays[0] = False

@@ -53,8 +53,8 @@ class PressureSearch(Outcome):
         optimality: (*batch) the largest entry of the cost's projected gradient, by normalised pressures [m²]. At a
             kink of a force model it does not vanish.
         converged: (*batch) whether it is a stable equilibrium along one branch from zero load, the descent to it came
-            to its end, three others ended nearly as close (unless nothing is left to gain), none of them with another
-            error of the tip, and none led to a better one that continuation does not reach.
+            to its end, three others ended nearly as close (or its mean error is below a 1000th of the arm's length),
+            none of them with another error of the tip, and none led to a better one that continuation does not reach.
         continued: (*batch) whether continuation from zero load reaches it along one branch.
         stable: (*batch) whether the task is possible, and the arm stays there.
         possible, strain_excess, in_range: as of `PredictedError`.
@@ -152,7 +152,8 @@ def search_pressure(
     that will not come below the best that is known is given up. Where fewer than three others (or fewer than all, of
     fewer starts) end nearly as close as the best, the answer is not `converged`: more starts may find a better one. Nor
     is it where one does whose tip is off by more or less, by over a 500th of the arm's length: which of the two is
-    found is chance. One descent is enough where its mean error is below a 100,000th of that length.
+    found is chance. Below a mean error of a 1000th of that length it needs no other, and below a 100,000th no other is
+    tried.
 
     Ends are confirmed by continuation. Under compression it may lead elsewhere: an arm buckles to one side or to the
     other, and the best pressures often lie where that is decided. There the cost jumps. The boundary is found by
