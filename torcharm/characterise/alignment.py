@@ -19,6 +19,10 @@ MOST_LEVELS = 40
 
 PAUSE, MISSED = 20.0, 0.01
 """In usual steps of a log, its pauses; and of the tester's stamps, how many in them count."""
+STEADY = 1e-4
+"""From one sample to the next, a strain that is held may move by so much."""
+APART = 0.01
+"""Strains further apart than this are different holds."""
 TOO_SHORT = 0.01
 """Of a run, a log that lasts no longer is in another unit of time, or of another run."""
 
@@ -51,9 +55,9 @@ class Recording:
     settings: Settings = ()
 
     def only(self, kept: NDArray[np.bool_]) -> "Recording":
-        """Some of its samples."""
-        columns = {name: getattr(self, name)[kept] for name in ("strain", "pressure", "force", "run")}
-        return replace(self, **columns)
+        """Some of its samples, as if of one run."""
+        columns = {name: getattr(self, name)[kept] for name in ("strain", "pressure", "force")}
+        return replace(self, **columns, run=np.zeros(int(kept.sum()), np.int64))
 
 
 def align(
@@ -213,24 +217,22 @@ def is_table(recording: Recording) -> bool:
     return all(len(np.unique(values)) <= MOST_LEVELS for values in (recording.strain, recording.pressure))
 
 
-def held_strains(recording: Recording, *, steady: float = 1e-4, apart: float = 0.01) -> list[NDArray[np.int64]]:
+def held_strains(recording: Recording) -> list[NDArray[np.int64]]:
     """Samples of the strains at which the tester held still, one array of indices for each, from least to most.
 
     Args:
         recording: one run, or several pooled: holds at equal strains go together. A table holds each of its strains.
-        steady: from one sample to the next, strain may move by so much.
-        apart: strains further apart than this are different holds.
     """
     if is_table(recording):
         levels, place = np.unique(recording.strain, return_inverse=True)
         return [np.flatnonzero(place == level) for level in range(len(levels))]
     still = np.zeros(len(recording.strain), bool)
-    still[1:] = (np.abs(np.diff(recording.strain)) <= steady) & (np.diff(recording.run) == 0)
+    still[1:] = (np.abs(np.diff(recording.strain)) <= STEADY) & (np.diff(recording.run) == 0)
     # A ramp is a chain of small steps: what holds stays put over the samples around it, too.
     reach = 25
     ahead, behind = np.roll(recording.strain, -reach), np.roll(recording.strain, reach)
-    still &= (np.abs(ahead - recording.strain) <= steady) & (np.abs(behind - recording.strain) <= steady)
+    still &= (np.abs(ahead - recording.strain) <= STEADY) & (np.abs(behind - recording.strain) <= STEADY)
     index = np.flatnonzero(still)
     index = index[np.argsort(recording.strain[index], kind="stable")]
-    cuts = np.flatnonzero(np.diff(recording.strain[index]) > apart) + 1
+    cuts = np.flatnonzero(np.diff(recording.strain[index]) > APART) + 1
     return [np.sort(part) for part in np.split(index, cuts) if len(part) > 2 * reach]

@@ -147,12 +147,17 @@ def _with_models(arm: Arm, models: Sequence[Actuator]) -> Arm:
     """The same geometry with other force models, and their limits."""
     made = []
     for one, own in with_slices(segments_of(arm)[0]):
-        rest: dict[str, Any] = {
-            "out_of_plane": one.out_of_plane,
-            "torsion_stiffness": one.torsion_stiffness,
-            "diameter": one.diameter,
-        }
-        made.append(ArmDesign(one.radii, one.length, models[own], mass=one.mass, **rest))
+        made.append(
+            ArmDesign(
+                one.radii,
+                one.length,
+                models[own],
+                mass=one.mass,
+                out_of_plane=one.out_of_plane,
+                torsion_stiffness=one.torsion_stiffness,
+                diameter=one.diameter,
+            )
+        )
     return rebuilt(arm, made)
 
 

@@ -48,9 +48,8 @@ class TaskErrors(HoldsTensors):
 
         pressure = torch.cat([one.pressure.detach().reshape(-1, one.pressure.shape[-1]) for one in found])
         errors = whole("tip_error"), whole("shape_error")
-        ended = "at_minimum" if isinstance(found[0], PredictedError) else "converged"
         beyond = [beyond_range(arm, task, one.twists).reshape(-1) for task, one in zip(tasks, found, strict=True)]
-        return cls(*errors, pressure, whole(ended), whole("stable"), whole("in_range"), torch.cat(beyond))
+        return cls(*errors, pressure, whole("at_minimum"), whole("stable"), whole("in_range"), torch.cat(beyond))
 
     @property
     def tip_mm(self) -> float:

@@ -105,7 +105,7 @@ def tolerance(
         kept = None if compensated else [found.pressure for found in drawn]
         if kept is not None:  # the drawn arm is loaded from rest, as the built ones are
             drawn = how.predicted(arm, kept)
-        nominal = {name: column[0] for name, column in how.of_found(arm, drawn).items()}
+        nominal = how.of_found(arm, drawn)["tip_error"][0]
         try:
             for part in how.chunks(arm, sources, normal, kept):
                 parts.append(part)
@@ -128,7 +128,7 @@ def _result(
     arm: Arm,
     sources: Sequence[Source],
     normal: Tensor,
-    nominal: Mapping[str, Tensor],
+    nominal: Tensor,
     built: Mapping[str, Tensor],
     slopes: Sequence[Tensor],
     **asked: Any,
@@ -141,9 +141,7 @@ def _result(
         verdict_code=built["verdict"],
         tip=built["tip"],
         margin=built.get("margin"),
-        nominal_tip_error=nominal["tip_error"],
-        nominal_failed=nominal["failed"],
-        nominal_verdict_code=nominal["verdict"],
+        nominal_tip_error=nominal,
         sources=tuple(source.name for source in sources),
         slopes=tuple(slopes),
         variance_by_gradient=variances(slopes, sources),

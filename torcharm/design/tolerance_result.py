@@ -66,8 +66,7 @@ class BuiltArms(HoldsTensors, Tabular):
         verdict_code: (S, T) indices into `torcharm.attainability.verdict.VERDICTS`: "held" is within, and in range.
         tip: (S, T, D) the tip's place seen from the task's [m]; NaN where there is none.
         margin: (S, T) capacity margin [N], if it was asked for.
-        nominal_tip_error, nominal_verdict_code: (T,) of the drawn arm.
-        nominal_failed: (T, 4) of the drawn arm.
+        nominal_tip_error: (T,) of the drawn arm.
         sources: G names of what is scattered, in the order in which it is told.
         slopes: for each source (T, D, K) of the tip's place by its K parameters, at the drawn arm.
         variance_by_gradient: (G, T) what each source adds to the variance of the tip's place by these slopes [m²].
@@ -94,8 +93,6 @@ class BuiltArms(HoldsTensors, Tabular):
     tip: Tensor
     margin: Tensor | None
     nominal_tip_error: Tensor
-    nominal_failed: Tensor
-    nominal_verdict_code: Tensor
     sources: tuple[str, ...]
     slopes: tuple[Tensor, ...]
     variance_by_gradient: Tensor

@@ -45,7 +45,6 @@ def load_figure(
     quantity: str = "tip error",
     *,
     loads: Tensor | None = None,
-    highest: float | None = None,
 ) -> Figure:
     """One page of load maps of several arms at one shape, at the same scale, for `figure.savefig(path)`.
 
@@ -59,7 +58,6 @@ def load_figure(
             task's point loads) could grow at the very shape until a node's set excludes it. What weighs nothing could
             grow without end.
         loads: (R, C, 3 or 6) as for `load_map`; None takes `load_grid(count=21)`, in space of the plane "xy".
-        highest: end of the colours; None takes 4 times the largest tolerance, or a factor of 4.
 
     Raises:
         ValueError: there is no arm, a design is a batch, the task holds several shapes, or as of `load_map`.
@@ -72,7 +70,7 @@ def load_figure(
     with torch.no_grad():
         found = [find(one_design(name, arm, task), loaded) for name, arm in arms]
     middle = max(one.line for one in found)
-    scale: dict[str, Any] = {"lowest": 0.0, "highest": HIGHEST * middle if highest is None else highest}
+    scale: dict[str, Any] = {"lowest": 0.0, "highest": HIGHEST * middle}
     scale |= {"middle": middle, "rising": quantity == "payload factor", "bar": False}
     figure = Figure(figsize=(PANEL * len(arms) + 1.0, PANEL + 1.1), layout="constrained", dpi=130)
     panels: Any = figure.subplots(1, len(arms), squeeze=False)[0]

@@ -25,7 +25,7 @@ def histograms(blocks: Blocks, names: Sequence[str], bins: int) -> "Figure":
     """A histogram of each column beside each other."""
     from matplotlib.figure import Figure
 
-    edges = [bin_edges(blocks, name, bins) for name in names]
+    edges = bin_edges(blocks, names, bins)
     counts = [np.zeros(bins) for _ in names]
     for block in blocks((*names, "feasible")):
         for place, name in enumerate(names):
@@ -43,7 +43,7 @@ def density(blocks: Blocks, x: str, y: str, bins: int) -> "Figure":
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure
 
-    edges = [bin_edges(blocks, name, bins) for name in (x, y)]
+    edges = bin_edges(blocks, (x, y), bins)
     both: Any = (edges[0], edges[1])
     count = np.zeros((bins, bins))
     for block in blocks((x, y, "feasible")):
@@ -58,12 +58,17 @@ def density(blocks: Blocks, x: str, y: str, bins: int) -> "Figure":
     return figure
 
 
-def bin_edges(blocks: Blocks, name: str, bins: int) -> Edges:
-    """Of so many bins from the least to the largest finite value of a column; by their ratio, evenly in logarithm."""
-    low, high = np.inf, -np.inf
-    for block in blocks((name, "feasible")):
-        known = block[name][block["feasible"] & np.isfinite(block[name])].astype(np.float64)
-        low, high = float(known.min(initial=low)), float(known.max(initial=high))
+def bin_edges(blocks: Blocks, names: Sequence[str], bins: int) -> list[Edges]:
+    """Of so many bins from the least to the largest finite value of columns; by their ratio, evenly in logarithm."""
+    ends = dict.fromkeys(names, (np.inf, -np.inf))
+    for block in blocks((*names, "feasible")):
+        for name, (low, high) in ends.items():
+            known = block[name][block["feasible"] & np.isfinite(block[name])].astype(np.float64)
+            ends[name] = float(known.min(initial=low)), float(known.max(initial=high))
+    return [_edges(name, *ends[name], bins) for name in names]
+
+
+def _edges(name: str, low: float, high: float, bins: int) -> Edges:
     if low > high:
         raise ValueError(f"column: must hold something finite to be drawn, and {name} does not")
     if low == high:
