@@ -99,6 +99,8 @@ def read_file(path: StrPath) -> bytes:
         ValueError: it cannot be read, is a folder, a pipe or a device, or holds more than `MOST_BYTES`; the message
             begins with the path.
     """
+    if not isinstance(path, (str, PathLike)):  # a number would be taken for a file that the process has open
+        raise ValueError(f"path: must be a path, got {path!r}")
     found = b""
     try:
         mode = os.stat(path).st_mode

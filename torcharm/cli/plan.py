@@ -56,7 +56,10 @@ def plan(
     outputs.check(study, out, figure, (*RESULT_FORMATS, "toml"))
     read = read_study(study)
     if not read.plans:
-        raise ValueError(f"{study}: plan: must hold at least one table that begins with [[plan]], got none")
+        raise ValueError(
+            f"{study}: plan: must hold at least one table that begins with [[plan]], got none; "
+            "that of torcharm init stands there with a # before each line"
+        )
     figures, work = outputs.numbered("--figure", figure, len(read.plans)), Work()
     found = _find(read, work)
     _tell(read, found, sums)
