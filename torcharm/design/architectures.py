@@ -1,14 +1,14 @@
 """Which architecture? Every choice of a force model for every position, each with its best design."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from torcharm.actuators import SHIPPED, Actuator
-from torcharm.arm import ArmDesign, find_model
+from torcharm.arm import find_model
 from torcharm.arm_series import rebuilt, segments_of, with_slices
 from torcharm.attainability import PoseTolerance
 from torcharm.design.checkpoint import Checkpoint, describe
@@ -145,19 +145,8 @@ def _kinds(models: Any) -> tuple[Actuator, ...]:
 
 def _with_models(arm: Arm, models: Sequence[Actuator]) -> Arm:
     """The same geometry with other force models, and their limits."""
-    made = []
-    for one, own in with_slices(segments_of(arm)[0]):
-        made.append(
-            ArmDesign(
-                one.radii,
-                one.length,
-                models[own],
-                mass=one.mass,
-                out_of_plane=one.out_of_plane,
-                torsion_stiffness=one.torsion_stiffness,
-                diameter=one.diameter,
-            )
-        )
+    own: dict[str, Any] = {"max_pressure": None, "deviation": None}  # of the models that were
+    made = [replace(one, actuators=tuple(models[at]), **own) for one, at in with_slices(segments_of(arm)[0])]
     return rebuilt(arm, made)
 
 

@@ -239,7 +239,7 @@ def _found(prepared: Prepared, starts: int, rounds: int, seed: int) -> Searches:
     """What the engine finds."""
     problem, shape, out = prepared.engine, prepared.start, nothing_found(prepared, starts)
     size = problem.limit.shape[1]
-    few = starts // 3
+    few = starts // 3  # of drawn and of spread pressures; loading the arm at more finds little that descents do not
     pool = torch.rand(LOT * (few + 2), size, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
     pool = (1.2 * pool - 0.1).clamp(0, 1)  # the bounds are where optima like to be
     spread_out = spread_points(max(few, 2), size, seed)
